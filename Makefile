@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo test check lint types contracts unit durations lock bench clean
+.PHONY: setup demo test check lint types contracts unit fuzz durations lock bench clean
 
 setup: $(STAMP)
 
@@ -43,6 +43,10 @@ contracts: $(STAMP)
 # for time to pass.
 unit: $(STAMP)
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
+
+# Every parser and protocol side, INPUTS each (100000); TARGET=name for one, SEED for others. Its short form is a test.
+fuzz: $(STAMP)
+	$(BIN)/python -m tests.fuzz.campaign
 
 # What tests/conftest.py orders files by, and leaves out of `make check`: measured on a machine with nothing else to do.
 durations: $(STAMP)

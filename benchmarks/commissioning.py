@@ -37,6 +37,7 @@ ANALOGUE = (
 )
 REFUSALS = (
     *("none", "layout version", "sequence and its copy differ", "CRC", "heartbeat did not change", "length or start"),
+    *("another challenge", "another writer", "sequence not 1 to 100 ahead", "no permit"),
 )
 HERE, THERE = 12.0, 41.0
 """Two places of the plant's trace at which every signal is another."""

@@ -36,7 +36,7 @@ PAUSE_S = 0.6
 AGAIN_S = 1.0
 """So long a fault without a duration is looked for before it is ordered again."""
 WRITES = (5, 6, 15, 16, 22, 23)
-BLOCK = range(400, 424)
+BLOCK = range(400, 426)
 
 OUTAGES = ("refuse", "silent", "restart")
 """The PLC goes away and comes back: good readings must return within one second."""

@@ -5,6 +5,7 @@ how a value lies in a register is no part of it, so that either keeps a path of 
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,8 +17,25 @@ from drivers.settings import ConfigError, Line, Section, checked, read_toml
 from drivers.tag import DType, Order, Tag
 
 LONGEST_TEXT = 4096
-NEEDED_FIELDS = ("layout_version", "sequence", "heartbeat", "validity", "crc", "sequence_copy")
+LAYOUT_VERSION = 2
+"""The version of the write-back contract: the one that both sides here keep."""
+
+NEEDED_FIELDS = ("layout_version", "sequence", "heartbeat", "validity", "challenge", "writer", "crc", "sequence_copy")
 """Fields that every block has: by them the PLC checks it."""
+
+REFUSALS: Mapping[str, int] = {
+    "none": 0,
+    "layout version": 1,
+    "sequence and its copy differ": 2,
+    "CRC": 3,
+    "heartbeat did not change": 4,
+    "length or start": 5,
+    "another challenge": 6,
+    "another writer": 7,
+    "sequence not 1 to 100 ahead": 8,
+    "no permit": 9,
+}
+"""Why a PLC refuses a block, and the contract's number; a map's labels of LastRefusal may number them differently."""
 _RAW_NUMBER = re.compile(r"-?[0-9]{1,20}")
 _BLOCK_ADDRESS = r":\d+$|\{field\}"
 
@@ -115,6 +133,19 @@ class BlockTable(Section):
     timeout_s: float = Field(gt=0, description="the PLC's timer in seconds, above 0")
     unknown: int = Field(65535, ge=0, le=65535, description="the word for 'not within the forecast'")
     fields: list[BlockFieldTable] = Field(min_length=1, description="the block's words in order")
+
+    @field_validator("layout_version")
+    @classmethod
+    def _of_this_contract(cls, version: int) -> int:
+        if version < LAYOUT_VERSION:
+            raise ValueError(
+                f"version {version} has no sessions: a recorded block would count as a new one; give "
+                f"{LAYOUT_VERSION}, the fields 'challenge' and 'writer' before 'crc', and the tags Challenge, "
+                "SessionWriter and RefusedWriter, and make the PLC's side anew (decanter plc codegen)"
+            )
+        if version > LAYOUT_VERSION:
+            raise ValueError(f"version {version} is not known here; give {LAYOUT_VERSION}")
+        return version
 
 
 class DeviceFile(Section):

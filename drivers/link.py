@@ -14,6 +14,11 @@ from drivers.errors import DriverError, LinkDown
 
 C = TypeVar("C")
 
+PROMPT = 4
+"""So many connections that a peer takes and never answers are given up by the rule alone: it may be starting up."""
+MOST_DOUBLINGS = 3
+"""Those after them are held for twice as long each time, at last for eight times the rule's silence."""
+
 
 @dataclass(frozen=True, slots=True)
 class Backoff:
@@ -79,7 +84,7 @@ class Link(Generic[C]):
         self._proven = False
         self._failures = 0
         self._silence = 0.0
-        self._attempts_in_a_row = 0
+        self._attempts_in_a_row = self._silent_in_a_row = 0
         self._tried_at = 0.0
         self._reason = "not opened"
         self._counts = {"attempts": 0, "connects": 0, "losses": 0, "dead_peers": 0}
@@ -133,13 +138,28 @@ class Link(Generic[C]):
 
     def patience(self, deadline: float) -> float:
         """How long to wait for this reply: the deadline, or less where the rule's silence ends before it."""
-        return max(0.0, min(deadline, self._dead_peer.max_silence - self._silence))
+        return max(0.0, min(deadline, self._longest_silence - self._silence))
+
+    @property
+    def _longest_silence(self) -> float:
+        """What silence ends this connection: longer each time for a peer that takes connections and answers none.
+
+        A PLC whose program stands still collects the connections in its system, and has to serve them all when it
+        wakes. The one that is open is answered then, so that holding on to it costs no time.
+        """
+        doublings = min(max(0, self._silent_in_a_row - PROMPT), MOST_DOUBLINGS)
+        return float(self._dead_peer.max_silence * 2.0**doublings)
+
+    @property
+    def suspect(self) -> bool:
+        """True while the connections before this one, and this one so far, were taken and never answered."""
+        return self._silent_in_a_row > 0 and not self._proven
 
     def answered(self, connection: C) -> None:
         """A valid reply has come over this connection."""
         if connection is self._connection:
             self._proven = True
-            self._failures = self._attempts_in_a_row = 0
+            self._failures = self._attempts_in_a_row = self._silent_in_a_row = 0
             self._silence = 0.0
 
     def failed(self, connection: C, waited: float, reason: str) -> None:
@@ -150,8 +170,10 @@ class Link(Generic[C]):
         self._silence += waited
         rule = self._dead_peer
         # A millisecond early: `patience` lets the last wait end with the silence, and a timer may end just before it.
-        if self._failures >= rule.max_failures or self._silence >= rule.max_silence - 1e-3:
+        many = self._failures >= rule.max_failures and self._silent_in_a_row <= PROMPT
+        if many or self._silence >= self._longest_silence - 1e-3:
             self._counts["dead_peers"] += 1
+            self._silent_in_a_row += 1
             count = "1 exchange" if self._failures == 1 else f"{self._failures} exchanges in a row"
             self._drop(f"the peer is dead: {count} without a valid reply, {self._silence:.2f} s waited ({reason})")
 

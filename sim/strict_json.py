@@ -30,8 +30,15 @@ def strict(value: object) -> Any:
     return value if value is None or isinstance(value, str | int) else str(value)
 
 
-def escaped(value: object) -> object:
-    """A text with every character that is not printable as its escape (`\\n`, `\\x1b`); anything else as it is."""
+def escaped(value: Any) -> Any:
+    """A text with every character that is not printable as its escape (`\\n`, `\\x1b`); anything else as it is.
+
+    Texts in lists and mappings too, keys among them.
+    """
+    if isinstance(value, Mapping):
+        return {escaped(key): escaped(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [escaped(inner) for inner in value]
     if not isinstance(value, str) or value.isprintable():
         return value
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in value)

@@ -78,8 +78,8 @@ def open_modbus(
     if the adapter gives back what is sent, and `longest_reply`, after which an answer can no longer come.
 
     Further settings (seconds unless named otherwise): `unit` (0..255; 1..247 on a serial line); `timeout`, the deadline
-    of one request with all its `attempts` (only reads have more than one, each with an equal share; a device that is
-    slower than timeout / attempts is never read; the time that bytes need on a serial line comes on top);
+    of one request (the time that bytes need on a serial line comes on top); `attempts`, how often a read is sent, each
+    time with that deadline (a late reply to the same question is its answer);
     `connect_timeout`; `max_registers`, `max_bits`, `max_write_registers`, the most that the device takes in a request;
     `max_gap`, addresses read in vain to save a request; `pause_ms` between requests; `one_client`, if the device serves
     one connection only; `backoff_first` and `backoff_cap`; `max_failures` and `max_silence`, the dead-peer rule;
@@ -102,6 +102,14 @@ class ModbusDriver:
         self._writable_addresses = frozenset(
             (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
         )
+        words = sum(not area.is_bits for area, _ in self._writable_addresses)
+        if words > settings.max_write_registers:
+            # Neither WriteForbidden nor AddressError: a block that can never be sent is a mistake in any mode.
+            raise DriverError(
+                f"the block has {words} words and the device takes {settings.max_write_registers} in one write "
+                "(max_write_registers, or else max_registers): leave fields out (decanter plc bind --block ADDRESS "
+                "--fields NAMES), or give max_write_registers where the device takes more"
+            )
         self._lock = asyncio.Lock()
         self._refused = RefusedAddresses(settings.refused_first, settings.refused_cap)
         self._layouts: dict[tuple[int, ...], _TagLayout] = {}
@@ -170,7 +178,7 @@ class ModbusDriver:
         left_out = [reason for _, reason in layout.misplaced]
         left_out += [f"{span.tag.name}: in quarantine: {refusal.reason}" for span, refusal in refused if refusal]
         problems = [PlanLine(line, PlanKind.PROBLEM) for line in left_out]
-        return (*problems, *map(PlanLine, describe(layout.blocks, self._limits, self._settings.timeout)))
+        return (*problems, *map(PlanLine, describe(layout.blocks, self._limits, self._settings.longest_read)))
 
     def cautions(self) -> tuple[str, ...]:
         """What works and should not stay as it is, in sentences: a key that others may read, a certificate's end."""
@@ -344,23 +352,26 @@ class ModbusDriver:
     # ------------------------------------------------------------ one exchange (the lock is held)
 
     async def _attempts(self, block: AddressBlock) -> WireReply:
-        """Read a block, again with a new transaction id if no valid reply came, all within the deadline."""
-        attempts = self._settings.attempts
-        patience = self._settings.timeout / attempts
-        for _ in range(attempts - 1):
+        """Read a block, again with a new transaction id if no valid reply came; each request has its own deadline."""
+        again, wire = False, self._link.connection
+        # After a connection that was taken and never answered, the next ones get one question each.
+        for _ in range(0 if self._link.suspect else self._settings.attempts - 1):
             try:
-                return await self._exchange(self._read_request(block), patience)
+                return await self._exchange(self._read_request(block), self._settings.timeout, again=again)
             except (ReplyTimeout, ReplyMismatch):
-                if self._link.connection is None:
+                if self._link.connection is not wire:
                     raise
                 self._counts["retries"] += 1
-        return await self._exchange(self._read_request(block), patience)
+                again = True
+        return await self._exchange(self._read_request(block), self._settings.timeout, again=again)
 
     def _read_request(self, block: AddressBlock) -> ModbusPDU:
         return read_request(block.area, block.start, block.count, self._settings.unit)
 
-    async def _exchange(self, request: ModbusPDU, deadline: float, before_sending: BeforeSending = anyhow) -> WireReply:
-        """Send one request once, and tell the link how it went."""
+    async def _exchange(
+        self, request: ModbusPDU, deadline: float, before_sending: BeforeSending = anyhow, *, again: bool = False
+    ) -> WireReply:
+        """Send one request once, and tell the link how it went. `again`: see `Wire.ask`."""
         if (rest := self._last_exchange + self._limits.pause - _now()) > 0.0:
             await asyncio.sleep(rest)
         wire = self._link.connection
@@ -369,7 +380,8 @@ class ModbusDriver:
         self._counts["requests"] += 1
         started = _now()
         try:
-            reply = await wire.ask(request, self._link.patience(deadline), before_sending)
+            patience, most = self._link.patience(deadline), 1 if self._link.suspect else 2
+            reply = await wire.ask(request, patience, before_sending, again=again, most_open=most)
         except (ReplyTimeout, ReplyMismatch) as error:
             self._counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
             self._link.failed(wire, _now() - started, str(error))

@@ -54,7 +54,7 @@ class LineWire:
         self._settings, self._quiet, self._clock, self._on_lost = settings, quiet, clock, on_lost
         self._port: _Port | None = None
         self._data = b""
-        self._heard = 0.0
+        self._heard = self._sent = 0.0
         self._arrived = asyncio.Event()
         self._tap = current()
         self.foreign = 0
@@ -89,8 +89,19 @@ class LineWire:
             port.close()
         self._arrived.set()
 
-    async def ask(self, request: ModbusPDU, deadline: float, before_sending: BeforeSending = anyhow) -> WireReply:
+    async def ask(
+        self,
+        request: ModbusPDU,
+        deadline: float,
+        before_sending: BeforeSending = anyhow,
+        *,
+        again: bool = False,
+        most_open: int = 1,
+    ) -> WireReply:
         """Send the request once and wait for its reply: `deadline` seconds, and the time that both need on the line.
+
+        `again`: it is the very request that was asked last and not answered; a late reply to that one is its answer.
+        On a line one question is open at most, whatever `most_open` says.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the line is gone.
         """
@@ -98,11 +109,16 @@ class LineWire:
         wanted = rtu.asked(frame)
         until = _now() + deadline + self._on_line(len(frame) + rtu.reply_octets(wanted))
         await self._settle(wanted, until)
+        if again and self._quiet.until > 0 and self._quiet.after == wanted and self._late_reply_is_complete():
+            late, self._data = self._data, b""
+            self._checked(wanted, late)
+            self.last = late[:-2]
+            return WireReply(rtu.words_of(wanted, late), self._sent, self._clock())
         before_sending()
         self._data = b""
         # Noted before it is sent, and taken back by its reply: whatever goes wrong in between, the next request waits.
         self._quiet.until, self._quiet.after = _now() + self._settings.longest_reply, wanted
-        sent = self._clock()
+        sent = self._sent = self._clock()
         self._live_port().send(frame)
         self._tell(frame, sent=True)
         if self._settings.echo:

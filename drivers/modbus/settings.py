@@ -39,10 +39,10 @@ class ModbusSettings(Reconnecting):
         2.0, ge=0.001, le=60.0, description="the seconds after which an answer can no longer come, 0.001 to 60"
     )
     unit: int = Field(1, ge=0, le=255, description="a unit id from 0 to 255")
-    timeout: float = Field(
-        0.6, ge=0.001, le=60.0, description="the deadline of one request with all its attempts in seconds, 0.001 to 60"
+    timeout: float = Field(0.3, ge=0.001, le=60.0, description="the deadline of one request in seconds, 0.001 to 60")
+    attempts: int = Field(
+        2, ge=1, le=5, description="how often a read is sent, each time with its own deadline, 1 to 5"
     )
-    attempts: int = Field(2, ge=1, le=5, description="how often a read is sent within its deadline, 1 to 5")
     connect_timeout: float = Field(
         0.3, ge=0.001, le=60.0, description="the deadline of connecting in seconds, 0.001 to 60"
     )
@@ -78,6 +78,9 @@ class ModbusSettings(Reconnecting):
         for key, default in own.items():
             if default is None and key not in settings:
                 raise ValueError(f"{key} must be given; give {cls.model_fields[key].description}")
+        if isinstance(most := settings.get("max_registers"), int) and "max_write_registers" not in settings:
+            # A device's manual gives one limit of a request as a rule: what it says of reads holds for writes too.
+            settings = {**settings, "max_write_registers": max(1, min(most, 123))}
         return {**{key: default for key, default in own.items() if default is not None}, **settings}
 
     @model_validator(mode="after")
@@ -90,6 +93,11 @@ class ModbusSettings(Reconnecting):
     def limits(self) -> RequestLimits:
         """What the device allows in one request."""
         return RequestLimits(self.max_registers, self.max_bits, self.max_gap, self.pause_ms / 1000)
+
+    @property
+    def longest_read(self) -> float:
+        """Seconds until a read has failed: every attempt has its own deadline."""
+        return self.attempts * self.timeout
 
     @property
     def place(self) -> str:

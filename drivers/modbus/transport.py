@@ -28,7 +28,15 @@ class AnyWire(Protocol):
 
     def abandon(self) -> None: ...
 
-    async def ask(self, request: ModbusPDU, deadline: float, before_sending: BeforeSending = anyhow) -> WireReply: ...
+    async def ask(
+        self,
+        request: ModbusPDU,
+        deadline: float,
+        before_sending: BeforeSending = anyhow,
+        *,
+        again: bool = False,
+        most_open: int = 2,
+    ) -> WireReply: ...
 
 
 @dataclass(frozen=True, slots=True)

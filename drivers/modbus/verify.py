@@ -15,7 +15,7 @@ IDENTIFY = 43
 """Function 43 with MEI type 14: the device says who it is (V1.1b3, 6.21)."""
 _MEI_IDENTITY = 14
 _TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 15: "coil", 16: "holding", IDENTIFY: "identity"}
-_REGISTERS, _WRITES = frozenset({3, 4}), frozenset({15, 16})
+_REGISTERS, WRITES = frozenset({3, 4}), frozenset({15, 16})
 
 # V1.1b3 section 7: what the device says, and what that makes of a reading.
 EXCEPTIONS: dict[int, tuple[str, Quality]] = {
@@ -93,7 +93,7 @@ def check_reply(request: Asked, reply: bytes) -> None:
     if function == IDENTIFY:
         if len(body) < 6 or body[0] != _MEI_IDENTITY:
             raise ReplyMismatch(f"{request}: the reply holds no identification")
-    elif function in _WRITES:
+    elif function in WRITES:
         # A write is confirmed by its own address and count (6.11, 6.12); the values are not repeated.
         echo = struct.pack(">HH", request.address, request.count)
         if body != echo:

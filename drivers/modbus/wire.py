@@ -14,7 +14,7 @@ import socket
 import ssl
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from pymodbus.client import AsyncModbusTcpClient, AsyncModbusTlsClient
@@ -30,11 +30,12 @@ from pymodbus.pdu.register_message import (
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area
-from drivers.modbus.verify import Asked, asked, check_reply, split_frames
+from drivers.modbus.verify import WRITES, Asked, asked, check_reply, split_frames
 from drivers.tap import current, moved
 
 # More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line.
 _FLOOD = 65536
+_PROBE_S, _PROBES = 1, 2
 # pymodbus times nothing here: every exchange and every connect has a deadline of ours, and it must not fire first.
 _NEVER = 3600.0
 
@@ -92,6 +93,10 @@ class Wire:
         self._client.ctx.callback_disconnected = self._disconnected  # type: ignore[method-assign]
         self._client.ctx.max_buffer_size = 2 * _FLOOD
         self._request: Asked | None = None
+        # Sent on this connection and not answered, by transaction id, with the moment of sending.
+        self._open: dict[int, tuple[Asked, float]] = {}
+        self._again = False
+        self._any_answer = asyncio.Event()
         self._verdict: asyncio.Future[DriverError] | None = None
         self._sent = self._received = 0.0
         self._stream = b""
@@ -127,6 +132,7 @@ class Wire:
         try:
             # Not client.connect(): that one answers False and keeps the reason to itself.
             await self._client.ctx.call_create()
+            self._keep_alive()
         except (OSError, ValueError) as error:  # ValueError: a host name that DNS or TLS cannot even be asked for
             self._client.close()
             plain = (error.strerror if isinstance(error, OSError) else None) or str(error)
@@ -138,6 +144,20 @@ class Wire:
             self._client.close()
             raise
 
+    def _keep_alive(self) -> None:
+        """Let the system find out whether the host is there at all: one that is gone is not waited for.
+
+        So a program that stands still (its host answers the probes) and a host that has gone are told apart, and a
+        connection to the former can be kept (socket(7), tcp(7)).
+        """
+        transport = self._client.ctx.transport
+        raw = transport.get_extra_info("socket") if isinstance(transport, asyncio.Transport) else None
+        if raw is not None:
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL):
+                raw.setsockopt(socket.IPPROTO_TCP, option, _PROBE_S)
+            raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _PROBES)
+
     @property
     def alive(self) -> bool:
         """False once the connection is gone. True says nothing about the peer."""
@@ -148,18 +168,37 @@ class Wire:
         transport = self._client.ctx.transport
         if isinstance(transport, asyncio.Transport):
             raw = transport.get_extra_info("socket")
-            if self._request is not None and raw is not None:
+            # A write must not be delivered late. A read may: it ends with FIN, which a small PLC that wakes survives.
+            writes = any(question.function in WRITES for question, _ in self._open.values())
+            if writes and raw is not None:
                 # On, with no time to linger: closing throws the send buffer away and resets the connection (socket(7)).
                 raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             transport.abort()
         self._client.close()
 
-    async def ask(self, request: ModbusPDU, deadline: float, before_sending: BeforeSending = anyhow) -> WireReply:
+    async def ask(
+        self,
+        request: ModbusPDU,
+        deadline: float,
+        before_sending: BeforeSending = anyhow,
+        *,
+        again: bool = False,
+        most_open: int = 2,
+    ) -> WireReply:
         """Send the request once and wait up to `deadline` seconds for the reply that answers it.
+
+        `again`: it is the very request that was asked last and not answered; a late reply to that one is its answer.
+        Any other waits while `most_open` are on the connection without an answer: a PLC that stands still shall not
+        collect questions.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
         understood any more (then `alive` is False).
         """
+        if len(self._open) >= most_open and not again:
+            began = asyncio.get_running_loop().time()
+            await self._answer_to_another(deadline)
+            deadline -= asyncio.get_running_loop().time() - began
+        self._again = again
         verdict = self._verdict = asyncio.get_running_loop().create_future()
         foreign, self._request = self.foreign, None
 
@@ -186,6 +225,25 @@ class Wire:
             self._verdict = None
             exchange.cancel()
 
+    async def _answer_to_another(self, deadline: float) -> None:
+        """Wait until something that is open is answered. Raises ReplyTimeout, or LinkDown where the connection ends."""
+        verdict = self._verdict = asyncio.get_running_loop().create_future()
+        self._request, before = None, len(self._open)
+        self._any_answer.clear()
+        waiting = asyncio.ensure_future(self._any_answer.wait())
+        try:
+            await asyncio.wait({waiting, verdict}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
+            if verdict.done():
+                raise verdict.result()
+            if len(self._open) >= before:
+                question, sent = next(iter(self._open.values()))
+                raise ReplyTimeout(
+                    f"{question}: no reply since {self._clock() - sent:.2f} s; nothing else is asked before it comes"
+                )
+        finally:
+            self._verdict = None
+            waiting.cancel()
+
     def _reply(self, pdu: ModbusPDU) -> WireReply:
         count = self._request.count if self._request else 0
         words = tuple(int(word) for word in (pdu.registers or pdu.bits)[:count])
@@ -204,6 +262,7 @@ class Wire:
         self._tell(data if sending else data[self._seen :], sent=sending)
         if sending:
             self._request, self._sent, self._seen = asked(data), self._clock(), 0
+            self._open[self._request.transaction] = (self._request, self._sent)
             return data
         self._stream += data[self._seen :]
         passed = self._passed()
@@ -228,15 +287,21 @@ class Wire:
         passed = b""
         for frame in frames:
             request = self._request
-            if passed or request is None or not self._is_awaited(request, frame):
+            question, sent = self._open.pop(int.from_bytes(frame[:2], "big"), (None, 0.0))
+            self._any_answer.set()
+            waiting = self._verdict is not None and not self._verdict.done()
+            same = (
+                request is not None
+                and question is not None
+                and replace(question, transaction=0) == replace(request, transaction=0)
+            )
+            if passed or request is None or not waiting or not same or (question != request and not self._again):
                 self.foreign += 1
-            else:
-                passed = self._checked(request, frame)
+            elif checked := self._checked(request, frame):
+                # The library waits for the number that it gave last; the question was the same one, asked earlier.
+                passed = request.transaction.to_bytes(2, "big") + checked[2:]
+                self._sent = sent
         return passed
-
-    def _is_awaited(self, request: Asked, frame: bytes) -> bool:
-        waiting = self._verdict is not None and not self._verdict.done()
-        return waiting and request.transaction == int.from_bytes(frame[:2], "big")
 
     def _checked(self, request: Asked, frame: bytes) -> bytes:
         """The frame if it answers the request; otherwise the exchange ends with what is wrong."""

@@ -18,6 +18,8 @@ COMMANDS: Table = {
         "gateway.cli.emulate:emulate",
         "Start the software PLC, which replays a trace, as a process of its own.",
     ),
+    "backup": ("gateway.cli.backup:backup", "Copy all that a gateway is into a new folder, while it runs."),
+    "restore": ("gateway.cli.backup:restore", "Put a backup's files back in their places."),
     "certificates": (
         "gateway.cli.certificates:certificates",
         "Make certificates and keys for Modbus/TCP Security.",

@@ -47,7 +47,7 @@ _LIMITS = ("low", "high", "sentinel", "max_rate")
 @click.option("--label", "labels", multiple=True, metavar="RAW=TEXT", callback=pairs, help="A name of a raw number.")
 @click.option("--block", metavar="ADDRESS", help="Where the write-back block begins.")
 @click.option("--fields", help="Its fields, with commas between; as many as the PLC takes in one write by default.")
-@click.option("--layout", type=click.IntRange(0, 65535), help="Its layout version (1).")
+@click.option("--layout", type=click.IntRange(0, 65535), help="Its layout version (2).")
 @click.option("--timer", type=float, help="The PLC's timer in seconds (5).")
 @HEARTBEAT
 @KEEP

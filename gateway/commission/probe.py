@@ -39,6 +39,8 @@ from gateway.commission.survey import (
 )
 
 ROUND_TRIPS = 10
+TIMEOUTS_S = (0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+"""Timeouts that are proposed."""
 OTHER_UNITS = (1, 255, 0, 2, 247)
 """Asked when the given unit is silent: what devices and gateways use where nothing was set."""
 _BEHIND_GATEWAY = (10, 11)
@@ -232,6 +234,19 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
     facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
     sentence = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
     steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))
+    timeout, attempts = proposed(facts["round_trip_ms"]["max"] / 1e3)
+    facts["proposed"] = {"timeout": timeout, "attempts": attempts}
+    steps.append(ok("proposal", f"timeout = {timeout:g} and attempts = {attempts} in [device] of the plant file"))
+
+
+def proposed(slowest: float) -> tuple[float, int]:
+    """`timeout` (s) and `attempts` for a device whose slowest of ROUND_TRIPS answers took `slowest` seconds.
+
+    Half as long again as that, but room for a busy moment: a device is not given up for one slow answer. A slow one is
+    asked once only, as asking again would double what it has to do.
+    """
+    timeout = next((step for step in TIMEOUTS_S if step >= max(1.5 * slowest, slowest + 0.1)), TIMEOUTS_S[-1])
+    return timeout, 2 if timeout <= 1.0 else 1
 
 
 @click.command()

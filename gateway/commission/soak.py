@@ -168,7 +168,24 @@ def _summary(
         complaint = f"{tally.with_bad} of {scans} scans had a tag that was not good, mostly {tag} ({times} times)"
     elif tally.missed:
         complaint = f"{tally.missed} ticks were missed in {scans} scans: the period is too short for this device"
+    if complaint and (cure := _cure_of_timeouts(site, data, counted)):
+        complaint, data["recommended_period_s"] = f"{complaint}; {cure}", None
     return CommandResult(data, int(bool(complaint)), complaint)
+
+
+def _cure_of_timeouts(site: Site, data: Mapping[str, Any], counted: Mapping[str, float]) -> str:
+    """What is to be done where requests were given up; "" where none was. A longer period brings no reply sooner."""
+    if not data["timeouts"] or not site.target.capabilities.registers:
+        return ""
+    timeout = site.target.settings.get("timeout")
+    within = f"the timeout of {timeout:g} s" if isinstance(timeout, int | float) else "the timeout"
+    # A reply to a question that was given up already is dropped as foreign: it did come, too late.
+    if counted.get("foreign_replies", 0):
+        return f"replies came after {within}: give a longer one in [device] (`decanter plc probe` proposes it)"
+    return (
+        f"{data['timeouts']} requests had no reply within {within}: is the device slower than that (`decanter plc "
+        "probe` proposes a timeout), or does its program stand still? A longer period does not help"
+    )
 
 
 _SHARES = {"p50": 0.5, "p95": 0.95, "max": 1.0}

@@ -5,7 +5,9 @@ Several machines may live in one process: everything is an argument or belongs t
 
 import asyncio
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from random import Random
 
 from structlog.typing import FilteringBoundLogger
 
@@ -52,11 +54,12 @@ class RunCounters:
 class Machine:
     """All parts of one machine, opened (the driver not yet): one scan after another goes through `take`.
 
-    `model` is None for one that is only monitored, `block` for one to which nothing is computed for writing. Raises
-    ConfigError, HistorianError or AuditError when something cannot be opened; nothing is left open then.
+    `model` is None for one that is only monitored, `block` for one to which nothing is computed for writing. `rng`
+    draws the number that tells this start's blocks from another gateway's. Raises ConfigError, HistorianError or
+    AuditError when something cannot be opened; nothing is left open then.
     """
 
-    def __init__(self, config: Config, *, driver: Driver, clock: Clock, log: FilteringBoundLogger) -> None:
+    def __init__(self, config: Config, *, driver: Driver, clock: Clock, log: FilteringBoundLogger, rng: Random) -> None:
         self.config, self.driver, self.clock, self.log = config, driver, clock, log
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
         loaded = load_model(config)
@@ -86,7 +89,7 @@ class Machine:
             self.alarms = AlarmBoard(conditions, watched=config.watched, historian=store, log=log, now=now)
             layout = config.map.writeback
             if layout is not None and config.writeback.mode != "off":
-                self.block = BlockStage(config, layout, clock=clock, driver=driver, historian=store, log=log)
+                self.block = BlockStage(config, layout, clock=clock, driver=driver, historian=store, log=log, rng=rng)
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
             self.records = Records(store, Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):
@@ -199,12 +202,12 @@ class Machine:
         """What the device itself says is wrong with it, now."""
         return self.driver.complaints() if isinstance(self.driver, Complains) else ()
 
-    async def arm(self, by: str, reason: str, minutes: float) -> Arming:
-        """Let blocks be written from the next scan on. Raises ArmingError."""
+    async def arm(self, by: str, reason: str, minutes: float, acknowledged: Sequence[str] = ()) -> Arming:
+        """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError."""
         unverified = self.model.unverified if self.model else ""
         if self.block is None:
             raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
-        return await self.block.arm(by, reason, minutes, unverified=unverified)
+        return await self.block.arm(by, reason, minutes, unverified=unverified, acknowledged=acknowledged)
 
     async def disarm(self, by: str, reason: str) -> bool:
         """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed."""
@@ -239,5 +242,5 @@ class Machine:
 
     def close(self) -> bool:
         """Store what waits and close historian and audit log; False if records had to be given up."""
-        accounted = self.block is None or self.block.audit.close()
+        accounted = self.block is None or self.block.close()
         return self.historian.close() and accounted

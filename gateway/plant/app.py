@@ -5,6 +5,7 @@ import signal
 import sys
 from contextlib import ExitStack, aclosing
 from pathlib import Path
+from random import Random, SystemRandom
 from typing import Any
 
 from structlog.typing import FilteringBoundLogger
@@ -35,20 +36,24 @@ async def run(
     status_path: Path | None = None,
     log: FilteringBoundLogger | None = None,
     driver: Driver | None = None,
+    rng: Random | None = None,
 ) -> dict[str, Any]:
     """Run until `stop` is set; gives the last status.
 
     It starts without a PLC and without a model, and outlives the loss of the PLC. When it stops, it writes validity 0
     if it is armed and permitted, saves its state and commits all records. `status_path` is rewritten four times a
-    second with one line of JSON. `clock` and `driver` are the configured ones unless given.
+    second with one line of JSON. `clock` and `driver` are the configured ones unless given; `rng` draws
+    this start's number as a writer, by default from the system's randomness.
 
     Raises ConfigError or HistorianError, before anything runs, for what cannot be opened.
     """
     stop = stop or asyncio.Event()
     clock = clock or plant_clock(config.clock.speed)
     with ExitStack() as opened:
-        log = log or opened.enter_context(open_log(config.log.path, config.log.level))
-        machine = Machine(config, driver=driver or make_driver(config, clock), clock=clock, log=log)
+        log = log or opened.enter_context(open_log(config.log.path, config.log.level, rotation=config.log))
+        machine = Machine(
+            config, driver=driver or make_driver(config, clock), clock=clock, log=log, rng=rng or SystemRandom()
+        )
         reporter = machine.supervisor.task("status", lambda: _report(machine, status_path))
         # The local socket is a convenience: a gateway that cannot have one runs without it, and says so.
         control = Control(machine, config.control_socket, snapshot)
@@ -172,5 +177,5 @@ def serve(
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
         return await run(config, clock=clock, stop=stop, status_path=status_path, log=log)
 
-    with open_log(config.log.path, config.log.level, sys.stderr if console else None) as log:
+    with open_log(config.log.path, config.log.level, sys.stderr if console else None, rotation=config.log) as log:
         return asyncio.run(main(log))

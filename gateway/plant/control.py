@@ -144,13 +144,13 @@ async def answer(machine: Machine, line: bytes, snapshot: Snapshot) -> dict[str,
 # ---------------------------------------------------------------- what a request may hold
 
 
-class _ControlRequest(Section):
+class ControlRequest(Section):
     """One request; its other keys are those of its command."""
 
     command: str
 
 
-class _ReadTags(_ControlRequest):
+class _ReadTags(ControlRequest):
     tags: Annotated[list[str], Field(max_length=MOST_ROWS)] | None = Field(
         None, description=f"a list of at most {MOST_ROWS} tags' names"
     )
@@ -163,25 +163,26 @@ class _AddressRow(TagTable):
     writable: Literal[False] = Field(False, description="an address without it, as nothing is written here")
 
 
-class _ReadAddresses(_ControlRequest):
+class _ReadAddresses(ControlRequest):
     addresses: list[_AddressRow] = Field(
         max_length=MOST_ROWS, description='a list such as [{"address": "holding:100", "dtype": "uint16"}]'
     )
 
 
-class _Arm(_ControlRequest):
+class _Arm(ControlRequest):
     # What a name and a reason may be is said where the arming is signed.
     by: str = Field(description="the person's name as text, one line")
     reason: str = Field(description="the reason as text, one line")
     minutes: float = Field(description="minutes as a number")
+    acknowledge: list[Line] = Field([], description="heads of lost rows, each as text")
 
 
-class _Disarm(_ControlRequest):
+class _Disarm(ControlRequest):
     by: Line = Field(description="the person's name as text, one line")
     reason: Line = Field(description="the reason as text, one line")
 
 
-R = TypeVar("R", bound=_ControlRequest)
+R = TypeVar("R", bound=ControlRequest)
 
 
 def _checked(kind: type[R], request: Mapping[str, Any]) -> R:
@@ -196,7 +197,7 @@ def _checked(kind: type[R], request: Mapping[str, Any]) -> R:
 
 
 async def _status(machine: Machine, request: Mapping[str, Any], snapshot: Snapshot) -> dict[str, Any]:
-    _checked(_ControlRequest, request)
+    _checked(ControlRequest, request)
     return {"pid": os.getpid(), "config": str(machine.config.path), "status": snapshot(machine)}
 
 
@@ -242,7 +243,7 @@ async def _arm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dic
     """Let blocks be written from the next scan on: `by`, `reason`, `minutes`."""
     given = _checked(_Arm, request)
     try:
-        arming = await machine.arm(given.by, given.reason, given.minutes)
+        arming = await machine.arm(given.by, given.reason, given.minutes, given.acknowledge)
     except ArmingError as error:
         raise ControlError(str(error)) from None
     return {"pid": os.getpid(), "by": arming.by, "reason": arming.reason, "until": arming.until}

@@ -2,7 +2,9 @@
 
 import logging
 import sys
-from collections.abc import Iterator, MutableMapping
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TextIO
@@ -10,26 +12,63 @@ from typing import Any, TextIO
 import structlog
 from structlog.typing import FilteringBoundLogger, Processor
 
-from sim.strict_json import escaped
+from gateway.plant.folding import WINDOW_SECONDS, Folding
+from gateway.plant.log_file import LogFile
+from gateway.settings import LogSection
+from sim.strict_json import escaped, strict
 
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+_STAMP = structlog.processors.TimeStamper(fmt="iso", utc=True)
+
+_Sink = tuple[Processor, Callable[[str], None]]
 
 
 class _Tee:
-    """Writes each finished event to every sink; a sink that fails does not silence the others."""
+    """Writes each finished event to every sink, repetitions folded; a sink that fails does not silence the others."""
 
-    def __init__(self, sinks: list[tuple[Processor, TextIO]]) -> None:
+    def __init__(self, sinks: list[_Sink], folding: Folding) -> None:
         self.sinks = sinks
+        self._folding = folding
+        # Reentrant: a signal's handler may log while a line is being written by the same thread.
+        self._lock = threading.RLock()
+        self._timer: threading.Timer | None = None
 
-    def msg(self, **event: object) -> None:
-        for render, stream in self.sinks:
-            try:
-                stream.write(str(render(None, "msg", dict(event))) + "\n")
-                stream.flush()
-            except (OSError, ValueError):
-                continue
+    def msg(self, **event: Any) -> None:
+        now = time.monotonic()
+        with self._lock:
+            self._write_due(now)
+            if self._folding.take(event, now):
+                self._write(event)
+            elif self._timer is None:
+                # The count is written also where no line comes any more.
+                self._timer = threading.Timer(self._folding.window, self._on_time)
+                self._timer.daemon = True
+                self._timer.start()
 
     debug = info = warning = error = critical = msg
+
+    def close(self) -> None:
+        """Write what was kept back."""
+        with self._lock:
+            if self._timer is not None:
+                self._timer.cancel()
+            self._write_due(time.monotonic(), at_once=True)
+
+    def _on_time(self) -> None:
+        with self._lock:
+            self._timer = None
+            self._write_due(time.monotonic(), at_once=True)
+
+    def _write_due(self, now: float, *, at_once: bool = False) -> None:
+        for event in self._folding.due(now, at_once=at_once):
+            self._write(event)
+
+    def _write(self, event: Mapping[str, Any]) -> None:
+        for render, write in self.sinks:
+            try:
+                write(str(render(None, "msg", _STAMP(None, "msg", dict(event)))))
+            except (OSError, ValueError):
+                continue
 
 
 def _printable(_logger: object, _name: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
@@ -37,33 +76,51 @@ def _printable(_logger: object, _name: str, event: MutableMapping[str, Any]) -> 
 
     Reasons hold what devices, files and other programs have said. A traceback keeps its lines.
     """
-    return {key: value if key == "exception" else escaped(value) for key, value in event.items()}
+    for key, value in event.items():
+        event[key] = "\n".join(map(escaped, value.split("\n"))) if key == "exception" else escaped(strict(value))
+    return event
 
 
 @contextmanager
-def open_log(path: Path | None, level: str = "info", console: TextIO | None = None) -> Iterator[FilteringBoundLogger]:
+def open_log(
+    path: Path | None,
+    level: str = "info",
+    console: TextIO | None = None,
+    *,
+    rotation: LogSection | None = None,
+    fold_seconds: float = WINDOW_SECONDS,
+) -> Iterator[FilteringBoundLogger]:
     """A logger that writes to `path` (JSON lines, appended) and to `console` (for people) until the block ends.
 
-    With neither, it writes to standard error. Raises OSError for a path that cannot be written.
+    With neither, it writes to standard error. `rotation` says how large and how old the file becomes. Lines that
+    differ in numbers only are folded over `fold_seconds` (real). Raises OSError for a path that cannot be written.
     """
-    sinks: list[tuple[Processor, TextIO]] = []
-    with ExitStack() as files:
+    sinks: list[_Sink] = []
+    with ExitStack() as opened:
         if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            stream = files.enter_context(path.open("a", encoding="utf-8"))
-            sinks.append((structlog.processors.JSONRenderer(ensure_ascii=False), stream))
+            kept = rotation or LogSection()
+            size = int(kept.max_mb * 1_000_000)
+            file = LogFile(path, max_bytes=size, max_days=kept.max_days, keep=kept.keep)
+            opened.callback(file.close)
+            sinks.append((structlog.processors.JSONRenderer(ensure_ascii=False), file.write))
         if console is not None or path is None:
-            console = console or sys.stderr
-            sinks.append((structlog.dev.ConsoleRenderer(colors=console.isatty()), console))
-        yield _logger(sinks, level)
+            stream = console or sys.stderr
+
+            def show(line: str) -> None:
+                stream.write(line + "\n")
+                stream.flush()
+
+            sinks.append((structlog.dev.ConsoleRenderer(colors=stream.isatty()), show))
+        tee = _Tee(sinks, Folding(fold_seconds))
+        opened.callback(tee.close)
+        yield _logger(tee, level)
 
 
-def _logger(sinks: list[tuple[Processor, TextIO]], level: str) -> FilteringBoundLogger:
+def _logger(tee: _Tee, level: str) -> FilteringBoundLogger:
     logger: FilteringBoundLogger = structlog.wrap_logger(
-        _Tee(sinks),
+        tee,
         processors=[
             structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.ExceptionRenderer(),
             _printable,
             lambda _logger, _name, event: ((), event),

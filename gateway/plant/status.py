@@ -31,6 +31,7 @@ def snapshot(machine: Machine) -> dict[str, Any]:
         "link": {
             "alive": link.alive,
             "connected": machine.driver.connected,
+            "reason": link.reason,
             "last_good": link.last_good,
             "outages": [outage.plain(speed) for outage in link.outages],
             "outage_count": link.count,
@@ -77,7 +78,7 @@ def _links(machine: Machine) -> list[dict[str, Any]]:
     places = {link.name: {"driver": link.map.driver, "place": link.place} for link in links}
     if isinstance(driver, Redundant):
         return [link | places[link["name"]] for link in driver.report()]
-    alone = {"active": True, "connected": driver.connected, "well": machine.link.alive, "reason": ""}
+    alone = {"active": True, "connected": driver.connected, "well": machine.link.alive, "reason": machine.link.reason}
     return [{"name": link.name, **alone, **places[link.name]} for link in links[:1]]
 
 
@@ -112,5 +113,7 @@ def _writeback(machine: Machine) -> dict[str, Any]:
         "last_reason": last.reason if last else "",
         "last_validity": int(last.block.validity) if last else None,
         "sequence": writer.sequence,
+        "writer": writer.number,
+        "challenge": writer.challenge,
         "latency_ms": {"p50": percentile(latencies, 0.5), "p99": percentile(latencies, 0.99)},
     }

@@ -7,6 +7,7 @@ from gateway.settings.config import (
     EnsembleSection,
     ForecastSection,
     HistorianSection,
+    LogSection,
     WritebackSection,
     load_config,
 )
@@ -23,6 +24,7 @@ __all__ = [
     "EnsembleSection",
     "ForecastSection",
     "HistorianSection",
+    "LogSection",
     "WritebackLayout",
     "WritebackSection",
     "load_config",

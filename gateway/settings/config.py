@@ -57,6 +57,12 @@ class WritebackSection(Section):
         "first request on, or no key for two scans, at least 1 s and at most half of the PLC's timer",
     )
     audit: FilePath | None = Field(None, description="the path of the audit log, beside the historian without this key")
+    audit_key: FilePath | None = Field(
+        None, description="the path of the key that signs the audit log's heads, beside the log without this key"
+    )
+    audit_heads: FilePath | None = Field(
+        None, description="the path of the file of signed heads, on another disk or share if there is one"
+    )
 
     @model_validator(mode="after")
     def _armed_is_signed(self) -> "WritebackSection":
@@ -109,10 +115,13 @@ class HistorianSection(Section):
 
 
 class LogSection(Section):
-    """Structured log: JSON lines to a file."""
+    """Structured log: JSON lines to a file, which is begun anew by size and age."""
 
     path: FilePath | None = Field(None, description="the path of the log file")
     level: Literal["debug", "info", "warning", "error"] = Field("info", description="debug, info, warning or error")
+    max_mb: float = Field(10.0, ge=0.001, le=10_000, description="the largest size of one file in megabytes")
+    max_days: float = Field(30.0, gt=0, le=3660, description="the days after which a new file is begun")
+    keep: int = Field(9, ge=1, le=999, description="how many older files are kept, 1 to 999")
 
 
 class ForecastSection(Section):
@@ -228,6 +237,16 @@ class Config:
         return self.writeback.audit or self.historian.path.with_name("audit.sqlite")
 
     @property
+    def audit_key(self) -> Path:
+        """The key that signs the audit log's heads."""
+        return self.writeback.audit_key or self.audit.with_suffix(".key")
+
+    @property
+    def audit_heads(self) -> Path:
+        """The file of the audit log's signed heads."""
+        return self.writeback.audit_heads or self.audit.with_suffix(".heads.jsonl")
+
+    @property
     def blocks_per_second(self) -> float:
         """The most blocks a real second: as configured, or twice the scans and at least LEAST_BLOCKS."""
         return self.writeback.most_per_second or max(LEAST_BLOCKS, 2.0 * self.clock.speed / self.scan.period)
@@ -284,7 +303,10 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
         scan=content.scan,
         model=model,
         writeback=content.writeback.model_copy(
-            update={"audit": content.writeback.audit and home / content.writeback.audit}
+            update={
+                key: (given := getattr(content.writeback, key)) and home / given
+                for key in ("audit", "audit_key", "audit_heads")
+            }
         ),
         alarms=content.alarms,
         historian=historian,

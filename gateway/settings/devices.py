@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.device_file import BlockField, read_device_file
+from drivers.device_file import REFUSALS, BlockField, read_device_file
 from drivers.driver import capabilities
 from drivers.settings import ConfigError
 from drivers.tag import Tag
@@ -13,7 +13,8 @@ from drivers.tag import Tag
 BLOCK_FIELDS = (
     "layout_version", "sequence", "heartbeat", "validity", "input_quality", "age", "location", "temperature_now",
     "band_low", "band_high", "horizon", "horizon_low", "horizon_median", "horizon_high", "p_limit", "minutes_low",
-    "minutes_median", "minutes_high", "zone", "alarms", "anomaly", "model_hash", "crc", "sequence_copy",
+    "minutes_median", "minutes_high", "zone", "alarms", "anomaly", "model_hash", "challenge", "writer", "crc",
+    "sequence_copy",
 )  # fmt: skip
 """Every field that the gateway can fill. A map may leave some out or order them differently, the last two apart."""
 
@@ -48,6 +49,13 @@ class DeviceMap:
     def by_name(self) -> dict[str, Tag]:
         """The tags by their names (made anew at each call)."""
         return {tag.name: tag for tag in self.tags}
+
+    @property
+    def refusals(self) -> dict[str, int]:
+        """The number of each reason to refuse a block: the label of LastRefusal, the contract's where it has none."""
+        tag = self.by_name.get("LastRefusal")
+        labels = {label: code for code, label in tag.labels.items()} if tag else {}
+        return {reason: labels.get(reason, code) for reason, code in REFUSALS.items()}
 
 
 _FIELD = "{field}"

@@ -14,7 +14,7 @@ from gateway.settings.devices import DeviceMap, complete_paths, load_device
 
 FilePath = Annotated[Path, Field(strict=False)]
 
-_OF_ONE_LINK = ("file", "host", "port", "timeout")
+_OF_ONE_LINK = ("file", "host", "port", "timeout", "attempts")
 
 
 class LinkSection(BaseModel):
@@ -36,6 +36,7 @@ class DeviceSection(Section):
     host: str = Field("127.0.0.1", min_length=1, description="the PLC's address or name")
     port: int = Field(502, ge=1, le=65535, description="a TCP port from 1 to 65535")
     timeout: float = Field(0.5, gt=0, le=60, description="the deadline of one request in seconds, at most 60")
+    attempts: int | None = Field(None, ge=1, le=5, description="how often a read is sent, 1 to 5")
     heartbeat_period: float = Field(0.0, ge=0, description="the longest time in real seconds between two heartbeats")
     links: Annotated[tuple[LinkSection, ...], Field(strict=False)] = Field((), description="[[device.links]] tables")
     switch_after: float = Field(0.3, gt=0, le=60, description="seconds after which a scan no longer waits for a link")
@@ -73,7 +74,9 @@ def links_of(section: DeviceSection, home: Path) -> tuple[DeviceLink, ...]:
         # The keys of [device] as settings: what is written there, and for a device on a network their defaults too.
         networked = capabilities(device.driver).networked and "serial" not in device.settings
         wanted = {"host", "timeout"} if networked else set()
-        overrides = section.model_dump(include={"host", "port", "timeout"} & (section.model_fields_set | wanted))
+        overrides = section.model_dump(
+            include={"host", "port", "timeout", "attempts"} & (section.model_fields_set | wanted)
+        )
         return (DeviceLink(device.driver, device, dict(device.settings) | overrides),)
     links = []
     for row in section.links:

@@ -20,7 +20,7 @@ import json
 import sqlite3
 import threading
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.store.chain import BEGIN, digest
-from sim.strict_json import json_text
+from sim.strict_json import escaped, json_text
 
 APPLICATION_ID = 0x6465_6175
 """Marks the file as a decanter audit log (SQLite's application_id)."""
@@ -84,6 +84,12 @@ class AuditEntry:
     who: str = ""
     reason: str = ""
     detail: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # Names and reasons come from people and from the device: none of them breaks a line or steers a terminal.
+        for name in ("kind", "who", "reason", "detail"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, escaped(value))
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,7 +321,10 @@ def cancelling(entry: AuditEntry, reason: str) -> AuditEntry:
 def read(path: Path, kinds: Sequence[str] = ()) -> list[AuditRow]:
     """The rows in their order, all or those of some kinds. Raises AuditError."""
     with closing(_reader(path)) as connection:
-        return [row for row, _ in _rows(connection, path) if not kinds or row.entry.kind in kinds]
+        try:
+            return [_row(row) for row in _rows(connection, path, kinds)]
+        except (ValueError, TypeError) as error:
+            raise AuditError(f"{path}: cannot be read ({error}); it was changed by something else") from None
 
 
 def last_arming(path: Path) -> AuditRow | None:
@@ -387,16 +396,20 @@ def verify(path: Path, head: str = "") -> ChainVerdict:
     """Recompute the chain; with `head`, a hash kept from before must be in it. Raises AuditError for no audit log."""
     count, before, seen = 0, BEGIN, not head
     with closing(_reader(path)) as connection:
-        for row, stored in _rows(connection, path):
+        # The columns as they are stored: what a row means is no matter here, and every arming waits for this.
+        for number, *stored, kept in _rows(connection, path):
             # A gap in the numbers is told before the hash: it says what has happened, the hash only that something has.
-            if row.id != count + 1:
+            if number != count + 1:
                 return ChainVerdict(count, before.hex(), f"row {count + 1} is missing")
-            count, before = row.id, _hash(before, row.id, *stored)
-            if before.hex() != row.hash:
+            try:
+                count, before = number, _hash(before, number, *stored)
+            except (ValueError, TypeError):  # bytes or an infinite number, which no row was ever made of
+                kept = None
+            if kept != before:
                 return ChainVerdict(
-                    count, row.hash, f"row {count} was changed, or one before it was put in or taken out"
+                    number, before.hex(), f"row {number} was changed, or one before it was put in or taken out"
                 )
-            seen = seen or row.hash == head
+            seen = seen or before.hex() == head
     return ChainVerdict(count, before.hex(), "" if seen else f"no row has the hash {head[:16]}...: the end is missing")
 
 
@@ -405,6 +418,17 @@ def head(path: Path) -> str:
     with closing(_reader(path)) as connection:
         row = connection.execute("SELECT hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
     return bytes(row[0]).hex() if row else BEGIN.hex()
+
+
+def hashes(path: Path, rows: Iterable[int] | None = None) -> dict[int, str]:
+    """The hashes at these rows, as far as they are there; None: at the newest. Raises AuditError."""
+    query = "SELECT id, hash FROM audit WHERE id = ?"
+    wanted: list[tuple[int, ...]] = [(row,) for row in rows or ()]
+    if rows is None:
+        query, wanted = "SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1", [()]
+    with closing(_reader(path)) as connection:
+        found = [row for each in wanted for row in connection.execute(query, each)]
+    return {int(number): bytes(digest).hex() for number, digest in found}
 
 
 # ---------------------------------------------------------------- the file
@@ -444,11 +468,12 @@ def _row(row: Sequence[Any]) -> AuditRow:
     return AuditRow(int(number), AuditEntry(float(time), kind, who, reason, json.loads(detail)), bytes(digest).hex())
 
 
-def _rows(connection: sqlite3.Connection, path: Path) -> Iterator[tuple[AuditRow, tuple[Any, ...]]]:
+def _rows(connection: sqlite3.Connection, path: Path, kinds: Sequence[str] = ()) -> Iterator[tuple[Any, ...]]:
+    """The rows as they are stored, in their order: all, or those of some kinds. Raises AuditError."""
+    where = f"WHERE kind IN ({', '.join('?' * len(kinds))})" if kinds else ""
     try:
-        for row in connection.execute(f"SELECT {_COLUMNS} FROM audit ORDER BY id"):  # noqa: S608
-            yield _row(row), tuple(row[1:6])
-    except (sqlite3.Error, ValueError, TypeError) as error:
+        yield from connection.execute(f"SELECT {_COLUMNS} FROM audit {where} ORDER BY id", tuple(kinds))  # noqa: S608
+    except sqlite3.Error as error:
         raise AuditError(f"{path}: cannot be read ({error}); it was changed by something else") from None
 
 

@@ -59,6 +59,7 @@ class EmulatorOptions:
     record: Path | None
     seed: int
     permit: bool
+    challenge: int | None
     unknown_unit: str
     max_clients: int
     max_registers: int | None
@@ -97,6 +98,11 @@ def _explain(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option("--record", type=click.Path(path_type=Path), help="Append the recording to this file (JSONL).")
 @click.option("--seed", type=int, default=0, help="Seed of everything that is drawn.")
 @click.option("--permit/--no-permit", default=True, help="The gateway's write permit at the start.")
+@click.option(
+    "--challenge",
+    type=click.IntRange(1, 65535),
+    help="The first challenge of the write-back's sessions.  [default: of the wall clock, so that none comes back]",
+)
 @click.option("--unknown-unit", type=click.Choice(["silent", "exception"]), default="silent", help="A strange unit id.")
 @click.option("--max-clients", type=click.IntRange(1), default=16, help="Further connections are closed at once.")
 @click.option("--max-registers", type=click.IntRange(1, 125), help="Registers of one request.  [default: the map's]")
@@ -139,6 +145,8 @@ def run(options: EmulatorOptions) -> int:
         max_registers=options.max_registers,
         writable=[parse_stretch(text) for text in options.writable],
         seed=options.seed,
+        # In quarters of a second: a run that begins later begins with a challenge that no earlier one has reached.
+        challenge=options.challenge or int(4 * time.time()) % 0xFFFF + 1,
     )
     recorder = PlcRecorder(options.record, complain) if options.record else None
     plc = Plc(registers, clock, replay, settings, faults=faults, record=recorder or record_nothing, complain=complain)

@@ -115,11 +115,15 @@ def _status(plc: Plc, now: float) -> Outcome:
     """Where the replay is, what the PLC makes of the gateway, which faults are ordered."""
     intake = plc.intake
     blocks = {"accepted": intake.accepted, "refused": intake.refused, "last_refusal": intake.last_refusal}
+    session = intake.session
+    writers = {"session": session.writer if session else 0, "refused": intake.refused_writer}
     verdict = {
         "usable": plc.usable,
         "permit": plc.permit,
         "acknowledged": plc.acknowledged,
         "block": dict(intake.block),
+        "challenge": intake.challenge,
+        "writers": writers,
     }
     faults = [
         {"number": entry.number, "kind": entry.fault.kind, "in_force": entry.in_force(now), "hits": entry.hits}

@@ -54,11 +54,11 @@ def test_the_plan_shows_every_word_with_both_addresses_and_sends_nothing(tmp_pat
     done = decanter(tmp_path, "write", "plan", *nobody, "--json")
     assert done.exit_code == 0
     words = json.loads(done.stdout)["words"]
-    assert len(words) == 24
+    assert len(words) == 26
     assert (words[7]["address"], words[7]["reference"], words[7]["unknown"]) == ("holding:407", "40408", "0x8000")
     assert words[1]["unknown"] == "" and json.loads(done.stdout)["armed"] is None
     text = decanter(tmp_path, "write", "plan", *nobody).stdout
-    assert "holding:423" in text and "40424" in text and "not armed" in text
+    assert "holding:425" in text and "40426" in text and "not armed" in text
 
 
 def test_the_plan_says_what_stands_in_the_way(tmp_path: Path) -> None:

@@ -48,11 +48,11 @@ def links(device: tuple[Process, Path]) -> dict[str, tuple[object, ...]]:
 
 def test_a_plan_shows_each_request_with_both_numbers_and_the_worst_case(tmp_path: Path) -> None:
     data = answer(tmp_path, "plan", "--device", DECANTER, "--host", "10.0.0.1", "--timeout", 0.2, "--set",
-                  "max_registers=10")  # fmt: skip
+                  "max_registers=10", "--set", "max_write_registers=100")  # fmt: skip
     assert data["ok"], data
     first, second = data["requests"]
     assert (first["place"], first["count"], first["reference"]) == ("holding:100", 10, "40101-40110")
-    assert (second["place"], second["count"]) == ("holding:110", 9)
+    assert (second["place"], second["count"]) == ("holding:110", 10)
     assert data["worst_read_s"] == pytest.approx(0.4)
     assert [one["kind"] for one in data["writes"]] == ["write", "read back", "read back", "read back"]
     assert data["worst_cycle_s"] == pytest.approx(0.4 + 4 * 0.2)
@@ -60,6 +60,7 @@ def test_a_plan_shows_each_request_with_both_numbers_and_the_worst_case(tmp_path
 
 def test_a_scan_that_can_take_longer_than_its_period_fails_the_check_and_says_what_would_fit(tmp_path: Path) -> None:
     where = ("--device", DECANTER, "--host", "10.0.0.1", "--timeout", 0.6, "--set", "max_registers=10")
+    where = (*where, "--set", "max_write_registers=100")
     result = plc(tmp_path, "plan", *where, "--period", 1.0)
     assert result.exit_code == 1
     assert "1.2 s" in result.stderr and "scan.period" in result.stderr and "timeout to 0.5 s" in result.stderr
@@ -69,7 +70,7 @@ def test_a_serial_line_needs_the_time_of_its_bytes_besides(tmp_path: Path) -> No
     where = ("--device", DECANTER, "--serial", "/dev/ttyS9", "--timeout", 0.2, "--set", "longest_reply=0.2")
     slow = answer(tmp_path, "plan", *where, "--baud", 1200)["worst_read_s"]
     fast = answer(tmp_path, "plan", *where, "--baud", 115_200)["worst_read_s"]
-    assert slow - fast == pytest.approx((8 + 5 + 2 * 19) * 11 * (1 / 1200 - 1 / 115_200), rel=1e-6)
+    assert slow - fast == pytest.approx((8 + 5 + 2 * 22) * 11 * (1 / 1200 - 1 / 115_200), rel=1e-6)
 
 
 def test_tags_that_share_registers_are_named(tmp_path: Path) -> None:
@@ -100,7 +101,7 @@ def test_a_plant_in_order_passes_over_every_link(device: tuple[Process, Path], t
     assert data["ok"], data
     states = {step["step"]: step["state"] for step in data["steps"]}
     assert states["reading"] == states["heartbeat"] == states["files"] == "ok"
-    assert len(data["readings"]) == 22
+    assert len(data["readings"]) == 25
 
 
 def test_a_refused_tag_and_a_standing_heartbeat_fail_the_check(tmp_path: Path) -> None:

@@ -92,8 +92,8 @@ def test_a_forbidden_register_and_a_limit_of_16_are_found_in_an_unknown_plc(
     process.order("clear", number=number)
     assert [(row["first"], row["last"]) for row in data["readable"]] == [
         ("holding:100", "holding:102"),
-        ("holding:104", "holding:118"),
-        ("holding:400", "holding:423"),
+        ("holding:104", "holding:121"),
+        ("holding:400", "holding:425"),
     ]
     assert data["readable"][0]["reference"] == "40101-40103"
     assert (data["largest_block"], data["too_long"], data["unknown"]) == (16, 17, [])

@@ -87,7 +87,13 @@ def config_in(folder: Path, text: str = "", *, model: Model | None = None, **ove
 def at_rest(config: Config) -> dict[str, Value]:
     """A value for every tag of the map: a decanter at rest at 25 degC, writes permitted."""
     values: dict[str, Value] = {tag.name: False if tag.bit is not None else 0 for tag in config.map.tags}
-    values |= {TEMPERATURE: 25.0, "TCuscinettiAlimentazione": 25.0, "PlcHeartbeat": 1, "WritePermit": True}
+    values |= {
+        TEMPERATURE: 25.0,
+        "TCuscinettiAlimentazione": 25.0,
+        "PlcHeartbeat": 1,
+        "WritePermit": True,
+        "Challenge": 1,
+    }
     return values
 
 

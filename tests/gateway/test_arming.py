@@ -118,7 +118,7 @@ async def test_more_blocks_a_second_than_allowed_are_held_back_and_the_last_word
     writer, wire = await accounted(tmp_path, pace=Pace(5.0), clock=clock)
     verdicts = []
     for _ in range(40):
-        attempt = await writer.offer(scan_of({"WritePermit": True}, clock.now()), {}, USABLE)
+        attempt = await writer.offer(scan_of({"WritePermit": True, "Challenge": 77}, clock.now()), {}, USABLE)
         assert attempt is not None
         verdicts.append(attempt.verdict)
         clock.time += 0.05
@@ -126,7 +126,7 @@ async def test_more_blocks_a_second_than_allowed_are_held_back_and_the_last_word
     assert 5 + 9 <= written <= 5 + 10 and verdicts.count("held back") == 40 - written == writer.counters.held_back
     assert verdicts[:5] == ["written"] * 5
     for _ in range(3):
-        await writer.offer(scan_of({"WritePermit": True}, clock.now()), {}, USABLE)
+        await writer.offer(scan_of({"WritePermit": True, "Challenge": 77}, clock.now()), {}, USABLE)
     last = await writer.withdraw(scan())
     assert last is not None and last.verdict == "written" and last.block.validity is Validity.NONE
     assert len(wire.blocks) == written + 1

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.machine.writing.block import Validity, build, next_heartbeat, validity
+from gateway.machine.writing.block import SessionWords, Validity, build, next_heartbeat, validity
 from gateway.settings.devices import WritebackLayout, load_device
 from tests.gateway.support import MAP
 
@@ -18,6 +18,10 @@ NAMES = [field.name for field in LAYOUT.fields]
 NUMBERS = [
     f for f in LAYOUT.fields if f.name in ("age", "temperature_now", "band_low", "horizon", "p_limit", "anomaly")
 ]
+
+
+def session(sequence: int, heartbeat: int) -> SessionWords:
+    return SessionWords(challenge=77, writer=4711, sequence=sequence, heartbeat=heartbeat)
 
 
 def crc_by_bits(data: bytes) -> int:
@@ -36,22 +40,23 @@ def read(words: tuple[int, ...]) -> dict[str, int]:
 
 def test_the_crc_is_ibm_3740() -> None:
     assert crc_by_bits(b"123456789") == 0x29B1
-    block = build(LAYOUT, {"temperature_now": 45.12}, Validity.USABLE, 7, 9)
-    assert block.words[-2] == crc_by_bits(struct.pack(">22H", *block.words[:-2]))
+    block = build(LAYOUT, {"temperature_now": 45.12}, Validity.USABLE, session(7, 9))
+    assert block.words[-2] == crc_by_bits(struct.pack(">24H", *block.words[:-2]))
 
 
 def test_the_words_are_scaled_signed_and_framed() -> None:
     values = {"temperature_now": -3.25, "p_limit": 0.0125, "age": 1.26, "model_hash": 0xBEEF, "alarms": 0b10011}
-    words = read(build(LAYOUT, values, Validity.USABLE | Validity.INPUTS, 0xFFFF, 1).words)
-    assert words["layout_version"] == 1
+    words = read(build(LAYOUT, values, Validity.USABLE | Validity.INPUTS, session(0xFFFF, 1)).words)
+    assert words["layout_version"] == 2
     assert (words["sequence"], words["sequence_copy"], words["heartbeat"]) == (0xFFFF, 0xFFFF, 1)
+    assert (words["challenge"], words["writer"]) == (77, 4711)
     assert words["temperature_now"] == 0x10000 - 325
     assert (words["p_limit"], words["age"]) == (12, 13)
     assert (words["model_hash"], words["alarms"], words["validity"]) == (0xBEEF, 0b10011, 3)
 
 
 def test_what_is_not_known_has_a_word_of_its_own() -> None:
-    words = read(build(LAYOUT, {"age": inf, "band_low": nan, "minutes_low": inf}, Validity.NONE, 1, 1).words)
+    words = read(build(LAYOUT, {"age": inf, "band_low": nan, "minutes_low": inf}, Validity.NONE, session(1, 1)).words)
     assert words["temperature_now"] == words["band_low"] == 0x8000
     assert words["location"] == words["age"] == 0xFFFF
     assert words["minutes_low"] == words["minutes_median"] == LAYOUT.unknown
@@ -61,7 +66,7 @@ def test_what_is_not_known_has_a_word_of_its_own() -> None:
 @given(st.sampled_from(NUMBERS), st.floats(allow_nan=False, allow_infinity=False))
 def test_any_number_is_within_half_a_count_or_at_the_end_of_its_word(field: object, value: float) -> None:
     field = next(f for f in NUMBERS if f is field)
-    word = read(build(LAYOUT, {field.name: value}, Validity.NONE, 1, 1).words)[field.name]
+    word = read(build(LAYOUT, {field.name: value}, Validity.NONE, session(1, 1)).words)[field.name]
     low, high = (-0x7FFF, 0x7FFF) if field.signed else (0, 0xFFFE)
     raw = word - 0x10000 if field.signed and word & 0x8000 else word
     if value / field.scale <= low:
@@ -76,10 +81,10 @@ def test_any_number_is_within_half_a_count_or_at_the_end_of_its_word(field: obje
 @given(st.dictionaries(st.sampled_from(NAMES), st.none() | st.floats()), st.integers(0, 65535), st.integers(1, 65535))
 def test_whatever_is_said_the_frame_is_whole(values: dict[str, float | None], sequence: int, heartbeat: int) -> None:
     values = {n: v for n, v in values.items() if n not in ("alarms", "model_hash")}
-    words = build(LAYOUT, values, Validity.NONE, sequence, heartbeat).words
-    assert len(words) == 24 and all(0 <= word <= 0xFFFF for word in words)
+    words = build(LAYOUT, values, Validity.NONE, session(sequence, heartbeat)).words
+    assert len(words) == 26 and all(0 <= word <= 0xFFFF for word in words)
     assert words[1] == words[-1] == sequence
-    assert words[-2] == crc_by_bits(struct.pack(">22H", *words[:-2]))
+    assert words[-2] == crc_by_bits(struct.pack(">24H", *words[:-2]))
 
 
 def test_the_heartbeat_counts_from_1_to_65535_and_never_says_0() -> None:

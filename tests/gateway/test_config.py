@@ -146,7 +146,7 @@ def test_the_shipped_register_map_gives_tags_settings_heartbeat_and_a_closed_wri
     assert device.by_name[TEMPERATURE].unit == "degC"
     assert device.by_name["LastRefusal"].labels[3] == "CRC"
     assert device.writeback is not None
-    assert [word.address for word in device.writeback.words] == [f"holding:{400 + index}" for index in range(24)]
+    assert [word.address for word in device.writeback.words] == [f"holding:{400 + index}" for index in range(26)]
     assert all(word.writable for word in device.writeback.words)
     assert not any(tag.writable for tag in device.tags)
 

@@ -5,6 +5,7 @@ import json
 from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
@@ -163,6 +164,6 @@ async def test_a_running_gateway_raises_the_alarm_on_the_third_cycle_and_its_log
     (offer,) = [row for row in logged(tmp_path) if row["event"] == "alarm" and row["condition"] == "drift"]
     assert "decanter diagnose --model" in offer["response"]
     with open_log(None, "error") as log:
-        again = Machine(config, driver=bench, clock=bench.clock, log=log)
+        again = Machine(config, driver=bench, clock=bench.clock, log=log, rng=Random(0))
         assert again.model is not None and again.model.guards.drift.running == 3, "the count outlives a restart"
         again.close()

@@ -6,6 +6,7 @@ import sqlite3
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -153,7 +154,7 @@ async def test_weights_beliefs_and_reviews_outlive_a_restart(tmp_path: Path) -> 
     heating(bench, 3, 300)
     before = (await go(config, bench, 300))["guards"]
     with open_log(None, "info") as log:
-        machine = Machine(config, driver=bench, clock=bench.clock, log=log)
+        machine = Machine(config, driver=bench, clock=bench.clock, log=log, rng=Random(0))
         try:
             assert machine.model is not None
             after = machine.model.guard_report()

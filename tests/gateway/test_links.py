@@ -76,7 +76,11 @@ def edited(folder: Path, name: str, old: str, new: str) -> Path:
         ('name = "TAmbiente"', 'name = "Ambiente"', "has no tag 'TAmbiente'"),
         ('unit = "A"', 'unit = "mA"', "'Assorbimento' is in 'mA' in"),
         ('heartbeat = "PlcHeartbeat"', "", "has the heartbeat None and"),
-        ("layout_version = 1", "layout_version = 2", "has another [writeback] block than"),
+        (
+            '{ name = "age", dtype = "uint16", scale = 0.1 }',
+            '{ name = "age", dtype = "uint16", scale = 0.2 }',
+            "has another [writeback] block than",
+        ),
     ],
 )
 def test_links_that_cannot_stand_in_for_one_another_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:

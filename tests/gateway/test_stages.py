@@ -4,6 +4,7 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
@@ -123,7 +124,7 @@ async def test_block_without_a_prediction_nothing_in_it_is_valid_but_the_alarms_
     assert layout is not None
     with stored(config) as (historian, log):
         bench = Bench(config, clock)
-        stage = BlockStage(config, layout, clock=clock, driver=bench, historian=historian, log=log)
+        stage = BlockStage(config, layout, clock=clock, driver=bench, historian=historian, log=log, rng=Random(0))
         await stage.take(scan_of(at_rest(config), EPOCH), None, None, alarms=5)
         assert stage.attempt is not None and stage.attempt.verdict == "shadow"
         words = dict(zip((field.name for field in layout.fields), stage.attempt.block.words, strict=True))
@@ -153,7 +154,7 @@ async def test_of_a_scan_in_which_the_model_fails_the_readings_and_the_threshold
 
     monkeypatch.setattr(Predictor, "step", broken)
     with open_log(config.log.path, "info") as log:
-        machine = Machine(config, driver=Bench(config, clock), clock=clock, log=log)
+        machine = Machine(config, driver=Bench(config, clock), clock=clock, log=log, rng=Random(0))
         with pytest.raises(RuntimeError, match="a defect in the model"):
             await machine.take(scan_of({**at_rest(config), TEMPERATURE: 85.0}, EPOCH))
         assert machine.close()

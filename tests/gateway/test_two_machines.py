@@ -5,6 +5,7 @@ import sqlite3
 from contextlib import aclosing, closing
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 from gateway.machine.pipeline import Machine
@@ -41,7 +42,7 @@ async def through(folder: Path, model: Model, *, hot: bool) -> tuple[Rows, Block
     bench.plan[60 if hot else 30] = {CURRENT: None}
     rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period)
     with open_log(config.log.path, config.log.level) as log:
-        machine = Machine(config, driver=bench, clock=bench.clock, log=log)
+        machine = Machine(config, driver=bench, clock=bench.clock, log=log, rng=Random(0))
         try:
             await bench.open()
             async with aclosing(scans(bench, config.map.tags, bench.clock, rules, stop=bench.stop)) as stream:

@@ -34,16 +34,16 @@ async def armed(minutes: float = 60.0) -> tuple[Writer, Wire]:
     wire = Wire()
     await wire.soft.open()
     arming = Arming("Ada", "test", EPOCH + 60.0 * minutes)
-    return Writer(LAYOUT, CLOCK, "armed", wire, arming), wire
+    return Writer(LAYOUT, CLOCK, "armed", 4711, wire, arming), wire
 
 
 def scan(permit: bool | None = True, **values: float | None) -> Scan:
-    return scan_of({"WritePermit": permit, **values}, CLOCK.now())
+    return scan_of({"WritePermit": permit, "Challenge": 77.0, **values}, CLOCK.now())
 
 
 async def test_off_computes_nothing_and_shadow_writes_nothing_and_says_so_in_the_word() -> None:
-    assert await Writer(LAYOUT, CLOCK, "off").offer(scan(), {}, USABLE) is None
-    attempt = await Writer(LAYOUT, CLOCK, "shadow").offer(scan(), {"temperature_now": 45.0}, USABLE)
+    assert await Writer(LAYOUT, CLOCK, "off", 4711).offer(scan(), {}, USABLE) is None
+    attempt = await Writer(LAYOUT, CLOCK, "shadow", 4711).offer(scan(), {"temperature_now": 45.0}, USABLE)
     assert attempt is not None and attempt.verdict == "shadow"
     assert attempt.block.validity == USABLE | Validity.SHADOW
     assert attempt.block.words[7] == 4500
@@ -105,7 +105,7 @@ async def test_the_sequence_and_the_heartbeat_round_their_ends() -> None:
 
 
 def test_the_plcs_counters_are_summed_over_their_wrap_and_its_restart() -> None:
-    writer = Writer(LAYOUT, CLOCK, "shadow")
+    writer = Writer(LAYOUT, CLOCK, "shadow", 4711)
     refusals = {3: "CRC"}
     for accepted, refused, code in [(65530, 0, 0), (4, 1, 3), (10, 1, 3), (0, 0, 0), (2, 0, 0)]:
         said = {"BlocksAccepted": accepted, "BlocksRefused": refused, "LastRefusal": code}

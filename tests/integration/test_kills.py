@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fault_matrix import TOLERANCE_S, outside
+from gateway.machine.writing.writeback import WRITE
+from gateway.store.audit import read, verify
 from gateway.store.read_back import samples
 from sim.plc.program.writeback import STILL
 from sim.plc.record.judge import wrong_good
@@ -169,6 +171,16 @@ def assert_whole_blocks_each_once_and_nothing_outside(aftermath: Aftermath) -> N
     assert recording.blocks[-1].fields is not None and recording.blocks[-1].fields["validity"] == 0
 
 
+def assert_no_block_without_its_audit_row(aftermath: Aftermath) -> None:
+    """Whatever was killed when: every block that the PLC was sent is in the audit log, word by word, and the chain is
+    whole."""
+    audit = aftermath.rig.records / "audit.sqlite"
+    on_record = {row.entry.detail["words"] for row in read(audit, [WRITE])}
+    sent = [row.pdu[6:].hex() for row in aftermath.recording.requests if row.function == 16]
+    assert len(sent) > 50 and [words for words in sent if words not in on_record] == []
+    assert verify(audit).problem == ""
+
+
 def assert_the_recording_is_readable(aftermath: Aftermath) -> None:
     """It lacks nothing but half a last line for each killed PLC at most."""
     killed = aftermath.kills["plc"] + aftermath.kills["both"]
@@ -206,6 +218,7 @@ def test_many_kills_of_plc_and_gateway_corrupt_nothing_and_lose_nothing_committe
     assert_nothing_committed_was_lost(aftermath)
     assert_the_historian_is_whole_and_in_order(aftermath)
     assert_whole_blocks_each_once_and_nothing_outside(aftermath)
+    assert_no_block_without_its_audit_row(aftermath)
     assert_the_recording_is_readable(aftermath)
     assert_no_wrong_value_was_good(aftermath)
     assert_each_block_has_its_row_and_none_spoke_of_the_past(aftermath)

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 DECANTER = ROOT / "config/devices/decanter_plc.toml"
 PATIENCE_S = 20.0
 HEARTBEAT, PERMIT, ACKNOWLEDGE, ACCEPTED, REFUSED, REFUSAL, USABLE = range(112, 119)
-BLOCK, BLOCK_WORDS = 400, 24
+BLOCK, BLOCK_WORDS = 400, 26
 
 
 def trace_file(folder: Path, rows: Sequence[str], header: str = "time,MarciaDecanter,Assorbimento,TFango") -> Path:
@@ -77,7 +77,7 @@ class Process:
 
 
 def command_line(*options: str | Path, map_path: Path = DECANTER) -> list[str]:
-    return [sys.executable, "-m", "sim.plc", "--map", str(map_path), *map(str, options)]
+    return [sys.executable, "-m", "sim.plc", "--map", str(map_path), "--challenge", "1", *map(str, options)]
 
 
 def refusal(*options: str | Path, map_path: Path = DECANTER) -> tuple[int, str]:
@@ -188,8 +188,17 @@ def crc(words: Sequence[int]) -> int:
     return register
 
 
-def block(sequence: int, heartbeat: int, validity: int = 1, version: int = 1, temperature: int = 4512) -> list[int]:
+def block(
+    sequence: int,
+    heartbeat: int,
+    validity: int = 1,
+    version: int = 2,
+    temperature: int = 4512,
+    *,
+    challenge: int = 1,
+    writer: int = 4711,
+) -> list[int]:
     """A whole write-back block of the decanter's layout."""
     words = [version, sequence, heartbeat, validity, 0, 3, 2, temperature, 4400, 4600, 300, 4500, 4700, 4900]
-    words += [12, 0xFFFF, 0xFFFF, 0xFFFF, 1, 0, 50, 0xBEEF]
+    words += [12, 0xFFFF, 0xFFFF, 0xFFFF, 1, 0, 50, 0xBEEF, challenge, writer]
     return [*words, crc(words), sequence]

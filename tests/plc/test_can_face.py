@@ -80,9 +80,11 @@ def decoded(message: can.Message) -> dict[str, object]:
 
 
 def frames(words: list[int]) -> list[can.Message]:
-    """A block as eight frames, by struct rules of this test's own."""
-    parts = [words[at : at + 3] for at in range(0, 24, 3)]
-    data = [bytes((n, 0)) + b"".join(word.to_bytes(2, "little") for word in part) for n, part in enumerate(parts)]
+    """A block as nine frames, by struct rules of this test's own."""
+    parts = [words[at : at + 3] for at in range(0, 26, 3)]
+    data = [
+        bytes((n, 0)) + b"".join(word.to_bytes(2, "little") for word in [*part, 0][:3]) for n, part in enumerate(parts)
+    ]
     return [can.Message(arbitration_id=WRITEBACK, is_extended_id=False, data=one) for one in data]
 
 
@@ -133,23 +135,26 @@ def counted(bus: can.BusABC) -> tuple[int, int]:
     return accepted, refused
 
 
-def test_a_block_of_eight_frames_is_echoed_and_judged_by_its_last_frame(bus: can.BusABC) -> None:
+def test_a_block_of_nine_frames_is_echoed_and_judged_by_its_last_frame(bus: can.BusABC) -> None:
     accepted, refused = counted(bus)
-    sent = frames(block(7, next(beats)))
+    beat = next(beats)
+    sent = frames(block(beat, beat))
     for frame in sent:
         bus.send(frame)
-    assert [bytes(echo.data) for echo in answers(bus, ECHO, 8)] == [bytes(frame.data) for frame in sent]
+    assert [bytes(echo.data) for echo in answers(bus, ECHO, 9)] == [bytes(frame.data) for frame in sent]
     assert counted(bus) == (accepted + 1, refused)
 
 
 @pytest.mark.parametrize(("lost", "reason"), [(0, 2), (3, 3), (6, 3)])
 def test_a_block_that_has_lost_a_frame_is_refused_as_torn(bus: can.BusABC, lost: int, reason: int) -> None:
     accepted, refused = counted(bus)
-    for frame in frames(block(7, next(beats), temperature=4000)):
+    beat = next(beats)
+    for frame in frames(block(beat, beat, temperature=4000)):
         bus.send(frame)
-    later = block(8, next(beats), validity=3, temperature=4100)
+    beat = next(beats)
+    later = block(beat, beat, validity=3, temperature=4100)
     later[11:22] = [word + 1 & 0xFFFF for word in later[11:22]]
-    later[22] = crc(later[:22])
+    later[24] = crc(later[:24])
     for place, frame in enumerate(frames(later)):
         if place != lost:
             bus.send(frame)
@@ -206,7 +211,7 @@ async def test_a_block_written_by_the_driver_is_accepted_and_one_that_is_forgott
     recording = read_recording(tmp_path / "r.jsonl")
     assert [one.accepted for one in recording.blocks] == [True] * 20
     taken = [one for one in recording.frames if not one.sent]
-    assert len(taken) == 21 * 8, "each frame is on the wire once"
+    assert len(taken) == 21 * 9, "each frame is on the wire once"
     assert {one.id for one in taken} == {WRITEBACK}
 
 

@@ -19,7 +19,7 @@ from tests.plc.bench import DECANTER, block
 
 MAP = DECANTER.parent / "decanter_canopen.toml"
 START, STOP, PRE, RESET = b"\1\1", b"\2\1", b"\x80\1", b"\x81\1"
-TPDOS = {0x181: 8, 0x281: 6, 0x381: 6, 0x481: 8, 0x1C1: 6, 0x2C1: 8}
+TPDOS = {0x181: 8, 0x281: 6, 0x381: 6, 0x481: 8, 0x1C1: 6, 0x2C1: 8, 0x4C1: 8}
 WELL = NodeDisturbance()
 
 
@@ -50,9 +50,10 @@ class Bench:
         return int.from_bytes(self.node.objects.read((index, sub)), "little")
 
     def put(self, words: list[int]) -> None:
-        """The block as the six RPDOs of the EDS."""
-        for number, cob_id in enumerate((0x201, 0x301, 0x401, 0x501, 0x241, 0x341)):
-            self.take(cob_id, struct.pack("<4H", *words[4 * number : 4 * number + 4]))
+        """The block as the seven RPDOs of the EDS."""
+        for number, cob_id in enumerate((0x201, 0x301, 0x401, 0x501, 0x241, 0x341, 0x441)):
+            part = words[4 * number : 4 * number + 4]
+            self.take(cob_id, struct.pack(f"<{len(part)}H", *part))
 
 
 @pytest.fixture
@@ -139,10 +140,10 @@ def test_the_block_is_taken_when_its_last_word_comes_by_rpdo_by_sdo_and_as_a_who
         assert bench.plc.intake.accepted == 1
         bench.write(0x2100, number, word, 2)
     assert bench.plc.intake.accepted == 2
-    bench.node.objects.write((0x2102, 0), struct.pack("<24H", *block(3, 3)))
+    bench.node.objects.write((0x2102, 0), struct.pack("<26H", *block(3, 3)))
     assert (bench.plc.intake.accepted, bench.plc.intake.refused) == (3, 0)
-    assert [bench.read(0x2100, sub) for sub in range(1, 25)] == block(3, 3)
-    assert bench.node.objects.read((0x2102, 0)) == struct.pack("<24H", *block(3, 3))
+    assert [bench.read(0x2100, sub) for sub in range(1, 27)] == block(3, 3)
+    assert bench.node.objects.read((0x2102, 0)) == struct.pack("<26H", *block(3, 3))
     assert bench.read(0x2101, 1) == 3
 
 
@@ -150,9 +151,10 @@ def test_a_block_of_which_a_frame_is_lost_is_refused_by_its_checks(bench: Bench)
     bench.take(0x000, START)
     bench.put(block(1, 1))
     words = block(2, 2)
-    for number, cob_id in enumerate((0x201, 0x301, 0x401, 0x501, 0x241, 0x341)):
+    for number, cob_id in enumerate((0x201, 0x301, 0x401, 0x501, 0x241, 0x341, 0x441)):
         if cob_id != 0x401:
-            bench.take(cob_id, struct.pack("<4H", *words[4 * number : 4 * number + 4]))
+            part = words[4 * number : 4 * number + 4]
+            bench.take(cob_id, struct.pack(f"<{len(part)}H", *part))
     assert (bench.plc.intake.accepted, bench.plc.intake.refused) == (1, 1)
     bench.take(0x341, bytes(7))
     assert bench.plc.intake.refused == 1, "an RPDO of another length is not taken"
@@ -168,7 +170,7 @@ def test_a_block_of_which_a_frame_is_lost_is_refused_by_its_checks(bench: Bench)
         ((0x1018, 1), bytes(4), 0x06010002),
         ((0x2100, 1), b"\0", 0x06070013),
         ((0x2100, 1), bytes(3), 0x06070012),
-        ((0x2102, 0), bytes(47), 0x06070010),
+        ((0x2102, 0), bytes(51), 0x06070010),
         ((0x1A00, 0), b"\0", 0x08000022),
         ((0x1003, 0), b"\1", 0x06090030),
     ],
@@ -270,14 +272,14 @@ def spoiled(tmp_path: Path, change: Callable[[str], str]) -> Path:
         ('name = "Assorbimento"', 'name = "Corrente"', "the register map has no 'Corrente'"),
         ("node = 1", "node = 100", "node: must be at most 63, got 100; give a node id"),
         ("../decanter.eds", "../none.eds", "none.eds: there is no such file"),
-        ('    { name = "zone", dtype = "uint16" },', "    #", "23 words, and the register map's has 24"),
+        ('    { name = "zone", dtype = "uint16" },', "    #", "25 words, and the register map's has 26"),
     ],
 )
 def test_a_device_file_that_cannot_be_used_is_one_sentence(tmp_path: Path, old: str, new: str, sentence: str) -> None:
     path = spoiled(tmp_path, lambda text: text.replace(old, new, 1))
     known = read_map(DECANTER)
     with pytest.raises(InputError, match=sentence):
-        read_layout(path, known.tags, 24)
+        read_layout(path, known.tags, 26)
 
 
 @pytest.mark.parametrize(

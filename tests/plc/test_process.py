@@ -188,7 +188,7 @@ def test_only_the_block_and_the_test_registers_can_be_written() -> None:
         assert raw.words(300, 2) == [1, 2]
         for address in (100, 302, BLOCK - 1, BLOCK + 1):
             assert raw.write(address, [1] * BLOCK_WORDS) == bytes((0x90, 2)), address
-        assert raw.ask(struct.pack(">BHH", 3, 119, 1)) == bytes((0x83, 2))
+        assert raw.ask(struct.pack(">BHH", 3, 122, 1)) == bytes((0x83, 2))
         assert raw.words(BLOCK, BLOCK_WORDS) == [0] * BLOCK_WORDS
 
 

@@ -26,9 +26,10 @@ dtype = "float32"
 BLOCK = """
 [writeback]
 address = "holding:40"
-layout_version = 1
+layout_version = 2
 timeout_s = 2.0
-fields = [ {name="layout_version"}, {name="sequence"}, {name="heartbeat"}, {name="validity"}, {name="crc"},
+fields = [ {name="layout_version"}, {name="sequence"}, {name="heartbeat"}, {name="validity"},
+  {name="challenge"}, {name="writer"}, {name="crc"},
   {name="sequence_copy"} ]
 """
 
@@ -39,7 +40,7 @@ def test_the_decanters_map_is_read() -> None:
     assert registers.places["TCuscinettiAlimentazione"] == Place("holding", 107, 2)
     assert registers.heartbeat == "PlcHeartbeat"
     assert registers.block is not None
-    assert registers.block.place == Place("holding", 400, 24)
+    assert registers.block.place == Place("holding", 400, 26)
     assert registers.block.fields[7].signed and registers.block.fields[7].scale == 0.01
 
 
@@ -68,7 +69,7 @@ def test_the_decanters_map_is_read() -> None:
         ('"holding:40"', '"holding:11"', ["'B'", "'[writeback]'"]),
         ('"holding:40"', '"input:40"', ["[writeback]", "function 16"]),
         ("timeout_s = 2.0", "timeout_s = 0", ["writeback.timeout_s: must be more than 0"]),
-        ("layout_version = 1", "", ["writeback.layout_version: is missing"]),
+        ("layout_version = 2", "", ["writeback.layout_version: is missing"]),
     ],
 )
 def test_a_bad_map_is_refused_in_one_sentence(tmp_path: Path, find: str, put: str, words: list[str]) -> None:

@@ -57,7 +57,7 @@ def changed(words: list[int], index: int, value: int) -> list[int]:
     ("words", "address", "code"),
     [
         (block(2, 2, version=9), BLOCK, 1),
-        (changed(block(2, 2), 23, 3), BLOCK, 2),
+        (changed(block(2, 2), 25, 3), BLOCK, 2),
         (changed(block(2, 2), 7, 4513), BLOCK, 3),
         (block(2, 1), BLOCK, 4),
         (block(2, 2)[:-1], BLOCK, 5),
@@ -80,7 +80,7 @@ def test_the_watchdog_runs_out_unless_a_block_with_a_new_heartbeat_is_accepted(p
     assert plc.image.truth["PredictionUsable"] is True
     plc.cycle(5.001)
     assert plc.image.truth["PredictionUsable"] is False
-    assert tell(plc, block(3, 2), 6.0)["PredictionUsable"] is True
+    assert tell(plc, block(3, 2, challenge=2), 6.0)["PredictionUsable"] is True
 
 
 def test_validity_zero_and_a_withdrawn_permit_make_it_unusable_at_once(plc: Plc) -> None:

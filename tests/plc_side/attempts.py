@@ -14,10 +14,10 @@ UNFIT: tuple[Any, ...] = (70_000, -1, math.nan, math.inf, 1e300, "text", 0.5j, N
 
 
 def elsewhere(random: Random, driver: str) -> str:
-    """An address in the driver's notation that is no word of the shipped block (holding:400 to 423 or 0x2100)."""
+    """An address in the driver's notation that is no word of the shipped block (holding:400 to 425 or 0x2100)."""
     if driver == "modbus":
         table = random.choice(("holding", "holding", "coil", "input", "discrete"))
-        low, high = random.choice(((0, 399), (424, 65_535)))
+        low, high = random.choice(((0, 399), (426, 65_535)))
         return f"{table}:{random.randint(low, high)}"
     if driver == "canopen":
         index = random.choice((0x1005, 0x1010, 0x1017, 0x1400, 0x1A00, 0x2000, 0x2001, 0x2101, 0x2102, 0x6000))

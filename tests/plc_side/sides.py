@@ -4,15 +4,24 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
+from gateway.commission.writeback.block_writer import ACCOUNT_TAGS
 from gateway.commission.writeback.structured_text import Program, generate
-from gateway.commission.writeback.suite import Account
-from gateway.settings.devices import load_device
+from gateway.commission.writeback.suite import Account, in_session
+from gateway.commission.writeback.vectors import SuiteStep
+from gateway.settings.devices import BLOCK_FIELDS, load_device
 from sim.plc.program.clock import EmulatorClock
 from sim.plc.program.plc import Plc
 from sim.plc.program.registers import read_map
 from tests.plc_side.structured_text import Instance, Text
 
 CYCLE_MS = 20
+
+
+def present(words: Sequence[int], challenge: int) -> tuple[int, ...]:
+    """A block of the shipped layout with the PLC's challenge of now, and with the checksum that fits."""
+    return in_session(SuiteStep("", tuple(words), challenge=0), BLOCK_FIELDS, challenge)
+
+
 parsed = cache(Text)
 """A text is parsed once: what runs of it is an instance."""
 
@@ -40,8 +49,8 @@ class Emulated:
         self.now += CYCLE_MS / 1000
         self.plc.cycle(self.now)
         truth = self.plc.image.truth
-        counts = [truth[name] for name in ("BlocksAccepted", "BlocksRefused", "LastRefusal")]
-        return Account(*(int(count or 0) for count in counts), bool(truth["PredictionUsable"]))
+        accepted, refused, code, usable, *session = (int(truth[name] or 0) for name in ACCOUNT_TAGS)
+        return Account(accepted, refused, code, bool(usable), *session)
 
 
 class Compiled:
@@ -84,5 +93,5 @@ class Compiled:
 
     async def account(self) -> Account:
         self.run(1)
-        counts = [self.word(name) for name in ("BlocksAccepted", "BlocksRefused", "LastRefusal")]
-        return Account(*counts, bool(self.word("PredictionUsable") & 1))
+        accepted, refused, code, usable, *session = (self.word(name) for name in ACCOUNT_TAGS)
+        return Account(accepted, refused, code, bool(usable & 1), *session)

@@ -15,7 +15,7 @@ from gateway.commission.writeback.vectors import vectors
 from gateway.settings.devices import load_device
 from sim.plc.program.registers import read_map
 from sim.plc.program.writeback import decoded
-from tests.plc_side.sides import Compiled
+from tests.plc_side.sides import Compiled, present
 from tests.plc_side.structured_text import Mistake, Text, parser
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -56,7 +56,7 @@ def fewer_fields(folder: Path) -> Path:
 def test_it_is_in_the_grammar_of_the_second_edition(name: str) -> None:
     parsed = Text(text(DEVICES / name))
     assert set(parsed.blocks) == {"DECANTER_WRITEBACK", "DECANTER_WRITEBACK_MAIN"}
-    assert parsed.arrays == {"DECANTER_WRITEBACK_WORDS": (0, 23, "WORD")}
+    assert parsed.arrays == {"DECANTER_WRITEBACK_WORDS": (0, 25, "WORD")}
 
 
 def test_a_kept_parser_that_is_not_ours_reads_it_too() -> None:
@@ -78,7 +78,7 @@ def test_matiec_compiles_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("(* 1. Is there", "// 1. Is there\n(* Is there"),
+        ("(* 2. Is there", "// 2. Is there\n(* Is there"),
         ("END_FUNCTION_BLOCK", "METHOD Reset : BOOL\nEND_METHOD\nEND_FUNCTION_BLOCK"),
         ("Checksum : WORD;", "Checksum : REF_TO WORD;"),
         ("Checksum := WORD#16#FFFF;", "Checksum := WORD#16#FFFF; pointer^ := 1;"),
@@ -100,7 +100,7 @@ def test_the_grammar_refuses_what_the_second_edition_does_not_have(old: str, new
     [
         ("WORD_TO_UINT(Words[6])", "Words[6]"),
         ("Checksum := WORD#16#FFFF;", "Checksum := UINT#65535;"),
-        ("FOR Position := 0 TO 23 DO", "FOR Position := 0 TO 24 DO"),
+        ("FOR Position := 0 TO 25 DO", "FOR Position := 0 TO 26 DO"),
         ("Taken := FALSE;", "Taken := WORD#16#0000;"),
         ("Changed := FALSE;", "NeverDeclared := FALSE;"),
         ("BlocksAccepted := UINT#0;", "Words[0] := 5.5;"),
@@ -113,9 +113,10 @@ def test_the_interpreter_is_as_strict_about_types_as_a_compiler(tmp_path: Path, 
     block = next(step for step in vectors(load_device(PLC).writeback) if step.words)
     with pytest.raises((Mistake, KeyError)):
         program["Gateway"].values["blocksaccepted"] = 0xFFFF
-        for ms in (0, 20):
+        for ms in (0, 20, 40):
             program.call(ms)
-            for place, word in enumerate(block.words):
+            program.values["permitswitch"] = True
+            for place, word in enumerate(present(block.words, program["Gateway"]["Challenge"])):
                 program.values[f"word{place:02d}"] = word
 
 
@@ -124,11 +125,13 @@ async def test_the_numbers_that_it_gives_are_those_of_the_block_as_the_emulator_
     assert layout is not None
     random, side = Random(3), Compiled(PLC)
     own = load_device(PLC).writeback
+    await side.permit(True)
+    side.run(1)
     for step in vectors(own, seed=5):
         words = [*step.words]
-        if len(words) != len(layout.fields) or step.refused:
+        if len(words) != len(layout.fields) or step.refused or step.permit is False:
             continue
-        await side.write(0, words)
+        await side.write(0, present(words, (await side.account()).challenge))
         await side.account()
         expected = decoded(layout, words)
         for name in (
@@ -150,12 +153,16 @@ async def test_the_numbers_that_it_gives_are_those_of_the_block_as_the_emulator_
 async def test_an_unknown_number_is_said_to_be_unknown_and_keeps_its_last_value() -> None:
     side = Compiled(PLC)
     own = load_device(PLC).writeback
+    await side.permit(True)
+    side.run(1)
     steps = {step.name: step for step in vectors(own)}
-    await side.write(0, steps["a whole new block is accepted"].words)
+    await side.write(0, present(steps["a whole new block is accepted"].words, (await side.account()).challenge))
     await side.account()
     assert side.block["TemperatureNowKnown"] and side.block["TemperatureNow"] == pytest.approx(45.12)
     assert not side.block["MinutesMedianKnown"], "the limit is not reached within the forecast"
-    await side.write(0, steps["numbers that are not known are no fault"].words)
+    # Right behind the first block in its session: its sequence is brought up to it.
+    unknown = steps["numbers that are not known are no fault"].words
+    await side.write(0, present((unknown[0], 42, *unknown[2:-1], 42), (await side.account()).challenge))
     await side.account()
     assert not side.block["TemperatureNowKnown"] and side.block["TemperatureNow"] == pytest.approx(45.12)
 
@@ -165,7 +172,7 @@ async def test_the_warning_is_the_plants_own_whenever_the_prediction_is_not_usab
     own = load_device(PLC).writeback
     await side.permit(True)
     high = next(step for step in vectors(own) if step.name == "the greatest numbers are accepted")
-    await side.write(0, high.words)
+    await side.write(0, present(high.words, (await side.account()).challenge))
     await side.account()
     assert side.block["PLimit"] > 0.5 and side.program["BearingWarning"] is True, "the prediction warns"
     await side.permit(False)
@@ -198,11 +205,11 @@ async def test_a_block_that_comes_in_several_frames_is_looked_at_when_it_is_whol
     block = next(step for step in vectors(own) if step.words)
     device = load_device(PLC)
     one = Text(generate(device, "GATEWAY_BLOCK")).new("GATEWAY_BLOCK")
-    area = dict.fromkeys(range(24), 0)
+    area = dict.fromkeys(range(26), 0)
     one.call(0, Words=area, Permit=True)
-    for place, word in enumerate(block.words):
+    for place, word in enumerate(present(block.words, one["Challenge"])):
         area[place] = word
-        one.call(20 * (place + 1), Words=area, Settled=place == 23)
+        one.call(20 * (place + 1), Words=area, Settled=place == 25)
     assert (one["BlocksAccepted"], one["BlocksRefused"], one["Usable"]) == (1, 0, True)
 
 
@@ -211,7 +218,7 @@ def test_the_plcs_heartbeat_rounds_to_one_and_the_counters_to_zero() -> None:
     one.values |= {"plcheartbeat": 0xFFFF, "blocksrefused": 0xFFFF}
     one.call(0)
     assert one["PlcHeartbeat"] == 1
-    one.call(20, Words=dict.fromkeys(range(24), 1))
+    one.call(20, Words=dict.fromkeys(range(26), 1))
     assert one["BlocksRefused"] == 0
 
 
@@ -237,7 +244,7 @@ def test_names_from_the_map_cannot_end_a_comment_or_leave_ascii(tmp_path: Path) 
 def test_locations_are_the_registers_addresses_and_can_be_elsewhere() -> None:
     assert "Word00 AT %MW400 : WORD;" in text() and "AT %MW112 : WORD;" in text()
     elsewhere = text(prefix="%QW", permit_at="%IX0.0", cycle=50)
-    assert "Word23 AT %QW423 : WORD;" in elsewhere and "PermitSwitch AT %IX0.0 : BOOL;" in elsewhere
+    assert "Word25 AT %QW425 : WORD;" in elsewhere and "PermitSwitch AT %IX0.0 : BOOL;" in elsewhere
     assert "INTERVAL := T#50ms" in elsewhere
     Text(elsewhere)
 

@@ -7,11 +7,12 @@ from typing import Any
 
 import tomlkit
 
+from drivers.device_file import LAYOUT_VERSION
 from drivers.settings import ConfigError
 from gateway.commission.files.device_file import encoding, fields_that_fit, set_block, set_device, set_tag
 from gateway.commission.files.plan_files import Files, device_edit, plant_edit, save
 
-_LAYOUT, _TIMER_S = 1, 5.0
+_TIMER_S = 5.0
 _MOST_WORDS = 123
 """Registers in one write by the protocol (MODBUS Application Protocol V1.1b3, 6.12)."""
 
@@ -71,7 +72,7 @@ def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool
                 own: Any = document.get("device", {})
                 most = min(_MOST_WORDS, own.get("max_registers", _MOST_WORDS))
                 names = fields_that_fit(int(own.get("max_write_registers", most)))
-            version = block.version if block.version is not None else table.get("layout_version", _LAYOUT)
+            version = block.version if block.version is not None else LAYOUT_VERSION
             timer = block.timer if block.timer is not None else table.get("timeout_s", _TIMER_S)
             head = {"address": block.address, "layout_version": version, "timeout_s": timer}
             set_block(document, head, names, template)

@@ -1,7 +1,7 @@
 """`decanter plc arm` and `disarm`: in the gateway that runs, or in the audit log where none does."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +21,41 @@ from gateway.commission.session import (
     running_gateway,
 )
 from gateway.commission.writeback.block_writer import gateway_runs, layout_of, open_block_writer
-from gateway.machine.writing import ArmingError, arm_in_log, disarm_in_log, next_start, signed, uptime
-from gateway.store import head
+from gateway.machine.writing import (
+    ArmingError,
+    arm_in_log,
+    clear_for_arming,
+    countersign,
+    disarm_in_log,
+    next_start,
+    places_of,
+    signed,
+    uptime,
+)
+from gateway.store import head, open_audit, places_beside
 
 
-async def start_arming(site: Site, audit_path: Path, by: str, reason: str, minutes: float) -> CommandResult:
-    """Arm for some minutes. Raises ArmingError, AuditError, ValueError or OSError."""
+async def start_arming(
+    site: Site, audit_path: Path, by: str, reason: str, minutes: float, *, acknowledged: Sequence[str] = ()
+) -> CommandResult:
+    """Arm for some minutes; `acknowledged` are heads of lost rows. Raises ArmingError, AuditError, ValueError or
+    OSError."""
     layout_of(site)
     now = time.time()
     arming = signed(by, reason, minutes, now)
     if (config := site.target.config) is not None and config.writeback.mode == "off":
         site.notes.append("writeback.mode is 'off': a gateway with this plant file computes and writes nothing")
-    reply = _ask_gateway(site, "arm", by=arming.by, reason=arming.reason, minutes=minutes)
+    reply = _ask_gateway(site, "arm", by=arming.by, reason=arming.reason, minutes=minutes, acknowledge=[*acknowledged])
     if reply is None:
+        config = site.target.config
+        places = places_of(config) if config and config.audit == audit_path else places_beside(audit_path)
+        audit = open_audit(audit_path)
+        try:
+            clear_for_arming(places, audit.record, by=arming.by, now=now, acknowledged=acknowledged)
+        finally:
+            audit.close()
         arm_in_log(audit_path, arming, now)
+        countersign(places, now)
     place = "the audit log" if reply is None else f"the running gateway (pid {reply['pid']})"
     until = arming.until if reply is None else float(reply["until"])
     data = {"by": arming.by, "reason": arming.reason, "minutes": minutes, "until": until, "told": place}
@@ -86,18 +107,29 @@ def _ask_gateway(site: Site, command: str, **keys: Any) -> dict[str, Any] | None
 @click.command(short_help="Let blocks be written: by whom, why and for how many minutes.")
 @click.option("--reason", required=True, help="Why blocks are to be written, for the audit log.")
 @click.option("--minutes", type=float, required=True, help="For how long, 480 at most; then it ends by itself.")
+@click.option(
+    "--acknowledge-head",
+    "acknowledged",
+    multiple=True,
+    metavar="HASH",
+    help="Take note that the audit log's rows up to this head are lost; may be given several times.",
+)
 @audit_option
 @link_options
-def arm(given: SharedOptions, reason: str, minutes: float, audit: Path | None) -> None:
+def arm(given: SharedOptions, reason: str, minutes: float, acknowledged: tuple[str, ...], audit: Path | None) -> None:
     """Let blocks be written for some minutes: by the loop tests, and by a gateway with mode 'shadow'.
 
     A gateway that runs is told so; one that starts meanwhile finds it in the audit log. Needs a name (--by).
+    Nobody arms on an audit log whose chain is broken, nor on one that lacks a row whose head was signed.
     """
 
     async def work(site: Site) -> CommandResult:
-        return await start_arming(site, audit_path(audit, given, site.target), given.by, reason, minutes)
+        return await start_arming(
+            site, audit_path(audit, given, site.target), given.by, reason, minutes, acknowledged=acknowledged
+        )
 
-    perform(given, "arm", {"reason": reason, "minutes": minutes}, work, _show_armed)
+    arguments = {"reason": reason, "minutes": minutes, "acknowledged": list(acknowledged)}
+    perform(given, "arm", arguments, work, _show_armed)
 
 
 def _show_armed(data: Mapping[str, Any]) -> None:

@@ -1,7 +1,7 @@
-"""`decanter plc audit`: the account of every write, refusal and arming, and whether its chain is whole."""
+"""`decanter plc audit`: the account of every write, refusal and arming, whether it is whole, by whose witness."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,31 +10,74 @@ import click
 from gateway.commission.session import SharedOptions, at, audit_option, audit_path, record_options
 from gateway.console import emit, table
 from gateway.entry import Exit, fail, sentences
-from gateway.store import read, verify
+from gateway.machine.writing import places_of
+from gateway.settings import load_config
+from gateway.store import WitnessPlaces, examine, numbered_files, places_beside, read, trusted_key
+
+_PATH = click.Path(path_type=Path)
 
 
 @click.command(short_help="Show and verify the audit log.")
 @click.option("--head", default="", metavar="HASH", help="A hash kept from before, which has to be in the log.")
 @click.option("--last", type=click.IntRange(0), default=20, show_default=True, help="So many of the newest rows.")
 @click.option("--kind", "kinds", multiple=True, help="Only rows of this kind, such as 'armed' or 'write refused'.")
-@click.option("--config", "plant", type=click.Path(path_type=Path), help="The plant file whose audit log it is.")
+@click.option("--config", "plant", type=_PATH, help="The plant file whose audit log it is.")
+@click.option("--public-key", type=_PATH, help="The gateway's public key; without it the key beside the log.")
+@click.option("--heads", type=_PATH, help="A file of signed heads.  [default: the plant file's, or beside the log]")
+@click.option("--historian", type=_PATH, help="A historian that holds a signed head.  [default: the plant file's]")
+@click.option("--log", type=_PATH, help="A log that holds signed heads.  [default: the plant file's]")
 @audit_option
 @record_options
-def audit(given: SharedOptions, head: str, last: int, kinds: tuple[str, ...], audit: Path | None) -> None:
-    """Show and verify the audit log: every write, refusal and arming, each row bound to the one before."""
+def audit(
+    given: SharedOptions,
+    head: str,
+    last: int,
+    kinds: tuple[str, ...],
+    public_key: Path | None,
+    heads: Path | None,
+    historian: Path | None,
+    log: Path | None,
+    audit: Path | None,
+) -> None:
+    """Show and verify the audit log: every write, refusal and arming, each row bound to the one before.
+
+    Its end is bound by signed heads, which the gateway gives to a file of heads, the historian and the log each hour,
+    at each arming and at a stop: a log that was cut, emptied or computed anew lacks a row that was signed. Signatures
+    are checked by the gateway's key, which others must not be able to read, or the public key alone (--public-key).
+    """
     with sentences():
-        path = audit_path(audit, given)
-        checked = verify(path, head)
-        rows = read(path, kinds)[-last:] if last and not checked.problem else []
+        places = _places(given, audit)
+        places = replace(
+            places,
+            heads=heads or places.heads,
+            historian=historian or places.historian,
+            logs=tuple(numbered_files(log)) if log is not None else places.logs,
+        )
+        verdict = examine(places, head=head, public=trusted_key(places, public_key))
+        rows = read(places.audit, kinds)[-last:] if last and not verdict.broken else []
     plain = [{"id": row.id, **asdict(row.entry), "hash": row.hash} for row in rows]
-    result = {"ok": not checked.problem, "path": str(path), **asdict(checked), "entries": plain}
+    facts = {**asdict(verdict), "lost": verdict.lost and verdict.lost.head, "end": verdict.end}
+    result = {"ok": not verdict.problem, "path": str(places.audit), **facts, "entries": plain}
     emit(result, lambda: _show_audit(result), as_json_line=given.as_json)
-    if checked.problem:
-        fail(f"{path}: {checked.problem}", Exit.CHECK_FAILED)
+    if verdict.problem:
+        fail(f"{places.audit}: {verdict.problem}", Exit.CHECK_FAILED)
+
+
+def _places(given: SharedOptions, audit: Path | None) -> WitnessPlaces:
+    """The audit log that is meant, and its witnesses."""
+    path = audit_path(audit, given)
+    if given.plant is not None and (config := load_config(given.plant)).audit == path:
+        return places_of(config)
+    return places_beside(path)
 
 
 def _show_audit(data: Mapping[str, Any]) -> None:
-    title = f"{data['path']}: {data['rows']} rows, the chain is {'broken' if data['problem'] else 'whole'}"
+    title = f"{data['path']}: {data['rows']} rows, the chain is {'broken' if data['broken'] else 'whole'}"
     rows = [[entry["id"], at(entry["time"]), entry["kind"], entry["who"], entry["reason"]] for entry in data["entries"]]
     table(title, ("row", "time", "kind", "who", "reason"), rows)
     click.echo(f"head: {data['head']}")
+    for name, sentence in data["witnesses"].items():
+        click.echo(f"witness: {name}: {sentence}")
+    for note in data["notes"]:
+        click.echo(f"note: {note}")
+    click.echo(data["end"])

@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequenc
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from random import Random, SystemRandom
 from struct import pack
 
 import click
@@ -17,7 +18,18 @@ from drivers.tag import Sample
 from gateway.commission.session import CommandResult, SharedOptions, Site, audit_path, questions
 from gateway.commission.writeback.suite import Account, Unable
 from gateway.console import progress
-from gateway.machine.writing import FAILED, REFUSED, WRITE, Arming, Validity, arming_of, build, next_heartbeat, uptime
+from gateway.machine.writing import (
+    FAILED,
+    REFUSED,
+    WRITE,
+    Arming,
+    SessionWords,
+    Validity,
+    arming_of,
+    build,
+    next_heartbeat,
+    uptime,
+)
 from gateway.settings import DeviceMap, WritebackLayout
 from gateway.store import ARMED, EXPIRED, Audit, AuditEntry, AuditRow, last_arming, open_audit, over, standing
 
@@ -30,7 +42,15 @@ _POLL_S = 0.02
 _WITHOUT_HEARTBEAT_S = 0.5
 NOTHING: Mapping[str, float | None] = {"input_quality": 2.0, "zone": 0.0, "alarms": 0.0}
 """The values of a block that takes everything back."""
-ACCOUNT_TAGS = ("BlocksAccepted", "BlocksRefused", "LastRefusal", "PredictionUsable")
+ACCOUNT_TAGS = (
+    "BlocksAccepted",
+    "BlocksRefused",
+    "LastRefusal",
+    "PredictionUsable",
+    "Challenge",
+    "SessionWriter",
+    "RefusedWriter",
+)
 Ask = Callable[[str], bool]
 Progress = Callable[[str, float], None]
 ASK = click.option("--ask", is_flag=True, help="Put each question to the person at the HMI, here.")
@@ -86,7 +106,7 @@ def gateway_runs(historian: Path) -> bool:
 
 @dataclass(slots=True)
 class BlockWriter:
-    """One command that writes blocks. `ask` puts a question to the person, None where nobody is to be asked.
+    """One command that writes blocks as writer `number`. `ask` asks the person, None where nobody is to be asked.
 
     `taking_back`: the arming has been taken back already, and the only block left to write is that which says so.
     """
@@ -97,6 +117,7 @@ class BlockWriter:
     writes: Writes
     audit: Audit
     arming: Arming
+    number: int
     ask: Ask | None = None
     taking_back: bool = False
     sequence: int = 0
@@ -143,7 +164,11 @@ class BlockWriter:
         """Write the next whole block; with `beat` False its heartbeat is the last one's. Raises as `send`."""
         self.sequence = (self.sequence + 1) & 0xFFFF
         self.heartbeat = next_heartbeat(self.heartbeat) if beat else self.heartbeat
-        words = build(self.layout, values, validity, self.sequence, self.heartbeat).words
+        (challenge,) = await self.numbers("Challenge")
+        session = SessionWords(
+            challenge=challenge, writer=self.number, sequence=self.sequence, heartbeat=self.heartbeat
+        )
+        words = build(self.layout, values, validity, session).words
         await self.send(words)
         return words
 
@@ -208,8 +233,8 @@ class BlockWriter:
     async def account(self) -> Account:
         """What the PLC says of the blocks, once it has looked at them."""
         await self.wait_for_scans()
-        accepted, refused, code, usable = await self.numbers(*ACCOUNT_TAGS)
-        return Account(accepted, refused, code, bool(usable))
+        accepted, refused, code, usable, challenge, session, other = await self.numbers(*ACCOUNT_TAGS)
+        return Account(accepted, refused, code, bool(usable), challenge, session, other)
 
     async def write(self, offset: int, words: Sequence[int]) -> None:
         """`send`, for the suite: what cannot be sent is a step that cannot be put. Raises Unable.
@@ -243,12 +268,18 @@ class BlockWriter:
 
 @asynccontextmanager
 async def open_block_writer(
-    site: Site, audit_path: Path, ask: Ask | None = None, *, taking_back: AuditRow | None = None
+    site: Site,
+    audit_path: Path,
+    ask: Ask | None = None,
+    *,
+    taking_back: AuditRow | None = None,
+    rng: Random | None = None,
 ) -> AsyncIterator[BlockWriter]:
     """The writer of one command, with a connection; at its end a block of validity 0 is written if any was.
 
-    `taking_back` is the arming that has just been taken back, for the one block that says so to the PLC. Raises
-    WriteForbidden where it is not armed or a gateway runs, AuditError, DriverError, ValueError.
+    `taking_back` is the arming that has just been taken back, for the one block that says so to the PLC. `rng` draws
+    its number as a writer, by default from the system's randomness. Raises WriteForbidden where it is not armed or a
+    gateway runs, AuditError, DriverError, ValueError.
     """
     device, layout = layout_of(site)
     arming = arming_of(taking_back) if taking_back is not None else in_force(audit_path, time.time())
@@ -267,6 +298,7 @@ async def open_block_writer(
                 writes=driver,
                 audit=audit,
                 arming=arming,
+                number=(rng or SystemRandom()).randint(1, 0xFFFF),
                 ask=ask,
                 taking_back=taking_back is not None,
                 sequence=begun,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from gateway.commission.writeback.structured_text import Program, generate, refusal_codes
+from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.vectors import plain, vectors
 from gateway.console import config_dir, emit
 from gateway.entry import sentences
@@ -41,7 +41,8 @@ def codegen(
 ) -> None:
     """Generate the function block that checks the gateway's blocks: plain IEC 61131-3, 2nd edition, from the map.
 
-    It checks layout version, sequence copy, CRC and heartbeat, keeps a timer, and falls back to the PLC's own logic.
+    It checks layout version, sequence copy, CRC, session and heartbeat, keeps a timer, and falls back to the PLC's own
+    logic.
     """
     with sentences():
         device_map = load_device(device)
@@ -61,7 +62,7 @@ def write_suite(device: Path, out: Path) -> None:
     device_map = load_device(device)
     if device_map.writeback is None:
         raise ValueError(f"{device}: has no [writeback] table; there is no block to check")
-    content = plain(device_map.writeback, vectors(device_map.writeback), refusal_codes(device_map))
+    content = plain(device_map.writeback, vectors(device_map.writeback), device_map.refusals)
     steps = ",\n  ".join(json.dumps(step) for step in content.pop("steps"))
     head = json.dumps(content, indent=1)[:-2]
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,6 @@ import click
 
 from gateway.commission.session import CommandResult, SharedOptions, audit_option, link_options, perform
 from gateway.commission.writeback.block_writer import ASK, BlockWriter, with_block_writer
-from gateway.commission.writeback.structured_text import refusal_codes
 from gateway.commission.writeback.suite import put_through
 from gateway.commission.writeback.vectors import SuiteStep, vectors
 from gateway.console import table
@@ -19,7 +18,8 @@ async def conform(
     writer: BlockWriter, progress: Callable[[str, float], None], steps: tuple[SuiteStep, ...] = ()
 ) -> CommandResult:
     """Every step's result; `steps` are those of the device file's layout unless given. Raises DriverError."""
-    results = await put_through(steps or vectors(writer.layout), writer, refusal_codes(writer.device), progress)
+    names = [field.name for field in writer.layout.fields]
+    results = await put_through(steps or vectors(writer.layout), writer, writer.device.refusals, names, progress)
     rows: list[dict[str, Any]] = [{**asdict(result), "ok": not result.wrong} for result in results]
     failed, skipped = [result for result in results if result.wrong], [result for result in results if result.skipped]
     counts = {"steps": len(rows), "passed": sum(result.passed for result in results), "skipped": len(skipped)}

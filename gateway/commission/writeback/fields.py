@@ -29,12 +29,16 @@ MEANINGS: Mapping[str, tuple[str, str]] = {
     "alarms": ("", "alarm bits"),
     "anomaly": ("", "-log10 of the p-value of the newest prediction errors"),
     "model_hash": ("", "low word of the model's SHA-256"),
+    "challenge": ("", "the PLC's Challenge, as the scan before the block read it"),
+    "writer": ("", "the number of this start of the gateway, 1 to 65535"),
     "crc": ("", "CRC-16/IBM-3740 of the words before it, high byte first"),
     "sequence_copy": ("", "equals sequence in a block that was not torn"),
 }
 """Unit and meaning by the field's name."""
 
-FRAME = frozenset({"layout_version", "sequence", "heartbeat", "validity", "crc", "sequence_copy"})
+FRAME = frozenset(
+    {"layout_version", "sequence", "heartbeat", "validity", "challenge", "writer", "crc", "sequence_copy"}
+)
 """The fields by which a block is checked."""
 
 ALWAYS_KNOWN = FRAME | {"alarms", "model_hash"}

@@ -14,7 +14,6 @@ from drivers.errors import WriteUnverified
 from gateway.commission.session import CommandResult, SharedOptions, audit_option, link_options, perform
 from gateway.commission.writeback.block_writer import ASK, NOTHING, SETTLE_S, BlockWriter, with_block_writer
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS
-from gateway.commission.writeback.structured_text import refusal_codes
 from gateway.commission.writeback.suite import Account
 from gateway.console import table
 from gateway.machine.writing import Validity
@@ -25,6 +24,7 @@ BEATS_SECONDS = 2.0
 TIMER_TOLERANCE_S = 0.5
 _STILL = "heartbeat did not change"
 _USABLE = Validity(31)
+_KEPT = Validity.INPUTS  # nothing of it is usable, and unlike validity 0 it ends no session
 _HARMLESS: dict[str, float | None] = {"input_quality": 0.0, "age": 0.0, "p_limit": 0.0, "zone": 1.0, "alarms": 0.0}
 
 
@@ -97,7 +97,7 @@ async def _own_beats(writer: BlockWriter) -> dict[str, Any]:
     """Blocks with a new heartbeat are accepted."""
     before = await writer.account()
     for _ in range(BLOCKS):
-        await writer.block()
+        await writer.block(validity=_KEPT)
         await writer.wait_for_scans()
     after = await writer.account()
     ok = _accepted(before, after, BLOCKS)
@@ -109,9 +109,9 @@ async def _still(writer: BlockWriter) -> dict[str, Any]:
     """A block with the last heartbeat is refused."""
     before = await writer.account()
     with suppress(WriteUnverified):  # CANopen's acknowledge does not come for a refused block
-        await writer.block(beat=False)
+        await writer.block(validity=_KEPT, beat=False)
     after = await writer.account()
-    code = refusal_codes(writer.device)[_STILL]
+    code = writer.device.refusals[_STILL]
     refused = after.refused - before.refused & 0xFFFF == 1 and after.last_refusal == code
     sentence = f"refused {after.refused - before.refused & 0xFFFF}, last refusal {after.last_refusal} (wanted {code})"
     return _row("a block with the last heartbeat is refused", refused, sentence)

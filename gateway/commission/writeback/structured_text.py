@@ -16,18 +16,18 @@ from drivers.tag import DType, Order, Tag
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, FRAME, described, unknown_word
 from gateway.settings import DeviceMap, WritebackLayout
 
-REFUSALS: Mapping[str, int] = {
-    "none": 0,
-    "layout version": 1,
-    "sequence and its copy differ": 2,
-    "CRC": 3,
-    "heartbeat did not change": 4,
-    "length or start": 5,
+_KEYS: Mapping[str, str] = {
+    "accepted": "none",
+    "layout": "layout version",
+    "torn": "sequence and its copy differ",
+    "checksum": "CRC",
+    "still": "heartbeat did not change",
+    "challenge": "another challenge",
+    "writer": "another writer",
+    "sequence": "sequence not 1 to 100 ahead",
+    "permit": "no permit",
 }
-"""The contract's reasons and their numbers; a map's labels of LastRefusal may number them differently."""
-
-_KEYS = {"accepted": "none", "layout": "layout version", "torn": "sequence and its copy differ", "checksum": "CRC"}
-_STILL = "heartbeat did not change"
+"""The template's names of the reasons; a block that looks at its memory knows no length and no start."""
 _SWAPPED = (Order.BADC, Order.DCBA)
 _REGISTER = re.compile(r"^holding:(\d+)$")
 _LOCATION = re.compile(r"^%[IQM][XW]?\d+(\.\d+)*$")
@@ -39,6 +39,9 @@ _NUMBERS = {
     "BlocksAccepted": "Gateway.BlocksAccepted",
     "BlocksRefused": "Gateway.BlocksRefused",
     "LastRefusal": "Gateway.LastRefusal",
+    "Challenge": "Gateway.Challenge",
+    "SessionWriter": "Gateway.SessionWriter",
+    "RefusedWriter": "Gateway.RefusedWriter",
 }
 
 
@@ -75,13 +78,6 @@ def identifier(text: str) -> str:
     return plain if plain[0].isalpha() else f"B_{plain}"
 
 
-def refusal_codes(device: DeviceMap) -> dict[str, int]:
-    """The number of each reason: the map's labels of LastRefusal, and the contract's own where it has none."""
-    tag = device.by_name.get("LastRefusal")
-    labels = {label: code for code, label in tag.labels.items()} if tag else {}
-    return {reason: labels.get(reason, code) for reason, code in REFUSALS.items()}
-
-
 def _template(name: str) -> Template:
     # What is made is Structured Text, no page: nothing is to be escaped.
     world = Environment(  # noqa: S701
@@ -96,7 +92,7 @@ def _template(name: str) -> Template:
 
 def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, Any]:
     """All that the function block's template asks for."""
-    codes = refusal_codes(device)
+    codes = device.refusals
     index = {field.name: place for place, field in enumerate(layout.fields)}
     outputs = []
     for place, field in enumerate(layout.fields):
@@ -128,8 +124,8 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
         "count": len(layout.fields),
         "last": len(layout.fields) - 1,
         "timer": round(layout.timeout * 1000),
-        "reasons": ", ".join(f"{codes[reason]} {reason}" for reason in REFUSALS if reason != "length or start"),
-        "codes": {key: codes[reason] for key, reason in (*_KEYS.items(), ("still", _STILL))},
+        "reasons": ", ".join(f"{codes[reason]} {reason}" for reason in _KEYS.values()),
+        "codes": {key: codes[reason] for key, reason in _KEYS.items()},
         **{frame: {"index": index[frame], "output": _camel(frame)} for frame in FRAME},
         "outputs": outputs,
         "alarm_bits": bits if "alarms" in index else [],

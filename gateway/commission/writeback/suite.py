@@ -5,16 +5,23 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from gateway.commission.writeback.vectors import SuiteStep
+from gateway.machine.writing import crc
 
 
 @dataclass(frozen=True, slots=True)
 class Account:
-    """What the PLC says of the blocks: its wrapping 16-bit counters, the last refusal's number, its own verdict."""
+    """What the PLC says of the blocks: its wrapping 16-bit counters, the last refusal's number, its own verdict.
+
+    And its session: the challenge, whose blocks count (0: nobody's), the writer that was refused last (0: none).
+    """
 
     accepted: int
     refused: int
     last_refusal: int
     usable: bool
+    challenge: int
+    session_writer: int
+    refused_writer: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +66,12 @@ async def put_through(
     steps: Sequence[SuiteStep],
     side: PlcSide,
     codes: Mapping[str, int],
+    names: Sequence[str],
     progress: Callable[[str, float], None] = lambda _name, _share: None,
 ) -> list[Result]:
-    """The result of every step. Raises DriverError where the PLC cannot be reached."""
+    """The result of every step; `names` are the block's fields. Raises DriverError where the PLC cannot be reached."""
     results: list[Result] = []
+    sent: dict[str, tuple[int, ...]] = {}
     before = await side.account()
     for number, step in enumerate(steps):
         progress(step.name, number / len(steps))
@@ -72,8 +81,15 @@ async def put_through(
                 await side.permit(step.permit)
             if step.wait_s:
                 await side.wait(step.wait_s)
-            if step.words:
-                await side.write(step.offset, step.words)
+            if step.again and step.again not in sent:
+                raise Unable(f"the block of {step.again!r} was not sent")
+            words = sent[step.again] if step.again else step.words
+            if step.challenge is not None:
+                # After the pause, in which the session may have ended.
+                words = in_session(step, names, (await side.account()).challenge)
+            if words:
+                sent[step.name] = words
+                await side.write(step.offset, words)
             after = await side.account()
         except Unable as reason:
             results.append(Result(step.name, skipped=str(reason)))
@@ -82,6 +98,17 @@ async def put_through(
         results.append(Result(step.name, judge(step, before, after, codes)))
         before = after
     return results
+
+
+def in_session(step: SuiteStep, names: Sequence[str], challenge: int) -> tuple[int, ...]:
+    """The step's block with the PLC's challenge, bent as the step wants it, and with its checksum."""
+    words, seal = list(step.words), names.index("crc")
+    words[names.index("challenge")] = challenge ^ (step.challenge or 0)
+    words[seal] = crc(words[:seal])
+    if step.turned is not None:
+        place, bits = step.turned
+        words[place] ^= bits
+    return tuple(words)
 
 
 def judge(step: SuiteStep, before: Account, after: Account, codes: Mapping[str, int]) -> str:
@@ -98,4 +125,13 @@ def judge(step: SuiteStep, before: Account, after: Account, codes: Mapping[str, 
         faults.append(f"refusal {after.last_refusal} instead of {' or '.join(map(str, sorted(allowed)))}")
     if after.usable != step.usable:
         faults.append(f"the prediction is {'usable' if after.usable else 'not usable'}, which it must not be")
+    if step.renews is not None and (after.challenge != before.challenge) != step.renews:
+        wrong = "is another one, and the session has not ended"
+        faults.append(f"the challenge {'is the same, and the session has ended' if step.renews else wrong}")
+    for name, number, now in (
+        ("session", step.session_writer, after.session_writer),
+        ("refused", step.refused_writer, after.refused_writer),
+    ):
+        if number is not None and now != number:
+            faults.append(f"the {name} writer is {now} instead of {number}")
     return "; ".join(faults)

@@ -4,6 +4,10 @@ A step says what is written (a whole block or a part of one), how long to wait b
 and what must follow: blocks accepted and refused since the step before, the reason, whether the prediction is usable.
 The steps are one story, to be put through in their order. A PLC that looks at its memory, and does not see the writes
 themselves, can pass them all: no step writes what stands in the memory already.
+
+What a block has to carry of the PLC's session is not known beforehand: a step with a `challenge` is sent with the PLC's
+own of that moment, XOR this mask, in the field `challenge`, then with the checksum that fits, then with the bits of
+`turned` = (word, mask) turned. A step with `again` sends what the step of that name has sent, word by word.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,13 +15,16 @@ from dataclasses import asdict, dataclass
 from random import Random
 from typing import Any
 
-from gateway.machine.writing import Validity, build, crc
+from gateway.machine.writing import SessionWords, Validity, build
 from gateway.settings import WritebackLayout
 
-FORMAT = 1
+FORMAT = 2
 FLIPS = 24
 _USABLE = Validity(31)
 _VERSION, _CHECKSUM, _STILL = ("layout version",), ("CRC",), ("heartbeat did not change",)
+_CHALLENGE, _WRITER, _SEQUENCE = ("another challenge",), ("another writer",), ("sequence not 1 to 100 ahead",)
+WRITER, SECOND = 4711, 815
+"""The numbers of the suite's two writers."""
 _CALM: Mapping[str, float | None] = {
     "input_quality": 0.0,
     "age": 0.3,
@@ -42,6 +49,8 @@ class SuiteStep:
     """One step. `words` empty: nothing is written; `permit` None: as it was.
 
     `reasons` are the refusals that are right, by the contract's words; `usable` is what the PLC must say at the end.
+    `renews`: the challenge must be another one afterwards, or must not (None: either); `session_writer` and
+    `refused_writer` are the numbers that the PLC must give (None: any). `challenge`, `turned` and `again` as above.
     """
 
     name: str
@@ -53,6 +62,12 @@ class SuiteStep:
     refused: int = 0
     reasons: tuple[str, ...] = ()
     usable: bool = False
+    challenge: int | None = None
+    turned: tuple[int, int] | None = None
+    again: str = ""
+    renews: bool | None = None
+    session_writer: int | None = None
+    refused_writer: int | None = None
 
 
 class _Story:
@@ -66,28 +81,25 @@ class _Story:
         self.random = Random(seed)  # noqa: S311
 
     def block(
-        self, validity: Validity = _USABLE, values: Mapping[str, float | None] = _CALM, *, beat: bool = True
+        self,
+        validity: Validity = _USABLE,
+        values: Mapping[str, float | None] = _CALM,
+        *,
+        beat: bool = True,
+        writer: int = WRITER,
+        ahead: int = 1,
     ) -> tuple[int, ...]:
-        """The next whole block; with `beat` False its heartbeat is the last one's."""
-        self.sequence = (self.sequence + 1) & 0xFFFF
+        """The block whose sequence is `ahead` of the last one's; with `beat` False its heartbeat is the last one's."""
+        self.sequence = (self.sequence + ahead) & 0xFFFF
         self.heartbeat = self.heartbeat % 0xFFFF + 1 if beat else self.heartbeat
-        return build(self.layout, values, validity, self.sequence, self.heartbeat).words
+        session = SessionWords(challenge=0, writer=writer, sequence=self.sequence, heartbeat=self.heartbeat)
+        return build(self.layout, values, validity, session).words
 
-    def bent(self, name: str, value: int, *, sealed: bool = False) -> tuple[int, ...]:
-        """The next block with another word in one field; `sealed`: with the checksum that fits it."""
-        words = list(self.block())
-        words[self.index[name]] = value & 0xFFFF
-        if sealed:
-            words[self.index["crc"]] = crc(words[: self.index["crc"]])
-        return tuple(words)
-
-    def flipped(self) -> tuple[tuple[int, ...], str]:
-        """The next block with one bit turned, and the reason by which it is refused."""
-        words = list(self.block())
-        place = self.random.randrange(len(words))
-        words[place] ^= 1 << self.random.randrange(16)
+    def flip(self) -> tuple[tuple[int, int], str]:
+        """One bit of a block, and the reason by which a block with it turned is refused."""
+        place = self.random.randrange(len(self.layout.fields))
         name = self.layout.fields[place].name
-        return tuple(words), {
+        return (place, 1 << self.random.randrange(16)), {
             "layout_version": "layout version",
             "sequence": "sequence and its copy differ",
             "sequence_copy": "sequence and its copy differ",
@@ -103,39 +115,103 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
     story, timeout = _Story(layout, seed), layout.timeout
     steps: list[SuiteStep] = []
 
-    def accepted(name: str, words: tuple[int, ...], *, usable: bool = True) -> None:
-        steps.append(SuiteStep(name, words, accepted=1, usable=usable))
+    def accepted(name: str, words: tuple[int, ...], *, usable: bool = True, **more: Any) -> None:
+        steps.append(SuiteStep(name, words, accepted=1, usable=usable, challenge=0, **more))
 
-    def refused(name: str, words: tuple[int, ...], reasons: tuple[str, ...]) -> None:
-        steps.append(SuiteStep(f"{name} is refused", words, refused=1, reasons=reasons, usable=True))
+    def refused(name: str, words: tuple[int, ...], reasons: tuple[str, ...], **more: Any) -> None:
+        given = {"challenge": 0, "renews": False, **more}
+        steps.append(SuiteStep(f"{name} is refused", words, refused=1, reasons=reasons, usable=True, **given))
         accepted("a whole block is accepted", story.block())
 
+    def replayed(name: str, again: str, reasons: tuple[str, ...], *, usable: bool = False) -> None:
+        steps.append(SuiteStep(name, again=again, refused=1, reasons=reasons, usable=usable, renews=False))
+
     steps.append(SuiteStep("once the timer has run out nothing is usable", wait_s=1.3 * timeout, permit=True))
-    accepted("a whole new block is accepted", story.block())
+    accepted("a whole new block is accepted", story.block(), session_writer=WRITER)
     # Each of the contract's refusals, one by one.
     torn = ("sequence and its copy differ",)
-    version = (layout.version + 1) & 0xFFFF
-    refused("another layout version", story.bent("layout_version", version, sealed=True), _VERSION)
-    refused("a torn block", story.bent("sequence_copy", 7), torn)
-    refused("a changed number", story.bent("validity", 29), _CHECKSUM)
-    refused("a wrong checksum", story.bent("crc", 4711), _CHECKSUM)
+    version = list(story.block())
+    version[story.index["layout_version"]] += 1
+    refused("another layout version", tuple(version), _VERSION)
+    refused("a torn block", story.block(), torn, turned=(story.index["sequence_copy"], 7))
+    refused("a changed number", story.block(), _CHECKSUM, turned=(story.index["validity"], 2))
+    refused("a wrong checksum", story.block(), _CHECKSUM, turned=(story.index["crc"], 4711))
     refused("the heartbeat of the last block", story.block(beat=False), _STILL)
     part = story.index["crc"] // 2  # in the middle of the block, where none begins
     reasons = ("length or start", *_CHECKSUM, *torn)
     steps.append(SuiteStep("a part of a block is refused", (0x5AA5,), part, refused=1, reasons=reasons, usable=True))
     accepted("a whole block is accepted", story.block())
+    # The session: its challenge, its writer, its sequence.
+    refused("another challenge", story.block(), _CHALLENGE, challenge=0x5A5A)
+    refused("another writer", story.block(writer=SECOND), _WRITER, session_writer=WRITER, refused_writer=SECOND)
+    refused("writer 0", story.block(writer=0), _WRITER, session_writer=WRITER, refused_writer=0)
+    accepted("a block 100 ahead is accepted", story.block(ahead=100))
+    begun = story.sequence
+    for name, ahead in (("a block 101 ahead", 101), ("an older sequence", -2), ("the same sequence", 0)):
+        story.sequence = begun
+        steps.append(
+            SuiteStep(
+                f"{name} is refused",
+                story.block(ahead=ahead),
+                refused=1,
+                reasons=_SEQUENCE,
+                usable=True,
+                challenge=0,
+                renews=False,
+            )
+        )
+    story.sequence = begun
+    accepted("the first block of a recording", story.block())
+    accepted("the second block of a recording", story.block())
+    replayed("a recorded block of this session is refused", "the first block of a recording", _SEQUENCE, usable=True)
     # What makes a block that was accepted unusable: its own validity, and the plant's permit.
-    for bits in (0, 0b11110, 0b0010):
+    for bits in (0b11110, 0b0010):
         name = f"validity {bits:05b} is accepted and nothing of it is usable"
-        accepted(name, story.block(Validity(bits)), usable=False)
-    accepted("a valid block is usable again", story.block())
-    steps.append(SuiteStep("without the permit nothing is usable", permit=False))
-    steps.append(SuiteStep("a block without the permit is not usable", story.block(), permit=False, accepted=1))
-    steps.append(SuiteStep("with the permit it is", permit=True, usable=True))
+        accepted(name, story.block(Validity(bits)), usable=False, renews=False)
+    accepted("validity 00000 ends the session", story.block(Validity.NONE), usable=False, renews=True, session_writer=0)
+    replayed("a recorded block does not begin a session", "the second block of a recording", _CHALLENGE)
+    steps.append(
+        SuiteStep(
+            "writer 0 begins no session",
+            story.block(writer=0),
+            refused=1,
+            reasons=_WRITER,
+            challenge=0,
+            renews=False,
+            session_writer=0,
+        )
+    )
+    accepted("another writer may begin the next session", story.block(writer=SECOND), session_writer=SECOND)
+    accepted("and end it", story.block(Validity.NONE, writer=SECOND), usable=False, renews=True, session_writer=0)
+    accepted("a valid block is usable again", story.block(), session_writer=WRITER)
+    steps.append(SuiteStep("without the permit nothing is usable", permit=False, renews=True, session_writer=0))
+    unpermitted = story.block()
+    steps.append(
+        SuiteStep(
+            "a block without the permit is refused",
+            unpermitted,
+            permit=False,
+            refused=1,
+            reasons=("no permit",),
+            challenge=0,
+        )
+    )
+    accepted("with the permit a new block is usable", story.block(), permit=True)
+    steps.append(
+        SuiteStep(
+            "a recorded block after the permit came back is refused",
+            again="a valid block is usable again",
+            refused=1,
+            reasons=(*_CHALLENGE, *_SEQUENCE),
+            usable=True,
+            renews=False,
+        )
+    )
     # The timer: only a whole block restarts it.
     accepted("the timer is restarted by a block", story.block())
     steps.append(SuiteStep("the timer still runs after half its time", wait_s=0.5 * timeout, usable=True))
-    steps.append(SuiteStep("the timer has run out after 130 % of its time", wait_s=0.8 * timeout))
+    steps.append(SuiteStep("the timer has run out after 130 % of its time", wait_s=0.8 * timeout, renews=True))
+    replayed("a recorded block after the timer is refused", "with the permit a new block is usable", _CHALLENGE)
     accepted("a block brings it back", story.block())
     still = SuiteStep(
         "a heartbeat that stands still is refused",
@@ -144,29 +220,44 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
         refused=1,
         reasons=_STILL,
         usable=True,
+        challenge=0,
     )
     steps.append(still)
-    steps.append(SuiteStep("a refused block does not restart the timer", wait_s=0.8 * timeout))
+    steps.append(SuiteStep("a refused block does not restart the timer", wait_s=0.8 * timeout, renews=True))
     accepted("the next whole block does", story.block())
     # The ends of what the words can hold, and what a restart of the gateway looks like.
-    accepted("numbers that are not known are no fault", story.block(Validity.NONE, {}), usable=False)
+    accepted("numbers that are not known are no fault", story.block(Validity.INPUTS, {}), usable=False)
     numbers = [name for name in _CALM if name not in ("alarms", "model_hash")]
     accepted("the least numbers are accepted", story.block(values=dict.fromkeys(numbers, -1e9)))
     accepted("the greatest numbers are accepted", story.block(values=dict.fromkeys(numbers, 1e9)))
+    accepted("a gateway that stops takes back", story.block(Validity.NONE), usable=False, renews=True)
     # Over the end of both words: the sequence goes on at 0, the heartbeat, which is never 0, at 1.
     story.sequence = story.heartbeat = 0xFFFE
     for name in ("sequence 65535", "sequence 0 after 65535", "sequence 1"):
         accepted(f"{name} is accepted", story.block())
     story.sequence, story.heartbeat = 0, 30_000
-    accepted("a gateway that begins anew is accepted", story.block())
+    restarted = story.block(writer=SECOND)
+    refused("a gateway that begins anew within the session", restarted, _WRITER, refused_writer=SECOND)
+    accepted("the session is ended", story.block(Validity.NONE), usable=False, renews=True)
+    story.sequence = 0
+    accepted("a gateway that begins anew is accepted", story.block(writer=WRITER), session_writer=WRITER)
     # Turned bits at random: what no list of faults thinks of.
     for number in range(1, flips + 1):
         accepted("a whole block is accepted", story.block())
-        words, reason = story.flipped()
-        name = f"one turned bit is refused ({number})"
-        steps.append(SuiteStep(name, words, refused=1, reasons=(reason,), usable=True))
+        turned, reason = story.flip()
+        steps.append(
+            SuiteStep(
+                f"one turned bit is refused ({number})",
+                story.block(),
+                refused=1,
+                reasons=(reason,),
+                usable=True,
+                challenge=0,
+                turned=turned,
+            )
+        )
     accepted("the last whole block is accepted", story.block())
-    accepted("a withdrawal is accepted", story.block(Validity.NONE, {}), usable=False)
+    accepted("a withdrawal is accepted", story.block(Validity.NONE, {}), usable=False, renews=True)
     return tuple(steps)
 
 
@@ -188,6 +279,13 @@ def parse(suite: Mapping[str, Any]) -> tuple[SuiteStep, ...]:
     if suite.get("format") != FORMAT:
         raise ValueError(f"the suite has format {suite.get('format')!r}, this program reads {FORMAT}")
     return tuple(
-        SuiteStep(**{**step, "words": tuple(step["words"]), "reasons": tuple(step["reasons"])})
+        SuiteStep(
+            **{
+                **step,
+                "words": tuple(step["words"]),
+                "reasons": tuple(step["reasons"]),
+                "turned": None if step["turned"] is None else tuple(step["turned"]),
+            }
+        )
         for step in suite["steps"]
     )

@@ -145,7 +145,11 @@ class Predictor:
             quality = Quality.CONFIGURATION_ERROR if sample is None else sample.quality
             worst = max(worst, 0 if quality.is_good else 2 if quality.is_bad else 1)
             readable = sample is not None and sample.value is not None
-            age = max(age, scan.time - sample.time) if sample is not None and readable else float("inf")
+            # From when it was asked for: the device looked at its memory somewhere between that and its reply.
+            if sample is None or not readable:
+                age = float("inf")
+            else:
+                age = max(age, scan.time - (sample.time if sample.sent is None else sample.sent))
         known = None not in self.encoder.state.announced
         score = anomaly(self.belief) + 0.0  # -log10 of a p-value of 1 is -0.0, which nobody should read
         zone: Zone

@@ -1,6 +1,7 @@
-"""Whether good readings arrive at all, and the outages so far."""
+"""Whether good readings arrive at all, why they do not, and the outages so far."""
 
-from collections import deque
+import re
+from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from structlog.typing import FilteringBoundLogger
@@ -28,11 +29,29 @@ class Outage:
         }
 
 
+_MEASURED = re.compile(r"\d+\.\d+")
+
+
+def reason_of(scan: Scan) -> str:
+    """What most of the tags without a good reading say; of several the first in the map's order."""
+    reasons = Counter(sample.reason for sample in scan.samples.values() if sample.reason)
+    return reasons.most_common(1)[0][0] if reasons else ""
+
+
+def _kind(reason: str) -> str:
+    """The reason without what is measured anew in each scan: seconds waited, seconds left."""
+    return _MEASURED.sub("#", reason)
+
+
 @dataclass(slots=True)
 class LinkHealth:
-    """Whether good readings arrive, since the start and by the outages so far (the newest are kept)."""
+    """Whether good readings arrive, since the start and by the outages so far (the newest are kept).
+
+    `reason` is why none does: what most of the tags say, with address and exception; "" while readings arrive.
+    """
 
     log: FilteringBoundLogger
+    reason: str = ""
     alive: bool = False
     last_good: float | None = None
     outages: deque[Outage] = field(default_factory=lambda: deque(maxlen=OUTAGES))
@@ -45,9 +64,12 @@ class LinkHealth:
             if self.outages and self.outages[-1].recovered is None:
                 self.outages[-1].recovered = scan.time
             self.log.info("good readings arrive", time=scan.time, outages=self.count)
-        elif self.alive and not good and self.last_good is not None:
+        before, self.reason = self.reason, "" if good else reason_of(scan)
+        if self.alive and not good and self.last_good is not None:
             self.outages.append(Outage(self.last_good, scan.time))
             self.count += 1
-            reason = next((sample.reason for sample in scan.samples.values() if sample.reason), "")
-            self.log.warning("no good reading any more", time=scan.time, reason=reason)
+            self.log.warning("no good reading any more", time=scan.time, reason=self.reason)
+        elif not good and _kind(self.reason) != _kind(before):
+            # A device that connects and gives nothing has no outage to begin with: it is said at once, and by change.
+            self.log.warning("no good reading", time=scan.time, reason=self.reason)
         self.alive, self.last_good = good, scan.time if good else self.last_good

@@ -10,8 +10,9 @@ from gateway.machine.writing.arming import (
     signed,
     uptime,
 )
-from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, Validity, build, crc, next_heartbeat
+from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, SessionWords, Validity, build, crc, next_heartbeat
 from gateway.machine.writing.block_stage import BlockStage
+from gateway.machine.writing.witnessing import clear_for_arming, countersign, places_of
 from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
 
 __all__ = [
@@ -24,14 +25,18 @@ __all__ = [
     "ArmingError",
     "BlockStage",
     "NextStart",
+    "SessionWords",
     "Validity",
     "arm_in_log",
     "arming_of",
     "build",
+    "clear_for_arming",
+    "countersign",
     "crc",
     "disarm_in_log",
     "next_heartbeat",
     "next_start",
+    "places_of",
     "signed",
     "uptime",
 ]

@@ -5,8 +5,10 @@ file, whose word is given when it is saved. `next_start` says what a start makes
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from random import Random
 from typing import Any
 
 from structlog.typing import FilteringBoundLogger
@@ -181,15 +183,18 @@ def open_writer(
     historian: Historian,
     audit: Audit,
     log: FilteringBoundLogger,
+    rng: Random,
+    obstacle: Callable[[], str] = lambda: "",
 ) -> Writer:
     """The writer of the block `layout`, in the configured mode, which is not off.
 
     It is armed by the configuration, or by `decanter plc arm` before the gateway began; only while that lasts, and only
-    once the audit log has it. Raises ConfigError for a driver that cannot write.
+    once the audit log has it. `obstacle` says why nothing may be armed at all, `rng` draws the number of this start.
+    Raises ConfigError for a driver that cannot write.
     """
     section, now = config.writeback, clock.now()
-    pace = Pace(config.blocks_per_second)
-    writer = Writer(layout, clock, "shadow", pace=pace, audit=audit, max_age=config.block_max_age)
+    pace, number = Pace(config.blocks_per_second), rng.randint(1, 0xFFFF)
+    writer = Writer(layout, clock, "shadow", number, pace=pace, audit=audit, max_age=config.block_max_age)
     if not isinstance(driver, Writes):
         if section.mode == "armed":
             reason = f"{config.map.driver!r} cannot write; set writeback.mode to 'shadow'"
@@ -204,6 +209,9 @@ def open_writer(
         if section.mode == "armed" or start.ended is not None:
             log.warning("not armed", reason=start.sentence)
             historian.put("audit", [(now, "arming is over, shadow", start.by, start.sentence)])
+        return writer
+    if reason := obstacle():
+        log.error("not armed", reason=reason)
         return writer
     # First on record, then armed: what cannot be accounted for is not written.
     historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])

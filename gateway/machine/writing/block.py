@@ -15,7 +15,10 @@ NO_TEMPERATURE = 0x8000
 NO_NUMBER = 0xFFFF
 """The uint16 word of a number or location that is not known (65535): no real number saturates to it."""
 
-_VERBATIM = frozenset({"layout_version", "sequence", "heartbeat", "validity", "alarms", "model_hash", "sequence_copy"})
+_VERBATIM = frozenset(
+    {"layout_version", "sequence", "heartbeat", "validity", "alarms", "model_hash", "challenge", "writer"}
+    | {"sequence_copy"}
+)
 _MINUTES = frozenset({"minutes_low", "minutes_median", "minutes_high"})
 
 
@@ -57,20 +60,36 @@ class WritebackBlock:
     words: tuple[int, ...]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionWords:
+    """The words by which the PLC tells a new block from a recorded one, and this writer from another.
+
+    `challenge` is the PLC's, 1..65535 (0: none was read), `writer` the number of this start, 1..65535; `sequence`
+    counts 0..65535, `heartbeat` 1..65535.
+    """
+
+    challenge: int
+    writer: int
+    sequence: int
+    heartbeat: int
+
+
 def build(
-    layout: WritebackLayout, values: Mapping[str, float | None], validity: Validity, sequence: int, heartbeat: int
+    layout: WritebackLayout, values: Mapping[str, float | None], validity: Validity, session: SessionWords
 ) -> WritebackBlock:
     """The block that says `values` (field name -> engineering units; absent, None or not finite: not known).
 
     A number beyond its word saturates at the word's ends, short of the word that means "not known". Minutes that are
-    infinite, and those not known, are the layout's `unknown`. `sequence` counts 0..65535, `heartbeat` 1..65535.
+    infinite, and those not known, are the layout's `unknown`.
     """
     contents: dict[str, float | None] = {
         **values,
         "layout_version": layout.version,
-        "sequence": sequence,
-        "sequence_copy": sequence,
-        "heartbeat": heartbeat,
+        "sequence": session.sequence,
+        "sequence_copy": session.sequence,
+        "heartbeat": session.heartbeat,
+        "challenge": session.challenge,
+        "writer": session.writer,
         "validity": int(validity),
     }
     words: list[int] = []
@@ -87,7 +106,7 @@ def build(
             low, high = (-0x7FFF, 0x7FFF) if field.signed else (0, 0xFFFE)
             # Limited before it is rounded: the ends are whole, so that no rounding leads beyond them.
             words.append(round(min(max(value / field.scale, low), high)) & 0xFFFF)
-    return WritebackBlock(sequence, validity, tuple(words))
+    return WritebackBlock(session.sequence, validity, tuple(words))
 
 
 def crc(words: list[int]) -> int:

@@ -1,7 +1,9 @@
 """The block of a scan: what goes into its fields, whether the PLC may use them, and what became of it."""
 
+import asyncio
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from random import Random
 from struct import pack
 
 from structlog.typing import FilteringBoundLogger
@@ -9,11 +11,12 @@ from structlog.typing import FilteringBoundLogger
 from drivers.driver import Driver
 from gateway.machine.model import ZONES, ScanPrediction, block_values
 from gateway.machine.reading import Clock, Scan
-from gateway.machine.writing.arming import ArmingError, arm, open_writer
+from gateway.machine.writing.arming import ArmingError, arm, open_writer, signed
 from gateway.machine.writing.block import Validity, validity
+from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
 from gateway.machine.writing.writeback import Arming, Attempt
 from gateway.settings import Config, WritebackLayout
-from gateway.store import Historian, open_audit
+from gateway.store import Historian, open_or_set_aside
 from sim.forecast import Forecast
 
 LATENCIES = 10_000
@@ -35,19 +38,34 @@ class BlockStage:
         driver: Driver,
         historian: Historian,
         log: FilteringBoundLogger,
+        rng: Random,
     ) -> None:
         self.config = config
         self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
-        tag = config.map.by_name.get("LastRefusal")
-        self._refusals: Mapping[int, str] = tag.labels if tag else {}
+        self._refusals: Mapping[int, str] = {code: reason for reason, code in config.map.refusals.items()}
+        self._refused = ""
         self.attempt: Attempt | None = None
         self.latencies: deque[float] = deque(maxlen=LATENCIES)
-        self.audit = open_audit(config.audit)
+        self.audit, damaged = open_or_set_aside(config.audit)
+        if damaged:
+            log.error("the audit log was damaged", reason=damaged)
+        self.witnessing = HeadWitnessing(config, historian, log)
+        self._signed = clock.now()
+        self._signing: asyncio.Task[None] | None = None
         opened = False
         try:
             self.writer = open_writer(
-                config, layout, clock=clock, driver=driver, historian=historian, audit=self.audit, log=log
+                config,
+                layout,
+                clock=clock,
+                driver=driver,
+                historian=historian,
+                audit=self.audit,
+                log=log,
+                rng=rng,
+                obstacle=lambda: obstacle(self.witnessing.places)[0],
             )
+            self.witnessing.sign(self._signed)
             opened = True
         finally:
             if not opened:
@@ -55,7 +73,11 @@ class BlockStage:
 
     def take_counts(self, scan: Scan) -> None:
         """Take over what the PLC says of the blocks before this one."""
-        self.writer.take_counts(scan, self._refusals)
+        refused = self.writer.take_counts(scan, self._refusals)
+        # The same refusal of every block is one line; every one is counted, and on record.
+        if refused and refused != self._refused and self.writer.armed:
+            self._log.warning("the PLC refuses blocks", reason=refused, writer=self.writer.number)
+        self._refused = refused or self._refused
 
     async def take(
         self,
@@ -72,6 +94,10 @@ class BlockStage:
         `unverified` says why the model must not write ("" if it may): one that does not verify is never armed.
         """
         self.take_counts(scan)
+        if scan.time - self._signed >= SIGN_SECONDS:
+            self._signed = scan.time
+            # In a thread: no scan waits for the disk.
+            self._signing = asyncio.create_task(asyncio.to_thread(self.witnessing.sign, scan.time))
         # Taking back comes first: no block of an arming that is over may follow it.
         if over := self._disarming(scan.time, unverified):
             await self.disarm("", over, scan, alarms)
@@ -129,13 +155,29 @@ class BlockStage:
         by = self.writer.arming.by if self.writer.arming else ""
         self._historian.put("audit", [(self._clock.now(), f"validity 0: {verdict}", by, why)])
 
-    async def arm(self, by: str, reason: str, minutes: float, *, unverified: str = "") -> Arming:
-        """Let blocks be written from the next scan on. Raises ArmingError."""
+    async def arm(
+        self, by: str, reason: str, minutes: float, *, unverified: str = "", acknowledged: Sequence[str] = ()
+    ) -> Arming:
+        """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError."""
         if unverified:
             raise ArmingError(f"the model that runs does not verify: {unverified}")
+        signed(by, reason, minutes, self._clock.now())  # what is not even signed leaves no row
+        witnessing, generation = self.witnessing, self.writer.generation
+        await asyncio.to_thread(
+            clear_for_arming,
+            witnessing.places,
+            self.audit.record,
+            by=by,
+            now=self._clock.now(),
+            acknowledged=acknowledged,
+            sinks=witnessing.sinks,
+        )
+        if self.writer.generation != generation:
+            raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
         arming = await arm(self.writer, self._driver, by=by, reason=reason, minutes=minutes)
         self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
+        await asyncio.to_thread(witnessing.sign, self._clock.now())
         return arming
 
     async def disarm(self, by: str, reason: str, scan: Scan | None, alarms: int) -> bool:
@@ -156,6 +198,13 @@ class BlockStage:
             self._historian.put("audit", [(now, "disarmed", by, reason)])
         self._log.warning("disarmed", by=who, reason=reason)
         return True
+
+    def close(self) -> bool:
+        """Store what waits, sign the last head and close the audit log; False if entries had to be given up."""
+        complete = self.audit.close()
+        if complete:
+            self.witnessing.sign(self._clock.now())
+        return complete
 
     def _record(self, attempt: Attempt) -> None:
         before, self.attempt = self.attempt, attempt

@@ -18,7 +18,7 @@ from typing import Any, Literal
 from drivers.driver import Writes
 from drivers.errors import DriverError, WriteForbidden
 from gateway.machine.reading import Clock, Scan
-from gateway.machine.writing.block import Validity, WritebackBlock, build, next_heartbeat
+from gateway.machine.writing.block import SessionWords, Validity, WritebackBlock, build, next_heartbeat
 from gateway.settings import WritebackLayout
 from gateway.store import DISARMED, EXPIRED, Audit, AuditEntry
 
@@ -28,6 +28,8 @@ Verdict = Literal["shadow", "written", "failed", "not permitted", "held back"]
 WRITE, FAILED, REFUSED, REFUSED_BY_PLC = "write", "write failed", "write refused", "refused by the PLC"
 """Kinds of the audit log's rows."""
 
+ANOTHER_CHALLENGE, ANOTHER_WRITER = "another challenge", "another writer"
+"""The contract's reasons by which a PLC refuses a block of no session, or of another writer than the session's."""
 SENDING_SECONDS = 0.25
 """The longest (real time) from counting a block's age until it is sent, the wait for its audit row included."""
 DISARMED_SECONDS = 2.0
@@ -60,7 +62,8 @@ class Counters:
     """Blocks by what became of them here, and by what the PLC says of them since the gateway's start.
 
     `accepted` and `refused` sum the changes of the PLC's wrapping 16-bit counters; one that falls without having been
-    near its end was set to zero by a restart of the PLC.
+    near its end was set to zero by a restart of the PLC. `other_writer` is the number of the newest other writer that
+    this PLC has named. `sessions_ended`: blocks refused because their session had ended on the way, which is normal.
     """
 
     written: int = 0
@@ -71,6 +74,8 @@ class Counters:
     accepted: int = 0
     refused: int = 0
     last_refusal: str = ""
+    other_writer: int | None = None
+    sessions_ended: int = 0
     plc_accepted: int | None = None
     plc_refused: int | None = None
 
@@ -109,14 +114,17 @@ class Pace:
 class Writer:
     """The one place from which the gateway writes. `driver` is None where nothing can be written (off, shadow).
 
-    The sequence moves on with every block, so that a block that failed is never sent again. `pace` bounds the blocks a
-    second, `audit` takes an account of every one. `max_age` (real s) is how old the readings of a block may be, and its
-    permit, when it is sent. `generation` counts the disarmings, `ending` those that are under way.
+    The sequence moves on with every block, so that a block that failed is never sent again. `number` (1..65535, drawn
+    anew at each start) tells this writer from another; `challenge` is the PLC's that the newest block on the wire
+    carried, 0 before the first. `pace` bounds the blocks a second, `audit` takes an account of every one. `max_age`
+    (real s) is how old the readings of a block may be, and its permit, when it is sent. `generation` counts the
+    disarmings, `ending` those that are under way.
     """
 
     layout: WritebackLayout
     clock: Clock
     mode: Mode
+    number: int
     driver: Writes | None = None
     arming: Arming | None = None
     sequence: int = 0
@@ -125,6 +133,7 @@ class Writer:
     pace: Pace | None = None
     audit: Audit | None = None
     max_age: float = 1.0
+    challenge: int = field(default=0, init=False)
     generation: int = field(default=0, init=False)
     ending: int = field(default=0, init=False)
     _sending: asyncio.Lock = field(default_factory=asyncio.Lock, init=False)
@@ -196,27 +205,46 @@ class Writer:
                 return None
             return await self._attempt(_taking_back(alarms), Validity.NONE, scan, self.arming, last=True)
 
-    def take_counts(self, scan: Scan, refusals: Mapping[int, str]) -> None:
-        """Take over what the PLC says of the blocks, as far as this scan read it well."""
+    def take_counts(self, scan: Scan, refusals: Mapping[int, str]) -> str:
+        """Take over what the PLC says of the blocks, as far as this scan read it well.
+
+        Gives the sentence of a refusal that a person has to know of, "" where there is none.
+        """
         taken, rejected, c = scan.good("BlocksAccepted"), scan.good("BlocksRefused"), self.counters
         # Both or neither: the two are an account of the same blocks.
         if taken is None or rejected is None:
-            return
+            return ""
         accepted, refused = int(taken), int(rejected)
         more = _increase(c.plc_refused, refused)
         # LastRefusal stands until the next one; it says something new only if the count has moved since.
         code = scan.good("LastRefusal")
         why = refusals.get(int(code), f"code {code:g}") if more and code is not None else c.last_refusal
-        if more and self.armed:
-            self._note(AuditEntry(scan.time, REFUSED_BY_PLC, "PLC", why, {"blocks": more, "sequence": self.sequence}))
+        # A session may end (timer, permit, restart) between the scan that read its challenge and the block that
+        # follows: that block is refused once, and the next scan's challenge opens another session. This is no attack.
+        challenge = _word(scan, "Challenge")
+        ended = bool(more) and why == ANOTHER_CHALLENGE and self.challenge not in (0, challenge)
+        other, sentence = c.other_writer, why if more and not ended else ""
+        if more and why == ANOTHER_WRITER:
+            session, refused_writer = _word(scan, "SessionWriter"), _word(scan, "RefusedWriter")
+            # Of the two the PLC names, the other is the one that is not this gateway's.
+            theirs = refused_writer if session == self.number else session
+            other = theirs or other
+            role = "was refused" if session == self.number else "has the session"
+            sentence = f"{why}: number {theirs or 'unknown'} {role} at the PLC, this gateway is number {self.number}"
+        if sentence and self.armed:
+            detail = {"blocks": more, "sequence": self.sequence}
+            self._note(AuditEntry(scan.time, REFUSED_BY_PLC, "PLC", sentence, detail))
         self.counters = replace(
             c,
             accepted=c.accepted + _increase(c.plc_accepted, accepted),
             refused=c.refused + more,
             last_refusal=why,
+            other_writer=other,
+            sessions_ended=c.sessions_ended + ended,
             plc_accepted=accepted,
             plc_refused=refused,
         )
+        return sentence
 
     async def _attempt(
         self,
@@ -240,7 +268,11 @@ class Writer:
         if (age := values.get("age")) is not None:
             values = {**values, "age": age + max(0.0, built - scan.time)}
         marked = validity if armed else validity | Validity.SHADOW
-        block = build(self.layout, values, marked, self.sequence, self.heartbeat)
+        challenge = _word(scan, "Challenge")
+        session = SessionWords(
+            challenge=challenge, writer=self.number, sequence=self.sequence, heartbeat=self.heartbeat
+        )
+        block = build(self.layout, values, marked, session)
 
         def objection() -> tuple[Verdict, str] | None:
             """Why the block must not be sent now, and what that counts as."""
@@ -294,6 +326,7 @@ class Writer:
         elif refused is not None:
             attempt = Attempt(scan.time, block, "armed", refused[0], reason=refused[1])
         else:
+            self.challenge = challenge
             try:
                 words = list(zip(self.layout.words, block.words, strict=True))
                 await driver.write(words, before_sending=before_sending)
@@ -314,9 +347,20 @@ class Writer:
 
     @staticmethod
     def _unpermitted(scan: Scan) -> tuple[Verdict, str] | None:
-        """Why the PLC's permit, as this scan read it, is none; one of doubtful quality is none."""
+        """Why the PLC would not use a block, as this scan read it: no permit, or no challenge to make the block with.
+
+        One of doubtful quality is none.
+        """
         if scan.good("WritePermit"):
-            return None
+            # By the challenge the PLC knows a block as made after its session began: without one it would refuse it.
+            if _word(scan, "Challenge"):
+                return None
+            sample = scan.samples.get("Challenge")
+            if sample is None:
+                return "not permitted", "the register map has no Challenge, which the PLC's side has to publish"
+            if sample.quality.is_good:
+                return "not permitted", "the PLC publishes no challenge yet (0)"
+            return "not permitted", f"Challenge is not known: {sample.reason}"
         permit = scan.samples.get("WritePermit")
         if permit is None:
             return "not permitted", "the register map has no WritePermit"
@@ -337,6 +381,12 @@ def _plain(block: WritebackBlock) -> dict[str, Any]:
     """The block as the audit log keeps it: its words high byte first, as they go on the wire."""
     words = pack(f">{len(block.words)}H", *block.words).hex()
     return {"sequence": block.sequence, "validity": int(block.validity), "words": words}
+
+
+def _word(scan: Scan, name: str) -> int:
+    """A number of the PLC's own area, as this scan read it well; 0 where it did not, which says "none" there."""
+    value = scan.good(name)
+    return int(value) if value is not None and 0 <= value <= 0xFFFF else 0
 
 
 def _increase(before: int | None, now: int) -> int:

@@ -36,13 +36,17 @@ def record_nothing(kind: str, moment: float, row: Mapping[str, object]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class PlcSettings:
-    """What is fixed when the process starts. `unknown_unit` True answers a strange unit with exception 11."""
+    """What is fixed when the process starts. `unknown_unit` True answers a strange unit with exception 11.
+
+    `challenge` (1..65535) is the first one of the write-back's sessions: one that no earlier run has used.
+    """
 
     permit: bool = True
     answer_unknown_unit: bool = False
     max_registers: int | None = None
     writable: Sequence[Place] = ()
     seed: int = 0
+    challenge: int = 1
 
 
 class Plc:
@@ -63,7 +67,7 @@ class Plc:
         self.registers, self.clock, self.replay, self.settings = registers, clock, replay, settings
         self.image = ProcessImage(registers, settings.writable, complain)
         self.schedule = FaultSchedule(settings.seed)
-        self.intake = Intake()
+        self.intake = Intake(challenge=settings.challenge, permitted=settings.permit)
         self.permit, self.acknowledged = settings.permit, 0
         self.forced: dict[str, Value | None] = {}
         self.heartbeat, self.running, self.usable = 0, True, False
@@ -114,6 +118,7 @@ class Plc:
         if self.running:
             # 1 to 65535 and round to 1: 0 says that the program does not run.
             self.heartbeat = self.heartbeat % 0xFFFF + 1
+            self._follow(now)
             self._learn(self._values(now), now)
             self.image.serve(lambda name: name in effect.frozen or ALL_TAGS in effect.frozen)
         return self.schedule.line(begun, now)
@@ -121,13 +126,19 @@ class Plc:
     def _switch(self, run: bool, now: float) -> None:
         """The program stops (memory to 0, nothing is true any more but the heartbeat's 0) or begins anew."""
         self.running = run
-        self.heartbeat, self.intake = 0, Intake()
+        # The counter of sessions survives, as retained memory does in a warm start.
+        self.heartbeat, self.intake = 0, writeback.ended(Intake(self.intake.challenge, self.permit))
         self.event("program runs" if run else "program stopped", now)
         dark: dict[str, Value | None] = dict.fromkeys(self.registers.tags)
         if self.registers.heartbeat is not None:
             dark[self.registers.heartbeat] = 0
         self._learn(self._at_rest if run else dark, now)
         self.image.clear()
+
+    def _follow(self, now: float) -> None:
+        """Let the session of the write-back end where its timer or the permit has ended it."""
+        if self.registers.block is not None:
+            self.intake = writeback.followed(self.registers.block, self.intake, now, permit=self.permit)
 
     def _learn(self, values: Mapping[str, Value | None], now: float) -> None:
         """The record comes first: what a client can see is in the recording already."""
@@ -216,6 +227,8 @@ class Plc:
             return
         if set(layout.place.addresses()).isdisjoint(range(address, address + len(values))):
             return
+        # A write comes between two cycles: what has ended since the last one has ended for it.
+        self._follow(now)
         before = self.intake.accepted
         reason = writeback.verdict(layout, self.intake, address, values)
         self.intake = writeback.taken(layout, self.intake, address, values, now)

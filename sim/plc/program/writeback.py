@@ -18,7 +18,22 @@ TORN = "sequence and its copy differ"
 CHECKSUM = "CRC"
 STILL = "heartbeat did not change"
 LENGTH = "length or start"
-REFUSALS = {ACCEPTED: 0, LAYOUT: 1, TORN: 2, CHECKSUM: 3, STILL: 4, LENGTH: 5}
+CHALLENGE = "another challenge"
+WRITER = "another writer"
+SEQUENCE = "sequence not 1 to 100 ahead"
+NO_PERMIT = "no permit"
+REFUSALS = {
+    ACCEPTED: 0,
+    LAYOUT: 1,
+    TORN: 2,
+    CHECKSUM: 3,
+    STILL: 4,
+    LENGTH: 5,
+    CHALLENGE: 6,
+    WRITER: 7,
+    SEQUENCE: 8,
+    NO_PERMIT: 9,
+}
 STATUS_TAGS = (
     "WritePermit",
     "AcknowledgeBits",
@@ -26,13 +41,34 @@ STATUS_TAGS = (
     "BlocksRefused",
     "LastRefusal",
     "PredictionUsable",
+    "Challenge",
+    "SessionWriter",
+    "RefusedWriter",
 )
 _ALL_USABLE = 1  # bit 0 of the validity word
+_MOST_AHEAD = 100  # so many blocks may be lost within a session
+
+
+@dataclass(frozen=True, slots=True)
+class WriterSession:
+    """Whose blocks count, and the sequence of the last one."""
+
+    writer: int
+    sequence: int
 
 
 @dataclass(frozen=True, slots=True)
 class Intake:
-    """What the PLC has made of the blocks so far; `accepted_at` is monotonic, `block` the last accepted one."""
+    """What the PLC has made of the blocks so far; `accepted_at` is monotonic, `block` the last accepted one.
+
+    `challenge` (1..65535) is another number after each session, which only the blocks made since then can carry;
+    `session` is None between two, `permitted` the permit as the program saw it last.
+    """
+
+    challenge: int = 1
+    permitted: bool = False
+    session: WriterSession | None = None
+    refused_writer: int = 0
 
     accepted: int = 0
     refused: int = 0
@@ -59,6 +95,23 @@ def decoded(layout: BlockLayout, words: Sequence[int]) -> dict[str, float]:
     }
 
 
+def ended(intake: Intake) -> Intake:
+    """The state after the end of a session: the next challenge, so that nothing made before counts any more."""
+    return replace(intake, session=None, challenge=intake.challenge % 0xFFFF + 1)
+
+
+def followed(layout: BlockLayout, intake: Intake, now: float, *, permit: bool) -> Intake:
+    """The state at the monotonic moment `now`: a session ends with its timer and with the permit."""
+    late = intake.session is not None and intake.accepted_at is not None and _late(layout, intake.accepted_at, now)
+    if late or permit != intake.permitted:
+        return ended(replace(intake, permitted=permit))
+    return intake
+
+
+def _late(layout: BlockLayout, accepted_at: float, now: float) -> bool:
+    return now - accepted_at > layout.timeout_s
+
+
 def verdict(layout: BlockLayout, intake: Intake, address: int, words: Sequence[int]) -> str:
     """What is wrong with a write into the block's area, or ACCEPTED."""
     # What is checked first is what the later checks rely on: the fields' places, then their meaning, then the values.
@@ -71,23 +124,36 @@ def verdict(layout: BlockLayout, intake: Intake, address: int, words: Sequence[i
         return TORN
     if raw["crc"] != crc16(words[: layout.index("crc")]):
         return CHECKSUM
-    if intake.accepted_at is not None and raw["heartbeat"] == intake.block["heartbeat"]:
+    if not intake.permitted:
+        return NO_PERMIT
+    if raw["challenge"] != intake.challenge:
+        return CHALLENGE
+    session = intake.session
+    if raw["writer"] == 0 or (session is not None and raw["writer"] != session.writer):
+        return WRITER
+    if session is not None and not 1 <= (raw["sequence"] - session.sequence) & 0xFFFF <= _MOST_AHEAD:
+        return SEQUENCE
+    if session is not None and raw["heartbeat"] == intake.block["heartbeat"]:
         return STILL
     return ACCEPTED
 
 
 def taken(layout: BlockLayout, intake: Intake, address: int, words: Sequence[int], now: float) -> Intake:
-    """The state after a write of `words` into the block's area at the monotonic moment `now`."""
+    """The state after a write of `words` into the block's area at the monotonic moment `now` (see `followed`)."""
     reason = verdict(layout, intake, address, words)
     if reason != ACCEPTED:
-        return replace(intake, refused=intake.refused + 1, last_refusal=reason)
+        other = words[layout.index("writer")] if reason == WRITER else intake.refused_writer
+        return replace(intake, refused=intake.refused + 1, last_refusal=reason, refused_writer=other)
     block = MappingProxyType(decoded(layout, words))
-    return replace(intake, accepted=intake.accepted + 1, accepted_at=now, block=block)
+    session = WriterSession(words[layout.index("writer")], words[layout.index("sequence")])
+    after = replace(intake, accepted=intake.accepted + 1, accepted_at=now, block=block, session=session)
+    # A block of validity 0 takes everything back: its session is over.
+    return after if words[layout.index("validity")] else ended(after)
 
 
 def usable(layout: BlockLayout, intake: Intake, now: float, permit: bool) -> bool:
-    """The PLC's verdict: writes permitted, the last accepted block says "all usable", and the timer still runs."""
-    if not permit or intake.accepted_at is None or now - intake.accepted_at > layout.timeout_s:
+    """The PLC's verdict: writes permitted, a session open, its newest block "all usable", and the timer still runs."""
+    if not permit or intake.session is None or intake.accepted_at is None or _late(layout, intake.accepted_at, now):
         return False
     return bool(int(intake.block["validity"]) & _ALL_USABLE)
 
@@ -102,6 +168,9 @@ def status(
         "BlocksAccepted": intake.accepted & 0xFFFF,
         "BlocksRefused": intake.refused & 0xFFFF,
         "LastRefusal": refusal_code(registers, intake.last_refusal),
+        "Challenge": intake.challenge,
+        "SessionWriter": 0 if intake.session is None else intake.session.writer,
+        "RefusedWriter": intake.refused_writer,
         "PredictionUsable": registers.block is not None and usable(registers.block, intake, now, permit),
     }
     return {name: value for name, value in values.items() if name in registers.tags}

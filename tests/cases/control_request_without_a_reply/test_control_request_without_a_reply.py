@@ -4,6 +4,7 @@ import asyncio
 import io
 import json
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
@@ -58,7 +59,7 @@ REQUESTS = [
 async def test_every_request_gets_one_reply_with_a_reason_and_the_next_is_served(tmp_path: Path) -> None:
     config, clock, said = config_in(tmp_path), JumpClock(), io.StringIO()
     with open_log(None, "debug", said) as log:
-        machine = Machine(config, driver=as_driver(Bench(config, clock)), clock=clock, log=log)
+        machine = Machine(config, driver=as_driver(Bench(config, clock)), clock=clock, log=log, rng=Random(0))
         control = Control(machine, tmp_path / "s", snapshot)
         await control.open()
         try:

@@ -1,0 +1,167 @@
+"""`decanter backup` and `decanter restore`: all that a gateway is, as one folder, and back from it."""
+
+import time
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import click
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from drivers.driver import capabilities
+from gateway.cli.plant_file import config_option
+from gateway.commission.session import login
+from gateway.commission.writeback.block_writer import gateway_runs
+from gateway.console import emit, json_option
+from gateway.entry import Exit, fail, sentences
+from gateway.settings import Config, load_config
+from gateway.store import (
+    DISARMED,
+    AuditEntry,
+    BackupError,
+    Manifest,
+    WitnessPlaces,
+    as_one_file,
+    discard,
+    heads_file,
+    load_key,
+    make_backup,
+    open_audit,
+    public_path,
+    put_in_place,
+    read_manifest,
+    sign_head,
+    stage,
+)
+
+
+@click.command(short_help="Copy all that a gateway is into a new folder, while it runs.")
+@click.argument("folder", type=click.Path(path_type=Path))
+@config_option
+@json_option
+def backup(path: Path, folder: Path, as_json: bool) -> None:
+    """Copy all that a gateway is into the new FOLDER, while it runs: plant file, device files, models, historian (with
+    guards and states), audit log with its key and signed heads.
+
+    The folder is there whole or not at all, with the SHA-256 of each file. It holds the key: keep it as such. The log,
+    certificates and other programs' files are not in it.
+    """
+    with sentences():
+        config = load_config(path)
+        manifest = make_backup(folder, sources_of(config), now=time.time(), program=version("decanter-gateway"))
+    size = sum(file.size for file in manifest.files)
+    data = {"folder": str(folder), "files": len(manifest.files), "bytes": size, "audit_head": manifest.audit_head}
+    head = f"; audit log whole, {manifest.audit_rows} rows, head {manifest.audit_head}" if manifest.audit_head else ""
+    sentence = f"{folder}: {len(manifest.files)} files, {size / 1e6:.1f} MB{head}"
+    emit({"ok": True, **data}, lambda: click.echo(sentence), as_json_line=as_json)
+
+
+def sources_of(config: Config) -> list[tuple[str, Path]]:
+    """Every file of a gateway with what it is to it, in the order in which they are copied."""
+    rows: list[tuple[str, Path]] = [("plant", config.path)]
+    for link in config.links:
+        rows.append(("device", link.map.path))
+        named = [link.settings.get(key) for key in capabilities(link.map.driver).files]
+        rows += [("device", Path(name)) for name in named if isinstance(name, str) and Path(name).is_file()]
+    for model in (config.model.path, *config.ensemble.members):
+        if model is not None:
+            rows += [("model", file) for file in _model_files(model)]
+    key = config.audit_key
+    rows += [(role, file) for role, file in (("key", key), ("public key", public_path(key))) if file.exists()]
+    # A witness before what it bears witness to: the audit log in the backup holds every head that is in the backup.
+    last = (("heads", config.audit_heads), ("historian", config.historian.path), ("audit", config.audit))
+    rows += [(role, file) for role, file in last if file.exists()]
+    unique = {file.absolute(): (role, file) for role, file in rows}
+    return list(unique.values())
+
+
+def _model_files(model: Path) -> Iterator[Path]:
+    """The files of a model or store; which version is current comes before the versions, none of which ever changes."""
+    if not model.is_dir():
+        yield model
+        return
+    files = [file for file in model.rglob("*") if file.is_file() and not file.name.startswith(".")]
+    yield from sorted(files, key=lambda file: (len(file.relative_to(model).parts), file))
+
+
+@click.command(short_help="Put a backup's files back in their places.")
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--into", type=click.Path(path_type=Path), default=Path("/"), help="Another root than / for all places.")
+@click.option("--overwrite", is_flag=True, help="Set aside what stands in the places, and put the backup's there.")
+@click.option("--by", default="", envvar="DECANTER_BY", help="Who restores, for the audit log.  [default: the login]")
+@json_option
+def restore(folder: Path, into: Path, overwrite: bool, by: str, as_json: bool) -> None:
+    """Put the files of the backup in FOLDER back where they were (below --into), after every one was looked at.
+
+    A backup that is damaged, partial or made by a newer program is refused, and so is one whose gateway runs. What is
+    restored is never armed: the audit log gets a row that disarms it, and mode 'armed' in the plant file becomes
+    'shadow'.
+    """
+    with sentences():
+        manifest = read_manifest(folder)
+        places = {Path(file.original): into / Path(file.original).relative_to("/") for file in manifest.files}
+        roles = {file.role: places[Path(file.original)] for file in manifest.files}
+        if "historian" in roles and gateway_runs(roles["historian"]):
+            raise BackupError(f"{roles['historian']}: a gateway runs on it; stop it first")
+        standing = [place for place in places.values() if place.exists()]
+        if standing and not overwrite:
+            more = f" and {len(standing) - 1} others are" if len(standing) > 1 else " is"
+            raise BackupError(f"{standing[0]}{more} there already; nothing is overwritten without --overwrite")
+        drafts = stage(folder, manifest, into)
+        placed = False
+        try:
+            said = _disarm(manifest, {role: drafts[place] for role, place in roles.items()}, by or login())
+            aside = put_in_place(drafts)
+            placed = True
+        finally:
+            if not placed:
+                discard(drafts)
+    data = {"folder": str(folder), "files": [str(place) for place in drafts], "aside": [str(p) for p in aside]}
+
+    def show() -> None:
+        click.echo(f"{len(drafts)} files are restored, as of {time.strftime('%F %T UTC', time.gmtime(manifest.made))}")
+        for place in aside:
+            click.echo(f"set aside: {place}")
+        click.echo(said)
+
+    emit({"ok": True, **data, "said": said}, show, as_json_line=as_json)
+    if roles.get("plant") is not None:
+        try:
+            load_config(roles["plant"])
+        except ValueError as error:
+            fail(f"the restored plant file names what is not there: {str(error).splitlines()[0]}", Exit.CHECK_FAILED)
+
+
+def _disarm(manifest: Manifest, drafts: dict[str, Path], by: str) -> str:
+    """Take every arming out of the drafts of a restored gateway; gives what it will do. Raises BackupError, OSError."""
+    mode = "off"
+    if (plant := drafts.get("plant")) is not None:
+        try:
+            text = tomlkit.parse(plant.read_text(encoding="utf-8"))
+        except (TOMLKitError, UnicodeDecodeError) as error:
+            raise BackupError(f"the backup's plant file cannot be read: {error}") from None
+        section = text.get("writeback", {})
+        mode = str(section.get("mode", "off"))
+        if mode == "armed":
+            section["mode"] = "shadow"
+            plant.write_text(tomlkit.dumps(text), encoding="utf-8")
+    if (log := drafts.get("audit")) is not None:
+        audit = open_audit(log)
+        try:
+            reason = f"restored from a backup of {time.strftime('%F %T UTC', time.gmtime(manifest.made))}"
+            if not audit.record(AuditEntry(time.time(), DISARMED, by, reason)):
+                raise BackupError(f"the restored audit log does not take a row: {audit.failure}")
+        finally:
+            audit.close()
+        if "key" in drafts and "heads" in drafts:
+            places = WitnessPlaces(audit=log, key=drafts["key"], heads=drafts["heads"])
+            sign_head(places.audit, load_key(places.key), time.time(), [lambda head: heads_file(head, places.heads)])
+        as_one_file(log)
+    if mode == "off":
+        return "the restored gateway computes and writes nothing: its mode is 'off'"
+    was = " (it was 'armed')" if mode == "armed" else ""
+    return (
+        f"the restored gateway starts in mode 'shadow'{was} and writes nothing to the PLC until somebody arms it; rows "
+        "of the audit log that are newer than the backup have to be acknowledged as lost then"
+    )

@@ -1,0 +1,130 @@
+"""The gateway's part in the witness of its audit log: heads are signed each hour, at a stop, and around each arming."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import partial
+
+from structlog.typing import FilteringBoundLogger
+
+from gateway.machine.writing.arming import ArmingError
+from gateway.settings import Config
+from gateway.store import (
+    HEAD_EVENT,
+    HEAD_STATE,
+    AuditEntry,
+    AuditError,
+    HeadSink,
+    Historian,
+    SignedHead,
+    SigningKeyError,
+    WitnessPlaces,
+    acknowledgement,
+    examine,
+    heads_file,
+    load_or_make_key,
+    numbered_files,
+    sign_head,
+)
+
+SIGN_SECONDS = 3600.0
+LEAST_DIGITS = 16
+"""So many digits of a lost head are enough to acknowledge it by."""
+
+
+def places_of(config: Config) -> WitnessPlaces:
+    """Where the audit log of a plant file, its key and its witnesses are now."""
+    logs = tuple(numbered_files(config.log.path)) if config.log.path is not None else ()
+    historian = config.historian.path if config.historian.path.exists() else None
+    return WitnessPlaces(
+        audit=config.audit, key=config.audit_key, heads=config.audit_heads, historian=historian, logs=logs
+    )
+
+
+def obstacle(places: WitnessPlaces) -> tuple[str, SignedHead | None]:
+    """Why nobody may arm on this audit log ("" if one may), and the lost head that a person has to acknowledge."""
+    try:
+        load_or_make_key(places.key)
+        verdict = examine(places)
+    except (SigningKeyError, AuditError) as error:
+        return str(error), None
+    if verdict.broken:
+        remedy = "keep the file as evidence: move it away while the gateway is stopped, and arm on a new one"
+        return f"{places.audit}: {verdict.broken}; {remedy}", None
+    if (lost := verdict.lost) is not None:
+        # What is wrong with a witness itself is the audit command's to say, and no reason not to arm.
+        return (
+            f"{places.audit}: row {lost.row} was signed and is not in it, so it was cut, emptied or begun anew; look "
+            f"for what was lost, and where it is lost indeed arm with --acknowledge-head {lost.head}"
+        ), lost
+    return "", None
+
+
+def clear_for_arming(
+    places: WitnessPlaces,
+    store: Callable[[AuditEntry], bool],
+    *,
+    by: str,
+    now: float,
+    acknowledged: Sequence[str] = (),
+    sinks: Sequence[HeadSink] = (),
+) -> None:
+    """See that the audit log is whole and its end witnessed, with the lost heads acknowledged that a person names.
+
+    `store` puts a row on the disk, False if it could not. Raises ArmingError.
+    """
+    reason, lost = obstacle(places)
+    names = [name.lower() for name in acknowledged if len(name) >= LEAST_DIGITS]
+    # As often as heads are named: behind the newest lost one there may be another, of a log before it.
+    for _ in names:
+        if lost is None or not any(lost.head.startswith(name) for name in names):
+            break
+        if not store(acknowledgement(lost, by, now)):
+            raise ArmingError("not armed, as the audit log does not take the acknowledgement")
+        countersign(places, now, sinks)
+        reason, lost = obstacle(places)
+    if reason:
+        raise ArmingError(f"not armed: {reason}")
+    # Before it counts: an arming whose head cannot be signed is none.
+    countersign(places, now, sinks)
+
+
+def countersign(places: WitnessPlaces, now: float, sinks: Sequence[HeadSink] = ()) -> None:
+    """Sign the newest head, and give it to the heads file and to the other sinks. Raises ArmingError."""
+    try:
+        sign_head(places.audit, load_or_make_key(places.key), now, [partial(heads_file, path=places.heads), *sinks])
+    except OSError as error:
+        raise ArmingError(f"the audit log's head cannot be witnessed: {error}") from None
+
+
+class HeadWitnessing:
+    """Signs the heads of a running gateway's audit log, into its historian and its log too."""
+
+    def __init__(self, config: Config, historian: Historian, log: FilteringBoundLogger) -> None:
+        self._config, self._historian, self._log = config, historian, log
+        self._failure = ""
+
+    @property
+    def places(self) -> WitnessPlaces:
+        """As they are now: the log has other files from day to day."""
+        return places_of(self._config)
+
+    @property
+    def sinks(self) -> tuple[HeadSink, ...]:
+        """Who takes a signed head besides the heads file; a way north is one more."""
+        return self._to_historian, self._to_log
+
+    def sign(self, now: float) -> None:
+        """Sign the newest head; what stands in the way is logged when it is new."""
+        try:
+            countersign(self.places, now, self.sinks)
+            self._failure = ""
+        except ArmingError as error:
+            if str(error) != self._failure:
+                self._log.error("the audit log's end is not witnessed", reason=str(error))
+            self._failure = str(error)
+
+    def _to_historian(self, head: SignedHead) -> None:
+        self._historian.save(HEAD_STATE, head.time, asdict(head))
+
+    def _to_log(self, head: SignedHead) -> None:
+        self._log.info(HEAD_EVENT, **asdict(head))

@@ -1,0 +1,256 @@
+"""Backups of a running gateway: one folder with a manifest, there whole or not at all, and back from it.
+
+`files/` holds the files, numbered; `manifest.json` says of each where it was, its size, mode and SHA-256. Databases are
+copied by SQLite's online backup, so that the gateway goes on meanwhile; the audit log comes last, so that no signed
+head in the backup is newer than the log in it.
+"""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import sqlite3
+import stat
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from gateway.store import audit as audit_log
+from gateway.store import schema
+from gateway.store.audit import verify
+from gateway.store.durable import BESIDE, set_aside, sync_folder, write_durably
+
+FORMAT = 1
+MANIFEST = "manifest.json"
+LAYOUTS: Mapping[str, int] = {"historian": schema.VERSION, "audit": audit_log.VERSION}
+"""The newest layouts of the databases that this program reads, by role."""
+_STORED = re.compile(r"files/\d{4}-[^/\0]{1,200}")
+_CHUNK = 1 << 20
+_LONGEST = 16 << 20
+
+
+class BackupError(ValueError):
+    """No backup, or none that can be used; the message is one sentence that says why and what would be right."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Backed:
+    """One file of a backup: what it is to the gateway, its name in the backup, and what it was (`time` in ns)."""
+
+    role: str
+    stored: str
+    original: str
+    sha256: str
+    size: int
+    mode: int
+    time: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manifest:
+    """What a backup holds. `audit_head` is the newest hash of the audit log in it ("" without one)."""
+
+    made: float
+    program: str
+    layouts: Mapping[str, int]
+    audit_rows: int
+    audit_head: str
+    files: tuple[Backed, ...]
+
+
+def make_backup(folder: Path, sources: Sequence[tuple[str, Path]], *, now: float, program: str) -> Manifest:
+    """Copy the sources (role, file), in their order, into a new folder; the audit log has to be the last.
+
+    Raises BackupError, also for an audit log whose chain is broken, and OSError; nothing is left at `folder` then.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise BackupError(f"{folder}: is there already; give the name of a new folder")
+    draft = folder.with_name(f".{folder.name}.partial-{os.getpid()}")
+    shutil.rmtree(draft, ignore_errors=True)
+    done = False
+    try:
+        (draft / "files").mkdir(parents=True)
+        draft.chmod(0o700)  # it holds the key
+        files, layouts, rows, head = [], {}, 0, ""
+        for number, (role, source) in enumerate(sources):
+            stored = f"files/{number:04d}-{source.name}"
+            target = draft / stored
+            status = source.stat()
+            if role in LAYOUTS:
+                layouts[role] = _copy_database(source, target)
+            else:
+                _copy(source, target)
+            if role == "audit":
+                verdict = verify(target)
+                if verdict.problem:
+                    raise BackupError(f"{source}: {verdict.problem}; no backup is made of a broken audit log")
+                rows, head = verdict.rows, verdict.head
+            target.chmod(stat.S_IMODE(status.st_mode))
+            files.append(
+                Backed(
+                    role=role,
+                    stored=stored,
+                    original=str(source.absolute()),
+                    sha256=_digest(target),
+                    size=target.stat().st_size,
+                    mode=stat.S_IMODE(status.st_mode),
+                    time=status.st_mtime_ns,
+                )
+            )
+        sync_folder(draft / "files")
+        manifest = Manifest(
+            made=now, program=program, layouts=layouts, audit_rows=rows, audit_head=head, files=tuple(files)
+        )
+        content = {"format": FORMAT, **asdict(manifest)}
+        write_durably(draft / MANIFEST, json.dumps({**content, "seal": _seal(content)}, indent=1).encode())
+        if folder.exists():
+            folder.rmdir()
+        draft.rename(folder)
+        sync_folder(folder.parent)
+        done = True
+    except sqlite3.Error as error:
+        raise BackupError(f"the backup is not made: {error}") from None
+    finally:
+        if not done:
+            shutil.rmtree(draft, ignore_errors=True)
+    return manifest
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a whole backup, every file of it looked at.
+
+    Raises BackupError for one that is partial, damaged, changed, or made by a newer program.
+    """
+    path = folder / MANIFEST
+    try:
+        content = json.loads(path.read_bytes()[:_LONGEST])
+        seal = content.pop("seal", "")
+    except FileNotFoundError:
+        raise BackupError(f"{folder}: has no {MANIFEST}, so it is no backup or only a part of one") from None
+    except OSError as error:
+        raise BackupError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError, AttributeError):
+        raise BackupError(f"{path}: is damaged; take another backup") from None
+    form = content.get("format")
+    if isinstance(form, int) and form > FORMAT:
+        raise BackupError(f"{path}: has format {form}, this program reads {FORMAT}; restore it with a newer program")
+    try:
+        if form != FORMAT or seal != _seal(content):
+            raise ValueError
+        del content["format"]
+        manifest = Manifest(**{**content, "files": tuple(Backed(**file) for file in content["files"])})
+        numbers = [manifest.made, *manifest.layouts.values()]
+        numbers += [number for file in manifest.files for number in (file.size, file.mode, file.time)]
+        texts = [text for file in manifest.files for text in (file.role, file.stored, file.original, file.sha256)]
+        if not (all(isinstance(n, int | float) for n in numbers) and all(isinstance(text, str) for text in texts)):
+            raise TypeError
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise BackupError(f"{path}: is damaged or was changed; take another backup") from None
+    for role, layout in manifest.layouts.items():
+        if layout > LAYOUTS.get(role, 0):
+            raise BackupError(
+                f"{folder}: its {role} has layout {layout}, this program reads {LAYOUTS.get(role, 0)}; restore it with "
+                "a newer program"
+            )
+    for file in manifest.files:
+        original = Path(file.original)
+        if not _STORED.fullmatch(file.stored) or not original.is_absolute() or ".." in original.parts:
+            raise BackupError(f"{path}: names {file.stored!r} for {file.original!r}, which no backup does")
+        stored = folder / file.stored
+        if stored.is_symlink() or not stored.is_file():
+            raise BackupError(f"{stored}: is missing; the backup is not whole, take another one")
+        if stored.stat().st_size != file.size or _digest(stored) != file.sha256:
+            raise BackupError(f"{stored}: is not as it was backed up; the backup is damaged, take another one")
+    return manifest
+
+
+def stage(folder: Path, manifest: Manifest, root: Path) -> dict[Path, Path]:
+    """Copy a backup's files beside the places under `root` where they were, on the disk; gives draft by place.
+
+    Raises OSError, and leaves no draft then.
+    """
+    drafts: dict[Path, Path] = {}
+    done = False
+    try:
+        for file in manifest.files:
+            place = root / Path(file.original).relative_to("/")
+            place.parent.mkdir(parents=True, exist_ok=True)
+            draft = place.with_name(f".{place.name}.restored-{os.getpid()}")
+            drafts[place] = draft
+            _copy(folder / file.stored, draft)
+            draft.chmod(file.mode)
+            # What the plant file's time of change says of its arming stays as it was.
+            os.utime(draft, ns=(file.time, file.time))
+        done = True
+    finally:
+        if not done:
+            discard(drafts)
+    return drafts
+
+
+def put_in_place(drafts: Mapping[Path, Path]) -> list[Path]:
+    """Give every draft its place; what stands there is set aside, and its new names are given back. Raises OSError."""
+    aside = []
+    for draft in drafts.values():
+        with draft.open("rb") as file:
+            os.fsync(file.fileno())
+    for place, draft in drafts.items():
+        # A database's write-ahead log goes with it: beside another database it would be taken for that one's.
+        if place.exists() or place.with_name(f"{place.name}-wal").exists():
+            aside.append(set_aside(place, "replaced"))
+        draft.replace(place)
+        sync_folder(place.parent)
+    return aside
+
+
+def as_one_file(path: Path) -> None:
+    """Have all of a database in its file, with nothing beside it. Raises sqlite3.Error."""
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE").fetchone()
+
+
+def discard(drafts: Mapping[Path, Path]) -> None:
+    """Remove drafts that are not put in place."""
+    for draft in drafts.values():
+        for suffix in BESIDE:
+            with suppress(OSError):
+                draft.with_name(draft.name + suffix).unlink(missing_ok=True)
+
+
+def _copy(source: Path, target: Path) -> None:
+    # Readable by its owner alone until its own mode is given to it: it may be the key.
+    file = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    with os.fdopen(file, "wb") as copy, source.open("rb") as original:
+        shutil.copyfileobj(original, copy, _CHUNK)
+        copy.flush()
+        os.fsync(copy.fileno())
+
+
+def _copy_database(source: Path, target: Path) -> int:
+    """Copy a database while others write to it, as one file; gives its layout. Raises sqlite3.Error, BackupError."""
+    with (
+        closing(sqlite3.connect(f"{source.absolute().as_uri()}?mode=ro", uri=True, timeout=10.0)) as original,
+        closing(sqlite3.connect(target)) as copy,
+    ):
+        # In one step, within one reading of the source: whoever writes is not held up, and nothing is begun anew.
+        original.backup(copy, pages=-1)
+        copy.execute("PRAGMA journal_mode = DELETE").fetchone()
+        found = str(copy.execute("PRAGMA quick_check(1)").fetchone()[0])
+        if found != "ok":
+            raise BackupError(f"{source}: is damaged ({found.splitlines()[-1]}), so no backup of it is made")
+        layout = int(copy.execute("PRAGMA user_version").fetchone()[0])
+    with target.open("rb") as file:
+        os.fsync(file.fileno())
+    return layout
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _seal(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

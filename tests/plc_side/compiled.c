@@ -1,0 +1,47 @@
+/* The function block as matiec has compiled it, on a clock of the test's own: commands on stdin, an account on stdout.
+   p N: the permit; w OFFSET COUNT WORDS...: words of the block's area; c COUNT: so many cycles; a: the PLC's account. */
+#include <stdio.h>
+#include <string.h>
+#include "accessor.h"
+#include "iec_std_lib.h"
+#include "POUS.h"
+
+TIME __CURRENT_TIME;
+extern GATEWAY_BLOCK_MAIN MAINRESOURCE__MAININSTANCE;
+void config_init__(void);
+void config_run__(unsigned long tick);
+
+static WORD registers[65536];
+#define __LOCATED_VAR(type, name, area, size, index) type *name = (type *)&registers[index];
+#include "LOCATED_VARIABLES.h"
+#undef __LOCATED_VAR
+
+enum { BLOCK = 400, ACCOUNT = 115, ACCOUNT_WORDS = 7, CYCLE_MS = 20 };
+
+int main(void) {
+    unsigned long tick = 0;
+    char command;
+    config_init__();
+    while (scanf(" %c", &command) == 1) {
+        int first = 0, count = 0, word = 0;
+        if (command == 'p' && scanf("%d", &count) == 1) {
+            MAINRESOURCE__MAININSTANCE.PERMITSWITCH.value = count != 0;
+        } else if (command == 'w' && scanf("%d %d", &first, &count) == 2) {
+            for (int place = 0; place < count && scanf("%d", &word) == 1; place++)
+                registers[BLOCK + first + place] = (WORD)word;
+        } else if (command == 'c' && scanf("%d", &count) == 1) {
+            while (count-- > 0) {
+                unsigned long ms = ++tick * CYCLE_MS;
+                __CURRENT_TIME.tv_sec = (long)(ms / 1000);
+                __CURRENT_TIME.tv_nsec = (long)(ms % 1000) * 1000000L;
+                config_run__(tick);
+            }
+        } else if (command == 'a') {
+            for (int place = 0; place < ACCOUNT_WORDS; place++)
+                printf("%d ", registers[ACCOUNT + place]);
+            printf("\n");
+            fflush(stdout);
+        }
+    }
+    return 0;
+}
