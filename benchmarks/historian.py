@@ -178,7 +178,7 @@ def multiplied(path: Path, tags: Sequence[Tag], days: int) -> None:
     chunks = connection.execute(
         "SELECT kind, tag, batch, first, last, rows, data FROM chunks ORDER BY rowid"
     ).fetchall()
-    # Before the day that is there already, which stays the newest.
+    # Before the day that is there already, which stays the newest, by its batches as by its times.
     top = max(row[2] for row in chunks)
     connection.execute("BEGIN")
     for day in range(1, days):
@@ -188,7 +188,7 @@ def multiplied(path: Path, tags: Sequence[Tag], days: int) -> None:
                 for place in range(2 if kind == "stamps" else 1):
                     columns[place] = [None if time is None else time - day * DAY for time in columns[place]]  # type: ignore[operator]
                 data = pack(columns)
-            row = (kind, tag, batch + day * top, first - day * DAY, last - day * DAY, rows, data)
+            row = (kind, tag, batch - day * top, first - day * DAY, last - day * DAY, rows, data)
             connection.execute(
                 "INSERT INTO chunks (kind, tag, batch, first, last, rows, data) VALUES (?, ?, ?, ?, ?, ?, ?)", row
             )

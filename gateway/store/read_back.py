@@ -322,9 +322,12 @@ def trend(path: Path, tag: str, start: float, end: float, *, width: int | None =
         told = connection.execute(
             "SELECT last FROM chunks WHERE kind = 'stamps' ORDER BY batch DESC LIMIT 1"
         ).fetchone()
-        since = max(start, nextafter(told[0], inf) if told else -inf)
-        scans = np.sort(np.array([row[0] for row in stored_rows(connection, "scans", ("time",), since, end)]))
-        rows = _SampleReader(connection).rows(found[0], since - 3600.0, end)
+        # Looked for among the times that are not packed, and a minute about them, whatever the clock said before.
+        lowest, highest = connection.execute("SELECT min(time), max(time) FROM samples").fetchone()
+        since = max(start, nextafter(told[0], inf) if told else -inf, -inf if lowest is None else lowest - 60.0)
+        until = min(end, -inf if highest is None else highest + 60.0)
+        scans = np.sort(np.array([row[0] for row in stored_rows(connection, "scans", ("time",), since, until)]))
+        rows = _SampleReader(connection).rows(found[0], since - 3600.0, until)
         good = np.array([number(row[1]) if Quality(row[2]).is_good else nan for row in rows])
         newest = means(scans, np.array([row[0] for row in rows]), good, width)
     first = newest[0][0] if newest else inf
