@@ -52,10 +52,10 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
 
 
 def _worst(count: int, block: AddressBlock, checked: ModbusSettings) -> float:
-    """The deadlines of all attempts (a write, of count 0, has one), and the time of the bytes on a serial line (s)."""
+    """The deadline, and on a serial line the time that the bytes need (s)."""
     octets = (count + 7) // 8 if block.area.is_bits else 2 * count
     wire = rtu.transmission(_ASKED + _HEAD + octets, checked.baud) if checked.serial else 0.0
-    return (checked.longest_read if count else checked.timeout) + wire
+    return checked.timeout + wire
 
 
 def _writing(
