@@ -20,6 +20,9 @@ from tests.gateway.support import scan_of
 USABLE = Validity(31)
 
 
+PERMITTED = {"WritePermit": True, "Challenge": 77.0}
+
+
 @dataclass
 class Wiretap:
     """Notes the validity of what passes the last look, at the moment when it goes on the wire."""
@@ -57,13 +60,13 @@ async def disarmed_at_random(bench: Bench, folder: Path, rng: random.Random, mom
     fields = tuple(BlockField(name, scale=1.0, signed=False) for name in ("zone", "validity"))
     tap = Wiretap(driver, validity)
     audit = open_audit(folder / "audit.sqlite")
-    layout = WritebackLayout(version=1, timeout=5.0, unknown=0xFFFF, fields=fields, words=(amount, validity))
-    writer = Writer(layout, clock, "shadow", audit=audit, max_age=2.0)
+    layout = WritebackLayout(version=2, timeout=5.0, unknown=0xFFFF, fields=fields, words=(amount, validity))
+    writer = Writer(layout, clock, "shadow", 4711, audit=audit, max_age=2.0)
     stop = asyncio.Event()
 
     async def offers() -> None:
         while not stop.is_set():
-            await writer.offer(scan_of({"WritePermit": True}, clock.now()), {"zone": 1.0}, USABLE)
+            await writer.offer(scan_of(PERMITTED, clock.now()), {"zone": 1.0}, USABLE)
             await asyncio.sleep(0)
 
     offering = asyncio.create_task(offers())
@@ -74,7 +77,7 @@ async def disarmed_at_random(bench: Bench, folder: Path, rng: random.Random, mom
             await asyncio.sleep(rng.uniform(0.0, span))
             # As often as not somebody else arms or disarms in the same moment.
             second = asyncio.create_task(writer.disarm(clock.now(), "Cai", "too")) if rng.random() < 0.5 else None
-            await writer.disarm(clock.now(), "Bea", "enough", scan=scan_of({"WritePermit": True}, clock.now()))
+            await writer.disarm(clock.now(), "Bea", "enough", scan=scan_of(PERMITTED, clock.now()))
             before += any(word & 1 for word in tap.sent)
             tap.sent.clear()
             stands = (await driver.read([validity]))[0].value

@@ -53,13 +53,13 @@ def test_a_gateway_that_is_stopped_at_random_moments_sends_nothing_old(tmp_path:
 async def test_readings_and_permit_count_from_their_first_request_and_the_age_in_the_block_goes_on() -> None:
     writer, wire = await armed()
     clock = writer.clock = JumpClock()
-    scan = scan_of({"WritePermit": True}, EPOCH)
+    scan = scan_of({"WritePermit": True, "Challenge": 77.0}, EPOCH)
     clock.time = EPOCH + 0.4
     sent = await writer.offer(scan, {"age": 0.2}, USABLE)
     assert sent is not None and sent.verdict == "written"
     assert wire.blocks[0][5] == 6, "0.2 s when it was read, 0.6 s when it is sent"
     # The reply came when the process went on: its reading is as old as the request.
-    frozen = replace(scan_of({"WritePermit": True}, EPOCH + 2.4), duration=2.0)
+    frozen = replace(scan_of({"WritePermit": True, "Challenge": 77.0}, EPOCH + 2.4), duration=2.0)
     clock.time = EPOCH + 2.4
     held = await writer.offer(frozen, {"age": 0.0}, USABLE)
     assert held is not None and held.verdict == "held back" and "2.00 s old" in held.reason and len(wire.blocks) == 1

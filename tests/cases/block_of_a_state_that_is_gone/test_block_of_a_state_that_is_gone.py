@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 
 import pytest
 
@@ -63,7 +64,7 @@ async def test_a_block_that_waited_too_long_in_the_driver_is_not_sent(
     tmp_path: Path, happens: Callable[[Writer, JumpClock], None], words: str
 ) -> None:
     writer, wire, _ = await held(tmp_path, happens)
-    attempt = await writer.offer(scan_of({"WritePermit": True}, EPOCH), {}, USABLE)
+    attempt = await writer.offer(scan_of({"WritePermit": True, "Challenge": 77.0}, EPOCH), {}, USABLE)
     assert attempt is not None and attempt.verdict in ("held back", "not permitted") and words in attempt.reason
     assert wire.blocks == []
     assert writer.audit is not None and writer.audit.close()
@@ -73,12 +74,12 @@ async def test_a_block_that_waited_too_long_in_the_driver_is_not_sent(
 async def test_an_arming_that_expires_while_a_block_waits_ends_with_validity_0(tmp_path: Path) -> None:
     writer, wire, clock = await held(tmp_path, passes(0.0))
     clock.time = EPOCH + 59.9
-    first = await writer.offer(scan_of({"WritePermit": True}, clock.time), {}, USABLE)
+    first = await writer.offer(scan_of({"WritePermit": True, "Challenge": 77.0}, clock.time), {}, USABLE)
     assert first is not None and first.verdict == "written"
     wire.happens = lambda: passes(0.2)(writer, clock)
-    second = await writer.offer(scan_of({"WritePermit": True}, clock.time), {}, USABLE)
+    second = await writer.offer(scan_of({"WritePermit": True, "Challenge": 77.0}, clock.time), {}, USABLE)
     assert second is not None and second.reason == "the arming is over"
-    await writer.disarm(clock.time, scan=scan_of({"WritePermit": True}, clock.time))
+    await writer.disarm(clock.time, scan=scan_of({"WritePermit": True, "Challenge": 77.0}, clock.time))
     assert [block[3] for block in wire.blocks] == [31, 0]
     assert writer.audit is not None and writer.audit.close()
 
@@ -87,11 +88,11 @@ async def test_a_permit_that_was_read_long_ago_is_none_and_one_that_went_away_st
     tmp_path: Path,
 ) -> None:
     writer, wire, clock = await held(tmp_path, passes(0.0))
-    scan = scan_of({"WritePermit": True}, clock.time)
+    scan = scan_of({"WritePermit": True, "Challenge": 77.0}, clock.time)
     old = replace(scan.samples["WritePermit"], time=clock.time - 1.5)
-    attempt = await writer.offer(replace(scan, samples={"WritePermit": old}), {}, USABLE)
+    attempt = await writer.offer(replace(scan, samples={**scan.samples, "WritePermit": old}), {}, USABLE)
     assert attempt is not None and "WritePermit was read 1.50 s ago" in attempt.reason
-    gone = await writer.offer(scan_of({"WritePermit": False}, clock.time), {}, USABLE)
+    gone = await writer.offer(scan_of({"WritePermit": False, "Challenge": 77.0}, clock.time), {}, USABLE)
     assert gone is not None and gone.verdict == "not permitted" and wire.blocks == []
     assert writer.audit is not None and writer.audit.close()
 
@@ -100,7 +101,7 @@ async def test_a_model_that_takes_over_in_the_middle_of_a_write_writes_from_the_
     config = config_in(tmp_path, model=two_modes(), **ARMED)
     bench = bench_of(config)
     with open_log(None, "error") as log:
-        machine = Machine(config, driver=bench, clock=bench.clock, log=log)
+        machine = Machine(config, driver=bench, clock=bench.clock, log=log, rng=Random(0))
         loaded = load_model(config)
         assert loaded is not None and machine.model is not None and machine.block is not None
         other = replace(loaded, hash="f" * len(loaded.hash), version="another")
