@@ -114,11 +114,11 @@ class Pace:
 class Writer:
     """The one place from which the gateway writes. `driver` is None where nothing can be written (off, shadow).
 
-    The sequence moves on with every block, so that a block that failed is never sent again. `number` (1..65535, drawn
-    anew at each start) tells this writer from another; `challenge` is the PLC's that the newest block on the wire
-    carried, 0 before the first. `pace` bounds the blocks a second, `audit` takes an account of every one. `max_age`
-    (real s) is how old the readings of a block may be, and its permit, when it is sent. `generation` counts the
-    disarmings, `ending` those that are under way.
+    The sequence moves on with every block that may have been sent, so that one that failed is never sent again.
+    `number` (1..65535, drawn anew at each start) tells this writer from another; `challenge` is the PLC's that the
+    newest block on the wire carried, 0 before the first. `pace` bounds the blocks a second, `audit` takes an
+    account of every one. `max_age` (real s) is how old the readings of a block may be, and its permit, when it is
+    sent. `generation` counts the disarmings, `ending` those that are under way.
     """
 
     layout: WritebackLayout
@@ -259,9 +259,7 @@ class Writer:
 
         `last`: the block that takes everything back is neither too late nor too fast, nor waits for a full disk.
         """
-        # The sequence moves on before anything can fail: a number that was given to the wire is never given again.
-        self.sequence = (self.sequence + 1) & 0xFFFF
-        self.heartbeat = next_heartbeat(self.heartbeat)
+        sequence, heartbeat = (self.sequence + 1) & 0xFFFF, next_heartbeat(self.heartbeat)
         driver, by = self.driver, arming.by if arming else ""
         armed = arming is not None and driver is not None
         generation, built = self.generation, self.clock.now()
@@ -269,9 +267,7 @@ class Writer:
             values = {**values, "age": age + max(0.0, built - scan.time)}
         marked = validity if armed else validity | Validity.SHADOW
         challenge = _word(scan, "Challenge")
-        session = SessionWords(
-            challenge=challenge, writer=self.number, sequence=self.sequence, heartbeat=self.heartbeat
-        )
+        session = SessionWords(challenge=challenge, writer=self.number, sequence=sequence, heartbeat=heartbeat)
         block = build(self.layout, values, marked, session)
 
         def objection() -> tuple[Verdict, str] | None:
@@ -321,6 +317,10 @@ class Writer:
                         refused = "not permitted", f"no audit record could be kept: {self.audit.failure}"
                     else:
                         refused = "held back", f"the audit log has not taken its row within {SENDING_SECONDS:g} s"
+        if refused is None:
+            # A number that may have been given to the wire is never given again. One that was not is: a PLC takes no
+            # block that is more than 100 ahead, and a fast gateway would be beyond that after a second without permit.
+            self.sequence, self.heartbeat = sequence, heartbeat
         if not armed or driver is None:
             attempt = Attempt(scan.time, block, self.mode, "shadow")
         elif refused is not None:
