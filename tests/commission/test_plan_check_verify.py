@@ -48,18 +48,18 @@ def links(device: tuple[Process, Path]) -> dict[str, tuple[object, ...]]:
 
 def test_a_plan_shows_each_request_with_both_numbers_and_the_worst_case(tmp_path: Path) -> None:
     data = answer(tmp_path, "plan", "--device", DECANTER, "--host", "10.0.0.1", "--timeout", 0.2, "--set",
-                  "max_registers=10", "--set", "max_write_registers=100")  # fmt: skip
+                  "max_registers=11", "--set", "max_write_registers=100")  # fmt: skip
     assert data["ok"], data
     first, second = data["requests"]
-    assert (first["place"], first["count"], first["reference"]) == ("holding:100", 10, "40101-40110")
-    assert (second["place"], second["count"]) == ("holding:110", 10)
+    assert (first["place"], first["count"], first["reference"]) == ("holding:100", 11, "40101-40111")
+    assert (second["place"], second["count"]) == ("holding:111", 11)
     assert data["worst_read_s"] == pytest.approx(0.4)
     assert [one["kind"] for one in data["writes"]] == ["write", "read back", "read back", "read back"]
     assert data["worst_cycle_s"] == pytest.approx(0.4 + 4 * 0.2)
 
 
 def test_a_scan_that_can_take_longer_than_its_period_fails_the_check_and_says_what_would_fit(tmp_path: Path) -> None:
-    where = ("--device", DECANTER, "--host", "10.0.0.1", "--timeout", 0.6, "--set", "max_registers=10")
+    where = ("--device", DECANTER, "--host", "10.0.0.1", "--timeout", 0.6, "--set", "max_registers=11")
     where = (*where, "--set", "max_write_registers=100")
     result = plc(tmp_path, "plan", *where, "--period", 1.0)
     assert result.exit_code == 1

@@ -13,13 +13,14 @@ import pytest
 
 from benchmarks.fault_matrix import TOLERANCE_S, outside
 from gateway.machine.writing.writeback import WRITE
+from gateway.settings import load_device
 from gateway.store.audit import read, verify
 from gateway.store.read_back import samples
-from sim.plc.program.writeback import STILL
+from sim.plc.program.writeback import WRITER
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, read_recording
 from tests.rig.blocks import old_numbers, unaccounted
-from tests.rig.pair import Gateway, Plc, Rig, end, make_rig, restless_trace
+from tests.rig.pair import MAP, Gateway, Plc, Rig, end, make_rig, restless_trace
 
 KILLS, SEED, PERIOD = 25, 20, 0.1
 VICTIMS = ("plc", "gateway", "both")
@@ -166,8 +167,9 @@ def assert_whole_blocks_each_once_and_nothing_outside(aftermath: Aftermath) -> N
     written = [row for row in recording.requests if row.function == 16]
     assert max(Counter((row.peer, row.transaction, row.pdu) for row in written).values()) == 1
     refused = [block.verdict for block in recording.blocks if not block.accepted]
-    assert set(refused) <= {STILL}, "a gateway that starts anew may meet its own first heartbeat"
-    assert len(refused) <= aftermath.kills["gateway"] + aftermath.kills["both"]
+    assert set(refused) <= {WRITER}, "the session of a gateway that was killed stands until the PLC's timer runs out"
+    timer = load_device(MAP).writeback.timeout  # type: ignore[union-attr]
+    assert len(refused) <= (aftermath.kills["gateway"] + aftermath.kills["both"]) * (timer / PERIOD + 1)
     assert recording.blocks[-1].fields is not None and recording.blocks[-1].fields["validity"] == 0
 
 
