@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from drivers.driver import DRIVERS
-from drivers.settings import ConfigError, Line, Section, checked, read_toml
+from drivers.settings import ConfigError, Name, Section, checked, read_toml
 from drivers.tag import DType, Order, Tag
 
 LONGEST_TEXT = 4096
@@ -60,7 +60,7 @@ class DeviceTable(BaseModel):
 class TagTable(Section):
     """`[[tags]]`: one tag; see `drivers.tag.Tag`."""
 
-    name: Line = Field(description="the tag's name")
+    name: Name = Field(description="the tag's name")
     address: str = Field(min_length=1, description="the driver's own notation, such as 'holding:100'")
     dtype: Annotated[DType, Field(strict=False)] = Field(DType.UINT16, description=f"one of {', '.join(DType)}")
     order: Annotated[Order, Field(strict=False)] = Field(Order.ABCD, description=f"one of {', '.join(Order)}")

@@ -42,8 +42,17 @@ def _one_line(text: str) -> str:
     return text
 
 
+def _no_steering(text: str) -> str:
+    # A recording's columns may be called as they like, but for what would break a line or steer a terminal.
+    if len(text.splitlines()) > 1 or text[-1:].splitlines() == [""] or "\x1b" in text:
+        raise ValueError(f"{text[:40]!r} is not one line without ESC; take out what is not")
+    return text
+
+
+Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_no_steering)]
+"""A tag's name: one line of 1 to 200 characters without ESC."""
 Line = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_one_line)]
-"""A name or a short text: one line of 1 to 200 printable characters."""
+"""A person or a reason: one line of 1 to 200 printable characters."""
 
 
 class Reconnecting(Section):

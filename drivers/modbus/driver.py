@@ -1,7 +1,7 @@
 """The Modbus driver (TCP, TLS, RTU): blocks read under deadlines, refused addresses kept apart, one verified write."""
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -102,7 +102,7 @@ class ModbusDriver:
         self._writable_addresses = frozenset(
             (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
         )
-        words = sum(not area.is_bits for area, _ in self._writable_addresses)
+        words = _longest_run(number for area, number in self._writable_addresses if not area.is_bits)
         if words > settings.max_write_registers:
             # Neither WriteForbidden nor AddressError: a block that can never be sent is a mistake in any mode.
             raise DriverError(
@@ -419,6 +419,15 @@ class ModbusDriver:
 
 def _now() -> float:
     return asyncio.get_running_loop().time()
+
+
+def _longest_run(numbers: Iterable[int]) -> int:
+    """How many of the numbers follow one another at most: what a write of neighbours can come to."""
+    longest, run, before = 0, 0, None
+    for number in sorted(numbers):
+        run = run + 1 if before is not None and number == before + 1 else 1
+        longest, before = max(longest, run), number
+    return longest
 
 
 def _writable(tag: Tag) -> TagSpan:

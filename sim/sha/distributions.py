@@ -101,7 +101,7 @@ def check_distribution(law: Distribution) -> None:
         moments = (inf, inf)
     if not all(map(isfinite, moments)):
         shown = ", ".join(f"{name}={value:g}" for name, value in law.params.items())
-        raise ValueError(f"distribution {law.kind!r}: its mean or variance is beyond any number with {shown}")
+        raise ValueError(f"distribution {law.kind!r}: its mean or variance is beyond all numbers with {shown}")
 
 
 def mean(law: Distribution) -> float:

@@ -107,7 +107,7 @@ def test_armed_the_loop_tests_run_each_answer_is_kept_and_disarming_ends_it(
     place = at(plc[0].port)
     armed = decanter(tmp_path, "arm", "--reason", "loop test", "--minutes", "5", *place)
     assert armed.exit_code == 0 and "ARMED until" in armed.stdout and "Ada" in armed.stdout
-    asked = decanter(tmp_path, "loop", "alarms", "--ask", *place, told="y\ny\nn\ny\ny\ny\ny\ny\n")
+    asked = decanter(tmp_path, "loop", "alarms", "--ask", *place, told="y\ny\nn\ny\ny\ny\ny\ny\ny\ny\n")
     assert asked.exit_code == 1 and "'AnomalyFound' the first" in asked.stderr
     assert decanter(tmp_path, "loop", "alarms", *place).exit_code == 0
     beats = decanter(tmp_path, "loop", "heartbeat", "--no-watchdog", *place, "--json")

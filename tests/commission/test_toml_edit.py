@@ -122,12 +122,12 @@ def test_a_file_that_is_no_toml_is_named_with_its_line(tmp_path: Path) -> None:
         edited(path, lambda _: None)
 
 
-@pytest.mark.parametrize("words", [6, 16, 24, 123])
+@pytest.mark.parametrize("words", [8, 16, 26, 123])
 def test_a_new_file_with_a_block_of_so_many_words_is_in_order(tmp_path: Path, words: int) -> None:
     def change(document: tomlkit.TOMLDocument) -> None:
         set_tag(document, "T", {"address": "holding:1", "dtype": "float32"})
         set_block(
-            document, {"address": "holding:10", "layout_version": 1, "timeout_s": 5.0}, fields_that_fit(words), DECANTER
+            document, {"address": "holding:10", "layout_version": 2, "timeout_s": 5.0}, fields_that_fit(words), DECANTER
         )
 
     path = tmp_path / "new.toml"
@@ -139,5 +139,5 @@ def test_a_new_file_with_a_block_of_so_many_words_is_in_order(tmp_path: Path, wo
 
 
 def test_a_plc_that_takes_too_few_words_cannot_have_a_block() -> None:
-    with pytest.raises(ConfigError, match="5 words in one write, and a block has at least 6"):
+    with pytest.raises(ConfigError, match="5 words in one write, and a block has at least 8"):
         fields_that_fit(5)

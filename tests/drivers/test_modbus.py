@@ -430,14 +430,13 @@ async def test_without_a_write_map_nothing_can_be_written(plc: ScriptedPlc, open
 
 
 async def test_a_write_longer_than_the_device_takes_is_refused(plc: ScriptedPlc, opened: OpenModbus) -> None:
-    driver = await opened(write_map=MAP, max_write_registers=2)
-    with pytest.raises(AddressError, match="3 words do not fit"):
-        await driver.write([(WORD, 1), (REAL, 2.0)])
+    with pytest.raises(DriverError, match="the block has 4 words and the device takes 2 in one write"):
+        await opened(write_map=MAP, max_write_registers=2)
     assert plc.requests == []
 
 
 async def test_a_write_longer_than_one_read_is_read_back_in_parts(plc: ScriptedPlc, opened: OpenModbus) -> None:
-    driver = await opened(write_map=MAP, max_registers=3)
+    driver = await opened(write_map=MAP, max_registers=3, max_write_registers=100)
     await driver.write([(WORD, 1), (REAL, 2.0), (LAST, 3)])
     assert plc.asked() == [(16, 50, 4), (3, 50, 3), (3, 53, 1)]
 

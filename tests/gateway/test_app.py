@@ -226,7 +226,7 @@ async def test_shadow_stores_what_it_would_have_written(tmp_path: Path) -> None:
     await go(config, bench, 30)
     assert bench.written == []
     rows = table(config, "SELECT verdict, validity & 32, length(words) FROM writes")
-    assert len(rows) >= 28 and set(rows) == {("shadow", 32, 48)}
+    assert len(rows) >= 28 and set(rows) == {("shadow", 32, 52)}
 
 
 async def test_a_restart_within_the_gap_goes_on_with_the_belief_and_the_alarms(tmp_path: Path) -> None:
