@@ -48,7 +48,7 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
     "restart": {"kind": "restart", "down_s": 0.7, "zeros_s": 0.7},
     "frozen image": {"kind": "frozen", "duration": 1.6},
     "reset in mid-frame": {"kind": "reset", "duration": 1.0},
-    "late reply": {"kind": "late", "delay_s": 0.4, "duration": 1.2},
+    "late reply": {"kind": "late", "delay_s": 0.9, "duration": 1.5},
     "late reply, now and then": {"kind": "late", "delay_s": 0.3, "duration": 1.5, "probability": 0.3},
     "wrong unit": {"kind": "wrong_unit", "duration": 1.0},
     "wrong function": {"kind": "wrong_function", "duration": 1.0},

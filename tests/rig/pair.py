@@ -27,6 +27,8 @@ TEMPERATURE, CURRENT, RUNNING = "TCuscinettiRiduttore", "Assorbimento", "MarciaD
 PATIENCE_S = 45.0
 CYCLE_S = 0.02
 """The software PLC's cycle; its heartbeat moves once in each."""
+TIMEOUT_S = 0.25
+"""The deadline of a request, of which a read has two: a PLC that is silent is noticed within half a second."""
 
 TARGETS = {"OFF/0-100": 20.0, "ON/0-100": 35.0, "ON/100-200": 50.0, "ON/200-300": 65.0, "ON/300+": 80.0}
 """degC, by location: what the known automaton's temperature goes to."""
@@ -238,7 +240,7 @@ def make_rig(
     write_trace(trace, rig.trace)
     (folder / "model.json").write_text(model_text(known_model()), encoding="utf-8")
     lines = [
-        f"[device]\nfile = {json.dumps(str(device))}\nheartbeat_period = {5 * CYCLE_S:g}",
+        f"[device]\nfile = {json.dumps(str(device))}\ntimeout = {TIMEOUT_S:g}\nheartbeat_period = {5 * CYCLE_S:g}",
         f"[scan]\nperiod = {period:g}",
         '[model]\npath = "model.json"',
         f"[writeback]\nmode = {json.dumps(mode)}",
