@@ -32,7 +32,7 @@ from gateway.plant.device import make_driver
 from gateway.settings import load_config
 from sim.plc.record.recording import BlockRow, read_recording
 from tests.rig.blocks import old_numbers, unaccounted
-from tests.rig.pair import MAP, Gateway, Plc, Rig, end, make_rig, restless_trace
+from tests.rig.pair import FOLLOWING, MAP, Gateway, Plc, Rig, end, make_rig, restless_trace
 
 PERIOD = 0.1
 LENGTH_S = 400.0
@@ -267,7 +267,7 @@ def stand(link: str, seed: int = 0) -> Iterator[Stand]:
     """A rig whose gateway and PLC speak over this link of the demonstration."""
     with tempfile.TemporaryDirectory(prefix="decanter-attack-") as name:
         folder, row = Path(name), LINKS[link]
-        rig = make_rig(folder, restless_trace(LENGTH_S), period=PERIOD)
+        rig = make_rig(folder, restless_trace(LENGTH_S), period=PERIOD, noise=FOLLOWING)
         with row.beside(folder), rig.plc(*map(str, row.arguments(folder)), "--loop") as plc:
             device = config_dir() / "devices" / row.device if row.device else MAP
             own = {"name": link, "file": str(device), **row.settings(folder, plc.ready)}

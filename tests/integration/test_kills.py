@@ -20,7 +20,7 @@ from sim.plc.program.writeback import WRITER
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, read_recording
 from tests.rig.blocks import old_numbers, unaccounted
-from tests.rig.pair import MAP, Gateway, Plc, Rig, end, make_rig, restless_trace
+from tests.rig.pair import FOLLOWING, MAP, Gateway, Plc, Rig, end, make_rig, restless_trace
 
 KILLS, SEED, PERIOD = 25, 20, 0.1
 VICTIMS = ("plc", "gateway", "both")
@@ -110,7 +110,7 @@ class Aftermath:
 def many_kills(folder: Path, count: int = KILLS, seed: int = SEED, mode: str = "armed") -> Aftermath:
     """Kill `count` times and start again; then stop both as one should."""
     rng, kills = random.Random(seed), Counter[str]()
-    rig = make_rig(folder, restless_trace(16.0 * count), period=PERIOD, mode=mode)
+    rig = make_rig(folder, restless_trace(16.0 * count), period=PERIOD, mode=mode, noise=FOLLOWING)
     plc = rig.start_plc()
     bench = Bench(rig, plc, rig.start_gateway(plc))
     try:

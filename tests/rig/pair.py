@@ -35,15 +35,20 @@ TARGETS = {"OFF/0-100": 20.0, "ON/0-100": 35.0, "ON/100-200": 50.0, "ON/200-300"
 RATES = {"OFF": 1 / 120.0, "ON": 1 / 80.0}
 """1/s, of the resting and of the running machine."""
 SCATTER, NOISE, SENSOR = 0.3, 0.01, 0.05
+FOLLOWING = 0.6
+"""degC/s^0.5, the noise of a model whose band widens as fast as `restless_trace` moves."""
 
 
-def known_model() -> Model:
-    """The product of ON/OFF and the current's bins; where a trace cannot go, or nothing is known, nothing moves."""
-    still = Flow("constant", {"noise": NOISE})
+def known_model(noise: float = NOISE) -> Model:
+    """The product of ON/OFF and the current's bins; where a trace cannot go, or nothing is known, nothing moves.
+
+    With much `noise` its estimate follows each reading, however far that is from what it expected.
+    """
+    still = Flow("constant", {"noise": noise})
     locations = {
         name: Location(
             name,
-            Flow("exponential", {"k": RATES[name.partition("/")[0]], "noise": NOISE}),
+            Flow("exponential", {"k": RATES[name.partition("/")[0]], "noise": noise}),
             Distribution("normal", {"mu": TARGETS[name], "sigma": SCATTER}),
         )
         if name in TARGETS
@@ -230,6 +235,7 @@ def make_rig(
     device: Path = MAP,
     records: Path | None = None,
     mode: str = "armed",
+    noise: float = NOISE,
 ) -> Rig:
     """Write the files of a rig: a gateway with the known model that scans each `period` plant seconds.
 
@@ -238,7 +244,7 @@ def make_rig(
     """
     rig = Rig(folder, records or folder, speed)
     write_trace(trace, rig.trace)
-    (folder / "model.json").write_text(model_text(known_model()), encoding="utf-8")
+    (folder / "model.json").write_text(model_text(known_model(noise)), encoding="utf-8")
     lines = [
         f"[device]\nfile = {json.dumps(str(device))}\ntimeout = {TIMEOUT_S:g}\nheartbeat_period = {5 * CYCLE_S:g}",
         f"[scan]\nperiod = {period:g}",
