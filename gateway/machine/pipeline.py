@@ -89,7 +89,16 @@ class Machine:
             self.alarms = AlarmBoard(conditions, watched=config.watched, historian=store, log=log, now=now)
             layout = config.map.writeback
             if layout is not None and config.writeback.mode != "off":
-                self.block = BlockStage(config, layout, clock=clock, driver=driver, historian=store, log=log, rng=rng)
+                self.block = BlockStage(
+                    config,
+                    layout,
+                    clock=clock,
+                    driver=driver,
+                    historian=store,
+                    supervisor=self.supervisor,
+                    log=log,
+                    rng=rng,
+                )
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
             self.records = Records(store, Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.store.chain import BEGIN, digest
+from gateway.supervision import Supervisor
 from sim.strict_json import escaped, json_text
 
 APPLICATION_ID = 0x6465_6175
@@ -116,7 +117,7 @@ class Audit:
     `failure` says why the disk does not take what waits, "" while it does; `lost` counts what was given up since then.
     """
 
-    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+    def __init__(self, path: Path, connection: sqlite3.Connection, supervisor: Supervisor) -> None:
         self.path = path
         self.failure = ""
         self.lost = 0
@@ -125,8 +126,8 @@ class Audit:
         self._waiting: deque[tuple[AuditEntry, Future[None] | None]] = deque()
         self._wake = threading.Condition()
         self._pressing = self._stopping = False
-        self._thread = threading.Thread(target=self._work, name="audit", daemon=True)
-        self._thread.start()
+        self._stop = threading.Event()
+        self._thread = supervisor.thread("audit", self._work, stop=self._stop)
 
     def put(self, entry: AuditEntry) -> None:
         """Have the entry stored; an arming or disarming at once, any other within BATCH_SECONDS.
@@ -208,6 +209,7 @@ class Audit:
 
     def close(self) -> bool:
         """Store what waits and close the file; False if entries had to be given up. May be called twice."""
+        self._stop.set()
         with self._wake:
             self._stopping = True
             self._wake.notify_all()
@@ -259,6 +261,14 @@ class Audit:
                 for _, ticket in claimed:
                     if ticket is not None:
                         ticket.set_exception(error)
+            except Exception as error:
+                # The supervisor says it and begins anew; what was claimed does not go with it.
+                with self._wake:
+                    self._waiting.extendleft((entry, None) for entry, ticket in reversed(claimed) if ticket is None)
+                for _, ticket in claimed:
+                    if ticket is not None:
+                        ticket.set_exception(sqlite3.OperationalError(str(error)))
+                raise
             else:
                 stored, self.failure = True, ""
                 with self._wake:
@@ -273,8 +283,8 @@ class Audit:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
 
 
-def open_audit(path: Path) -> Audit:
-    """The audit log at `path`, made if there is none. Raises AuditError."""
+def open_audit(path: Path, supervisor: Supervisor | None = None) -> Audit:
+    """The audit log at `path`, made if there is none; `supervisor` keeps its thread going. Raises AuditError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
@@ -301,7 +311,7 @@ def open_audit(path: Path) -> Audit:
     except AuditError:
         connection.close()
         raise
-    return Audit(path, connection)
+    return Audit(path, connection, supervisor or Supervisor())
 
 
 def append(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> str:

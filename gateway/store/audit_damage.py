@@ -7,26 +7,29 @@ from pathlib import Path
 
 from gateway.store.audit import APPLICATION_ID, Audit, AuditError, open_audit
 from gateway.store.durable import set_aside
+from gateway.supervision import Supervisor
 
 LOOK_SECONDS = 2.0
 """The longest look for damage at a start (real time); what a longer one would find is found before an arming."""
 
 
-def open_or_set_aside(path: Path) -> tuple[Audit, str]:
+def open_or_set_aside(path: Path, supervisor: Supervisor | None = None) -> tuple[Audit, str]:
     """The audit log at `path`, and the sentence that a damaged one was set aside ("" if none was). Raises AuditError.
 
     Nothing may be armed on the new one until the old one's head is acknowledged (`gateway.store.witness`).
     """
     reason = damage(path)
     if not reason:
-        return open_audit(path), ""
+        return open_audit(path, supervisor), ""
     try:
         aside = set_aside(path)
     except OSError as error:
         raise AuditError(
             f"{path}: is damaged ({reason}) and cannot be set aside ({error.strerror}); move it away"
         ) from None
-    return open_audit(path), f"{path}: is damaged ({reason}); it is set aside as {aside.name}, and a new one is begun"
+    return open_audit(
+        path, supervisor
+    ), f"{path}: is damaged ({reason}); it is set aside as {aside.name}, and a new one is begun"
 
 
 def damage(path: Path) -> str:

@@ -22,6 +22,7 @@ from gateway.machine.writing.block_stage import BlockStage
 from gateway.plant.log import open_log
 from gateway.settings.config import Config
 from gateway.store.historian import Historian, open_historian
+from gateway.supervision import Supervisor
 from tests.gateway.support import (
     CURRENT,
     EPOCH,
@@ -124,7 +125,16 @@ async def test_block_without_a_prediction_nothing_in_it_is_valid_but_the_alarms_
     assert layout is not None
     with stored(config) as (historian, log):
         bench = Bench(config, clock)
-        stage = BlockStage(config, layout, clock=clock, driver=bench, historian=historian, log=log, rng=Random(0))
+        stage = BlockStage(
+            config,
+            layout,
+            clock=clock,
+            driver=bench,
+            historian=historian,
+            supervisor=Supervisor(log),
+            log=log,
+            rng=Random(0),
+        )
         await stage.take(scan_of(at_rest(config), EPOCH), None, None, alarms=5)
         assert stage.attempt is not None and stage.attempt.verdict == "shadow"
         words = dict(zip((field.name for field in layout.fields), stage.attempt.block.words, strict=True))

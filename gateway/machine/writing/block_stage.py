@@ -17,6 +17,7 @@ from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, cle
 from gateway.machine.writing.writeback import Arming, Attempt
 from gateway.settings import Config, WritebackLayout
 from gateway.store import Historian, open_or_set_aside
+from gateway.supervision import Supervisor
 from sim.forecast import Forecast
 
 LATENCIES = 10_000
@@ -37,6 +38,7 @@ class BlockStage:
         clock: Clock,
         driver: Driver,
         historian: Historian,
+        supervisor: Supervisor,
         log: FilteringBoundLogger,
         rng: Random,
     ) -> None:
@@ -46,7 +48,7 @@ class BlockStage:
         self._refused = ""
         self.attempt: Attempt | None = None
         self.latencies: deque[float] = deque(maxlen=LATENCIES)
-        self.audit, damaged = open_or_set_aside(config.audit)
+        self.audit, damaged = open_or_set_aside(config.audit, supervisor)
         if damaged:
             log.error("the audit log was damaged", reason=damaged)
         self.witnessing = HeadWitnessing(config, historian, log)

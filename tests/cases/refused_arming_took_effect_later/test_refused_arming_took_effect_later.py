@@ -28,6 +28,7 @@ from gateway.store.audit import (
     standing,
     verify,
 )
+from gateway.supervision import Supervisor
 from tests.gateway.support import EPOCH
 from tests.gateway.test_writeback import armed
 
@@ -97,7 +98,7 @@ def on_slow_disk(path: Path) -> tuple[Audit, SlowDisk]:
     assert open_audit(path).close()
     disk = sqlite3.connect(path, isolation_level=None, check_same_thread=False, factory=SlowDisk)
     disk.begun, disk.go = threading.Event(), threading.Event()
-    return Audit(path, disk), disk
+    return Audit(path, disk, Supervisor()), disk
 
 
 def test_one_whose_commit_was_under_way_is_cancelled_by_a_row_of_its_own(tmp_path: Path) -> None:
