@@ -133,6 +133,7 @@ def disarmed(stand: Stand) -> int:
             since = time.monotonic()
             time.sleep(3.0 * PERIOD)
             spans.append((since, time.monotonic()))
+    assert stand.usable(0.0, time.monotonic()), "nothing usable was ever written: that shows nothing"
     return sum(len(stand.usable(*span)) for span in spans)
 
 
@@ -146,6 +147,7 @@ def frozen(stand: Stand) -> int:
             time.sleep(stand.rng.choice([0.1, 0.4, 1.0, 2.0, 3.0]))
             gateway.process.send_signal(signal.SIGCONT)
         stand.wait_well(gateway, "written")
+    assert stand.usable(0.0, time.monotonic()), "nothing usable was ever written: that shows nothing"
     return old_numbers(read_recording(stand.rig.recording))
 
 
