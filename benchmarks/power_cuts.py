@@ -11,7 +11,7 @@ import sqlite3
 import tempfile
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from random import Random
 from struct import pack
@@ -24,7 +24,7 @@ from gateway.store.audit import AuditError, open_audit, read, verify
 from gateway.store.read_back import stored_rows
 from sim.plc.record.recording import PlcRecording, read_recording
 from tests.rig.pair import make_rig, restless_trace
-from tests.rig.power_cut import DiskChange, build, disk_after, environment, read_journal, write_disk
+from tests.rig.power_cut import DiskCall, DiskChange, build, disk_after, environment, read_journal, write_disk
 
 PERIOD = 0.1
 GRACE_S = 2.0
@@ -45,7 +45,7 @@ def worked(folder: Path, seconds: float) -> Aftermath:
     records.mkdir()
     journal = folder / "journal"
     rig = make_rig(folder, restless_trace(seconds + 60.0), period=PERIOD, records=records)
-    rig = rig.with_environment(environment(build(folder), records, journal))
+    rig = replace(rig, environment=environment(build(folder), records, journal))
     with rig.plc() as plc:
         with rig.gateway(plc) as gateway:
             gateway.wait_for(lambda status: status["writeback"].get("written", 0) > seconds / PERIOD)
@@ -122,7 +122,7 @@ def main(as_json: bool, quick: bool, count: int, seconds: float, seed: int) -> N
         wrong = cuts(aftermath, 20 if quick else count, seed, Path(name))
     for number, sentences in wrong.items():
         click.echo(f"cut {number}: {'; '.join(sentences[:3])}", err=True)
-    syncs = sum(change.kind == 3 for change in aftermath.changes)
+    syncs = sum(change.kind is DiskCall.SYNC for change in aftermath.changes)
     blocks = len(aftermath.recording.blocks)
     figures = [
         Figure("cuts that left something wrong", float(len(wrong)), "", "cuts", float(20 if quick else count)),

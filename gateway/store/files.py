@@ -14,6 +14,7 @@ from pathlib import Path
 from shutil import disk_usage
 
 from drivers.tag import Tag
+from gateway.store.durable import BESIDE, set_aside
 from gateway.store.retention import concerns_file, is_damage, transaction
 from gateway.store.schema import APPLICATION_ID, COLUMNS, INDICES, NAMES, VERSION, WITHOUT_ROWID, definition
 
@@ -25,7 +26,6 @@ CHECK_SECONDS = 2.0
 RECOVERY_SECONDS = 20.0
 """How long is read from a damaged file; what is left then stays in it."""
 _RESERVE = 16_000_000
-_BESIDES = ("", "-wal", "-shm")
 
 
 class HistorianError(OSError):
@@ -79,7 +79,12 @@ def opened(path: Path, tags: Iterable[Tag], *, max_mb: float, mend: bool = False
     except DamagedHistorianError as error:
         if not mend:
             raise
-        aside, reason = _set_aside(path), str(error).removeprefix(f"{path}: ")
+        try:
+            aside, reason = set_aside(path), str(error).removeprefix(f"{path}: ")
+        except OSError as failed:
+            raise UnusableHistorianError(
+                f"{path}: is damaged and cannot be set aside ({failed.strerror}); move it away by hand"
+            ) from None
     file = _connected(path, tags, max_mb)
     rows, complete = _recovered(aside, file.normal)
     what = f"{rows} rows of it were recovered" + ("" if complete else ", and not all that may be left")
@@ -218,7 +223,7 @@ def _migrated(connection: sqlite3.Connection, path: Path, version: int) -> None:
 
 
 def _besides(path: Path) -> list[Path]:
-    return [path.with_name(path.name + ending) for ending in _BESIDES]
+    return [path.with_name(path.name + ending) for ending in BESIDE]
 
 
 def _examined(path: Path, *, whole: bool) -> None:
@@ -258,24 +263,6 @@ def _examined(path: Path, *, whole: bool) -> None:
         return  # the time was over, or what opens it next says why it cannot be
     if verdict != "ok":
         raise DamagedHistorianError(f"{path}: {verdict.splitlines()[-1]}")
-
-
-def _set_aside(path: Path) -> Path:
-    """Give the file, and what belongs to it, another name; gives that. Raises UnusableHistorianError."""
-    stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
-    number, aside = 1, path.with_name(f"{path.name}.damaged-{stamp}")
-    while aside.exists():
-        number += 1
-        aside = path.with_name(f"{path.name}.damaged-{stamp}-{number}")
-    try:
-        for before, after in zip(_besides(path), _besides(aside), strict=True):
-            if os.path.lexists(before):
-                before.rename(after)
-    except OSError as error:
-        raise UnusableHistorianError(
-            f"{path}: is damaged and cannot be set aside ({error.strerror}); move it away by hand"
-        ) from None
-    return aside
 
 
 def _recovered(aside: Path, target: sqlite3.Connection) -> tuple[int, bool]:

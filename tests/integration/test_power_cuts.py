@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from benchmarks.power_cuts import cuts, worked
-from tests.rig.power_cut import REMOVE, SYNC, TRUNCATE, WRITE, DiskChange, disk_after
+from tests.rig.power_cut import DiskCall, DiskChange, disk_after
 
 CUTS = 40
 FILE = Path("/records/file")
@@ -16,12 +16,12 @@ FILE = Path("/records/file")
 def test_what_was_synced_is_there_and_what_was_not_may_be() -> None:
     folder = FILE.parent
     changes = [
-        DiskChange(1.0, WRITE, FILE, 0, b"synced"),
-        DiskChange(2.0, SYNC, FILE, 0, b""),
-        DiskChange(3.0, WRITE, FILE, 6, b" or not"),
-        DiskChange(4.0, TRUNCATE, FILE, 2, b""),
-        DiskChange(5.0, REMOVE, FILE, 0, b""),
-        DiskChange(6.0, SYNC, folder, 0, b""),
+        DiskChange(1.0, DiskCall.WRITE, FILE, 0, b"synced"),
+        DiskChange(2.0, DiskCall.SYNC, FILE, 0, b""),
+        DiskChange(3.0, DiskCall.WRITE, FILE, 6, b" or not"),
+        DiskChange(4.0, DiskCall.TRUNCATE, FILE, 2, b""),
+        DiskChange(5.0, DiskCall.REMOVE, FILE, 0, b""),
+        DiskChange(6.0, DiskCall.SYNC, folder, 0, b""),
     ]
     assert {disk_after(changes, 2.5, Random(seed)).get(FILE) for seed in range(50)} == {b"synced"}
     drawn = {disk_after(changes, 4.5, Random(seed)).get(FILE) for seed in range(50)}

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -168,10 +168,6 @@ class Rig:
     speed: float = 1.0
     environment: Mapping[str, str] | None = None
     """Of the gateway's process; this one's own if it is None."""
-
-    def with_environment(self, environment: Mapping[str, str]) -> "Rig":
-        """The same rig, whose gateway has this environment."""
-        return replace(self, environment=environment)
 
     @property
     def recording(self) -> Path:

@@ -11,13 +11,23 @@ import struct
 import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from random import Random
 
 SOURCE = Path(__file__).with_name("power_cut.c")
 SECTOR = 512
 _HEAD = struct.Struct("<QQQII")
-WRITE, TRUNCATE, SYNC, REMOVE, RENAME = range(1, 6)
+
+
+class DiskCall(IntEnum):
+    """What was done, by the numbers of `power_cut.c`."""
+
+    WRITE = 1
+    TRUNCATE = 2
+    SYNC = 3
+    REMOVE = 4
+    RENAME = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +35,7 @@ class DiskChange:
     """One row of the journal: its moment (s, CLOCK_MONOTONIC), what was done, to which file, where and with what."""
 
     time: float
-    kind: int
+    kind: DiskCall
     path: Path
     offset: int
     data: bytes
@@ -50,12 +60,12 @@ def read_journal(path: Path) -> list[DiskChange]:
     while at + _HEAD.size <= len(content):
         time, offset, size, kind, length = _HEAD.unpack_from(content, at)
         begin = at + _HEAD.size + length
-        has_data = kind in (WRITE, RENAME)
+        has_data = kind in (DiskCall.WRITE, DiskCall.RENAME)
         at = begin + (size if has_data else 0)
         if at <= len(content):
             name = content[begin - length : begin].decode()
             data = content[begin:at] if has_data else b""
-            changes.append(DiskChange(time / 1e9, kind, Path(name), offset, data))
+            changes.append(DiskChange(time / 1e9, DiskCall(kind), Path(name), offset, data))
     return changes
 
 
@@ -65,7 +75,7 @@ def disk_after(changes: Sequence[DiskChange], moment: float, rng: Random) -> dic
     files: dict[Path, bytearray] = {}
     waiting: dict[Path, list[DiskChange]] = {}
     for change in before:
-        if change.kind == SYNC:
+        if change.kind == DiskCall.SYNC:
             done = [*waiting.pop(change.path, ()), *_renamed_or_removed(waiting, change.path)]
             for each in done:
                 _apply(files, each)
@@ -83,10 +93,10 @@ def _renamed_or_removed(waiting: dict[Path, list[DiskChange]], folder: Path) -> 
     done = []
     for path, changes in waiting.items():
         if path.parent == folder:
-            done += [change for change in changes if change.kind in (REMOVE, RENAME)]
+            done += [change for change in changes if change.kind in (DiskCall.REMOVE, DiskCall.RENAME)]
             # What was written to a file before it was removed is of no use any more.
-            last = max((number for number, change in enumerate(changes) if change.kind == REMOVE), default=-1)
-            waiting[path] = [change for change in changes[last + 1 :] if change.kind != RENAME]
+            last = max((number for number, change in enumerate(changes) if change.kind == DiskCall.REMOVE), default=-1)
+            waiting[path] = [change for change in changes[last + 1 :] if change.kind != DiskCall.RENAME]
     return done
 
 
@@ -99,24 +109,26 @@ def write_disk(disk: Mapping[Path, bytes], was: Path, now: Path) -> None:
 
 
 def _torn(change: DiskChange, rng: Random) -> DiskChange:
-    if change.kind != WRITE:
+    if change.kind != DiskCall.WRITE:
         return change
     sectors = -(-len(change.data) // SECTOR)
-    return DiskChange(change.time, WRITE, change.path, change.offset, change.data[: SECTOR * rng.randint(0, sectors)])
+    return DiskChange(
+        change.time, DiskCall.WRITE, change.path, change.offset, change.data[: SECTOR * rng.randint(0, sectors)]
+    )
 
 
 def _apply(files: dict[Path, bytearray], change: DiskChange) -> None:
     match change.kind:
-        case 1:  # WRITE
+        case DiskCall.WRITE:
             content = files.setdefault(change.path, bytearray())
             content.extend(bytes(max(change.offset - len(content), 0)))
             content[change.offset : change.offset + len(change.data)] = change.data
-        case 2:  # TRUNCATE
+        case DiskCall.TRUNCATE:
             content = files.setdefault(change.path, bytearray())
             del content[change.offset :]
             content.extend(bytes(change.offset - len(content)))
-        case 4:  # REMOVE
+        case DiskCall.REMOVE:
             files.pop(change.path, None)
-        case 5:  # RENAME
+        case DiskCall.RENAME:
             if change.path in files:
                 files[Path(change.data.decode())] = files.pop(change.path)
