@@ -88,7 +88,7 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
 
     report += [
         Heading("Checks", 2),
-        Text("Of a check that was repeated the last one counts. The number is that of its record below."),
+        Text("Of a check that was repeated the last one counts. The number is that of its record in the annex."),
     ]
     rows, states = [], []
     for check in data["checks"]:
@@ -118,8 +118,16 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
             ReportTable(heads, armings, widths=(0.06, 0.18, 0.12, 0.14, 0.32, 0.18)),
         ]
 
-    # The evidence: files of configuration, every record in full, and the lines to sign on.
-    report.append(Heading("Configuration", 2))
+    # Who signs has read what stands above; what follows is the annex: files of configuration, every record in full.
+    report += [
+        Heading("Signatures", 2),
+        Text(
+            f"Those who sign have seen this report. Its data has the SHA-256 {digest}; the seal that `decanter plc "
+            "report` printed covers all files, and `decanter plc report --verify` checks them."
+        ),
+        Signatures(("commissioning engineer", "plant operator")),
+        Heading("Annex: configuration", 2),
+    ]
     files = tuple((file["path"], file["sha256"], "yes" if file["changed"] else "no") for file in data["configuration"])
     if files:
         named = ("file", "SHA-256 when last used", "changed since")
@@ -129,20 +137,12 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
     chain = "whole" if records["broken_at"] is None else f"broken at line {records['broken_at']}"
     count = len(records["rows"])
     report += [
-        Heading("Records", 2),
+        Heading("Annex: records", 2),
         Text(f"{records['path']}: {count} records, chain {chain}, SHA-256 {records['sha256']}"),
     ]
     for record in records["rows"]:
         report += [Heading(f"{record['number']}. {record['command']}", 2), *_record(record)]
-    return [
-        *report,
-        Heading("Signatures", 2),
-        Text(
-            f"Those who sign have seen this report. Its data has the SHA-256 {digest}; the seal that `decanter plc "
-            "report` printed covers all files, and `decanter plc report --verify` checks them."
-        ),
-        Signatures(("commissioning engineer", "plant operator")),
-    ]
+    return report
 
 
 def _record(record: Mapping[str, Any]) -> Iterator[Block]:
