@@ -11,7 +11,8 @@ from random import Random
 
 from structlog.typing import FilteringBoundLogger
 
-from drivers.driver import Complains, Driver
+from drivers.driver import Complains, Driver, Supervised
+from drivers.supervision import Supervisor
 from gateway.machine.alarms import CLOCK, DEVICE, RECORDS, AlarmBoard, make_conditions
 from gateway.machine.model import ModelUnit, ScanPrediction, load_members, load_model
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
@@ -20,7 +21,6 @@ from gateway.machine.trust import ClockCheck, RecordsWatch
 from gateway.machine.writing import Arming, ArmingError, BlockStage
 from gateway.settings import Config
 from gateway.store import open_historian, saved_state
-from gateway.supervision import Supervisor
 
 SAVE_SECONDS = 10.0
 ORDERS = ("WritePermit", "AcknowledgeBits")
@@ -64,7 +64,9 @@ class Machine:
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
         loaded = load_model(config)
         members = load_members(config, loaded)
-        self.supervisor = Supervisor(log)
+        self.supervisor = Supervisor(self._note_failure)
+        if isinstance(driver, Supervised):
+            self.supervisor.include("device", driver.supervisor)
         self.historian, numbers = open_historian(
             config.historian.path,
             config.map.tags,
@@ -82,7 +84,11 @@ class Machine:
             newest = believed[0] if believed else store.newest()
             self.clock_check = ClockCheck(now, newest, config.historian.max_off_days * 86_400.0)
             self.clock_complaint = ""
-            self.model = None if loaded is None else ModelUnit(config, loaded, members, historian=store, log=log)
+            self.model = (
+                None
+                if loaded is None
+                else ModelUnit(config, loaded, members, historian=store, log=log, supervisor=self.supervisor)
+            )
             self.link, self.counters = LinkHealth(log), RunCounters()
             inputs = self.model.predictor.inputs if self.model else config.watched
             conditions = make_conditions(config, inputs, complains=isinstance(driver, Complains))
@@ -193,6 +199,11 @@ class Machine:
         config, model = self.config, self.model.loaded.hash if self.model else ""
         run = (now, config.model.temperature, model, config.scan.period, config.historian.max_interval)
         self.historian.put("runs", [run])
+
+    def _note_failure(self, part: str, error: BaseException) -> None:
+        """A part has failed, in another way than the last time or after it had been well."""
+        message = "a part of the gateway failed and is begun anew"
+        self.log.error(message, part=part, reason=repr(error), exc_info=error)
 
     def _note_switch_over(self, switch: SwitchOver) -> None:
         """Another link is used from now on."""

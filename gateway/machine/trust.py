@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from structlog.typing import FilteringBoundLogger
 
+from drivers.supervision import Supervisor
 from gateway.store import Historian
-from gateway.supervision import Supervisor
 
 AGREE_SECONDS = 3600.0
 """By how much clocks may differ that agree: retention counts in days."""

@@ -55,16 +55,15 @@ async def run(
             config, driver=driver or make_driver(config, clock), clock=clock, log=log, rng=rng or SystemRandom()
         )
         reporter = machine.supervisor.task("status", lambda: _report(machine, status_path))
-        # The local socket is a convenience: a gateway that cannot have one runs without it, and says so.
+        opened.enter_context(machine.supervisor.hearing_all())
         control = Control(machine, config.control_socket, snapshot)
-        try:
-            await control.open()
-        except OSError as error:
-            machine.log.warning("other programs cannot ask this gateway", reason=error.strerror or str(error))
+        serving = machine.supervisor.task("control", control.serve)
         try:
             await _supervised(machine, stop)
         finally:
             machine.phase = "stopping"
+            serving.cancel()
+            await asyncio.wait({serving})
             await control.close()
             # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in
             # there.
@@ -110,12 +109,20 @@ async def _supervised(machine: Machine, stop: asyncio.Event) -> None:
             urgent = machine.urgent if scans_on_change(config) else None
             # Closed here and now, not when the collector comes by: the device must not be read by two streams of scans.
             async with aclosing(
-                scans(machine.driver, config.map.tags, clock, rules, stop=stop, urgent=urgent)
+                scans(
+                    machine.driver,
+                    config.map.tags,
+                    clock,
+                    rules,
+                    stop=stop,
+                    urgent=urgent,
+                    supervisor=machine.supervisor,
+                )
             ) as stream:
                 async for scan in stream:
                     await machine.take(scan)
-        except Exception as error:
-            log.exception("a part of the gateway failed and is begun anew", reason=str(error))
+        except Exception as error:  # noqa: BLE001 - the supervisor's part for the scans: it is said, and begun anew
+            machine.supervisor.failed("scans", error)
             machine.counters.failures, machine.counters.last_failure = machine.counters.failures + 1, repr(error)
             machine.begin_anew()
             # The PLC is told before the pause: for this second nobody stands behind what the last block said.

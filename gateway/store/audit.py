@@ -28,8 +28,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from drivers.supervision import Supervisor
 from gateway.store.chain import BEGIN, digest
-from gateway.supervision import Supervisor
 from sim.strict_json import escaped, json_text
 
 APPLICATION_ID = 0x6465_6175

@@ -5,9 +5,9 @@ import time
 from contextlib import closing
 from pathlib import Path
 
+from drivers.supervision import Supervisor
 from gateway.store.audit import APPLICATION_ID, Audit, AuditError, open_audit
 from gateway.store.durable import set_aside
-from gateway.supervision import Supervisor
 
 LOOK_SECONDS = 2.0
 """The longest look for damage at a start (real time); what a longer one would find is found before an arming."""

@@ -51,7 +51,10 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
         ]
     # One reading that came late is no alarm: inputs have to be bad for as long as a value may be held.
     bad = AlarmCondition("inputs bad", ", ".join(inputs), bit=4, limit=0.5, on_delay=STALE_PERIODS * period)
-    lost = "what happens may not be on record: see historian and parts in the status, and make room or mend the disk"
+    lost = (
+        "what happens may not be on record, or a part of the gateway failed and was begun anew: see historian and "
+        "parts in the status, and make room or mend the disk"
+    )
     wrong = "the clock has jumped: set it and start the gateway anew; nothing is deleted by age meanwhile"
     conditions += [
         AlarmCondition(RECORDS, config.map.name, 7, 0.5, off_delay=a.off_delay, response=lost),

@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 
 from drivers.driver import Streams
+from drivers.supervision import Supervisor
 from drivers.tag import Sample, Tag
 
 Urgent = Callable[[], Collection[str]]
@@ -18,20 +19,18 @@ class DeviceStream:
     at most.
     """
 
-    def __init__(self, driver: Streams, tags: Sequence[Tag], urgent: Urgent) -> None:
+    def __init__(self, driver: Streams, tags: Sequence[Tag], urgent: Urgent, supervisor: Supervisor) -> None:
         self._driver, self._tags, self._urgent = driver, tags, urgent
         self._latest: dict[str, Sample] = {}
         self._seen: dict[str, Sample] = {}
         self._changed = asyncio.Event()
         self._not_before = 0.0
-        self._task = asyncio.create_task(self._listen(), name="news of the device")
+        self._task = supervisor.task("news of the device", self._listen)
 
     async def close(self) -> None:
-        """Stop listening. Raises what the stream raised, if it did."""
+        """Stop listening."""
         self._task.cancel()
-        (result,) = await asyncio.gather(self._task, return_exceptions=True)
-        if isinstance(result, Exception):
-            raise result
+        await asyncio.wait({self._task})
 
     async def urgent_change(self) -> None:
         """Return when something urgent has changed and it is time to look at it."""

@@ -3,12 +3,14 @@
 import asyncio
 from collections import deque
 from collections.abc import Mapping, Sequence
+from functools import partial
 from random import Random
 from struct import pack
 
 from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver
+from drivers.supervision import Supervisor
 from gateway.machine.model import ZONES, ScanPrediction, block_values
 from gateway.machine.reading import Clock, Scan
 from gateway.machine.writing.arming import ArmingError, arm, open_writer, signed
@@ -17,7 +19,6 @@ from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, cle
 from gateway.machine.writing.writeback import Arming, Attempt
 from gateway.settings import Config, WritebackLayout
 from gateway.store import Historian, open_or_set_aside
-from gateway.supervision import Supervisor
 from sim.forecast import Forecast
 
 LATENCIES = 10_000
@@ -44,6 +45,7 @@ class BlockStage:
     ) -> None:
         self.config = config
         self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
+        self._supervisor = supervisor
         self._refusals: Mapping[int, str] = {code: reason for reason, code in config.map.refusals.items()}
         self._refused = ""
         self.attempt: Attempt | None = None
@@ -99,7 +101,7 @@ class BlockStage:
         if scan.time - self._signed >= SIGN_SECONDS:
             self._signed = scan.time
             # In a thread: no scan waits for the disk.
-            self._signing = asyncio.create_task(asyncio.to_thread(self.witnessing.sign, scan.time))
+            self._signing = self._supervisor.job("signing", partial(self.witnessing.sign, scan.time))
         # Taking back comes first: no block of an arming that is over may follow it.
         if over := self._disarming(scan.time, unverified):
             await self.disarm("", over, scan, alarms)
