@@ -2,8 +2,8 @@
 
 What fails, or ends though nobody told it to, is said, counted and begun anew with a growing pause. It stands below all
 floors, so that a driver has one for its own threads and tasks (`drivers.driver.Supervised`), which the gateway's takes
-in (`include`). What it says of itself (`report`, `complaint`) goes into the gateway's status, the alarm "records" and
-the exit code.
+in (`include`). What it says of itself (`report`, `complaints`) goes into the gateway's status, its alarms and the exit
+code.
 """
 
 import asyncio
@@ -22,7 +22,7 @@ Say = Callable[[str, BaseException], None]
 FIRST_PAUSE, LONGEST_PAUSE = 0.2, 10.0
 """Seconds before a part is begun anew: doubled with each failure up to the longest."""
 WELL_SECONDS = 30.0
-"""A part that has run for so long since it was begun anew is well again; its next failure pauses briefly."""
+"""A part that has not failed for so long is well again, and its next failure pauses briefly."""
 
 
 class EndedUnasked(RuntimeError):
@@ -34,7 +34,7 @@ class EndedUnasked(RuntimeError):
 
 @dataclass(slots=True)
 class Worker:
-    """One thread or task: how often it failed, why it last did ("" never), since when it runs (monotonic s).
+    """One thread or task: how often it failed, why it last did ("" never) and when (monotonic s).
 
     `running` is false while it pauses after a failure and once it has ended for good.
     """
@@ -43,13 +43,13 @@ class Worker:
     restarts: int = 0
     failure: str = ""
     running: bool = True
-    since: float = 0.0
+    failed_at: float = 0.0
     carrier: "threading.Thread | asyncio.Task[Any] | None" = None
 
     @property
     def well(self) -> bool:
-        """True while it runs and has done so for a while since its last failure, if there was one."""
-        return not self.failure or (self.running and monotonic() - self.since >= WELL_SECONDS)
+        """True if it has not failed for a while, or never."""
+        return not self.failure or monotonic() - self.failed_at >= WELL_SECONDS
 
 
 class Supervisor:
@@ -81,7 +81,7 @@ class Supervisor:
                 if stopping:
                     return
                 stop.wait(pause)
-                worker.running, worker.since = True, monotonic()
+                worker.running = True
 
         thread = threading.Thread(target=keep, name=name, daemon=True)
         worker = self._known(name, thread)
@@ -112,7 +112,7 @@ class Supervisor:
                     if task.cancelling():
                         return
                     await asyncio.sleep(pause)
-                    worker.running, worker.since = True, monotonic()
+                    worker.running = True
             finally:
                 worker.running = False
 
@@ -143,7 +143,7 @@ class Supervisor:
         """Count a failure of a part that its owner begins anew."""
         worker = self._workers.get(name) or self._known(name, None)
         self._failed(worker, error)
-        worker.running, worker.since = True, monotonic()
+        worker.running = True
 
     @contextmanager
     def hearing_all(self) -> Iterator[None]:
@@ -174,10 +174,14 @@ class Supervisor:
         other.say = lambda part, error: self._tell(f"{name}: {part}", error)
 
     @property
+    def complaints(self) -> dict[str, str]:
+        """What cannot be relied on now, by the part's name, and why."""
+        return {name: f"{name}: {part.failure}; begun anew" for name, part in self.parts().items() if not part.well}
+
+    @property
     def complaint(self) -> str:
-        """What cannot be relied on now, and why; "" if all is well."""
-        parts = self.parts().items()
-        return "; ".join(f"{name}: {part.failure}; begun anew" for name, part in parts if not part.well)
+        """All of them in one sentence; "" if all is well."""
+        return "; ".join(self.complaints.values())
 
     def report(self) -> dict[str, dict[str, str | int | bool]]:
         """Every thread and task by name, as plain values."""
@@ -201,9 +205,9 @@ class Supervisor:
     def _known(self, name: str, carrier: "threading.Thread | asyncio.Task[Any] | None") -> Worker:
         """A worker of this name; one that comes after another (each connection has its reader) goes on counting."""
         before = self._workers.get(name)
-        worker = Worker(name, since=monotonic(), carrier=carrier)
+        worker = Worker(name, carrier=carrier)
         if before is not None:
-            worker.restarts, worker.failure = before.restarts, before.failure
+            worker.restarts, worker.failure, worker.failed_at = before.restarts, before.failure, before.failed_at
         self._workers[name] = worker
         return worker
 
@@ -211,7 +215,8 @@ class Supervisor:
         """Note a failure; False if the part had been well for a while."""
         reason, well = repr(error), worker.well
         same = reason == worker.failure and not well
-        worker.running, worker.restarts, worker.failure = False, worker.restarts + 1, reason
+        worker.running, worker.restarts = False, worker.restarts + 1
+        worker.failure, worker.failed_at = reason, monotonic()
         # Said by change: what fails in the same way every ten seconds is counted, and does not fill the log.
         if not same:
             self._tell(worker.name, error)

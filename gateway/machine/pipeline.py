@@ -13,7 +13,7 @@ from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Complains, Driver, Supervised
 from drivers.supervision import Supervisor
-from gateway.machine.alarms import CLOCK, DEVICE, RECORDS, AlarmBoard, make_conditions
+from gateway.machine.alarms import CLOCK, DEVICE, PARTS, RECORDS, AlarmBoard, make_conditions
 from gateway.machine.model import ModelUnit, ScanPrediction, load_members, load_model
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
@@ -147,6 +147,7 @@ class Machine:
             if DEVICE in self.alarms.conditions:
                 findings[DEVICE] = float(bool(self.complaints()))
             findings[RECORDS] = float(bool(self.records_watch.complaint))
+            findings[PARTS] = float(bool(self.records_watch.failed_parts))
             findings[CLOCK] = float(bool(self.clock_complaint))
             self.alarms.on_predictions(scan, findings)
             await self._disarm_without_records(scan.time)

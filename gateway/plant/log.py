@@ -42,7 +42,7 @@ class _Tee:
             elif self._timer is None:
                 # The count is written also where no line comes any more.
                 self._timer = threading.Timer(self._folding.window, self._on_time)
-                self._timer.daemon = True
+                self._timer.daemon, self._timer.name = True, "log"
                 self._timer.start()
 
     debug = info = warning = error = critical = msg

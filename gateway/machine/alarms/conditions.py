@@ -8,8 +8,9 @@ from gateway.settings import Config
 
 DEVICE = "device"
 """The alarm for what the device itself says is wrong with it."""
-RECORDS, CLOCK = "records", "clock"
-"""The alarms for records that cannot be relied on, and for a clock that cannot."""
+RECORDS, PARTS, CLOCK = "records", "parts", "clock"
+"""The alarms for records that cannot be relied on, for another part of the gateway that failed (they share a bit), and
+for a clock that cannot be relied on."""
 DRIFT_SINCE = "14d"
 """The span of the historian that a diagnosis is offered for: ten cycles or more of a plant that runs every day."""
 REVIEW = "the readings lie beyond 3 sigma of the model too often: look at the sensor, then learn or correct the model"
@@ -51,13 +52,12 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
         ]
     # One reading that came late is no alarm: inputs have to be bad for as long as a value may be held.
     bad = AlarmCondition("inputs bad", ", ".join(inputs), bit=4, limit=0.5, on_delay=STALE_PERIODS * period)
-    lost = (
-        "what happens may not be on record, or a part of the gateway failed and was begun anew: see historian and "
-        "parts in the status, and make room or mend the disk"
-    )
+    lost = "what happens may not be on record: see historian and parts in the status, and make room or mend the disk"
+    failed = "a part of the gateway failed and was begun anew: see parts in the status and the log, and report it"
     wrong = "the clock has jumped: set it and start the gateway anew; nothing is deleted by age meanwhile"
     conditions += [
         AlarmCondition(RECORDS, config.map.name, 7, 0.5, off_delay=a.off_delay, response=lost),
+        AlarmCondition(PARTS, config.map.name, 7, 0.5, off_delay=a.off_delay, response=failed),
         AlarmCondition(CLOCK, config.map.name, 8, 0.5, off_delay=a.off_delay, priority=3, response=wrong),
     ]
     if complains:
