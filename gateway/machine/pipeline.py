@@ -5,7 +5,7 @@ Several machines may live in one process: everything is an argument or belongs t
 
 import asyncio
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from random import Random
 
@@ -55,11 +55,22 @@ class Machine:
     """All parts of one machine, opened (the driver not yet): one scan after another goes through `take`.
 
     `model` is None for one that is only monitored, `block` for one to which nothing is computed for writing. `rng`
-    draws the number that tells this start's blocks from another gateway's. Raises ConfigError, HistorianError or
+    draws the number that tells this start's blocks from another gateway's, `log_failure` says why the log's file cannot
+    be written ("": it can). Raises ConfigError, HistorianError or
     AuditError when something cannot be opened; nothing is left open then.
     """
 
-    def __init__(self, config: Config, *, driver: Driver, clock: Clock, log: FilteringBoundLogger, rng: Random) -> None:
+    def __init__(
+        self,
+        config: Config,
+        *,
+        driver: Driver,
+        clock: Clock,
+        log: FilteringBoundLogger,
+        rng: Random,
+        log_failure: Callable[[], str] = lambda: "",
+    ) -> None:
+        self._log_failure = log_failure
         self.config, self.driver, self.clock, self.log = config, driver, clock, log
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
         loaded = load_model(config)
@@ -104,6 +115,7 @@ class Machine:
                     supervisor=self.supervisor,
                     log=log,
                     rng=rng,
+                    log_failure=log_failure,
                 )
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
             self.records = Records(store, Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out))
@@ -174,7 +186,7 @@ class Machine:
     def _look_at_itself(self, scan: Scan) -> None:
         """Whether records and clock can be relied on at this scan; what changes is logged."""
         audit = self.block.audit.complaint if self.block else ""
-        self.records_watch.look(scan.time, audit)
+        self.records_watch.look(scan.time, audit or self._log_failure())
         clock, before = self.clock, self.clock_complaint
         offset = clock.wall_offset() if isinstance(clock, PlantClock) and clock.speed == 1.0 else 0.0
         plc = scan.good(self.config.clock.tag) if self.config.clock.tag else None
@@ -228,6 +240,8 @@ class Machine:
         unverified = self.model.unverified if self.model else ""
         if self.block is None:
             raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
+        if why := self._log_failure():
+            raise ArmingError(f"not armed: {why}")
         return await self.block.arm(by, reason, minutes, unverified=unverified, acknowledged=acknowledged)
 
     async def disarm(self, by: str, reason: str) -> bool:

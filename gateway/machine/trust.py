@@ -25,12 +25,12 @@ class RecordsWatch:
         self.complaint = self.failed_parts = ""
         self._stuck_since: float | None = None
 
-    def look(self, now: float, audit: str) -> None:
-        """Look at the records at `now` (plant s); `audit` is what the audit log complains of."""
+    def look(self, now: float, others: str) -> None:
+        """Look at the records at `now` (plant s); `others`: what audit log and log complain of."""
         before, historian = self.complaint, self._historian
         failed = self._supervisor.complaints
         recording = "; ".join(failed[part] for part in RECORDING if part in failed)
-        self.complaint = historian.complaint or audit or recording
+        self.complaint = historian.complaint or others or recording
         self.failed_parts = "; ".join(failed[part] for part in failed if part not in RECORDING)
         counts = {"dropped": historian.dropped, "refused": historian.refused}
         if self.complaint and self.complaint != before:

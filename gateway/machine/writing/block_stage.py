@@ -2,7 +2,7 @@
 
 import asyncio
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from random import Random
 from struct import pack
@@ -42,6 +42,7 @@ class BlockStage:
         supervisor: Supervisor,
         log: FilteringBoundLogger,
         rng: Random,
+        log_failure: Callable[[], str] = lambda: "",
     ) -> None:
         self.config = config
         self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
@@ -67,7 +68,7 @@ class BlockStage:
                 audit=self.audit,
                 log=log,
                 rng=rng,
-                obstacle=lambda: obstacle(self.witnessing.places)[0],
+                obstacle=lambda: log_failure() or obstacle(self.witnessing.places)[0],
             )
             self.witnessing.sign(self._signed)
             opened = True
