@@ -13,7 +13,7 @@ from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Complains, Driver, Supervised
 from drivers.supervision import Supervisor
-from gateway.machine.alarms import CLOCK, DEVICE, PARTS, RECORDS, AlarmBoard, make_conditions
+from gateway.machine.alarms import CLOCK, DEVICE, OTHER_WRITER, PARTS, RECORDS, AlarmBoard, make_conditions
 from gateway.machine.model import ModelUnit, ScanPrediction, load_members, load_model
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
@@ -158,6 +158,8 @@ class Machine:
             findings = self.model.findings(prediction, forecast) if self.model and prediction else {}
             if DEVICE in self.alarms.conditions:
                 findings[DEVICE] = float(bool(self.complaints()))
+            if OTHER_WRITER in self.alarms.conditions and self.block is not None:
+                findings[OTHER_WRITER] = float(bool(self.block.writer.rival(scan.time)))
             findings[RECORDS] = float(bool(self.records_watch.complaint))
             findings[PARTS] = float(bool(self.records_watch.failed_parts))
             findings[CLOCK] = float(bool(self.clock_complaint))

@@ -18,10 +18,12 @@ from gateway.machine.writing.block import Validity, validity
 from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
 from gateway.machine.writing.writeback import Arming, Attempt
 from gateway.settings import Config, WritebackLayout
-from gateway.store import Historian, open_or_set_aside
+from gateway.store import Historian, open_or_set_aside, saved_state
 from sim.forecast import Forecast
 
 LATENCIES = 10_000
+STARTS_KEPT = 8
+"""So many of the gateway's numbers are kept: one that is killed and killed again knows its own by them."""
 
 
 class BlockStage:
@@ -70,6 +72,10 @@ class BlockStage:
                 rng=rng,
                 obstacle=lambda: log_failure() or obstacle(self.witnessing.places)[0],
             )
+            writers = saved_state(historian, "writers", log)
+            formers = [int(number) for number in writers[1].get("numbers", ())] if writers else []
+            self.writer.formers = frozenset(formers)
+            historian.save("writers", self._signed, {"numbers": [*formers, self.writer.number][-STARTS_KEPT:]})
             self.witnessing.sign(self._signed)
             opened = True
         finally:
