@@ -19,18 +19,23 @@ class DeviceStream:
     at most.
     """
 
-    def __init__(self, driver: Streams, tags: Sequence[Tag], urgent: Urgent, supervisor: Supervisor) -> None:
+    def __init__(self, driver: Streams, tags: Sequence[Tag], urgent: Urgent, supervisor: Supervisor | None) -> None:
         self._driver, self._tags, self._urgent = driver, tags, urgent
         self._latest: dict[str, Sample] = {}
         self._seen: dict[str, Sample] = {}
         self._changed = asyncio.Event()
         self._not_before = 0.0
-        self._task = supervisor.task("news of the device", self._listen)
+        name = "news of the device"
+        self._task = (
+            supervisor.task(name, self._listen) if supervisor else asyncio.create_task(self._listen(), name=name)
+        )
 
     async def close(self) -> None:
-        """Stop listening."""
+        """Stop listening. Raises what the stream raised, if it did and no supervisor has begun it anew."""
         self._task.cancel()
-        await asyncio.wait({self._task})
+        (result,) = await asyncio.gather(self._task, return_exceptions=True)
+        if isinstance(result, Exception):
+            raise result
 
     async def urgent_change(self) -> None:
         """Return when something urgent has changed and it is time to look at it."""

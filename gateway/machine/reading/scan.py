@@ -58,13 +58,14 @@ async def scans(
     restart of the gateway shall not look like a doubt about the device.
 
     With `urgent`, which gives names of tags, and a driver that streams, a change of one of them brings an early scan
-    between two ticks, made of what the device has told; nothing is asked for. The `supervisor` keeps listening.
+    between two ticks, made of what the device has told; nothing is asked for. The `supervisor` begins a
+    stream that fails anew; without one it ends the scans with its reason.
     """
     begin, tick, missed, number, last = clock.now(), 0, 0, 0, 0.0
     age, stop = DeviceAge(), stop or asyncio.Event()
     stream = None
     if urgent is not None and isinstance(driver, Streams):
-        stream = DeviceStream(driver, tags, urgent, supervisor or Supervisor())
+        stream = DeviceStream(driver, tags, urgent, supervisor)
     try:
         while (due := await _awaited(clock, begin + tick * rules.period, stop, stream if number else None)) != "stop":
             sent = clock.now()
