@@ -20,7 +20,7 @@ import json
 import sqlite3
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -28,8 +28,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from drivers.supervision import Supervisor
 from gateway.store.chain import BEGIN, digest
-from gateway.supervision import Supervisor
 from sim.strict_json import escaped, json_text
 
 APPLICATION_ID = 0x6465_6175
@@ -76,6 +76,10 @@ class AuditError(OSError):
     """The audit log cannot be used; the message is one sentence that says why and what would be right."""
 
 
+class UnusableAuditError(AuditError):
+    """The file cannot be made, read or written now."""
+
+
 @dataclass(frozen=True, slots=True)
 class AuditEntry:
     """One thing that happened: `time` (s UTC, the plant's clock), what kind, who, why, and the rest as plain values."""
@@ -115,12 +119,22 @@ class Audit:
     """An open audit log. `put` never waits for the disk, `record` and `stored` do; each may be called from any thread.
 
     `failure` says why the disk does not take what waits, "" while it does; `lost` counts what was given up since then.
+    Without a `connection` entries wait, and `attach`, which raises AuditError, is tried again and again.
     """
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, supervisor: Supervisor) -> None:
+    def __init__(
+        self,
+        path: Path,
+        connection: sqlite3.Connection | None,
+        supervisor: Supervisor,
+        *,
+        attach: Callable[[], sqlite3.Connection] | None = None,
+        failure: str = "",
+    ) -> None:
         self.path = path
-        self.failure = ""
+        self.failure = failure
         self.lost = 0
+        self._attach = attach
         self._connection = connection
         # An entry, and the ticket of whoever waits for it: cancelled it is never stored, running it is being committed.
         self._waiting: deque[tuple[AuditEntry, Future[None] | None]] = deque()
@@ -214,11 +228,20 @@ class Audit:
             self._stopping = True
             self._wake.notify_all()
         self._thread.join(timeout=10.0)
-        if not self._thread.is_alive():
+        if not self._thread.is_alive() and self._connection is not None:
             self._connection.close()
         return not self._waiting and not self.lost
 
     def _work(self) -> None:
+        while (connection := self._connection) is None:
+            try:
+                self._connection = self._attach() if self._attach else None
+                self.failure = ""
+            except AuditError as error:
+                self.failure = str(error)
+                with self._wake:
+                    if self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS):
+                        return
         while True:
             with self._wake:
                 self._wake.wait_for(lambda: self._waiting or self._stopping)
@@ -231,9 +254,9 @@ class Audit:
             claimed: list[tuple[AuditEntry, Future[None] | None]] = []
             lost = 0
             try:
-                with self._connection:
+                with connection:
                     # The write lock comes first, and may take its time: until then an entry can be taken back.
-                    self._connection.execute("BEGIN IMMEDIATE")
+                    connection.execute("BEGIN IMMEDIATE")
                     with self._wake:
                         self._pressing, lost = False, self.lost
                         claimed = [
@@ -246,7 +269,7 @@ class Audit:
                     if lost and entries:
                         reason = f"{lost} rows could not be kept while the disk took none"
                         entries.insert(0, AuditEntry(entries[0].time, LOST, "", reason, {"rows": lost}))
-                    _insert(self._connection, entries)
+                    _insert(connection, entries)
             except sqlite3.Error as error:
                 stored = False
                 self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
@@ -285,11 +308,19 @@ class Audit:
 
 def open_audit(path: Path, supervisor: Supervisor | None = None) -> Audit:
     """The audit log at `path`, made if there is none; `supervisor` keeps its thread going. Raises AuditError."""
+    return Audit(path, connected(path), supervisor or Supervisor())
+
+
+def connected(path: Path) -> sqlite3.Connection:
+    """A connection to the audit log at `path`, made if there is none.
+
+    Raises AuditError: UnusableAuditError where it cannot be made or written, which may change while a gateway runs.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
     except (OSError, sqlite3.Error) as error:
-        raise AuditError(f"{path}: cannot be made ({error}); give a path that this user may write") from None
+        raise UnusableAuditError(f"{path}: cannot be made ({error}); give a path that this user may write") from None
     try:
         # Of a new file only, and before the journal mode, which writes its first page (sqlite.org/pragma.html).
         connection.execute(f"PRAGMA page_size = {PAGE}")
@@ -307,11 +338,12 @@ def open_audit(path: Path, supervisor: Supervisor | None = None) -> Audit:
         _check(connection, path)
     except sqlite3.Error as error:
         connection.close()
-        raise AuditError(f"{path}: cannot be used ({error}); give the path of an audit log or of a new file") from None
+        sentence = f"{path}: cannot be used ({error}); give the path of an audit log or of a new file"
+        raise UnusableAuditError(sentence) from None
     except AuditError:
         connection.close()
         raise
-    return Audit(path, connection, supervisor or Supervisor())
+    return connection
 
 
 def append(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> str:

@@ -200,6 +200,9 @@ def open_writer(
             reason = f"{config.map.driver!r} cannot write; set writeback.mode to 'shadow'"
             raise ConfigError([f"{config.map.path}: device.driver: {reason}"])
         return writer
+    if audit.failure:
+        log.error("not armed", reason=audit.failure)
+        return writer
     start = next_start(config, audit.path, now, uptime())
     arming = start.arming
     if start.ended is not None:

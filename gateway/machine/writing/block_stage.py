@@ -2,13 +2,15 @@
 
 import asyncio
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from random import Random
 from struct import pack
 
 from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver
+from drivers.supervision import Supervisor
 from gateway.machine.model import ZONES, ScanPrediction, block_values
 from gateway.machine.reading import Clock, Scan
 from gateway.machine.writing.arming import ArmingError, arm, open_writer, signed
@@ -16,11 +18,12 @@ from gateway.machine.writing.block import Validity, validity
 from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
 from gateway.machine.writing.writeback import Arming, Attempt
 from gateway.settings import Config, WritebackLayout
-from gateway.store import Historian, open_or_set_aside
-from gateway.supervision import Supervisor
+from gateway.store import Historian, open_or_set_aside, saved_state
 from sim.forecast import Forecast
 
 LATENCIES = 10_000
+STARTS_KEPT = 8
+"""So many of the gateway's numbers are kept: one that is killed and killed again knows its own by them."""
 
 
 class BlockStage:
@@ -41,9 +44,11 @@ class BlockStage:
         supervisor: Supervisor,
         log: FilteringBoundLogger,
         rng: Random,
+        log_failure: Callable[[], str] = lambda: "",
     ) -> None:
         self.config = config
         self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
+        self._supervisor = supervisor
         self._refusals: Mapping[int, str] = {code: reason for reason, code in config.map.refusals.items()}
         self._refused = ""
         self.attempt: Attempt | None = None
@@ -65,8 +70,12 @@ class BlockStage:
                 audit=self.audit,
                 log=log,
                 rng=rng,
-                obstacle=lambda: obstacle(self.witnessing.places)[0],
+                obstacle=lambda: log_failure() or obstacle(self.witnessing.places)[0],
             )
+            writers = saved_state(historian, "writers", log)
+            formers = [int(number) for number in writers[1].get("numbers", ())] if writers else []
+            self.writer.formers = frozenset(formers)
+            historian.save("writers", self._signed, {"numbers": [*formers, self.writer.number][-STARTS_KEPT:]})
             self.witnessing.sign(self._signed)
             opened = True
         finally:
@@ -99,7 +108,7 @@ class BlockStage:
         if scan.time - self._signed >= SIGN_SECONDS:
             self._signed = scan.time
             # In a thread: no scan waits for the disk.
-            self._signing = asyncio.create_task(asyncio.to_thread(self.witnessing.sign, scan.time))
+            self._signing = self._supervisor.job("signing", partial(self.witnessing.sign, scan.time))
         # Taking back comes first: no block of an arming that is over may follow it.
         if over := self._disarming(scan.time, unverified):
             await self.disarm("", over, scan, alarms)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.supervision import Supervisor
 from gateway.machine.writing.arming import ArmingError, arm, arm_in_log, signed
 from gateway.store.audit import (
     ARMED,
@@ -28,7 +29,6 @@ from gateway.store.audit import (
     standing,
     verify,
 )
-from gateway.supervision import Supervisor
 from tests.gateway.support import EPOCH
 from tests.gateway.test_writeback import armed
 
