@@ -143,7 +143,7 @@ def test_armings_names_and_an_arming_that_still_stands_are_in_it(tmp_path: Path)
     assert data["names"] == ["Ada", "Bea"] and data["open_points"][0].startswith("still armed: by Bea (loop test)")
     disarm_in_log(audit, "Bea", "done", time.time())
     data = data_of(path, audit)
-    assert data["verdict"] == PASSED and data["audit"]["kinds"] == {"armed": 1, "disarmed": 1}
+    assert data["verdict"] == PASSED and data["audit"]["kinds"] == {"armed": 1, "confirmed": 1, "disarmed": 1}
     assert len(data["audit"]["head"]) == 64
 
 
