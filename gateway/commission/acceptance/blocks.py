@@ -102,7 +102,7 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
     report.append(ReportTable(columns, tuple(rows), tuple(states), widths))
 
     report.append(Heading("Writing", 2))
-    if not audit["rows"]:
+    if not audit["rows"] and not audit["problem"]:
         report.append(Text("Nothing was armed and nothing was written: there is no audit log."))
     else:
         kinds = ", ".join(f"{count} {kind}" for kind, count in audit["kinds"].items())
@@ -114,7 +114,7 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
         heads = ("row", "time", "what", "who", "reason", "until")
         report += [
             Text(f"Audit log {audit['path']}: {audit['rows']} rows ({kinds}); its chain is {whole}."),
-            Text(f"Newest hash: {audit['head']}"),
+            Text(f"Newest hash: {audit['head']}. By signed heads {audit['end']}."),
             ReportTable(heads, armings, widths=(0.06, 0.18, 0.12, 0.14, 0.32, 0.18)),
         ]
 

@@ -82,6 +82,11 @@ class BlockStage:
             if not opened:
                 self.audit.close()
 
+    def _sign(self, now: float) -> None:
+        """Sign the newest head in a thread: no scan waits for the disk."""
+        self._signed = now
+        self._signing = self._supervisor.job("signing", partial(self.witnessing.sign, now))
+
     def take_counts(self, scan: Scan) -> None:
         """Take over what the PLC says of the blocks before this one."""
         refused = self.writer.take_counts(scan, self._refusals)
@@ -106,9 +111,7 @@ class BlockStage:
         """
         self.take_counts(scan)
         if scan.time - self._signed >= SIGN_SECONDS:
-            self._signed = scan.time
-            # In a thread: no scan waits for the disk.
-            self._signing = self._supervisor.job("signing", partial(self.witnessing.sign, scan.time))
+            self._sign(scan.time)
         # Taking back comes first: no block of an arming that is over may follow it.
         if over := self._disarming(scan.time, unverified):
             await self.disarm("", over, scan, alarms)
@@ -174,7 +177,7 @@ class BlockStage:
             raise ArmingError(f"the model that runs does not verify: {unverified}")
         signed(by, reason, minutes, self._clock.now())  # what is not even signed leaves no row
         witnessing, generation = self.witnessing, self.writer.generation
-        await asyncio.to_thread(
+        key = await asyncio.to_thread(
             clear_for_arming,
             witnessing.places,
             self.audit.record,
@@ -185,7 +188,7 @@ class BlockStage:
         )
         if self.writer.generation != generation:
             raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
-        arming = await arm(self.writer, self._driver, by=by, reason=reason, minutes=minutes)
+        arming = await arm(self.writer, self._driver, by=by, reason=reason, minutes=minutes, key=key)
         self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
         await asyncio.to_thread(witnessing.sign, self._clock.now())
@@ -201,6 +204,8 @@ class BlockStage:
         attempt = await self.writer.disarm(now, by, reason, scan=scan, alarms=alarms, stamp=stamp)
         if attempt is not None:
             self._record(attempt)
+        # A disarming that could be cut off unnoticed would leave the arming before it as the newest word.
+        self._sign(now)
         if arming is None:
             return False
         who, verdict = by or arming.by, attempt.verdict if attempt else "off"

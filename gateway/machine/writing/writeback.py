@@ -198,8 +198,7 @@ class Writer:
                     entry = AuditEntry(
                         now, EXPIRED if over else DISARMED, who, why, {} if stamp is None else {"stamp": stamp}
                     )
-                    if not await self.audit.stored(entry, DISARMED_SECONDS):
-                        self.audit.put(entry)
+                    await self.audit.kept(entry, DISARMED_SECONDS)
                 return attempt
         finally:
             self.ending -= 1
