@@ -83,9 +83,7 @@ def fuzz(target: FuzzTarget, run: Run, examples: Sequence[bytes], inputs: int, n
     accepted, before, current, draws = 0, peak(), b"", max(1, inputs // AT_ONCE)
 
     @seed(number)
-    @settings(
-        max_examples=max(1, inputs // AT_ONCE), deadline=None, database=None, suppress_health_check=list(HealthCheck)
-    )
+    @settings(max_examples=draws, deadline=None, database=None, suppress_health_check=list(HealthCheck))
     @given(near(examples))
     def check(several: list[bytes]) -> None:
         nonlocal accepted, current

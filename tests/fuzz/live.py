@@ -187,7 +187,7 @@ def plc_over_tcp(make: MakeFace, **options: Any) -> Callable[[Path], AbstractCon
     @contextmanager
     def bench(folder: Path) -> Iterator[Run]:
         secured = {"tls": certified.for_plc(folder)} if "tls_port" in options else {}
-        tls = {"ssl": load_identity(folder).context, "server_hostname": "localhost"} if secured else {}
+        tls: dict[str, Any] = {"ssl": load_identity(folder).context, "server_hostname": "localhost"} if secured else {}
         with _served(make, {**options, **secured}) as (runner, face, question, answer_):
             reader, writer = runner.run(asyncio.open_connection("127.0.0.1", face.port, **tls))
 
