@@ -40,8 +40,8 @@ _CSV = re.compile(r"\s*-?[\d.]+(?:[eE][-+]?\d+)?,(?:0x)?[0-9A-Fa-f]+,[01],[01],[
 _CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
 _TRC = re.compile(r"\s*(?:;.*|\d+\)?\s+[\d.]+\s+\S.*)?\s*")
 
-# The TRC reader warns of each line; they are counted here.
-logging.getLogger("can.io.trc").addHandler(logging.NullHandler())
+# The readers warn of lines and objects, on the terminal where nobody else listens; what they leave out is counted here.
+logging.getLogger("can.io").addHandler(logging.NullHandler())
 
 LineCheck = Callable[[str], str]
 """What a line is: "" for the reader, else the count that it goes to."""

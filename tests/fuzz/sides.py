@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
+from drivers.can import CanFrame, TagReading
 from drivers.can.fields import parse_field, raw_of, value_of
 from drivers.canopen.emergency import Emergencies
 from drivers.canopen.pdo import laid_out
@@ -17,6 +18,7 @@ from drivers.modbus.verify import Asked, check_reply, split_frames
 from drivers.tag import DType, Tag
 from drivers.vehicle.isotp import Reassembler
 from drivers.vehicle.j1939_transport import Key, TransportSessions
+from drivers.vehicle.obd import ObdListener
 from sim.plc.canopen.node import SDO_ANSWER, CanopenNode
 from sim.plc.canopen.objects import read_layout
 from sim.plc.canopen.pdo import RPDO
@@ -138,6 +140,17 @@ def isotp(data: bytes) -> object:
         assert payload is None or 1 <= len(payload) <= 4095
     assert size <= len(data)
     return reassembler.counts
+
+
+def obd(data: bytes) -> object:
+    """A car's answers: what is read of a tag is GOOD with a value, or says in one line why it is not."""
+    listener = ObdListener([Tag("speed", "obd:0C"), Tag("coolant", "obd:05"), Tag("vin", "obd:vin", DType.STRING)])
+    read: list[TagReading] = []
+    for number, frame in enumerate(frames_of(data)):
+        read += listener.take(CanFrame(time=0.01 * number, id=0x7E8 + number % 2, extended=False, data=frame))
+    for _, (value, quality, reason) in read:
+        assert quality.is_good == (value is not None) and (quality.is_good or reason.isprintable())
+    return read
 
 
 def j1939(data: bytes) -> object:

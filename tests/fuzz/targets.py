@@ -1,8 +1,10 @@
 """The table of targets: what is fuzzed, from which valid examples, and with which errors it may refuse."""
 
+import io
 import re
 import struct
 import tempfile
+import zipfile
 from binascii import crc_hqx
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -33,11 +35,13 @@ from sim.files import ArtefactError
 from sim.plc.modbus import framing
 from sim.plc.modbus.server import make_rtu_tcp
 from sim.plc.modbus.tls import make as make_tls
+from sim.plc.program import InputError
+from sim.plc.record.recording import read_recording
 from sim.sha import Model
 from sim.traces import ColumnMap, load_map
 from sim.traces.load_report import TraceError
 from sim.traces.traces import load_traces
-from tests.cases.input_without_a_bound.test_input_without_a_bound import workbook
+from tests.cases.input_without_a_bound.test_input_without_a_bound import with_part, workbook
 from tests.fuzz import live, sides
 from tests.fuzz.target import FuzzTarget, check_sentence, of_file, of_text, plain
 from tests.gateway.support import ROOT, two_modes
@@ -163,6 +167,19 @@ ORDERS = (
     '{"command": "values"}\n',
 )
 
+RECORDING = (
+    '{"k": "run", "n": 1, "t": 0.0, "epoch": 0.0, "monotonic": 0.0, "speed": 1.0, "device": "d", "trace": null, '
+    '"seed": 0, "roundings": {"A": [0.1, 0.0]}}',
+    '{"k": "truth", "n": 2, "t": 0.1, "version": 1, "values": {"A": 1.5}}',
+    '{"k": "request", "n": 3, "t": 0.2, "peer": "a:1", "transaction": 1, "unit": 1, "function": 3, "address": 100, '
+    '"count": 1, "pdu": "0300640001", "reply": "03020007", "exception": null, "delay_s": 0.0, '
+    '"faults": [], "version": 1}',
+    '{"k": "block", "n": 4, "t": 0.3, "peer": "a:1", "address": 400, "words": [1, 2], "fields": {"sequence": 1}, '
+    '"verdict": "accepted", "accepted": true}',
+    '{"k": "frame", "n": 5, "t": 0.4, "face": "can", "sent": true, "id": 385, "data": "0011"}',
+    '{"k": "event", "n": 6, "t": 0.5, "event": "fault began", "number": 1}',
+)
+
 
 @cache
 def _model() -> Model:
@@ -172,6 +189,29 @@ def _model() -> Model:
 @cache
 def _columns() -> ColumnMap:
     return load_map(ROOT / "config/traces/decanter.toml")
+
+
+@cache
+def _parts() -> Sequence[bytes]:
+    """The workbook's parts, each behind a line with its name: an archive whose checksums are right reaches the XML."""
+    with zipfile.ZipFile(io.BytesIO(_workbook())) as book:
+        wanted = ("xl/worksheets/sheet1.xml", "xl/workbook.xml", "xl/styles.xml", "xl/sharedStrings.xml")
+        return [name.encode() + b"\n" + book.read(name) for name in wanted if name in book.namelist()]
+
+
+def _with_part(path: Path) -> object:
+    name, _, body = path.read_bytes().partition(b"\n")
+    path.write_bytes(with_part(_workbook(), name.decode(errors="replace"), lambda _: body, zipfile.ZIP_STORED))
+    return _sheet(path)
+
+
+@cache
+def _workbook() -> bytes:
+    return workbook()
+
+
+def _sheet(path: Path) -> object:
+    return read_sheet(path, COLUMNS, ("name", "address"))
 
 
 def _query(text: str) -> object:
@@ -231,6 +271,13 @@ TARGETS: dict[str, FuzzTarget] = {
         "T: ",
     ),
     "isotp": FuzzTarget(lambda: [b"\3\x41\x0c\x1aAAAA", b"\x10\x14ABCDEF\x21GHIJKLM\x22NOPQRST"], plain(sides.isotp)),
+    "obd": FuzzTarget(
+        lambda: [
+            b"\4\x41\x0c\x1a\xf8AAA\3\x41\5\x7bAAAA\3\x7f\1\x12AAAA",
+            b"\x10\x14\x49\2\1ABC\x21DEFGHIJ\x22KLMNOPQ",
+        ],
+        plain(sides.obd),
+    ),
     "j1939": FuzzTarget(
         lambda: [b"\x20\x0e\0\2\xff\xca\xfe\0\1ABCDEFG\2HIJKLMN", b"\x10\x0e\0\2\xff\xca\xfe\0\1ABCDEFG\2HIJKLMN"],
         plain(sides.j1939),
@@ -300,12 +347,24 @@ TARGETS: dict[str, FuzzTarget] = {
         lambda: [model_text(_model()).encode()], of_file("x.json", read_model_file), (ArtefactError,), ".*/x.json(:|: )"
     ),
     "xlsx": FuzzTarget(
-        lambda: [workbook()],
-        of_file("x.xlsx", lambda path: read_sheet(path, COLUMNS, ("name", "address"))),
+        lambda: [_workbook()],
+        of_file("x.xlsx", _sheet),
+        (ListError,),
+        ".*/x.xlsx: ",
+    ),
+    "xlsx-part": FuzzTarget(
+        _parts,
+        of_file("x.xlsx", _with_part),
         (ListError,),
         ".*/x.xlsx: ",
     ),
     "query": FuzzTarget(_texts(*QUERIES), of_text(_query), (QueryError,)),
+    "plc-recording": FuzzTarget(
+        _texts("".join(f"{row}\n" for row in RECORDING)),
+        of_file("x.jsonl", read_recording),
+        (InputError,),
+        r".*/x.jsonl: ",
+    ),
     "gateway-control": FuzzTarget(_texts(*REQUESTS), live.gateway_control),
     "plc-control": FuzzTarget(_texts(*ORDERS), live.plc_control),
 }
