@@ -19,6 +19,7 @@ from pydantic import Field, ValidationError
 
 from drivers import json_lines
 from drivers.device_file import TagTable
+from drivers.errors import OneLineError
 from drivers.json_lines import NoObject
 from drivers.settings import Line, Section, sentences
 from drivers.tag import Sample
@@ -35,7 +36,7 @@ LOOK_SECONDS, RETRY_SECONDS = 1.0, 5.0
 _CREDENTIALS = struct.Struct("3i")
 
 
-class ControlError(ValueError):
+class ControlError(OneLineError, ValueError):
     """A request that cannot be carried out; the sentence goes into the reply."""
 
 
