@@ -1,16 +1,17 @@
 """Column maps: which column of somebody's CSV is which signal, which is the clock, and what is done about faults."""
 
 import tomllib
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
-from drivers.settings import sentences
-from sim.sha import DECANTER, Alphabet
-from sim.traces.alphabet_table import alphabet_from_table
+from drivers.settings import did_you_mean, sentences
+from sim.sha import Alphabet
+from sim.traces.alphabet_table import DECANTER_AUTO, alphabet_from_table
 
 
 def _listed(value: object) -> object:
@@ -53,7 +54,8 @@ class ClockColumns(_MapPart):
         try:
             ZoneInfo(zone)
         except (ZoneInfoNotFoundError, ValueError):
-            raise ValueError(f"there is no time zone {zone!r}; give a name like 'UTC' or 'Europe/Rome'") from None
+            meant = did_you_mean(zone, available_timezones()) or "give a name like 'UTC' or 'Europe/Rome'"
+            raise ValueError(f"there is no time zone {zone!r}; {meant}") from None
         return zone
 
     @field_validator("formats")
@@ -77,7 +79,8 @@ class SignalColumn(_MapPart):
 
     `column` is the header's name (in a long file, the name in the column of names); the signal's own name if not given.
     Cells in `missing` (before scaling) and values outside `low`..`high` are of bad quality. `hold`: sent on change, the
-    last value holds until the next reading, a bad one or a gap.
+    last value holds until the next reading, a bad one or a gap. `on` and `off` are words of a two-valued signal, in any
+    case of their letters, besides those that are known anyway; where they are given, `boolean` need not be.
     """
 
     column: Names = ()
@@ -85,10 +88,28 @@ class SignalColumn(_MapPart):
     scale: float = 1.0
     offset: float = 0.0
     boolean: bool = False
+    on: Names = ()
+    off: Names = ()
     hold: bool = False
     low: float | None = None
     high: float | None = None
     missing: tuple[float, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _words_make_a_switch(cls, table: object) -> object:
+        if isinstance(table, dict) and (table.get("on") or table.get("off")):
+            return {"boolean": True, **table}
+        return table
+
+    @model_validator(mode="after")
+    def _words_are_opposites(self) -> Self:
+        both = {word.casefold() for word in self.on} & {word.casefold() for word in self.off}
+        if both:
+            raise ValueError(f"{sorted(both)[0]!r} stands in both on and off; leave it in the one that it means")
+        if (self.on or self.off) and not self.boolean:
+            raise ValueError("on and off are words of a two-valued signal; leave out boolean = false")
+        return self
 
 
 class Derived(_MapPart):
@@ -151,6 +172,10 @@ class Long(_MapPart):
     objects: tuple[str, ...] = ()
 
 
+def _one_of(word: str, known: Collection[str]) -> str:
+    return f"it must be one of {', '.join(known)}; {did_you_mean(word, known)}".rstrip("; ")
+
+
 class ColumnMap(_MapPart):
     """How to read one kind of CSV.
 
@@ -182,7 +207,7 @@ class ColumnMap(_MapPart):
     synthetic: bool = False
     machine: Annotated[str, Field(min_length=1)] = "folder"
     effects: Effects | None = None
-    alphabet: Alphabet = DECANTER
+    alphabet: Alphabet = DECANTER_AUTO
 
     @field_validator("alphabet", mode="before")
     @classmethod
@@ -212,11 +237,11 @@ class ColumnMap(_MapPart):
         if self.format == "long" and (self.clock_back != "sort" or self.duplicates == "keep" or self.extra):
             raise ValueError("a long map needs clock_back = 'sort', duplicates 'last' or 'average', and no extra")
         if self.temperature not in self.signals:
-            raise ValueError(f"temperature names {self.temperature!r}; it must be one of {', '.join(self.signals)}")
+            raise ValueError(f"temperature names {self.temperature!r}; {_one_of(self.temperature, self.signals)}")
         for name, derived in self.derived.items():
             strange = [source for source in derived.sources if source not in self.signals]
             if strange:
-                raise ValueError(f"derived.{name} needs {strange[0]!r}; it must be one of {', '.join(self.signals)}")
+                raise ValueError(f"derived.{name} needs {strange[0]!r}; {_one_of(strange[0], self.signals)}")
         self._check_roles()
         return self
 
@@ -224,7 +249,7 @@ class ColumnMap(_MapPart):
         known = (*self.signals, *self.derived)
         for role, signal in ({} if self.effects is None else self.effects.roles).items():
             if signal not in known and not self.extra:
-                raise ValueError(f"effects.{role} names {signal!r}; it must be one of {', '.join(known)}")
+                raise ValueError(f"effects.{role} names {signal!r}; {_one_of(signal, known)}")
 
     def names_of(self, signal: str) -> tuple[str, ...]:
         """The column names under which a signal may come."""
@@ -236,7 +261,9 @@ def load_map(path: str | Path) -> ColumnMap:
     try:
         table: dict[str, Any] = parse_toml(contents(Path(path), MOST_TOML_BYTES).decode())
     except FileNotFoundError:
-        raise ValueError(f"{path}: there is no such column map; the project's own are in config/traces") from None
+        beside = sorted(file.stem for file in Path(path).parent.glob("*.toml"))
+        meant = did_you_mean(Path(path).stem, beside) or "the project's own are in config/traces"
+        raise ValueError(f"{path}: there is no such column map; {meant}") from None
     except OSError as error:
         raise ValueError(f"{path}: this column map cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -15,6 +15,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from drivers.named_files import regular
+from drivers.settings import did_you_mean
 from sim.traces.cells import numbers
 from sim.traces.column_map import ColumnMap, Names
 from sim.traces.load_report import FileReport, TraceError, listed
@@ -136,10 +137,13 @@ def _no_header(
         present = f"its columns are {listed(names)}"
     else:
         present = f"its only column is {repr(names[0][:60]) if names else 'blank'}"
+    # The nearest name of what is lacking, if there is one: most often a letter or a blank is the whole difference.
+    questions = (did_you_mean(name, names) for group in needed if place_of(names, group) is None for name in group)
+    meant = next(filter(None, questions), "")
     bare = f", and it is no row of {len(column_map.columns)} numbers without header" if column_map.columns else ""
     return (
         f"{path}: line {number}: there is no column {', '.join(lacking)}; {present}{bare}; "
-        "give the file for which the column map was written, or correct the map"
+        f"{meant}{' ' if meant else ''}give the file for which the column map was written, or correct the map"
     )
 
 
