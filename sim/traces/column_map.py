@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -20,6 +20,10 @@ def _listed(value: object) -> object:
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 """One name or several: the first that the file has is taken."""
+
+
+SECONDS = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+"""Formats of a clock that counts, and how many of their units a second has."""
 
 
 class _MapPart(BaseModel):
@@ -39,11 +43,14 @@ class TimeOfDay(_MapPart):
 class ClockColumns(_MapPart):
     """One `column`, in one of the `formats`, or a `time_of_day` that rolls over at midnight.
 
-    Formats, tried in order: `seconds` and `milliseconds` (elapsed or since 1970), `ISO8601`, or a strptime pattern. A
-    time without an offset is read in `timezone`. A time of day becomes seconds since midnight of the first row's day.
+    Formats, tried in order: `seconds`, `milliseconds`, `microseconds` and `nanoseconds` (elapsed or since 1970),
+    `ISO8601`, or a strptime pattern. Where the day stands in a column `date` of its own, its cell, a blank and that of
+    `column` are what the formats read. A time without an offset is read in `timezone`. A time of day becomes seconds
+    since midnight of the first row's day.
     """
 
     column: Names = ()
+    date: Names = ()
     formats: Names = ("ISO8601",)
     timezone: str = "UTC"
     time_of_day: TimeOfDay | None = None
@@ -62,8 +69,8 @@ class ClockColumns(_MapPart):
     @classmethod
     def _formats_are_known(cls, formats: tuple[str, ...]) -> tuple[str, ...]:
         for format_ in formats:
-            if format_ not in ("seconds", "milliseconds", "ISO8601") and "%" not in format_:
-                known = "'seconds', 'milliseconds', 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
+            if format_ not in (*SECONDS, "ISO8601") and "%" not in format_:
+                known = f"{', '.join(map(repr, SECONDS))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
                 raise ValueError(f"{format_!r} is no format; give {known}")
         return formats
 
@@ -71,6 +78,8 @@ class ClockColumns(_MapPart):
     def _one_kind(self) -> Self:
         if bool(self.column) == (self.time_of_day is not None):
             raise ValueError("give either column or time_of_day")
+        if self.date and self.time_of_day is not None:
+            raise ValueError("date belongs to column; a time_of_day has none")
         return self
 
 
@@ -259,16 +268,23 @@ class ColumnMap(_MapPart):
 def load_map(path: str | Path) -> ColumnMap:
     """The column map in a TOML file. Raises ValueError: file, key, reason and what would be right in one sentence."""
     try:
-        table: dict[str, Any] = parse_toml(contents(Path(path), MOST_TOML_BYTES).decode())
+        text = contents(Path(path), MOST_TOML_BYTES).decode()
     except FileNotFoundError:
         beside = sorted(file.stem for file in Path(path).parent.glob("*.toml"))
         meant = did_you_mean(Path(path).stem, beside) or "the project's own are in config/traces"
         raise ValueError(f"{path}: there is no such column map; {meant}") from None
     except OSError as error:
         raise ValueError(f"{path}: this column map cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise ValueError(f"{path}: this is not TOML: {error}") from None
+    return parse_map(text, str(path))
+
+
+def parse_map(text: str, where: str) -> ColumnMap:
+    """The column map in a TOML text. Raises ValueError with one sentence that begins with `where`."""
     try:
-        return ColumnMap.model_validate(table)
+        return ColumnMap.model_validate(parse_toml(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{where}: this is not TOML: {error}") from None
     except ValidationError as error:
-        raise ValueError(sentences(ColumnMap, error, str(path))[0]) from None
+        raise ValueError(sentences(ColumnMap, error, where)[0]) from None
