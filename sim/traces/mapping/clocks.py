@@ -1,11 +1,12 @@
 """Formats of times: which of those that exports write reads a column, and whether more than one does."""
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
-from itertools import product
+from itertools import islice
 from typing import Literal
 
 import numpy as np
@@ -33,6 +34,10 @@ _EPOCHS = (
     ("nanoseconds", 1e18, 4e18),
 )
 _CHECKED = 400
+_LOOKED_AT, _MOST_FORMATS, _ENOUGH = 5, 4, 0.8
+_MARKS = re.compile(r"(?<!%)[-/.:, _]")
+_DATED = re.compile(r"(?:\d{1,4}[-/. ]|\d{8}\b|[A-Za-z]{3} \d).*\d[:.]\d\d")
+_ZONE = re.compile(r" ?(?:[+-]\d\d:?\d\d|Z)$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,41 +56,49 @@ class Clock:
         return any("%z" in each or each.endswith("seconds") for each in self.formats)
 
 
-@lru_cache(maxsize=4096)
-def _fits(cell: str, format_: str) -> bool:
+def _fits(text: str, format_: str) -> bool:
+    # Python compiles an expression for each format: only those whose own marks the text has are worth it.
+    if not set(_MARKS.findall(format_)) <= set(text):
+        return False
     try:
-        datetime.strptime(cell, format_)
+        datetime.strptime(text, format_)
     except ValueError:
         return False
     return True
 
 
 def _iso(cell: str) -> bool:
-    if not ("-" in cell and len(cell) > 10 and cell[:4].isdigit()):
+    if not (cell[:4].isdigit() and "-" in cell[4:8] and len(cell) > 10) or "," in cell:
         return False
     try:
         datetime.fromisoformat(cell)
     except ValueError:
         return False
-    return "," not in cell
+    return True
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def formats_of(cell: str) -> tuple[tuple[Order, str], ...]:
     """The formats of date and time that read one cell, with their order; none for a number or any other text."""
-    if len(cell) < 8 or not any(char.isdigit() for char in cell) or len(cell) > 40:
+    if not 8 <= len(cell) <= 40 or _DATED.match(cell) is None:
         return ()
     if _iso(cell):
         return (("year", "ISO8601"),)
+    zone = _ZONE.search(cell)
+    bare, suffix = (cell[: zone.start()], "%z" if zone[0][0] != " " else " %z") if zone else (cell, "")
     found: list[tuple[Order, str]] = []
-    for (order, date), between in product(_DATES, _BETWEEN):
-        if between in cell or between == "T":
-            found += [
-                (order, f"{date}{between}{time}{zone}")
-                for time in _TIMES
-                for zone in ("", "%z", " %z")
-                if _fits(cell, f"{date}{between}{time}{zone}")
-            ]
+    for between in _BETWEEN:
+        # From the right: a month's name may be followed by the same mark as the date.
+        for at in (place for place in range(len(bare)) if bare.startswith(between, place)):
+            day, time = bare[:at], bare[at + len(between) :]
+            times = [format_ for format_ in _TIMES if _fits(time, format_)] if time[:1].isdigit() else []
+            if times:
+                found += [
+                    (order, f"{date}{between}{format_}{suffix}")
+                    for order, date in _DATES
+                    if _fits(day, date)
+                    for format_ in times
+                ]
     return tuple(dict.fromkeys(found))
 
 
@@ -111,22 +124,25 @@ def clocks_of(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]] 
     if date is not None:
         cells = [f"{day} {time}" for day, time in zip(date[1], cells, strict=True)]
     sample = list(cells[:_CHECKED])
-    known = [formats_of(cell) for cell in sample if cell]
+    filled = sum(map(bool, sample))
     clocks: list[Clock] = []
-    for order in dict.fromkeys(order for formats in known for order, _ in formats):
-        chosen: list[str] = []
-        for formats in known:
-            own = [format_ for each, format_ in formats if each == order]
-            if own and not set(own) & set(chosen):
-                chosen.append(own[0])
-        if not 0 < len(chosen) <= 4:
-            continue
-        clock = ClockColumns(column="t", formats=tuple(chosen))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # pandas' advice on formats, which are given here
-            times, _ = read_clock(clock, [sample], "auto")
-        if np.isfinite(times).sum() >= 0.8 * len(known):
-            clocks.append(Clock(place, tuple(chosen), order, times, None if date is None else date[0]))
+    for order in dict.fromkeys(order for cell in sample[:_LOOKED_AT] for order, _ in formats_of(cell)):
+        formats, times = tuple[str, ...](), np.full(len(sample), np.nan)
+        # A format for the first cell, another for the first that it does not read: fractions of seconds come and go.
+        while len(formats) < _MOST_FORMATS:
+            unread = (cell for cell, time in zip(sample, times.tolist(), strict=True) if cell and time != time)
+            own = (
+                format_ for cell in islice(unread, _LOOKED_AT) for each, format_ in formats_of(cell) if each == order
+            )
+            further = next(own, None)
+            if further is None or further in formats:
+                break
+            formats = (*formats, further)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # pandas' advice on formats, which are given here
+                times, _ = read_clock(ClockColumns(column="t", formats=formats), [sample], "auto")
+        if np.isfinite(times).sum() >= _ENOUGH * filled:
+            clocks.append(Clock(place, formats, order, times, None if date is None else date[0]))
     return clocks
 
 

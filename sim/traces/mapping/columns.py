@@ -29,7 +29,8 @@ _OFF = frozenset({
 class FoundColumn:
     """A signal's column: the `header` it is read from, a `name` for the signal, its `unit`, `kind` and sample `values`.
 
-    `words` are (on, off) of a switch whose words are not known anyway. `at` are the rows of the sample with a value.
+    `words` are (on, off) of a switch whose words are not known anyway; `undecided` are two words of `cells` of which
+    nobody knows which is on.
     """
 
     header: str
@@ -39,6 +40,7 @@ class FoundColumn:
     values: Array
     words: tuple[str, str] | None = None
     undecided: tuple[str, str] | None = None
+    cells: tuple[str, ...] = ()
 
 
 def decimal_of(columns: Sequence[Sequence[str]], separator: str) -> Literal["auto", ".", ","]:
@@ -56,9 +58,11 @@ def _is_number(cell: str, decimal: Literal[".", ","]) -> bool:
     return bool(np.isfinite(numbers([cell], decimal)[0][0])) and cell.strip() != ""
 
 
-def column_of(header: str, unit: str, cells: Sequence[str], decimal: Literal["auto", ".", ","]) -> FoundColumn:
+def column_of(
+    header: str, title: str, unit: str, cells: Sequence[str], decimal: Literal["auto", ".", ","]
+) -> FoundColumn:
     """What a column (or one signal of a long file) holds. `unit` is the one that a row of units gives, or ""."""
-    bare, own_unit = unit_of(header)
+    bare, own_unit = unit_of(title)
     name = signal_name(bare)
     unit = unit or own_unit
     filled = [cell for cell in cells if cell.casefold() not in _NO_VALUE]
@@ -76,7 +80,7 @@ def column_of(header: str, unit: str, cells: Sequence[str], decimal: Literal["au
         if on:
             return FoundColumn(header, name, "", "switch", booleans(cells, (on,), (off,))[0], words=(on, off))
         first, second = distinct
-        return FoundColumn(header, name, "", "text", values, undecided=(first, second))
+        return FoundColumn(header, name, "", "text", values, undecided=(first, second), cells=tuple(cells))
     return FoundColumn(header, name, "", "text", values)
 
 

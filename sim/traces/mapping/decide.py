@@ -153,7 +153,6 @@ def parts_of(where: object, columns: Sequence[FoundColumn], answers: Answers) ->
             current, reasons["current"] = levels[0], "the only column that dwells near 0 and far from it, in turn"
     running = None
     if answers.running != NONE:
-        columns = [_with_word(where, column, answers) for column in columns]
         switches = [column for column in columns if column.kind == "switch"]
         running = _named(where, "running", answers.running, switches, reasons) or _best(
             where, "running", switches, lambda column: running_score(column.name), reasons
@@ -195,12 +194,19 @@ def _best(
     return best[0]
 
 
-def _with_word(where: object, column: FoundColumn, answers: Answers) -> FoundColumn:
-    """A column of two strange words as the switch that it is, if its name or an answer says so."""
-    words = column.undecided
-    if words is None or not (running_score(column.name) or column.header == answers.running):
-        return column
-    if answers.on not in words:
-        raise Undecided(where, f"the word of {column.header!r} that means running", "on", words)
-    off = words[1] if answers.on == words[0] else words[0]
-    return FoundColumn(column.header, column.name, "", "switch", column.values, words=(answers.on, off))
+def with_words(where: object, columns: Sequence[FoundColumn], answers: Answers) -> list[FoundColumn]:
+    """The columns, those of two strange words as the switches that they are if a name or an answer says so.
+
+    Raises Undecided where it is not known which of the words means running.
+    """
+    switched: list[FoundColumn] = []
+    for column in columns:
+        words = column.undecided
+        if words is not None and (running_score(column.name) or answers.running in (column.header, column.name)):
+            if answers.on not in words:
+                raise Undecided(where, f"words of {column.header!r} that may mean running", "on", words)
+            off = words[1] if answers.on == words[0] else words[0]
+            values = np.where([cell == answers.on for cell in column.cells], 1.0, 0.0)
+            column = replace(column, kind="switch", values=values, words=(answers.on, off), undecided=None)
+        switched.append(column)
+    return switched

@@ -13,7 +13,7 @@ from sim.sha import Trace
 from sim.traces import Levels, levels_of, listed, load_traces, parse_map, round_to
 from sim.traces.mapping.clocks import Clock
 from sim.traces.mapping.columns import FoundColumn, column_of, decimal_of
-from sim.traces.mapping.decide import Answers, Parts, clock_of, parts_of
+from sim.traces.mapping.decide import Answers, Parts, clock_of, parts_of, with_words
 from sim.traces.mapping.table import FoundTable, find_table
 from sim.traces.mapping.words import named_name, named_value
 
@@ -61,15 +61,16 @@ def draft_map(path: Path, answers: Answers) -> DraftedMap:
         decimal = decimal_of([table.column(place) for place in places], table.separator)
         first = {table.header[place]: place for place in reversed(places)}  # the first of equal headers is read
         columns = [
-            column_of(h, table.units[p], table.column(p), decimal) for h, p in sorted(first.items(), key=itemgetter(1))
+            column_of(h, table.titles[p], table.units[p], table.column(p), decimal)
+            for h, p in sorted(first.items(), key=itemgetter(1))
         ]
     else:
         decimal = decimal_of([table.column(long.value)], table.separator)
         cells: dict[str, list[str]] = {}
         for row in table.rows:
             cells.setdefault(row[long.name], []).append(row[long.value])
-        columns = [column_of(name, "", own, decimal) for name, own in cells.items() if name]
-    columns = _named_apart(columns)
+        columns = [column_of(name, name, "", own, decimal) for name, own in cells.items() if name]
+    columns = with_words(path, _named_apart(columns), answers)
     parts = parts_of(path, columns, answers)
     # The current's levels and the usual step are those of all rows, which the map itself reads.
     bare = _text(table, clock, long, columns, parts, decimal=decimal, answers=answers)

@@ -11,6 +11,8 @@ from sim.traces.mapping.clocks import is_time, pure_date
 from sim.traces.mapping.words import UNITS, bare_unit
 
 _HEAD = 1 << 20
+_SINCE_1970 = (10, 13, 16, 19)
+"""Digits of a time since 1970 in s, ms, us and ns."""
 _SEARCHED = 60
 """Lines in which a header is looked for: titles, annotations and column lists of exports are shorter."""
 
@@ -19,15 +21,15 @@ _SEARCHED = 60
 class FoundTable:
     """A file's `header` and sample `rows` (cells stripped), under `separator`; `units` by column where a row has them.
 
-    `before` lines come before the header; they are no comments that the mark # would hide.
+    `titles` are the header's names, or those of a row below it where the header only counts its columns.
     """
 
     path: Path
     separator: str
     header: tuple[str, ...]
+    titles: tuple[str, ...]
     units: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    before: int
 
     def column(self, place: int) -> list[str]:
         """The sample cells of a column."""
@@ -70,19 +72,27 @@ def find_table(path: Path) -> FoundTable:
     header_at, units = first - 1 if named is None else named, [""] * width
     above = rows[header_at]
     if named is None and header_at and _is_units(above) and len(rows[header_at - 1]) >= len(above):
-        units = [bare_unit(cell) for cell in above] + [""] * (width - len(above))
+        units = [UNITS.get(bare_unit(cell), "") for cell in above] + [""] * (width - len(above))
+        header_at -= 1
+    # Between names and readings there may be rows of addresses and types, which leave the clock's columns blank.
+    while named is None and header_at and len(rows[header_at - 1]) == width and not rows[header_at][0]:
         header_at -= 1
     header = rows[header_at][:width]
     header += [""] * (width - len(header))
     while header and not header[-1]:
         header.pop()
     width = len(header)
-    if not width or not any(header) or all(cell.replace(".", "").isdigit() for cell in header if cell):
+    if not width or not any(header) or all(map(_numeric, filter(None, header))):
         raise TraceError(f"{path}: line {usable[first][0] + 1} holds data, and no line above it names its columns")
+    # Where the header only counts its columns, the names stand in one of the rows below it.
+    titles = [
+        next((row[at] for row in rows[header_at:first] if len(row) > at and not row[at].isdigit() and row[at]), name)
+        for at, name in enumerate(header)
+    ]
     mark = SEPARATORS[separator]
     below = (_cells(line, mark) for _, line in usable[first:])
     sample = tuple(tuple(row[:width]) for row in below if len(row) >= width)
-    return FoundTable(path, separator, tuple(header), tuple(units[:width]), sample, header_at)
+    return FoundTable(path, separator, tuple(header), tuple(titles), tuple(units[:width]), sample)
 
 
 def _cells(line: str, mark: str) -> list[str]:
@@ -93,10 +103,10 @@ def _is_data(row: Sequence[str]) -> bool:
     """Whether a row holds readings: a date, or numbers and nothing that a header has."""
     if len(row) < 2:
         return False
-    if any(is_time(cell) or pure_date(cell) for cell in row):
+    if any(is_time(cell) or pure_date(cell) or (cell.isdigit() and len(cell) in _SINCE_1970) for cell in row):
         return True
     filled = [cell for cell in row if cell]
-    return len(filled) > 1 and all(_numeric(cell) for cell in filled)
+    return bool(row[0]) and len(filled) > 1 and all(_numeric(cell) for cell in filled)
 
 
 def _numeric(cell: str) -> bool:

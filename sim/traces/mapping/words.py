@@ -27,7 +27,7 @@ _CURRENT = re.compile(
     re.IGNORECASE,
 )
 _RUNNING = re.compile(
-    r"run|running|marcia|betrieb|läuft|lauf|marche|marcha|motor.?on|in_?funzione|started|_on\b|on_?off|ein.?aus|status|"
+    r"run|running|marcia|betrieb|läuft|lauf|marche|marcha|motor.?on|in_?funzione|started|_on\b|_ein\b|on_?off|ein.?aus|status|"
     r"stato|état|estado|zustand|servizio",
     re.IGNORECASE,
 )
