@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from drivers.named_files import writing
 from gateway.console import emit, json_option
 from gateway.entry import sentences
 from sim.traces.mapping import NONE, Answers, DraftedMap, Undecided, draft_map
@@ -37,7 +38,8 @@ def map_command(file: Path, out: Path | None, overwrite: bool, dates: str | None
         answers = Answers(dates=dates or "", **names)
         drafted = _asked(file, answers)
         if out is not None:
-            out.write_text(drafted.text, encoding="utf-8")
+            with writing(out):
+                out.write_text(drafted.text, encoding="utf-8")
     data = {"file": str(file), "map": out and str(out), **asdict(drafted)}
 
     def show() -> None:
