@@ -110,6 +110,12 @@ def sentences(section: type[BaseModel], error: ValidationError, place: str) -> l
     return [_sentence(section, detail, place) for detail in error.errors(include_url=False)]
 
 
+def first_sentence(section: type[BaseModel], error: ValidationError, place: str) -> str:
+    """The one sentence that explains most: a slip in a key also makes the key that was meant a missing one."""
+    found = sentences(section, error, place)
+    return next((sentence for sentence in found if "did you mean" in sentence), found[0])
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """The question after a name that is not known: the one that looks most like it, whatever its case; "" if none."""
     by_folded = {name.casefold(): name for name in known}

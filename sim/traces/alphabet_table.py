@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from drivers.settings import sentences
+from drivers.settings import first_sentence
 from sim.sha import DECANTER, Alphabet, Bins, Switch, check_alphabet
 from sim.traces.auto_thresholds import AutoBins
 
@@ -117,7 +117,7 @@ def alphabet_from_table(table: Mapping[str, object], where: str) -> Alphabet:
         )
         check_alphabet(alphabet)
     except ValidationError as error:
-        raise ValueError(sentences(_AlphabetTable, error, where)[0]) from None
+        raise ValueError(first_sentence(_AlphabetTable, error, where)) from None
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
     return alphabet

@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
-from drivers.settings import did_you_mean, sentences
+from drivers.settings import did_you_mean, first_sentence
 from sim.sha import Alphabet
 from sim.traces.alphabet_table import DECANTER_AUTO, alphabet_from_table
 
@@ -287,4 +287,4 @@ def parse_map(text: str, where: str) -> ColumnMap:
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{where}: this is not TOML: {error}") from None
     except ValidationError as error:
-        raise ValueError(sentences(ColumnMap, error, where)[0]) from None
+        raise ValueError(first_sentence(ColumnMap, error, where)) from None

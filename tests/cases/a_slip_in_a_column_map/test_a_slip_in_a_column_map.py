@@ -1,5 +1,6 @@
 """A slip in a column map was answered with a list of thirty names; the one that was meant is asked for."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -27,20 +28,20 @@ Motor = {}
         (GOOD + "[effects]\ncurrent = 'Moter'", "did you mean 'Motor'?"),
         (GOOD.replace('column = "time"', 'column = "time"\ntimezone = "Europe/Rom"'), "did you mean 'Europe/Rome'?"),
         (GOOD.replace("formats", "format"), "did you mean 'formats'?"),
+        (GOOD.replace("temperature =", "temprature ="), "did you mean 'temperature'?"),
         (GOOD + "[alphabet]\nchanels = []", "did you mean 'channels'?"),
     ],
 )
 def test_a_name_in_the_map(tmp_path: Path, text: str, meant: str) -> None:
     (tmp_path / "m.toml").write_text(text)
-    with pytest.raises(ValueError, match="") as raised:
+    with pytest.raises(ValueError, match=re.escape(meant)):
         load_map(tmp_path / "m.toml")
-    assert meant in str(raised.value)
 
 
 def test_a_column_that_the_file_calls_otherwise(tmp_path: Path) -> None:
     (tmp_path / "m.toml").write_text(GOOD)
     (tmp_path / "a.csv").write_text("time,T_bearing,Motor\n0,20,1\n")
-    with pytest.raises(ValueError, match="there is no column 'T bearing'.* did you mean 'T_bearing'"):
+    with pytest.raises(ValueError, match=r"there is no column 'T bearing'.* did you mean 'T_bearing'"):
         load_traces(tmp_path / "a.csv", load_map(tmp_path / "m.toml"))
 
 

@@ -1,6 +1,6 @@
 """A motor of 0.8 to 3.2 A was learned with bins of 100 A: 14 of 15 locations borrowed, and nobody said a word."""
 
-import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli.main import main
+from gateway.lab.traces.load import load, warned_of
 from sim.sha import Bins, Trace
 from sim.traces import levels_of, load_map, load_traces
 
@@ -42,11 +43,11 @@ def written(folder: Path, current: str, running: str) -> Path:
     return path
 
 
-def learned(folder: Path, file: Path, text: str) -> tuple[int, str, dict[str, object]]:
+def warnings(folder: Path, file: Path, text: str) -> list[str]:
+    """What `model learn` warns of before it learns."""
     (folder / "m.toml").write_text(text, encoding="utf-8")
-    arguments = ["--traces", str(file), "--map", str(folder / "m.toml"), "--out", str(folder / "model"), "--json"]
-    done = CliRunner().invoke(main, ["model", "learn", *arguments])
-    return done.exit_code, done.stderr, json.loads(done.stdout) if done.exit_code == 0 else {}
+    traces, column_map = load([str(file)], str(folder / "m.toml"))
+    return warned_of(traces, column_map.alphabet)
 
 
 def test_a_map_without_thresholds_takes_the_motors_own_and_nothing_is_borrowed(tmp_path: Path) -> None:
@@ -56,36 +57,39 @@ def test_a_map_without_thresholds_takes_the_motors_own_and_nothing_is_borrowed(t
     _, report = load_traces(file, load_map(tmp_path / "m.toml"))
     bins = report.alphabet.channels[1]
     assert isinstance(bins, Bins) and bins.symbols == ("A_0", "A_1", "A_2", "A_3")
-    between = [(low + high) / 2 for low, high in zip(LEVELS, LEVELS[1:], strict=False)]
+    between = [(low + high) / 2 for low, high in pairwise(LEVELS)]
     assert bins.thresholds == pytest.approx(between, abs=0.1)
-    code, complaints, data = learned(tmp_path, file, text)
-    assert code == 0 and "warning" not in complaints and data["warnings"] == []
+    assert warnings(tmp_path, file, text) == []
 
 
-def test_bins_that_one_level_fills_are_named_with_thresholds_that_would_do(tmp_path: Path) -> None:
+def test_bins_that_one_level_fills_are_named_with_thresholds_that_would_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = written(tmp_path, "Assorbimento", "MarciaDecanter")
     text = MAP + (
         "Assorbimento = {}\nMarciaDecanter = { boolean = true }\n[alphabet]\nchannels = [\n"
         '{ kind = "switch", signal = "MarciaDecanter", rising = "W_ON", falling = "W_OFF" },\n'
         '{ kind = "bins", signal = "Assorbimento", thresholds = [100, 200, 300] }]\n'
     )
-    code, complaints, data = learned(tmp_path, file, text)
-    (warning,) = data["warnings"]
-    assert code == 0 and str(warning) in complaints
-    assert "100.0% of 1200 readings lie in one bin, A_0" in str(warning) and "thresholds = [" in str(warning)
+    (warning,) = warnings(tmp_path, file, text)
+    assert f"warning: {warning}" in capsys.readouterr().err
+    assert "100.0% of 1200 readings lie in one bin, A_0" in warning and "thresholds = [" in warning
 
 
 def test_a_switch_that_is_never_on_is_named(tmp_path: Path) -> None:
     file = written(tmp_path, "Assorbimento", "unused")
     text = MAP + "Assorbimento = {}\n[derived]\nMarciaDecanter = { signal = 'Assorbimento', above = 5.0 }\n"
-    code, complaints, _ = learned(tmp_path, file, text)
-    assert code == 0 and "MarciaDecanter is never on" in complaints and "derives it" in complaints
+    found = warnings(tmp_path, file, text)
+    assert len(found) == 1 and "MarciaDecanter is never on" in found[0] and "derives it" in found[0]
 
 
 def test_signals_of_other_names_are_told_what_the_alphabet_needs(tmp_path: Path) -> None:
     file = written(tmp_path, "I_motor", "Run")
-    code, complaints, _ = learned(tmp_path, file, MAP + "I_motor = {}\nRun = { boolean = true }\n")
-    assert code == 2 and len(complaints.splitlines()) == 1
+    (tmp_path / "m.toml").write_text(MAP + "I_motor = {}\nRun = { boolean = true }\n", encoding="utf-8")
+    arguments = ["--traces", str(file), "--map", str(tmp_path / "m.toml"), "--out", str(tmp_path / "model")]
+    done = CliRunner().invoke(main, ["model", "learn", *arguments])
+    complaints = done.stderr
+    assert done.exit_code == 2 and len(complaints.splitlines()) == 1
     for words in ("MarciaDecanter, Assorbimento", "I_motor, Run, T", "channels = [{kind =", 'thresholds = "auto"'):
         assert words in complaints
 

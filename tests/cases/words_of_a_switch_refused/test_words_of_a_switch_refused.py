@@ -9,9 +9,9 @@ from sim.traces import ColumnMap, load_traces
 TABLE = {"format": "wide", "temperature": "T", "clock": {"column": "t", "formats": ["seconds"]}}
 
 
-def load(folder: Path, on: str, off: str, **keys: object) -> tuple[list[float], list[str]]:
+def load(folder: Path, running: str, resting: str, **keys: object) -> tuple[list[float], list[str]]:
     path = folder / "a.csv"
-    path.write_text(f"t,T,M\n0,20,{off}\n1,21,{on}\n2,22,{off}\n", encoding="utf-8")
+    path.write_text(f"t,T,M\n0,20,{resting}\n1,21,{running}\n2,22,{resting}\n", encoding="utf-8")
     signals = {"T": {}, "M": keys or {"boolean": True}}
     (trace,), report = load_traces(path, ColumnMap.model_validate({**TABLE, "signals": signals}))
     return trace.signals["M"].tolist(), report.sentences()
