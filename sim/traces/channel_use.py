@@ -117,7 +117,15 @@ def _bins_use(
             f"{cuts}; the readings go from {low:.4g} to {high:.4g}): what happens in the other bins is not learned but "
             f"borrowed; {_advice(proposal)}"
         )
-    return ChannelUse(signal, count, values.size, channel.symbols[fullest], share, proposal.thresholds, sentence)
+    return ChannelUse(
+        signal,
+        count,
+        values.size,
+        symbol=channel.symbols[fullest],
+        share=share,
+        proposal=proposal.thresholds,
+        sentence=sentence,
+    )
 
 
 def _advice(proposal: Levels) -> str:

@@ -41,7 +41,7 @@ _ZONE = re.compile(r" ?(?:[+-]\d\d:?\d\d|Z)$")
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class FoundClock:
     """A column (two, with `date`) read as times: `formats` for the map, the `order` of dates, the sample's `times`."""
 
     place: int
@@ -119,13 +119,13 @@ def pure_time(cell: str) -> tuple[str, ...]:
     return tuple(format_ for format_ in _TIMES if ":" in cell and _fits(cell, format_))
 
 
-def clocks_of(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]] | None = None) -> list[Clock]:
+def clocks_of(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]] | None = None) -> list[FoundClock]:
     """The ways to read a column of times (after a column of dates): one for each order of day and month that fits."""
     if date is not None:
         cells = [f"{day} {time}" for day, time in zip(date[1], cells, strict=True)]
     sample = list(cells[:_CHECKED])
     filled = sum(map(bool, sample))
-    clocks: list[Clock] = []
+    clocks: list[FoundClock] = []
     for order in dict.fromkeys(order for cell in sample[:_LOOKED_AT] for order, _ in formats_of(cell)):
         formats, times = tuple[str, ...](), np.full(len(sample), np.nan)
         # A format for the first cell, another for the first that it does not read: fractions of seconds come and go.
@@ -142,11 +142,11 @@ def clocks_of(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]] 
                 warnings.simplefilter("ignore")  # pandas' advice on formats, which are given here
                 times, _ = read_clock(ClockColumns(column="t", formats=formats), [sample], "auto")
         if np.isfinite(times).sum() >= _ENOUGH * filled:
-            clocks.append(Clock(place, formats, order, times, None if date is None else date[0]))
+            clocks.append(FoundClock(place, formats, order, times, None if date is None else date[0]))
     return clocks
 
 
-def counted_clock(place: int, values: Array, named: bool) -> Clock | None:
+def counted_clock(place: int, values: Array, named: bool) -> FoundClock | None:
     """A column of numbers as a clock: since 1970 by its size, or elapsed seconds where its header says so."""
     finite = values[np.isfinite(values)]
     if finite.size < 2 or not (np.all(np.diff(finite) >= 0) or np.all(np.diff(finite) <= 0)):
@@ -155,5 +155,5 @@ def counted_clock(place: int, values: Array, named: bool) -> Clock | None:
         return None
     for format_, low, high in _EPOCHS:
         if low <= finite.min() and finite.max() < high:
-            return Clock(place, (format_,), "year", values)
-    return Clock(place, ("seconds",), "year", values) if named else None
+            return FoundClock(place, (format_,), "year", values)
+    return FoundClock(place, ("seconds",), "year", values) if named else None

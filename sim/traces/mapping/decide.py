@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.settings import did_you_mean
 from sim.traces import TraceError, listed, numbers
-from sim.traces.mapping.clocks import Clock, clocks_of, counted_clock, is_time, pure_date, pure_time
+from sim.traces.mapping.clocks import FoundClock, clocks_of, counted_clock, is_time, pure_date, pure_time
 from sim.traces.mapping.columns import FoundColumn, decimal_of, has_levels, is_slow
 from sim.traces.mapping.table import FoundTable
 from sim.traces.mapping.words import current_score, day_first, named_time, running_score, temperature_score
@@ -56,9 +56,9 @@ class Parts:
     reasons: dict[str, str]
 
 
-def clock_of(table: FoundTable, answers: Answers) -> Clock:
+def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
     """The column of times. Raises Undecided where two fit or the day and month may be either, TraceError for none."""
-    by_place: dict[int, list[Clock]] = {}
+    by_place: dict[int, list[FoundClock]] = {}
     for place, header in enumerate(table.header):
         if answers.time and header != answers.time:
             continue
@@ -102,7 +102,7 @@ def clock_of(table: FoundTable, answers: Answers) -> Clock:
     return _one_order(table, found[chosen], answers)
 
 
-def _one_order(table: FoundTable, clocks: Sequence[Clock], answers: Answers) -> Clock:
+def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers) -> FoundClock:
     """Of readings day first and month first the one that leaves a clock in order, else what the language says."""
     wanted = [clock for clock in clocks if clock.order == answers.dates]
     if wanted or len(clocks) == 1:

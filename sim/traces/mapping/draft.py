@@ -11,7 +11,7 @@ import numpy as np
 
 from sim.sha import Trace
 from sim.traces import Levels, levels_of, listed, load_traces, parse_map, round_to
-from sim.traces.mapping.clocks import Clock
+from sim.traces.mapping.clocks import FoundClock
 from sim.traces.mapping.columns import FoundColumn, column_of, decimal_of
 from sim.traces.mapping.decide import Answers, Parts, clock_of, parts_of, with_words
 from sim.traces.mapping.table import FoundTable, find_table
@@ -82,18 +82,18 @@ def draft_map(path: Path, answers: Answers) -> DraftedMap:
     traces, report = load_traces(path, parse_map(text, str(path)))
     said = report.sentences() if report.refused else report.warnings
     return DraftedMap(
-        text,
-        table.header[clock.place],
-        parts.temperature.header,
-        "" if parts.current is None else parts.current.header,
-        "" if parts.running is None else parts.running.header,
-        report.used,
-        report.rows,
-        tuple(said),
+        text=text,
+        clock=table.header[clock.place],
+        temperature=parts.temperature.header,
+        current="" if parts.current is None else parts.current.header,
+        running="" if parts.running is None else parts.running.header,
+        rows=report.used,
+        of=report.rows,
+        report=tuple(said),
     )
 
 
-def _long_form(table: FoundTable, clock: Clock) -> _LongForm | None:
+def _long_form(table: FoundTable, clock: FoundClock) -> _LongForm | None:
     """The columns of names and values, if the file has one row a reading; None for a wide one."""
     others = [place for place in range(len(table.header)) if place != clock.place]
     values = [place for place in others if named_value(table.header[place])]
@@ -135,7 +135,7 @@ def _named_apart(columns: Sequence[FoundColumn]) -> list[FoundColumn]:
 
 def _text(
     table: FoundTable,
-    clock: Clock,
+    clock: FoundClock,
     long: _LongForm | None,
     columns: Sequence[FoundColumn],
     parts: Parts,

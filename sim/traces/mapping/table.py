@@ -92,7 +92,14 @@ def find_table(path: Path) -> FoundTable:
     mark = SEPARATORS[separator]
     below = (_cells(line, mark) for _, line in usable[first:])
     sample = tuple(tuple(row[:width]) for row in below if len(row) >= width)
-    return FoundTable(path, separator, tuple(header), tuple(titles), tuple(units[:width]), sample)
+    return FoundTable(
+        path=path,
+        separator=separator,
+        header=tuple(header),
+        titles=tuple(titles),
+        units=tuple(units[:width]),
+        rows=sample,
+    )
 
 
 def _cells(line: str, mark: str) -> list[str]:
