@@ -12,6 +12,7 @@ from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 from drivers.settings import did_you_mean, first_sentence
 from sim.sha import Alphabet
 from sim.traces.alphabet_table import DECANTER_AUTO, alphabet_from_table
+from sim.traces.load_report import TraceError
 
 
 def _listed(value: object) -> object:
@@ -266,25 +267,25 @@ class ColumnMap(_MapPart):
 
 
 def load_map(path: str | Path) -> ColumnMap:
-    """The column map in a TOML file. Raises ValueError: file, key, reason and what would be right in one sentence."""
+    """The column map in a TOML file. Raises TraceError: file, key, reason and what would be right in one sentence."""
     try:
         text = contents(Path(path), MOST_TOML_BYTES).decode()
     except FileNotFoundError:
         beside = sorted(file.stem for file in Path(path).parent.glob("*.toml"))
         meant = did_you_mean(Path(path).stem, beside) or "the project's own are in config/traces"
-        raise ValueError(f"{path}: there is no such column map; {meant}") from None
+        raise TraceError(f"{path}: there is no such column map; {meant}") from None
     except OSError as error:
-        raise ValueError(f"{path}: this column map cannot be read: {error.strerror}") from None
+        raise TraceError(f"{path}: this column map cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: this is not TOML: {error}") from None
+        raise TraceError(f"{path}: this is not TOML: {error}") from None
     return parse_map(text, str(path))
 
 
 def parse_map(text: str, where: str) -> ColumnMap:
-    """The column map in a TOML text. Raises ValueError with one sentence that begins with `where`."""
+    """The column map in a TOML text. Raises TraceError: one sentence that begins with `where`."""
     try:
         return ColumnMap.model_validate(parse_toml(text))
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{where}: this is not TOML: {error}") from None
+        raise TraceError(f"{where}: this is not TOML: {error}") from None
     except ValidationError as error:
-        raise ValueError(first_sentence(ColumnMap, error, where)) from None
+        raise TraceError(first_sentence(ColumnMap, error, where)) from None

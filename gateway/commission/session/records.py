@@ -13,6 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import OneLineError
 from drivers.named_files import writing
 from gateway.store import first_break, hash_of
 from sim.strict_json import json_text
@@ -20,7 +21,7 @@ from sim.strict_json import json_text
 LIBRARIES = ("decanter-gateway", "pymodbus", "python-can", "canopen", "cantools", "pyserial")
 
 
-class RecordsError(ValueError):
+class RecordsError(OneLineError, ValueError):
     """The file of records cannot be used; the message says which line and why."""
 
 

@@ -37,7 +37,7 @@ class Answers:
         return replace(self, **{field: answer})
 
 
-class Undecided(ValueError):
+class Undecided(TraceError):
     """Two columns (or readings of one) fit: `question`, the `choices`, and the field of Answers that decides."""
 
     def __init__(self, where: object, question: str, field: str, choices: Sequence[str]) -> None:
