@@ -9,6 +9,10 @@ COMMANDS: Table = {
         "gateway.lab.traces.can:can_log",
         "Decode a CAN log (candump, ASC, BLF, TRC, CSV, MF4) to a table and a CSV.",
     ),
+    "map": (
+        "gateway.lab.traces.map:map_command",
+        "Draft a column map from a CSV: clock, units, switches, temperature, thresholds.",
+    ),
     "show": ("gateway.lab.traces.show:show", "Load traces; say what was used, what was refused and why."),
     "synth": ("gateway.lab.traces.synth:synth", "Write SYNTHETIC traces as CSV."),
 }

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
+from errno import EDQUOT, ENOSPC
 from typing import NoReturn
 
 import click
@@ -64,6 +65,8 @@ def sentence(error: Exception) -> str:
         return str(error)
     reason = error.strerror[0].lower() + error.strerror[1:]
     file = f"{error.filename}: " if error.filename else ""
+    if error.errno in (ENOSPC, EDQUOT):
+        return f"{file}{reason}; make room there, or give a path on another disk"
     return f"{file}{reason}; give a path that is there and that this user may read or write"
 
 
