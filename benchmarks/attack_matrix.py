@@ -27,9 +27,9 @@ from gateway.console import config_dir, progress
 from gateway.demo.links import LINKS
 from gateway.machine.reading import plant_clock
 from gateway.machine.writing import Validity
-from gateway.plant.control import ControlError, connect
 from gateway.plant.device import make_driver
 from gateway.settings import load_config
+from gateway.status import ControlError, connect
 from sim.plc.record.recording import BlockRow, read_recording
 from tests.rig.blocks import old_numbers, unaccounted
 from tests.rig.pair import FOLLOWING, MAP, Gateway, Plc, Rig, end, make_rig, restless_trace

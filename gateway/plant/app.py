@@ -4,6 +4,7 @@ import asyncio
 import signal
 import sys
 from contextlib import ExitStack, aclosing
+from dataclasses import asdict
 from pathlib import Path
 from random import Random, SystemRandom
 from typing import Any
@@ -91,7 +92,7 @@ async def run(
             await asyncio.gather(reporter, return_exceptions=True)
             machine.phase = "stopped"
             _say(machine, status_path)
-    return snapshot(machine)
+    return asdict(snapshot(machine))
 
 
 async def _supervised(machine: Machine, stop: asyncio.Event) -> None:
