@@ -13,7 +13,7 @@ from gateway.status.changes import (
     opening,
 )
 from gateway.status.client import ControlError, GatewayLine, connect, short
-from gateway.status.health import Finding, Health, findings, health_of, link_sentence, records_sentence
+from gateway.status.health import Health, HealthFinding, findings, health_of, link_sentence, records_sentence
 from gateway.status.picture import (
     AlarmStatus,
     ForecastStatus,
@@ -35,12 +35,12 @@ __all__ = [
     "AlarmStatus",
     "ChangeLines",
     "ControlError",
-    "Finding",
     "ForecastStatus",
     "GatewayLine",
     "GatewayStatus",
     "GatewayWatch",
     "Health",
+    "HealthFinding",
     "HistorianStatus",
     "LinkStatus",
     "ModelStatus",

@@ -21,7 +21,7 @@ class Health(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class HealthFinding:
     """What a check found wrong, in a sentence."""
 
     check: str
@@ -115,13 +115,13 @@ CHECKS: dict[str, Callable[[GatewayStatus], str]] = {
 """All that is looked at, in the order in which it is said; "" is well."""
 
 
-def findings(status: GatewayStatus) -> tuple[Finding, ...]:
+def findings(status: GatewayStatus) -> tuple[HealthFinding, ...]:
     """All that is wrong with a gateway that answers; none if it is well."""
     found = {name: check(status) for name, check in CHECKS.items()}
     # Without a link nothing is good: that the readings are not says nothing more.
     if found["link"]:
         found["readings"] = ""
-    return tuple(Finding(name, sentence) for name, sentence in found.items() if sentence)
+    return tuple(HealthFinding(name, sentence) for name, sentence in found.items() if sentence)
 
 
 def health_of(status: GatewayStatus) -> Health:

@@ -52,8 +52,7 @@ class GatewayWatch:
             pass  # it listens and does not answer; BlockingIOError: it does not even accept
         except OSError as error:
             self.close()
-            reason = f"no gateway answers at {self.path} ({(error.strerror or str(error)).lower()})"
-            return Sighting(self._status, self._clock() - self._asked, reason, gone=True)
+            return Sighting(self._status, self._clock() - self._asked, _why_gone(self.path, error), gone=True)
         age = self._clock() - self._asked
         late = self._status is None or age > PRESENT_S
         return Sighting(self._status, age, f"the gateway at {self.path} is there and does not answer" if late else "")
@@ -77,3 +76,11 @@ class GatewayWatch:
         if self._line is not None:
             self._line.close()
         self._line = self._requested = None
+
+
+def _why_gone(path: Path, error: OSError) -> str:
+    if isinstance(error, FileNotFoundError | ConnectionRefusedError):
+        return f"no gateway runs (nothing listens at {path})"
+    if isinstance(error, PermissionError | ConnectionResetError):
+        return f"the gateway at {path} does not speak to this user, or has just ended"
+    return f"no gateway can be asked at {path} ({(error.strerror or str(error)).lower()})"

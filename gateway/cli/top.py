@@ -1,0 +1,134 @@
+"""`decanter top` and `decanter status`: how a running gateway is, live or once, asked over its control socket."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event, Thread
+from types import FrameType
+from typing import Any, NoReturn
+
+import click
+from rich.console import Console
+
+from gateway.cli.plant_file import config_option
+from gateway.console import emit, json_option
+from gateway.entry import Exit, fail, sentences
+from gateway.panel import follow, panel
+from gateway.settings import load_config
+from gateway.status import GatewayWatch, Health, Sighting, findings, health_of
+from sim.strict_json import strict
+
+ANSWER_S = 5.0
+"""How long (s) a gateway has for its first answer."""
+REFRESH_S = 0.5
+EXITS = {
+    Health.WELL: Exit.OK,
+    Health.ATTENTION: Exit.CHECK_FAILED,
+    Health.ABSENT: Exit.CANNOT_CONNECT,
+    Health.NO_READINGS: Exit.DEVICE_EXCEPTION,
+    Health.SILENT: Exit.TIMEOUT,
+}
+"""The exit code of `decanter status` by the gateway's health."""
+
+
+@click.command(short_help="Watch a running gateway: the live panel, or one line a change off a terminal.")
+@config_option
+@click.option(
+    "--every",
+    type=click.FloatRange(0.1, 60.0),
+    default=REFRESH_S,
+    show_default=True,
+    help="Seconds between two looks.",
+)
+def top(path: Path, every: float) -> None:
+    """Watch a running gateway until Ctrl-C: value, age, quality, state, prediction, alarms, records, arming.
+
+    On a terminal a panel, elsewhere three lines and then one for each change. An old number is never shown as a
+    present one: without an answer the panel says so, and for how long. Several may watch one gateway.
+
+    Example: decanter top --config plant.toml
+    """
+    with sentences():
+        watch = _found(path)
+        try:
+            with _ended_by(signal.SIGTERM, signal.SIGHUP):
+                follow(watch, Console(), seconds=every, stop=Event())
+        except KeyboardInterrupt:
+            pass  # the way to end it
+        finally:
+            watch.close()
+
+
+@click.command(short_help="Show once how a running gateway is; the exit code says how well.")
+@config_option
+@json_option
+def status(path: Path, as_json: bool) -> None:
+    """Show once how a running gateway is; the exit code says how well.
+
+    \b
+    0  well
+    1  attention: an alarm, a reading, the model, the records, the clock
+    3  absent: no gateway runs
+    4  no readings: it runs, and its device gives none
+    5  silent: it is there and does not answer
+
+    Example: decanter status --json
+    """
+    with sentences():
+        watch = GatewayWatch(load_config(path).control_socket)
+        sighting = watch.look(ANSWER_S)
+        watch.close()
+    if sighting.silence or sighting.status is None:
+        word = Health.ABSENT if sighting.gone else Health.SILENT
+        reason = _absent(sighting, path)
+        emit({"ok": False, "health": word, "reason": reason}, lambda: None, as_json_line=as_json)
+        fail(reason, EXITS[word])
+    word, found = health_of(sighting.status), findings(sighting.status)
+    data: dict[str, Any] = {"ok": word is Health.WELL, "health": word}
+    data |= {"findings": {finding.check: finding.sentence for finding in found}, "status": strict(sighting.status)}
+    emit(data, lambda: Console().print(panel(sighting)), as_json_line=as_json)
+    raise SystemExit(EXITS[word])
+
+
+@contextmanager
+def watched(socket_path: Path) -> Iterator[None]:
+    """The panel of the gateway that this very process runs, as `decanter top` shows it, while the block lasts."""
+    stop, watch = Event(), GatewayWatch(socket_path)
+    thread = Thread(
+        target=follow, args=(watch, Console()), kwargs={"seconds": REFRESH_S, "stop": stop}, name="panel", daemon=True
+    )
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join(timeout=ANSWER_S)
+
+
+def _absent(sighting: Sighting, plant: Path) -> str:
+    return f"{sighting.silence}; start one: decanter run --config {plant}" if sighting.gone else sighting.silence
+
+
+def _found(plant: Path) -> GatewayWatch:
+    """The gateway that runs with this plant file. Leaves with a sentence where none does."""
+    watch = GatewayWatch(load_config(plant).control_socket)
+    sighting = watch.look(ANSWER_S)
+    if sighting.gone:
+        fail(_absent(sighting, plant), Exit.CANNOT_CONNECT)
+    return watch
+
+
+@contextmanager
+def _ended_by(*numbers: signal.Signals) -> Iterator[None]:
+    """Let these signals end the block as Ctrl-C does: with the terminal as it was."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt
+
+    before = [(number, signal.signal(number, interrupt)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)
