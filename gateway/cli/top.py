@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
 from types import FrameType
@@ -49,15 +49,13 @@ def top(path: Path, every: float) -> None:
 
     Example: decanter top --config plant.toml
     """
-    with sentences():
-        watch = _found(path)
-        try:
-            with _ended_by(signal.SIGTERM, signal.SIGHUP):
-                follow(watch, Console(), seconds=every, stop=Event())
-        except KeyboardInterrupt:
-            pass  # the way to end it
-        finally:
-            watch.close()
+    with sentences(), closing(GatewayWatch(load_config(path).control_socket)) as watch:
+        sighting = watch.look(ANSWER_S)
+        if sighting.gone:
+            fail(_absent(sighting, path), EXITS[Health.ABSENT])
+        # Ctrl-C is the way to end it.
+        with suppress(KeyboardInterrupt), _ended_by(signal.SIGTERM, signal.SIGHUP):
+            follow(watch, Console(), seconds=every, stop=Event())
 
 
 @click.command(short_help="Show once how a running gateway is; the exit code says how well.")
@@ -75,10 +73,8 @@ def status(path: Path, as_json: bool) -> None:
 
     Example: decanter status --json
     """
-    with sentences():
-        watch = GatewayWatch(load_config(path).control_socket)
+    with sentences(), closing(GatewayWatch(load_config(path).control_socket)) as watch:
         sighting = watch.look(ANSWER_S)
-        watch.close()
     if sighting.silence or sighting.status is None:
         word = Health.ABSENT if sighting.gone else Health.SILENT
         reason = _absent(sighting, path)
@@ -104,19 +100,11 @@ def watched(socket_path: Path) -> Iterator[None]:
     finally:
         stop.set()
         thread.join(timeout=ANSWER_S)
+        watch.close()
 
 
 def _absent(sighting: Sighting, plant: Path) -> str:
     return f"{sighting.silence}; start one: decanter run --config {plant}" if sighting.gone else sighting.silence
-
-
-def _found(plant: Path) -> GatewayWatch:
-    """The gateway that runs with this plant file. Leaves with a sentence where none does."""
-    watch = GatewayWatch(load_config(plant).control_socket)
-    sighting = watch.look(ANSWER_S)
-    if sighting.gone:
-        fail(_absent(sighting, plant), Exit.CANNOT_CONNECT)
-    return watch
 
 
 @contextmanager

@@ -86,7 +86,7 @@ def snapshot(machine: Machine) -> GatewayStatus:
         alarm_summary=_alarm_summary(machine.alarms),
         writeback=_writeback(machine),
         historian=HistorianStatus(
-            path=str(historian.path),
+            path=str(historian.path.absolute()),
             dropped=historian.dropped,
             refused=historian.refused,
             failure=historian.failure,

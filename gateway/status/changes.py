@@ -10,6 +10,8 @@ from sim.strict_json import escaped
 
 FIRST_HOLD, LONGEST_HOLD = 2.0, 300.0
 """For how long (real s) a topic is not spoken of again: doubled while it keeps changing, up to the longest."""
+RESTLESS = 4
+"""So many changes since the last line are worth another one, also where the last of them led back."""
 SAID_BY_CHANGES = frozenset(
     {
         "good readings arrive",
@@ -131,7 +133,7 @@ class ChangeLines:
     """Picks the lines worth saying out of one status after another.
 
     A line says what is different from what was said last of its topic. What changes to and fro is said at growing
-    intervals, with a count, and what has come back to what was said meanwhile not at all.
+    intervals, with a count, and what went and came back meanwhile not at all.
     """
 
     def __init__(self) -> None:
@@ -153,13 +155,13 @@ class ChangeLines:
             rested = now - said.at
             if rested < said.hold:
                 continue
-            if topic.key != said.key:
+            if topic.key != said.key or said.changes >= RESTLESS:
                 often = f" (changed {said.changes} times in {rested:.0f} s)" if said.changes > 1 else ""
                 lines.append(f"{clock_text(status.time)} {topic.sentence}{often}")
                 hold = min(2.0 * said.hold, LONGEST_HOLD) if rested < 2.0 * said.hold else FIRST_HOLD
                 self._said[name] = _Said(topic.key, now, hold, seen=topic.key)
             elif said.changes:
-                # It went and came back: whoever read the last line has the present state, but not that it is restless.
+                # It went and came back: the last line still says how it is.
                 said.at, said.changes = now, 0
         # Reasons hold what devices have said, and may be shown on a terminal.
         return [str(escaped(line)) for line in lines]
