@@ -22,14 +22,18 @@ from sim.strict_json import strict
 ANSWER_S = 5.0
 """How long (s) a gateway has for its first answer."""
 REFRESH_S = 0.5
-EXITS = {
-    Health.WELL: Exit.OK,
-    Health.ATTENTION: Exit.CHECK_FAILED,
-    Health.ABSENT: Exit.CANNOT_CONNECT,
-    Health.NO_READINGS: Exit.DEVICE_EXCEPTION,
-    Health.SILENT: Exit.TIMEOUT,
+EXITS: dict[Health, tuple[Exit, str]] = {
+    Health.WELL: (Exit.OK, "readings arrive and no check finds anything"),
+    Health.ATTENTION: (
+        Exit.CHECK_FAILED,
+        "an alarm, a reading, the model, the write-back, the records, a part, the clock, the device",
+    ),
+    Health.ABSENT: (Exit.CANNOT_CONNECT, "no gateway runs with this plant file"),
+    Health.NO_READINGS: (Exit.DEVICE_EXCEPTION, "it runs, and its device gives no good reading"),
+    Health.SILENT: (Exit.TIMEOUT, "it is there and does not answer"),
 }
-"""The exit code of `decanter status` by the gateway's health."""
+"""The exit code of `decanter status` by the gateway's health, and when it is that."""
+_EXIT_LINES = "\n\n".join(f"{code:d}  {word}: {when}" for word, (code, when) in EXITS.items())
 
 
 @click.command(short_help="Watch a running gateway: the live panel, or one line a change off a terminal.")
@@ -52,24 +56,20 @@ def top(path: Path, every: float) -> None:
     with sentences(), closing(GatewayWatch(load_config(path).control_socket)) as watch:
         sighting = watch.look(ANSWER_S)
         if sighting.gone:
-            fail(_absent(sighting, path), EXITS[Health.ABSENT])
+            fail(_absent(sighting, path), EXITS[Health.ABSENT][0])
         # Ctrl-C is the way to end it.
         with suppress(KeyboardInterrupt), _ended_by(signal.SIGTERM, signal.SIGHUP):
             follow(watch, Console(), seconds=every, stop=Event())
 
 
-@click.command(short_help="Show once how a running gateway is; the exit code says how well.")
+@click.command(
+    short_help="Show once how a running gateway is; the exit code says how well.",
+    epilog=f"Exit codes:\n\n{_EXIT_LINES}",
+)
 @config_option
 @json_option
 def status(path: Path, as_json: bool) -> None:
     """Show once how a running gateway is; the exit code says how well.
-
-    \b
-    0  well
-    1  attention: an alarm, a reading, the model, the records, the clock
-    3  absent: no gateway runs
-    4  no readings: it runs, and its device gives none
-    5  silent: it is there and does not answer
 
     Example: decanter status --json
     """
@@ -79,12 +79,12 @@ def status(path: Path, as_json: bool) -> None:
         word = Health.ABSENT if sighting.gone else Health.SILENT
         reason = _absent(sighting, path)
         emit({"ok": False, "health": word, "reason": reason}, lambda: None, as_json_line=as_json)
-        fail(reason, EXITS[word])
+        fail(reason, EXITS[word][0])
     word, found = health_of(sighting.status), findings(sighting.status)
     data: dict[str, Any] = {"ok": word is Health.WELL, "health": word}
     data |= {"findings": {finding.check: finding.sentence for finding in found}, "status": strict(sighting.status)}
     emit(data, lambda: Console().print(panel(sighting)), as_json_line=as_json)
-    raise SystemExit(EXITS[word])
+    raise SystemExit(EXITS[word][0])
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -28,6 +29,7 @@ from sim.strict_json import strict
 from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import (
     CURRENT,
+    ROOT,
     RUNNING,
     TEMPERATURE,
     Bench,
@@ -39,6 +41,13 @@ from tests.gateway.support import (
     scan_of,
     two_modes,
 )
+
+KEYS_OF_BEFORE = {
+    "time", "phase", "link", "links", "scan", "values", "prediction", "forecast", "model", "guards", "events",
+    "recent_events", "alarms", "writeback", "historian", "parts", "clock", "driver", "complaints", "failures",
+    "last_failure",
+}  # fmt: skip
+"""What older clients read of a status; it stays."""
 
 
 def shown(sighting: Sighting, width: int = 80, **options: Any) -> str:
@@ -124,6 +133,9 @@ async def test_what_was_not_read_any_more_is_no_longer_good_in_the_status(tmp_pa
             assert health_of(snapshot(machine)) is Health.NO_READINGS and snapshot(machine).scan.age is None
             await machine.take(scan_of(at_rest(config), clock.now()))
             fresh = snapshot(machine)
+            assert set(asdict(fresh)) >= KEYS_OF_BEFORE and {"value", "quality", "time", "reason"} <= set(
+                asdict(fresh)["values"][TEMPERATURE]
+            )
             assert fresh.values[TEMPERATURE].quality == "GOOD" and not fresh.scan.late
             clock.time += 4.0
             stale = read_status(strict(snapshot(machine)))
@@ -297,6 +309,12 @@ def test_a_forecast_or_a_prediction_that_is_over_is_not_drawn() -> None:
 def test_the_word_for_a_gateway_names_what_is_wrong(changes: dict[str, Any], word: Health, check: str) -> None:
     status = read_status(picture(**changes))
     assert health_of(status) is word and [finding.check for finding in findings(status)] == ([check] if check else [])
+
+
+def test_the_page_has_the_exit_codes_that_the_command_has() -> None:
+    page = (ROOT / "docs/watching.md").read_text(encoding="utf-8")
+    for word, (code, when) in gateway.cli.top.EXITS.items():
+        assert f"| {code:d} | {word} | {when} |" in page
 
 
 def test_each_change_is_one_line_and_what_goes_to_and_fro_does_not_flood() -> None:
