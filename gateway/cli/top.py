@@ -75,15 +75,15 @@ def status(path: Path, as_json: bool) -> None:
     """
     with sentences(), closing(GatewayWatch(load_config(path).control_socket)) as watch:
         sighting = watch.look(ANSWER_S)
-    if sighting.silence or sighting.status is None:
-        word = Health.ABSENT if sighting.gone else Health.SILENT
-        reason = _absent(sighting, path)
-        emit({"ok": False, "health": word, "reason": reason}, lambda: None, as_json_line=as_json)
-        fail(reason, EXITS[word][0])
-    word, found = health_of(sighting.status), findings(sighting.status)
-    data: dict[str, Any] = {"ok": word is Health.WELL, "health": word}
-    data |= {"findings": {finding.check: finding.sentence for finding in found}, "status": strict(sighting.status)}
-    emit(data, lambda: Console().print(panel(sighting)), as_json_line=as_json)
+        if sighting.silence or sighting.status is None:
+            word = Health.ABSENT if sighting.gone else Health.SILENT
+            reason = _absent(sighting, path)
+            emit({"ok": False, "health": word, "reason": reason}, lambda: None, as_json_line=as_json)
+            fail(reason, EXITS[word][0])
+        word, found = health_of(sighting.status), findings(sighting.status)
+        data: dict[str, Any] = {"ok": word is Health.WELL, "health": word}
+        data |= {"findings": {finding.check: finding.sentence for finding in found}, "status": strict(sighting.status)}
+        emit(data, lambda: Console().print(panel(sighting)), as_json_line=as_json)
     raise SystemExit(EXITS[word][0])
 
 
