@@ -1,8 +1,8 @@
 """What commands show and take: tables, JSON, progress, options that several share."""
 
-from gateway.console.options import finite, json_option, map_option, seed_option
+from gateway.console.options import finite, json_option, map_option, renamed_option, seed_option
 from gateway.console.output import emit, make_folder, progress, table
-from gateway.console.places import config_dir, find_plant_file, shipped
+from gateway.console.places import config_dir, find_plant_file, plant_here, shipped
 
 __all__ = [
     "config_dir",
@@ -12,7 +12,9 @@ __all__ = [
     "json_option",
     "make_folder",
     "map_option",
+    "plant_here",
     "progress",
+    "renamed_option",
     "seed_option",
     "shipped",
     "table",

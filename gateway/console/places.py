@@ -3,19 +3,22 @@
 from pathlib import Path
 
 PLANT_FILES = (Path("plant.toml"), Path("config/plant.toml"))
-"""Where a plant file is looked for, in this order, by every command that reads one and is given none."""
+"""Where a plant file is looked for when none is named, in this order, relative to the working folder."""
 
 
-def find_plant_file(folder: Path | None = None) -> Path:
-    """The plant file of `folder`, by default of the working directory. Raises ValueError where there is none.
+def plant_here() -> Path | None:
+    """The plant file of the working folder, or None where there is none.
 
     Never one that was shipped: records and sockets lie beside what a plant file says, and those of a plant do not
     belong among the files of an installed program.
     """
-    home = Path() if folder is None else folder
-    for name in PLANT_FILES:
-        if (home / name).is_file():
-            return home / name
+    return next((path for path in PLANT_FILES if path.is_file()), None)
+
+
+def find_plant_file() -> Path:
+    """The plant file of the working folder, for a command that cannot do without. Raises ValueError."""
+    if (path := plant_here()) is not None:
+        return path
     places = " nor ".join(f"./{name}" for name in PLANT_FILES)
     raise ValueError(
         f"there is no plant file: neither {places} is there; make one with `decanter init`, or name one with --config"
