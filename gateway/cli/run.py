@@ -45,7 +45,8 @@ def run(
 ) -> None:
     """Run the gateway until it is told to stop (SIGTERM or Ctrl-C).
 
-    It begins with three lines (model, PLC, records) and says each change of state in one line on standard error.
+    It begins with three lines (model, PLC, records) and says each change of state in one line on standard output.
+    Other events of the log go to standard error.
     """
     if watch and quiet:
         raise click.UsageError("--watch and --quiet exclude each other: one shows what the other hides")
@@ -69,7 +70,7 @@ def run(
 def _say(line: str) -> None:
     # A terminal or a pipe that has gone is no reason for a gateway to stop.
     with suppress(OSError, ValueError):
-        click.echo(line, err=True)
+        click.echo(line)
 
 
 def _stop_at_end() -> None:

@@ -26,7 +26,6 @@ SAID_BY_CHANGES = frozenset(
         "the records cannot be relied on",
         "the records can be relied on again",
         "the clock is looked at anew",
-        "the device does not answer yet; it is tried again all the time",
     }
 )
 """Events of the log that these lines say too: who reads the lines needs them only in the file."""
