@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from drivers import json_lines
+from drivers.errors import OneLineError
 
 
-class ControlError(ValueError):
+class ControlError(OneLineError, ValueError):
     """A request that cannot be carried out; the sentence goes into the reply."""
 
 

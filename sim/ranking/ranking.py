@@ -8,10 +8,9 @@ from math import isfinite, nan
 import numpy as np
 
 from sim.paired import Paired, holm, paired
-from sim.ranking.fitness import Facts, Finding, FitnessLimits, Verdict, judge, verdict
 from sim.sha import DEGREES
 from sim.skill import ForecastSkill
-from sim.validation import TRAINED_ON, Seen, TraceResult
+from sim.validation import TRAINED_ON, Facts, Finding, Fitness, FitnessLimits, Seen, TraceResult, fitness, judge
 
 LEVEL = 0.05
 
@@ -58,9 +57,9 @@ class Standing:
     findings: tuple[Finding, ...] = ()
 
     @property
-    def verdict(self) -> Verdict:
-        """Whether it is fit for deployment."""
-        return verdict(self.findings)
+    def fitness(self) -> Fitness:
+        """Whether it may be used."""
+        return fitness(self.findings)
 
     @property
     def in_sample(self) -> str:

@@ -2,6 +2,17 @@
 
 from sim.validation.campaign import Progress, cluster, outcomes_by_model, parallel, run_here, unread
 from sim.validation.campaign_run import CampaignPlan, conduct
+from sim.validation.fitness import (
+    Facts,
+    Finding,
+    Fitness,
+    FitnessLimits,
+    findings_of,
+    fitness,
+    fitness_sentence,
+    judge,
+    limits_of,
+)
 from sim.validation.metrics import QUANTILES
 from sim.validation.output_folder import CAMPAIGN, LEARNED, check_folder, claim_folder, held, read_results
 from sim.validation.plots import MEASURED, Curve, Picture, draw
@@ -23,6 +34,10 @@ __all__ = [
     "CampaignPlan",
     "CampaignSummary",
     "Curve",
+    "Facts",
+    "Finding",
+    "Fitness",
+    "FitnessLimits",
     "Picture",
     "Prepared",
     "Progress",
@@ -35,8 +50,13 @@ __all__ = [
     "cluster",
     "conduct",
     "draw",
+    "findings_of",
+    "fitness",
+    "fitness_sentence",
     "gain",
     "held",
+    "judge",
+    "limits_of",
     "load_stage",
     "natural",
     "outcomes_by_model",

@@ -13,6 +13,7 @@ from jinja2 import Environment
 from sim.pages import page_environment
 from sim.sha import shown_unit
 from sim.skill import ForecastSkill
+from sim.validation.fitness import Finding, Fitness, fitness, why
 from sim.validation.metrics import QUANTILES
 from sim.validation.results import Interval, TraceResult
 from sim.validation.seen import Seen
@@ -71,7 +72,10 @@ class CampaignSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelReport:
-    """All that the report of one model tells; `skill` is that of its forecasts, where these were made."""
+    """All that the report of one model tells; `skill` is that of its forecasts, where these were made.
+
+    `findings` of its fitness by semantics.
+    """
 
     campaign: CampaignSummary
     prepared: Prepared
@@ -80,6 +84,12 @@ class ModelReport:
     pictures: Sequence[ReportFigure] = ()
     missing: Mapping[str, int] = field(default_factory=dict)
     skill: ForecastSkill | None = None
+    findings: Mapping[str, Sequence[Finding]] = field(default_factory=dict)
+
+    @property
+    def fitness(self) -> list[tuple[str, Fitness, str]]:
+        """(semantics, word, why and what to do next) of each."""
+        return [(name, fitness(found), why(found)) for name, found in self.findings.items()]
 
     @property
     def unit(self) -> str:

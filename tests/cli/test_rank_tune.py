@@ -53,7 +53,7 @@ def test_rank_runs_models_marks_what_they_were_trained_on_and_writes_page_and_pi
     assert set(rows) == {f"decanter ({name}) ({kind})" for name in ("model", "rival") for kind in kinds}
     assert {row["in_sample"] for row in rows.values()} == {"in-sample (1 of 2 traces)"}
     assert all(list(row["seen"].values()) == ["content"] for row in rows.values())
-    assert {row["verdict"] for row in rows.values()} == {"unfit"}  # learned from synthetic traces
+    assert {row["fitness"] for row in rows.values()} == {"unfit"}  # learned from synthetic traces
     assert all("nothing can be told from 2 traces" in pair["sentence"] for pair in found["pairs"])
     assert "in-sample (1 of 2 traces)" in page.read_text(encoding="utf-8")
     assert picture.stat().st_size > 10_000

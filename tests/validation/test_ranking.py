@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from sim.engine.open_loop_run import Score
 from sim.paired import holm, paired
-from sim.ranking.fitness import CRITERIA, Facts, FitnessLimits, judge, limits_of, verdict
 from sim.ranking.ranking import Ranking, Weights, rank, score
 from sim.ranking.report import as_plain, draw_ranking, page, spreads, win_matrix
+from sim.validation.fitness import CRITERIA, Facts, FitnessLimits, fitness, fitness_sentence, judge, limits_of
 from sim.validation.results import TraceResult
 from sim.validation.seen import Seen
 
@@ -209,12 +209,23 @@ def test_unseen_traces_are_those_that_are_known_to_be(seen: tuple[Seen, Seen], k
     assert finding([result("m", f"t{n}", seen=each) for n, each in enumerate(seen)], "unseen") is kept
 
 
-def test_fit_unfit_and_open_follow_from_the_findings() -> None:
+def test_fit_limited_and_unfit_follow_from_the_findings() -> None:
     results = [result("m", "t0")]
-    assert verdict(judge(results, KNOWN, FitnessLimits())) == "fit"
-    assert verdict(judge(results, Facts(), FitnessLimits())) == "open"
-    assert verdict(judge(results, replace(KNOWN, verified=False), FitnessLimits())) == "unfit"
+    assert fitness(judge(results, KNOWN, FitnessLimits())) == "fit"
+    assert fitness(judge(results, Facts(), FitnessLimits())) == "limited"
+    assert fitness(judge(results, replace(KNOWN, verified=False), FitnessLimits())) == "unfit"
     assert [one.criterion for one in judge(results, KNOWN, FitnessLimits())] == list(CRITERIA)
+
+
+def test_whatever_is_not_kept_says_what_to_do_next() -> None:
+    results = [result("m", "t0", coverage=0.2, seen="unknown")]
+    unfit = fitness_sentence(judge(results, KNOWN, FitnessLimits()))
+    assert (
+        unfit.startswith("unfit: 20.0 % of the readings in the 90 % band") and "; next: learn with more traces" in unfit
+    )
+    limited = fitness_sentence(judge([result("m", "t0", seen="unknown")], KNOWN, FitnessLimits()))
+    assert limited.startswith("limited: the model does not say which traces") and "that it has not seen" in limited
+    assert fitness_sentence(judge([result("m", "t0")], KNOWN, FitnessLimits())) == "fit"
 
 
 def test_coverage_and_persistence_are_judged_on_traces_that_were_not_trained_on() -> None:
@@ -286,6 +297,6 @@ def test_a_ranking_of_one_broken_model_still_has_a_page() -> None:
 
 def test_the_plain_form_has_all_figures() -> None:
     found = as_plain(rank(campaign(a=1.0, b=2.0)))
-    assert {row["entrant"]: row["verdict"] for row in found["models"]} == {"a": "open", "b": "open"}
+    assert {row["entrant"]: row["fitness"] for row in found["models"]} == {"a": "limited", "b": "limited"}
     assert found["scores"]["a"]["t0"] == pytest.approx(0.5 + 0.9 + 0.1)
     assert json.loads(json.dumps(found))["common"] == [f"t{n}" for n in range(8)]
