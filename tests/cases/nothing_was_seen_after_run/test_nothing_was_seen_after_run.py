@@ -113,7 +113,7 @@ async def test_a_run_says_what_it_is_and_each_change_and_several_may_watch_it(tm
 def test_a_run_from_the_command_line_begins_with_three_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def serve(config: Any, *, say: Callable[[str], None], **_: Any) -> dict[str, Any]:
         say("model  x")
-        return {"historian": {"failure": "", "dropped": 0, "refused": 0}}
+        return {"historian": {"failure": "", "dropped": 0, "refused": 0}, "parts": {}}
 
     monkeypatch.setattr("gateway.cli.run.serve", serve)
     result = CliRunner().invoke(main, ["run", "--config", str(plant_file(tmp_path))])
