@@ -10,6 +10,8 @@ COMMANDS: Table = {
         "Run the main job end to end on this machine: PLC, gateway, outage, summary, picture.",
     ),
     "run": ("gateway.cli.run:run", "Run the gateway with a configuration file."),
+    "top": ("gateway.cli.top:top", "Watch a running gateway: the live panel, or one line a change off a terminal."),
+    "status": ("gateway.cli.top:status", "Show once how a running gateway is; the exit code says how well."),
     "emulate": (
         "gateway.cli.emulate:emulate",
         "Start the software PLC, which replays a trace, as a process of its own.",
