@@ -5,7 +5,14 @@ import sys
 
 import click
 
-PROGRAM = "from sim.plc.__main__ import main; main(prog_name='decanter emulate')"
+# The emulator is started by its name: nothing of the gateway imports it.
+PROGRAM = """\
+import sys
+from functools import partial
+from gateway.entry import run_answered
+from sim.plc.__main__ import main
+run_answered(partial(main.main, prog_name="decanter emulate"), sys.argv[1:])
+"""
 
 
 @click.command(

@@ -1,12 +1,14 @@
 """A group whose commands are modules, imported when one of them is asked for, so that help answers at once."""
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib import import_module
 from typing import Any
 
 import click
 
-from gateway.entry.exits import Exit, fail
+from gateway.entry.exits import Exit, fail, run_answered
 
 Table = Mapping[str, tuple[str, str]]
 """Command name -> ("module:attribute", its line in the help text)."""
@@ -22,6 +24,20 @@ class LazyGroup(click.Group):
         super().__init__(*args, **kwargs)
         self.table = table
         self.renamed = renamed or {}
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """Run the program: every error is one sentence, with --json also one object, and an exit code."""
+        if not standalone_mode:
+            return super().main(args, prog_name, complete_var, False, **extra)
+        run = partial(super().main, prog_name=prog_name, complete_var=complete_var, **extra)
+        return run_answered(run, sys.argv[1:] if args is None else args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The names in the order of the table."""

@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
@@ -11,7 +12,7 @@ import click
 
 from drivers.driver import LINKS
 from drivers.named_files import parse_toml
-from gateway.console import plant_here
+from gateway.console import find_plant_file
 
 _FILE = click.Path(path_type=Path)
 RECORDS = Path("out/commissioning.jsonl")
@@ -99,7 +100,8 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
     def with_given(**options: Any) -> Any:
         given = _given(options)
         if given.plant is None and given.device is None and not _PLACES & set(given.settings):
-            given = replace(given, plant=plant_here())
+            with suppress(ValueError):  # what is missing without one the target says
+                given = replace(given, plant=find_plant_file())
         return command(given=given, **options)
 
     wrapped: Callable[..., Any] = with_given
