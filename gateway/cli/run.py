@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+from importlib import import_module
 from math import isfinite
 from pathlib import Path
 
@@ -40,6 +41,8 @@ def run(
     stdin: bool,
 ) -> None:
     """Run the gateway until it is told to stop (SIGTERM or Ctrl-C)."""
+    for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
+        import_module(room)
     clock = _clock(clock_text) if clock_text else None
     speed = clock.speed if clock else None
     with sentences():
