@@ -18,7 +18,7 @@ run_answered(partial(main.main, prog_name="decanter emulate"), sys.argv[1:])
 @click.command(
     context_settings={"ignore_unknown_options": True, "help_option_names": []},
     add_help_option=False,
-    short_help="Start the software PLC, which replays a trace, as a process of its own.",
+    short_help="Start the software PLC, which replays a trace.",
 )
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 def emulate(arguments: tuple[str, ...]) -> None:

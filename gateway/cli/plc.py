@@ -93,7 +93,7 @@ class CommissioningGroup(LazyGroup):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command; its help says where the shared options are."""
         command = super().get_command(ctx, cmd_name)
-        if command is not None and any(type(option) is _console().SharedOption for option in command.params):
+        if command is not None and any(type(option) is _connection().SharedOption for option in command.params):
             command.epilog = f"Connection, --json and records: see `decanter plc --help`.\n\n{command.epilog}"
         return command
 
@@ -101,14 +101,14 @@ class CommissioningGroup(LazyGroup):
         """The group's own options and commands, then the shared options."""
         super().format_options(ctx, formatter)
         titles = ("Connection, after the command's name; else the plant file says it", "Records, after the name too")
-        for title, options in zip(titles, _console().shared_options(), strict=True):
+        for title, options in zip(titles, _connection().shared_options(), strict=True):
             with formatter.section(title):
                 formatter.write_dl([record for option in options if (record := option.get_help_record(ctx))])
 
 
-def _console() -> ModuleType:
-    """The room of the shared options, which is not loaded for the help of `decanter` itself."""
-    return import_module("gateway.console")
+def _connection() -> ModuleType:
+    """The shared options' module, which is not loaded for the help of `decanter` itself."""
+    return import_module("gateway.connection")
 
 
 @click.group(

@@ -1,14 +1,10 @@
 """What commands show and take: tables, JSON, progress, options that several share."""
 
-from gateway.console.connection import CONNECTION_OPTIONS, RECORD_OPTIONS, SharedOption, shared_options
 from gateway.console.options import finite, json_option, map_option, renamed_option, seed_option
 from gateway.console.output import emit, make_folder, progress, table
 from gateway.console.places import config_dir, find_plant_file, shipped
 
 __all__ = [
-    "CONNECTION_OPTIONS",
-    "RECORD_OPTIONS",
-    "SharedOption",
     "config_dir",
     "emit",
     "find_plant_file",
@@ -19,7 +15,6 @@ __all__ = [
     "progress",
     "renamed_option",
     "seed_option",
-    "shared_options",
     "shipped",
     "table",
 ]

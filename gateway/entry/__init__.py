@@ -1,12 +1,12 @@
 """How a command is entered and left: loaded when it is called, exit codes, Control-C."""
 
-from gateway.entry.exits import Answer, Exit, exit_code, fail, print_json, run_answered, sentence, sentences
+from gateway.entry.exits import CallAnswer, Exit, exit_code, fail, print_json, run_answered, sentence, sentences
 from gateway.entry.interrupt import interruptible
 from gateway.entry.lazy import LazyGroup, Table
 from gateway.entry.threads import one_thread
 
 __all__ = [
-    "Answer",
+    "CallAnswer",
     "Exit",
     "LazyGroup",
     "Table",

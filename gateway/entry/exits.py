@@ -40,7 +40,7 @@ class Exit(IntEnum):
 
 
 @dataclass(slots=True)
-class Answer:
+class CallAnswer:
     """How a call is answered: whether it asked for JSON, and whether its one object was printed already."""
 
     as_json: bool = False
@@ -54,18 +54,18 @@ def print_json(data: Mapping[str, Any]) -> None:
         text = json.dumps(json.loads(text))
     click.echo(text)
     context = click.get_current_context(silent=True)
-    if context is not None and (answer := context.find_object(Answer)) is not None:
+    if context is not None and (answer := context.find_object(CallAnswer)) is not None:
         answer.given = True
 
 
-def fail(sentence: str, code: int = Exit.USAGE, *, answer: Answer | None = None) -> NoReturn:
+def fail(sentence: str, code: int = Exit.USAGE, *, answer: CallAnswer | None = None) -> NoReturn:
     """Say one sentence on standard error, with --json also as the object that was not printed yet; leave with the code.
 
     `answer` is that of click's context, where there is one.
     """
     context = click.get_current_context(silent=True)
     if answer is None and context is not None:
-        answer = context.find_object(Answer)
+        answer = context.find_object(CallAnswer)
     if answer is not None and answer.as_json and not answer.given:
         print_json({"ok": False, "exit": int(code), "reason": sentence})
     click.secho(f"decanter: {sentence}", fg="red", err=True)
@@ -79,7 +79,7 @@ def run_answered(run: Callable[..., Any], words: Sequence[str]) -> NoReturn:
     """
     for stream in (sys.stdout, sys.stderr):
         write_plainly(stream)
-    answer = Answer(as_json="--json" in words)
+    answer = CallAnswer(as_json="--json" in words)
     try:
         code = run(list(words), standalone_mode=False, obj=answer)
     except click.exceptions.NoArgsIsHelpError as error:

@@ -11,7 +11,8 @@ from typing import Any
 import click
 
 from drivers.named_files import parse_toml
-from gateway.console import CONNECTION_OPTIONS, RECORD_OPTIONS, find_plant_file
+from gateway.connection import CONNECTION_OPTIONS, RECORD_OPTIONS
+from gateway.console import find_plant_file
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,8 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from gateway.commission.session import make_target
-from gateway.console import SharedOption, table
+from gateway.connection import SharedOption
+from gateway.console import table
 from gateway.console.output import bands
 from gateway.entry.lazy import LazyGroup
 from gateway.entry.plain import write_plainly
