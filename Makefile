@@ -44,7 +44,8 @@ contracts: $(STAMP)
 unit: $(STAMP)
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-# Every parser and protocol side, INPUTS each (100000); TARGET=name for one, SEED for others. Its short form is a test.
+# Every parser and protocol side, INPUTS each (100000); TARGET=name for one, SEED for others, JOBS targets at a time. It
+# goes on where it stopped (out/fuzz). Its short form is a test.
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.fuzz.campaign
 

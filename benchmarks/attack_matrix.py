@@ -25,17 +25,24 @@ from benchmarks.figures import Figure, give
 from drivers.errors import DriverError
 from gateway.console import config_dir, progress
 from gateway.demo.links import LINKS
+from gateway.entry import Exit
 from gateway.machine.reading import plant_clock
 from gateway.machine.writing import Validity
 from gateway.plant.control import ControlError, connect
 from gateway.plant.device import make_driver
 from gateway.settings import load_config
+from gateway.store.historian import open_historian
+from gateway.store.read_back import reading, stored_rows
 from sim.plc.record.recording import BlockRow, read_recording
 from tests.rig.blocks import old_numbers, unaccounted
 from tests.rig.pair import FOLLOWING, MAP, Gateway, Plc, Rig, end, make_rig, restless_trace
 
 PERIOD = 0.1
 LENGTH_S = 400.0
+SHORTEST_FREEZE_S = 0.1
+FULL_MB = 1.0
+OLD_ROWS = 40_000
+"""Rows of an hour ago that fill a historian of FULL_MB."""
 SECONDS_200_DAYS = 200 * 86_400.0
 
 
@@ -46,6 +53,8 @@ class Stand:
     rig: Rig
     plc: Plc
     rng: random.Random
+    freezes: int = 6
+    longest_freeze_s: float = 10.0
 
     @property
     def audit(self) -> Path:
@@ -138,13 +147,14 @@ def disarmed(stand: Stand) -> int:
 
 
 def frozen(stand: Stand) -> int:
-    """Six freezes of 0.1 to 3 s at drawn moments: usable blocks with a temperature that was not there any more."""
+    """Freezes of 0.1 s and more at drawn moments: usable blocks with a temperature that was not there any more."""
     with stand.gateway("armed") as gateway:
-        for _ in range(6):
+        for _ in range(stand.freezes):
             stand.wait_well(gateway, "written")
             time.sleep(stand.rng.uniform(0.3, 0.3 + PERIOD))
             gateway.process.send_signal(signal.SIGSTOP)
-            time.sleep(stand.rng.choice([0.1, 0.4, 1.0, 2.0, 3.0]))
+            # Drawn by its order of magnitude: 0.1 to 1 s as often as 1 to 10 s.
+            time.sleep(SHORTEST_FREEZE_S * (stand.longest_freeze_s / SHORTEST_FREEZE_S) ** stand.rng.random())
             gateway.process.send_signal(signal.SIGCONT)
         stand.wait_well(gateway, "written")
     assert stand.usable(0.0, time.monotonic()), "nothing usable was ever written: that shows nothing"
@@ -223,6 +233,60 @@ def disk_takes_nothing(stand: Stand) -> int:
     return unaccounted(read_recording(stand.rig.recording), stand.audit) + (not said)
 
 
+def row_refused(stand: Stand) -> int:
+    """Each fifth scan and write is a row that cannot be stored: it costs that row, is counted and said, and no other.
+
+    The table refuses them (by a trigger), as it would a value that it does not hold: a map has no such value on every
+    link.
+    """
+    fifth = "CREATE TRIGGER no_{0} BEFORE INSERT ON {0} WHEN {1} % 5 = 0 BEGIN SELECT RAISE(ABORT, 'of no kind'); END"
+    with stand.gateway("armed") as gateway:
+        with closing(sqlite3.connect(stand.rig.historian, timeout=10.0)) as other:
+            other.execute(fifth.format("scans", "CAST(NEW.time * 10 AS INTEGER)"))
+            other.execute(fifth.format("writes", "NEW.sequence"))
+        said = gateway.wait_for(lambda now: now["historian"]["refused"] > 10 and now["alarms"]["records"] != "normal")
+        more = said["scan"]["count"] + 30
+        gateway.wait_for(lambda now: now["scan"]["count"] > more)
+        code, _ = gateway.stop()
+    recording = read_recording(stand.rig.recording)
+    sent = {int(row.fields["sequence"]) for row in recording.blocks if row.accepted and row.fields}
+    stored = {int(str(row[1])) for row in _rows(stand.rig.historian)}
+    lost = sum(sequence % 5 != 0 for sequence in sent - stored)
+    return lost + unaccounted(recording, stand.audit) + (code != Exit.CHECK_FAILED)
+
+
+def historian_full(stand: Stand) -> int:
+    """A historian at max_mb: old measurements go, and the alarm, the writes and the newest scans have their rows."""
+    text = stand.rig.plant.read_text(encoding="utf-8")
+    whole = text.replace("[historian]", f"[alarms]\nlimit = 10\non_delay = 0\n[historian]\nmax_mb = {FULL_MB:g}")
+    stand.rig.plant.write_text(whole, encoding="utf-8")
+    config = load_config(stand.rig.plant)
+    before = stand.plc.ready["epoch"] - 3600.0
+    historian, numbers = open_historian(stand.rig.historian, config.map.tags, max_mb=FULL_MB)
+    tag = numbers[config.watched[0]]
+    for first in range(0, OLD_ROWS, 1000):
+        times = [before + 0.05 * number for number in range(first, first + 1000)]
+        historian.put("scans", [(moment, 0.01, 0) for moment in times])
+        historian.put("samples", [(tag, moment, stand.rng.gauss(60.0, 1.0), 0, moment) for moment in times])
+        assert historian.flush(30.0), historian.failure
+    historian.close()
+    with stand.gateway("armed") as gateway:
+        gateway.wait_for(lambda now: now["scan"]["count"] > 100)
+        now = gateway.status["time"]
+        stored = _rows(stand.rig.historian)
+    recording = read_recording(stand.rig.recording)
+    sent = {
+        int(row.fields["sequence"]) for row in recording.blocks if row.accepted and row.fields and row.time < now - 3
+    }
+    with closing(sqlite3.connect(stand.rig.historian)) as connection:
+        (raised,) = connection.execute("SELECT count(*) FROM alarms WHERE condition LIKE 'over limit%'").fetchone()
+    with reading(stand.rig.historian) as connection:
+        scans = [float(str(row[0])) for row in stored_rows(connection, "scans", ("time",))]
+    wrong = len(sent - {int(str(row[1])) for row in stored}) + unaccounted(recording, stand.audit)
+    too_large = stand.rig.historian.stat().st_size > FULL_MB * 1e6
+    return wrong + (not raised) + (max(scans) < now - 3.0) + too_large + (min(scans) < before + 1.0)
+
+
 def clock_ahead(stand: Stand) -> int:
     """The clock is 200 days ahead at a start: rows of the run before that are gone."""
     with stand.gateway("shadow") as gateway:
@@ -259,13 +323,15 @@ ATTACKS: Mapping[str, Tried] = {
     "disarming while none runs": disarmed_while_none_runs,
     "a block sent again": sent_again,
     "a disk that takes nothing": disk_takes_nothing,
+    "a row that cannot be stored": row_refused,
+    "a full historian": historian_full,
     "a clock 200 days ahead": clock_ahead,
     "damaged records": damaged,
 }
 
 
 @contextmanager
-def stand(link: str, seed: int = 0) -> Iterator[Stand]:
+def stand(link: str, *, seed: int = 0, freezes: int = 6, longest_freeze_s: float = 10.0) -> Iterator[Stand]:
     """A rig whose gateway and PLC speak over this link of the demonstration."""
     with tempfile.TemporaryDirectory(prefix="decanter-attack-") as name:
         folder, row = Path(name), LINKS[link]
@@ -278,17 +344,17 @@ def stand(link: str, seed: int = 0) -> Iterator[Stand]:
             kept = [line for line in before.splitlines() if line.startswith("heartbeat_period")]
             head = "\n".join(["[device]", *kept, "[[device.links]]", rows])
             rig.plant.write_text(f"{head}\n[scan]{after}", encoding="utf-8")
-            yield Stand(rig, plc, random.Random(seed))
+            yield Stand(rig, plc, random.Random(seed), freezes, longest_freeze_s)
 
 
-def measure(links: Sequence[str], attacks: Sequence[str]) -> list[Figure]:
-    """A figure for each attack on each link."""
+def measure(links: Sequence[str], attacks: Sequence[str], **drawn: Any) -> list[Figure]:
+    """A figure for each attack on each link; what is `drawn` (seed, freezes, longest_freeze_s) is as for `stand`."""
     figures = []
     with progress("attacks") as report:
         for number, link in enumerate(links):
             for place, attack in enumerate(attacks):
                 report(f"{link}: {attack}", (number + place / len(attacks)) / len(links))
-                with stand(link) as made:
+                with stand(link, **drawn) as made:
                     figures.append(Figure(f"{attack}, {link}", float(ATTACKS[attack](made)), "wrong"))
     return figures
 
@@ -296,11 +362,23 @@ def measure(links: Sequence[str], attacks: Sequence[str]) -> list[Figure]:
 @click.command(help=__doc__)
 @click.argument("attacks", nargs=-1, type=click.Choice(list(ATTACKS)), metavar="[ATTACK]...")
 @click.option("--link", "links", multiple=True, type=click.Choice(list(LINKS)), help="Only this link; may be repeated.")
+@click.option("--freezes", default=6, show_default=True, help="How often its process is frozen.")
+@click.option("--longest", default=10.0, show_default=True, help="The longest freeze, seconds; the shortest is 0.1 s.")
+@click.option("--seed", default=0, show_default=True, help="Of the moments and lengths that are drawn.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
 @click.option("--quick", is_flag=True, help="Only over Modbus TCP.")
-def main(attacks: Sequence[str], links: Sequence[str], as_json: bool, quick: bool) -> None:
+def main(
+    attacks: Sequence[str],
+    links: Sequence[str],
+    freezes: int,
+    longest: float,
+    seed: int,
+    as_json: bool,
+    quick: bool,
+) -> None:
     chosen = links or (["modbus"] if quick else list(LINKS))
-    give("attacks on writes and records", measure(chosen, attacks or list(ATTACKS)), as_json=as_json)
+    figures = measure(chosen, attacks or list(ATTACKS), seed=seed, freezes=freezes, longest_freeze_s=longest)
+    give("attacks on writes and records", figures, as_json=as_json)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 from drivers.capabilities import Capabilities, LinkKind
 from drivers.errors import DriverError
+from drivers.supervision import Supervisor
 from drivers.tag import Sample, Tag, Value
 
 Clock = Callable[[], float]
@@ -146,6 +147,14 @@ class Complains(Protocol):
     def complaints(self) -> tuple[str, ...]:
         """What is wrong now, in sentences; empty where nothing is."""
         ...
+
+
+@runtime_checkable
+class Supervised(Protocol):
+    """A driver that keeps threads or tasks of its own going."""
+
+    supervisor: Supervisor
+    """Knows all of them; whoever runs the driver takes it into his own."""
 
 
 DRIVERS: dict[str, Capabilities] = {

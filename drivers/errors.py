@@ -1,4 +1,4 @@
-"""What can go wrong on a fieldbus, by whose fault it is.
+"""What can go wrong on a fieldbus, by whose fault it is; and what the sentence of any error here is: one line.
 
     DriverError
     ├── AddressError(ValueError)        the configuration names an address that this driver cannot mean
@@ -29,7 +29,22 @@ class LinkFault(Enum):
     OTHER = "other"
 
 
-class DriverError(Exception):
+def one_line(text: str) -> str:
+    """The text with every character that is not printable as its escape (`\\n`, `\\x1b`)."""
+    # As `sim.strict_json.escaped` does, which the arithmetic of sim takes: that imports nothing of this floor.
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+class OneLineError(Exception):
+    """An error whose sentence is one line and steers no terminal, whatever it quotes of a file, a peer or a request."""
+
+    def __init__(self, sentence: str = "") -> None:
+        super().__init__(one_line(sentence))
+
+
+class DriverError(OneLineError):
     """Base of everything that a driver raises."""
 
 

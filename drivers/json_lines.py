@@ -9,13 +9,14 @@ import json
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
+from drivers.errors import OneLineError
 from drivers.named_files import unusable
 
 Answer = Callable[[bytes], Awaitable[Mapping[str, Any]]]
 """Gives the reply to one line; never raises for what the line holds."""
 
 
-class NoObject(ValueError):
+class NoObject(OneLineError, ValueError):
     """A line that holds no JSON object; the sentence goes into the reply."""
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from drivers.errors import DriverError, LinkDown
+from drivers.supervision import Supervisor
 
 C = TypeVar("C")
 
@@ -53,7 +54,7 @@ class DeadPeer:
 
 
 class Link(Generic[C]):
-    """Keeps one connection up between `open` and `close`, by one task of its own.
+    """Keeps one connection up between `open` and `close`, by one task of its own, which the `supervisor` keeps going.
 
     `connect` makes a connection or raises DriverError or OSError; it is cancelled at `connect_deadline`. `disconnect`
     lets one go, at once. The user of the link takes `connection`, and reports each exchange over it with `answered`,
@@ -69,12 +70,14 @@ class Link(Generic[C]):
         backoff: Backoff,
         dead_peer: DeadPeer,
         seed: int,
+        supervisor: Supervisor | None = None,
     ) -> None:
         self._connect = connect
         self._disconnect = disconnect
         self._connect_deadline = connect_deadline
         self._backoff = backoff
         self._dead_peer = dead_peer
+        self._supervisor = supervisor or Supervisor()
         # Jitter keeps clients of one device apart; nobody needs to be unable to guess it.
         self._rng = random.Random(seed)  # noqa: S311
         self._task: asyncio.Task[None] | None = None
@@ -96,7 +99,7 @@ class Link(Generic[C]):
         if self._task is None:
             self._tried.clear()
             self._attempts_in_a_row = 0
-            self._task = asyncio.create_task(self._supervise(), name="link supervisor")
+            self._task = self._supervisor.task("link", self._keep)
         await self._tried.wait()
         if self._connection is None:
             raise LinkDown(self._reason)
@@ -188,7 +191,7 @@ class Link(Generic[C]):
 
     # ------------------------------------------------------------ the one task
 
-    async def _supervise(self) -> None:
+    async def _keep(self) -> None:
         # `close` forgets the task before it cancels it: a cancellation that arrives in the very step in which a
         # connection is made is swallowed by asyncio.wait_for of Python 3.11.
         while self._task is not None:
@@ -212,6 +215,11 @@ class Link(Generic[C]):
             self._reason = f"no connection within {self._connect_deadline:g} s"
         except (DriverError, OSError) as error:
             self._reason = str(error)
+        except Exception as error:
+            # The supervisor's to say and to begin anew; whoever waits for this attempt is not to wait for ever.
+            self._reason = f"the connection could not be made: {error!r}"
+            self._tried.set()
+            raise
         else:
             self._take(connection)
         self._tried_at = asyncio.get_running_loop().time()

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from drivers.errors import DriverError
+from drivers.errors import DriverError, one_line
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 
 
@@ -21,8 +21,9 @@ class ConfigError(ValueError):
     """The configuration cannot be used. `problems` has one sentence each: file, key, reason, what would be right."""
 
     def __init__(self, problems: Sequence[str]) -> None:
-        super().__init__("\n".join(problems))
-        self.problems = tuple(problems)
+        # Each is one line, whatever a key in the file is called.
+        self.problems = tuple(map(one_line, problems))
+        super().__init__("\n".join(self.problems))
 
 
 class Section(BaseModel):

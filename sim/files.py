@@ -4,10 +4,11 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from drivers.errors import OneLineError
 from drivers.named_files import contents, endless_number
 
 
-class ArtefactError(ValueError):
+class ArtefactError(OneLineError, ValueError):
     """A file cannot be used or written. The message names file, line or key, the reason and what would be right."""
 
 

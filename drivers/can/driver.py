@@ -26,6 +26,7 @@ from drivers.driver import BeforeSending, Clock, PlanKind, PlanLine, anyhow
 from drivers.errors import AddressError, DriverError, LinkDown
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.settings import check_settings
+from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample, Tag, Value
 
 _LOOK = 0.1
@@ -70,7 +71,8 @@ class CanDriver:
         self._signals = SignalMap(settings)
         self._write_map = WriteMap(write_map, self._signals, settings.echo, settings.pad)
         self._reception = Reception()
-        self._messages = message_decoder(settings, self._reception)
+        self.supervisor = Supervisor()
+        self._messages = message_decoder(settings, self._reception, self.supervisor)
         self._errors = BusErrors()
         self._off = False
         self._load = BusLoad(settings.bitrate)
@@ -87,6 +89,7 @@ class CanDriver:
             # Silence is judged by the messages' own timeouts (_notice_silence): one verdict ends the connection.
             dead_peer=DeadPeer(1, float("inf")),
             seed=seed,
+            supervisor=self.supervisor,
         )
         for tag in write_map:
             self._hearing(tag)
@@ -96,7 +99,7 @@ class CanDriver:
     async def open(self) -> None:
         """Open the bus and go on opening it. Raises LinkDown if the first attempt fails (it goes on trying)."""
         if self._watching is None:
-            self._watching = asyncio.create_task(self._watch(), name="can watch")
+            self._watching = self.supervisor.task("watch", self._watch)
         await self._link.open()
 
     async def close(self) -> None:
@@ -268,7 +271,7 @@ class CanDriver:
         self._errors.restart()  # the controller's last word stays in self._off until a frame proves it wrong
         # The pump may be lost before it has a name here: whom it reports is looked up when it does.
         pumps: list[Pump] = []
-        pump = Pump(bus, self._take, lambda reason: self._link.lost(pumps[0], reason))
+        pump = Pump(bus, self._take, lambda reason: self._link.lost(pumps[0], reason), self.supervisor)
         pumps.append(pump)
         self._messages.start(partial(put, pump))
         return pump

@@ -14,12 +14,13 @@ from drivers.can.reception import Channel, Reception, Slot
 from drivers.can.settings import CanSettings
 from drivers.codec import Reading
 from drivers.driver import PlanLine
+from drivers.supervision import Supervisor
 from drivers.tag import Tag
 
 PREFIXES = ("obd:", "spn:", "pgn:", "j1939:", "dm1:")
 DECODER = "drivers.vehicle.live:LiveVehicle"
 """Beginnings of the addresses that are no fields of frames, and what is called with the driver's settings and the
-reception to decode them: a MessageDecoder. Raises DriverError."""
+reception to decode them: a MessageDecoder. It is also given what keeps its tasks going. Raises DriverError."""
 
 Send = Callable[[int, bool, bytes], None]
 """Puts a frame on the bus: identifier, 29-bit, data. Raises DriverError if it cannot."""
@@ -67,8 +68,8 @@ def is_message_tag(tag: Tag) -> bool:
     return tag.address.startswith(PREFIXES)
 
 
-def message_decoder(settings: CanSettings, reception: Reception) -> MessageDecoder:
+def message_decoder(settings: CanSettings, reception: Reception, supervisor: Supervisor) -> MessageDecoder:
     """The decoder of such tags. Raises DriverError for a setting that it cannot use."""
     module, _, name = DECODER.partition(":")
-    decoder: MessageDecoder = getattr(import_module(module), name)(settings, reception)
+    decoder: MessageDecoder = getattr(import_module(module), name)(settings, reception, supervisor)
     return decoder

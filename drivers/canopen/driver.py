@@ -21,6 +21,7 @@ from drivers.codec import Reading
 from drivers.driver import BeforeSending, Clock, PlanKind, PlanLine, anyhow
 from drivers.errors import LinkDown
 from drivers.link import Backoff, DeadPeer, Link
+from drivers.supervision import Supervisor
 from drivers.tag import DType, Quality, Sample, Tag, Value
 
 LARGE = 64
@@ -72,6 +73,7 @@ class CanopenDriver:
         self._open = False
         self._past: dict[str, float] = {}
         self._counts = dict.fromkeys(("reads", "writes"), 0)
+        self.supervisor = Supervisor()
         self._link: Link[Connection] = Link(
             self._connect,
             self._disconnect,
@@ -79,6 +81,7 @@ class CanopenDriver:
             backoff=Backoff(options.backoff_first, options.backoff_cap),
             dead_peer=DeadPeer(),
             seed=seed,
+            supervisor=self.supervisor,
         )
         self._ports: set[Port] = set()
 
@@ -310,8 +313,14 @@ class CanopenDriver:
             opening.add_done_callback(_let_go)
             raise
         node: RemoteNode
-        port = Port(bus, self._clock, lambda frame: node.take(frame), lambda reason: self._gone(port, reason))
-        node = RemoteNode(port.send, options, self._sheet, self._on_pdo)
+        port = Port(
+            bus,
+            self._clock,
+            lambda frame: node.take(frame),
+            lambda reason: self._gone(port, reason),
+            supervisor=self.supervisor,
+        )
+        node = RemoteNode(port.send, options, self._sheet, self._on_pdo, supervisor=self.supervisor)
         self._ports.add(port)
         node.start()
         return Connection(port, node)

@@ -14,6 +14,7 @@ from drivers.canopen.pdo import Mapped, PdoMapping
 from drivers.canopen.place import ObjectPlace
 from drivers.canopen.port import StampedFrame
 from drivers.errors import DriverError
+from drivers.supervision import Supervisor
 from drivers.tag import Quality
 
 BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
@@ -69,8 +70,11 @@ class RemoteNode:
         options: Options,
         sheet: DataSheet | None,
         heard: Callable[["RemoteNode", ReceivedPdo], None],
+        *,
+        supervisor: Supervisor,
     ) -> None:
         self.options, self.send, self._on_pdo = options, send, heard
+        self._supervisor = supervisor
         self.sdo = SdoChannel(lambda data: send(SDO_REQUEST + options.node, data), options.timeout)
         self.emergencies = Emergencies(options.emcy_ignore)
         self.counts = Counts()
@@ -90,7 +94,7 @@ class RemoteNode:
 
     def start(self) -> None:
         """Begin to look for the node."""
-        self._tasks = [asyncio.create_task(self._live(), name="canopen node")]
+        self._tasks = [self._supervisor.task("node", self._live)]
 
     def close(self, reason: str) -> None:
         """Give the node up: the bus is gone."""
@@ -257,8 +261,9 @@ class RemoteNode:
 
     async def _watch(self) -> None:
         """Return when the node must be brought up anew: gone, restarted, or no longer operational and ours to start."""
-        sync = asyncio.create_task(self._sync(), name="canopen SYNC") if self._produces_sync() else None
-        errors = asyncio.create_task(self._confirm_errors(), name="canopen error register")
+        beside = [self._supervisor.task("SYNC", self._sync)] if self._produces_sync() else []
+        if not self.options.listen_only:
+            beside.append(self._supervisor.task("error register", self._confirm_errors))
         try:
             while True:
                 self._news.clear()
@@ -273,9 +278,8 @@ class RemoteNode:
                     return
                 await self._pause(left + 0.001)
         finally:
-            errors.cancel()
-            if sync is not None:
-                sync.cancel()
+            for task in beside:
+                task.cancel()
 
     async def _pause(self, seconds: float) -> None:
         """Until the next heartbeat, or so many seconds."""
@@ -296,7 +300,7 @@ class RemoteNode:
 
     async def _confirm_errors(self) -> None:
         """While an emergency stands, ask for the error register: 0 says that the end of it was missed."""
-        while not self.options.listen_only:
+        while True:
             await asyncio.sleep(CONFIRM_ERRORS)
             if self.emergencies.active:
                 with suppress(DriverError):

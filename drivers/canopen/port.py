@@ -14,6 +14,7 @@ import can
 
 from drivers.driver import Clock
 from drivers.errors import LinkDown
+from drivers.supervision import Supervisor
 
 POLL = 0.05
 """Seconds after which the thread looks whether it is to end."""
@@ -39,15 +40,21 @@ class Port:
     """
 
     def __init__(
-        self, bus: can.BusABC, clock: Clock, take: Callable[[StampedFrame], None], lost: Callable[[str], None]
+        self,
+        bus: can.BusABC,
+        clock: Clock,
+        take: Callable[[StampedFrame], None],
+        lost: Callable[[str], None],
+        *,
+        supervisor: Supervisor,
     ) -> None:
         self._bus, self._clock, self._take, self._lost = bus, clock, take, lost
         self._loop = asyncio.get_running_loop()
         self._frames: deque[StampedFrame] = deque()
         self._scheduled = self._closing = False
+        self._ended = threading.Event()
         self.counts = dict.fromkeys(("frames", "foreign_frames", "dropped_frames", "error_frames"), 0)
-        self._thread = threading.Thread(target=self._read, name="canopen reader", daemon=True)
-        self._thread.start()
+        self._thread = supervisor.thread("bus receiver", self._read, stop=self._ended)
 
     def send(self, identifier: int, data: bytes) -> None:
         """Put one frame on the bus. Raises LinkDown."""
@@ -64,22 +71,27 @@ class Port:
     def close(self) -> None:
         """Let the bus go, at once for the caller; the thread closes it within POLL seconds."""
         self._closing = True
+        self._ended.set()
 
     async def closed(self) -> None:
         """Wait until the bus is closed."""
         await asyncio.to_thread(self._thread.join, 2.0)
 
     def _read(self) -> None:
-        reason = ""
+        reason, known = "", False
         try:
-            while not self._closing and not reason:
+            while not self._ended.is_set() and not reason:
                 reason = self._heard(self._bus.recv(POLL))
+            known = True
         except (can.CanError, OSError, ValueError) as error:
-            reason = str(error) or type(error).__name__
+            reason, known = str(error) or type(error).__name__, True
         finally:
-            self._bus.shutdown()
-        if not self._closing:
-            self._in_loop(self._lost, reason)
+            # Whatever has ended it, also what the supervisor hears of: the bus is opened anew.
+            if not self._closing:
+                self._in_loop(self._lost, reason or "the bus cannot be read any more")
+            if known:
+                self._ended.set()
+                self._bus.shutdown()
 
     def _heard(self, message: can.Message | None) -> str:
         """Hand a frame over; the reason if the controller says that it is off the bus."""
@@ -111,4 +123,4 @@ class Port:
         try:
             self._loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:  # the loop has ended, and with it everybody who would listen
-            self._closing = True
+            self.close()

@@ -36,6 +36,7 @@ from drivers.modbus.settings import ModbusSettings, read_settings
 from drivers.modbus.transport import AnyWire, make_transport
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import WireReply, read_request, write_request
+from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample, Tag, Value
 
 # A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.
@@ -119,6 +120,7 @@ class ModbusDriver:
             ("requests", "timeouts", "mismatches", "exceptions", "retries", "writes", "bisections"), 0
         )
         self._transport = make_transport(settings, clock)
+        self.supervisor = Supervisor()
         self._link: Link[AnyWire] = Link(
             self._connect,
             self._disconnect,
@@ -126,6 +128,7 @@ class ModbusDriver:
             backoff=Backoff(settings.backoff_first, settings.backoff_cap),
             dead_peer=DeadPeer(settings.max_failures, settings.max_silence),
             seed=seed,
+            supervisor=self.supervisor,
         )
 
     # ------------------------------------------------------------ Driver

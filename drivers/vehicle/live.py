@@ -8,6 +8,7 @@ from drivers.can import CanFrame, CanSettings, Channel, MessageRules, Reception,
 from drivers.codec import Reading
 from drivers.driver import PlanKind, PlanLine
 from drivers.errors import AddressError, DriverError
+from drivers.supervision import Supervisor
 from drivers.tag import Quality, Tag
 from drivers.vehicle.decoding import Vehicle
 from drivers.vehicle.obd_poll import Poller
@@ -18,7 +19,8 @@ _RETRY = 1.0
 class LiveVehicle:
     """What units tell by themselves, and with `poll = true` what they answer. Moments are monotonic seconds."""
 
-    def __init__(self, settings: CanSettings, reception: Reception) -> None:
+    def __init__(self, settings: CanSettings, reception: Reception, supervisor: Supervisor) -> None:
+        self._supervisor = supervisor
         self._vehicle = Vehicle(settings)
         self._reception = reception
         self._poller = Poller(lambda: self._vehicle.parameters, settings) if settings.poll else None
@@ -91,7 +93,7 @@ class LiveVehicle:
                     await poller.run(send)
                 await asyncio.sleep(_RETRY)
 
-        self._polling = asyncio.create_task(ask(), name="obd poll")
+        self._polling = self._supervisor.task("OBD requests", ask)
 
     def stop(self) -> None:
         """Stop asking."""

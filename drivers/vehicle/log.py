@@ -40,8 +40,8 @@ _CSV = re.compile(r"\s*-?[\d.]+(?:[eE][-+]?\d+)?,(?:0x)?[0-9A-Fa-f]+,[01],[01],[
 _CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
 _TRC = re.compile(r"\s*(?:;.*|\d+\)?\s+[\d.]+\s+\S.*)?\s*")
 
-# The TRC reader warns of each line; they are counted here.
-logging.getLogger("can.io.trc").addHandler(logging.NullHandler())
+# The readers warn of lines and objects, on the terminal where nobody else listens; what they leave out is counted here.
+logging.getLogger("can.io").addHandler(logging.NullHandler())
 
 LineCheck = Callable[[str], str]
 """What a line is: "" for the reader, else the count that it goes to."""
@@ -87,6 +87,46 @@ def _stuck(data: bytes) -> int | None:
             return at
         at += length
     return None
+
+
+# ASAM MDF 4: a block has its id (4 bytes), 4 reserved, its length and its number of links (8 each), then links. These
+# are the first ones, which asammdf follows from block to block, by what it takes the block behind each for.
+_MDF_LISTS = {
+    "HD": ("DG", "FH", "CH", "AT", "EV"), "DG": ("DG", "CG", "DL"), "CG": ("CG", "CN"), "CN": ("CN", "CN"),
+    "FH": ("FH",), "CH": ("CH", "CH"), "AT": ("AT",), "EV": ("EV",), "DL": ("DL",),
+}  # fmt: skip
+_MDF_FIRST, _MOST_BLOCKS = 64, 1_000_000
+
+
+def circling(stream: BinaryIO) -> bool:
+    """True for an MF4 file one of whose lists comes back to itself: asammdf would follow it without end."""
+    open_, done = set[tuple[str, int]](), set[tuple[str, int]]()
+    waiting = [(("HD", _MDF_FIRST), False)]
+    while waiting and len(done) < _MOST_BLOCKS:
+        block, left = waiting.pop()
+        if left:
+            open_.remove(block)
+            done.add(block)
+            continue
+        if block in open_:
+            return True
+        if block in done:
+            continue
+        open_.add(block)
+        waiting.append((block, True))
+        role, at = block
+        stream.seek(at)
+        head = stream.read(64)
+        # Data itself has no links, and an array of a channel one.
+        if len(head) < 32 or (role == "DL" and head[:4] not in (b"##DL", b"##HL", b"##LD")):
+            continue
+        roles = _MDF_LISTS[role][: 1 if head[:4] == b"##CA" else None]
+        size = stream.seek(0, 2)
+        for number, below in enumerate(roles):
+            link = int.from_bytes(head[24 + 8 * number : 32 + 8 * number], "little")
+            if 0 < link < size:
+                waiting.append(((below, link), False))
+    return bool(waiting)
 
 
 FORMATS: dict[str, Format] = {
@@ -169,6 +209,9 @@ class Log:
             # asammdf and its decompressors raise errors of their own; they are there if an MF4 is read.
             names = [(module, name) for module, name in _MF4_RAISES if find_spec(module.partition(".")[0]) is not None]
             errors += (RuntimeError, *(getattr(import_module(module), name) for module, name in names))
+        if self.format == "mf4" and stream is self._raw and circling(self._raw):
+            self.note("broken", "after 0 frames: a list of its blocks comes back to itself")
+            return
         try:
             # asammdf maps a file of its own; the other readers take the open one.
             yield from kind.reader(str(self.path) if self.format == "mf4" else stream)

@@ -55,6 +55,9 @@ def run(
         fail(f"records could not be stored: {records['failure']}", Exit.CHECK_FAILED)
     if lost := records["dropped"] + records["refused"]:
         fail(f"{lost} rows could not be stored: see the log for the reason of each kind", Exit.CHECK_FAILED)
+    if failed := {name: part for name, part in last["parts"].items() if part["restarts"]}:
+        reasons = "; ".join(f"{name} ({part['restarts']}): {part['failure']}" for name, part in failed.items())
+        fail(f"parts of the gateway failed and were begun anew: {reasons}", Exit.CHECK_FAILED)
 
 
 def _stop_at_end() -> None:

@@ -12,6 +12,8 @@ from gateway.commission.acceptance import gather, verify, write
 from gateway.commission.session import SharedOptions, audit_option, audit_path, login, record_options
 from gateway.console import emit, table
 from gateway.entry import Exit, fail, sentences
+from gateway.machine.writing import places_for
+from gateway.settings import load_config
 from gateway.store import AuditEntry, open_audit
 
 
@@ -50,7 +52,8 @@ def report(
     with sentences():
         now, by, log_path = time.time(), given.by or login(), audit_path(audit, given)
         records = regular(given.records).read_bytes()
-        data = gather(given.records, log_path, site=site, by=by, now=now, remarks=remarks)
+        config = load_config(given.plant) if given.plant is not None else None
+        data = gather(given.records, places_for(log_path, config), site=site, by=by, now=now, remarks=remarks)
         data["site"] = site or "; ".join(data["places"]) or "no device"
         own_seal = write(out, data, records)
         # The seal stands apart from the report too: whoever makes all of it anew makes another seal.

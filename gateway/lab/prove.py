@@ -18,6 +18,7 @@ from sim.engine import Policy
 from sim.traces import load_map
 
 GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
+NEXT = "Read the evidence above; learn anew with more traces, or with another --method."
 STAYS, CASES, WIDTH = 12, 4, 150
 """What the text shows of a counterexample and of a check's cases, and signs a case; --json has all of them."""
 
@@ -159,6 +160,7 @@ def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
     ]
     return {
         "model": found.name,
+        "fitness": "fit" if result.deployable else "unfit",
         "deployable": result.deployable,
         "reasons": list(result.reasons),
         "assumptions": list(result.assumptions),
@@ -197,10 +199,13 @@ def _show(result: Verification, found: FoundModel, model: str, out: Path | None)
         else:
             click.echo(f"a counterexample to {name}, of {size}, was found; --word FILE writes it, for model simulate")
     against = [each.name for each in result.checks if each.blocking and each.verdict != "proven"]
-    sentence = f"NOT deployable: {'; '.join(against)}" if against else "deployable"
+    # What is not decided is not proven: promotion refuses both alike.
+    sentence = f"unfit: not proven: {', '.join(against)}" if against else "fit: every check that decides is proven"
     click.secho(sentence, fg="red" if against else "green", bold=True)
     if "growth" in against and result.executable:
-        click.echo(GROWS)
+        click.echo(f"next: {GROWS}")
+    elif against:
+        click.echo(f"next: {NEXT}")
 
 
 def _counterexample(result: Verification) -> tuple[str, TimedWord] | None:

@@ -12,33 +12,24 @@ import click
 from drivers.named_files import regular
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
 from gateway.entry import Exit, fail, interruptible, sentences
+from gateway.lab.facts import facts_of, gate_of, origin_of
 from gateway.lab.judged_forecasts import judged_forecasts, skill_options
 from gateway.lab.skill import show_skill
-from sim.checking.proof import verify
 from sim.pictures import check_picture
-from sim.ranking import (
-    Facts,
-    Ranking,
-    Seen,
-    Weights,
-    as_plain,
-    draw_ranking,
-    entrants,
-    limits_of,
-    seen_traces,
-    write_page,
-)
+from sim.ranking import Ranking, Weights, as_plain, draw_ranking, entrants, write_page
 from sim.ranking import rank as ranked
-from sim.sha import Model, Trace, shown_unit
+from sim.sha import Trace, shown_unit
 from sim.skill import ForecastSkill
 from sim.traces import load_map, load_traces
 from sim.validation import (
     CAMPAIGN,
+    Facts,
     Prepared,
     Progress,
     TraceResult,
     TraceRunSettings,
     Wanted,
+    limits_of,
     outcomes_by_model,
     prepare,
     read_results,
@@ -92,14 +83,14 @@ def compared(request: RankingRequest, progress: Progress) -> RankingInput:
             prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
         )
         results = [outcome.result for _, outcomes in by_model for outcome in outcomes]
-        facts_at_hand = _by_entrant(results, {model.label: _facts(model, traces) for model in prepared})
+        facts_at_hand = _by_entrant(results, {model.label: facts_of(model) for model in prepared})
         if not request.skill:
             return RankingInput(results, facts_at_hand)
         learned = training if request.rivals else None
         made = judged_forecasts(prepared, traces, training=learned, seed=request.seed, report=progress)
         return RankingInput(results, facts_at_hand, made.skill(seed=request.seed))
     results = [result for folder in request.folders for result in read_results(folder)]
-    names, labels = {result.trace for result in results}, sorted({result.model for result in results})
+    labels = sorted({result.model for result in results})
     facts: dict[str, dict[str, Facts]] = {}
     for path in request.folders:
         # What the campaign's records say of its models, by label and semantics; a missing or odd record says nothing.
@@ -107,10 +98,8 @@ def compared(request: RankingRequest, progress: Progress) -> RankingInput:
         for label, place in _document(folder / CAMPAIGN).get("folders", {}).items():
             facts[label] = {}
             for semantics, row in _document(folder / place / GENERATION).get("variants", {}).items():
-                trained = set(row.get("training_traces", ()))
-                traced = bool(row.get("data_hash") or trained)
-                seen: dict[str, Seen] = {name: "name" for name in names if name in trained}
-                facts[label][semantics] = Facts(synthetic=bool(row.get("synthetic")) if traced else None, seen=seen)
+                traced = bool(row.get("data_hash") or row.get("training_traces"))
+                facts[label][semantics] = Facts(synthetic=bool(row.get("synthetic")) if traced else None)
     # A model at hand is that of the results with its name: it is verified, which the records cannot say.
     for at_hand in _prepared(request, None):
         if at_hand.label not in labels:
@@ -119,9 +108,8 @@ def compared(request: RankingRequest, progress: Progress) -> RankingInput:
             )
         own: dict[str, Facts] = {}
         for semantics, model in at_hand.variants.items():
-            origin = _origin(model, {name: "name" for name in names if name in model.provenance.traces})
             verified, gate = gate_of(model)
-            own[semantics] = replace(origin, verified=verified, gate=gate)
+            own[semantics] = replace(origin_of(model), verified=verified, gate=gate)
         # The gate's word on the model at hand is its word on the recorded semantics too.
         word = next(iter(own.values()), Facts(verified=False, gate="; ".join(at_hand.refusals.values())))
         recorded = {
@@ -143,17 +131,6 @@ def _prepared(request: RankingRequest, training: Sequence[Trace] | None) -> list
     )
 
 
-def gate_of(model: Model) -> tuple[bool, str]:
-    """Whether verification lets the model be deployed, and the sentence that says so."""
-    verification = verify(model)
-    if verification.deployable:
-        return (
-            True,
-            f"verified: {len([check for check in verification.checks if check.blocking])} blocking checks are proven",
-        )
-    return False, "; ".join(verification.reasons)
-
-
 def _by_entrant(results: Sequence[TraceResult], facts: Mapping[str, Mapping[str, Facts]]) -> dict[str, Facts]:
     """Facts by model and semantics become facts by entrant."""
     by_entrant = {}
@@ -165,21 +142,6 @@ def _by_entrant(results: Sequence[TraceResult], facts: Mapping[str, Mapping[str,
         elif "" in known:
             by_entrant[name] = known[""]
     return by_entrant
-
-
-def _facts(prepared: Prepared, traces: Sequence[Trace]) -> dict[str, Facts]:
-    """What a model at hand says of itself, by semantics; a model that cannot be run fails the gate."""
-    facts = {"": Facts(verified=False, gate="; ".join(prepared.refusals.values()))}
-    for semantics, model in prepared.variants.items():
-        verified, gate = gate_of(model)
-        facts[semantics] = replace(_origin(model, seen_traces(model, traces)), verified=verified, gate=gate)
-    return facts
-
-
-def _origin(model: Model, seen: Mapping[str, Seen]) -> Facts:
-    """Artefacts and models by hand do not say what they were learned from."""
-    known = bool(model.provenance.data_hash or model.provenance.traces)
-    return Facts(synthetic=model.provenance.synthetic if known else None, seen=seen)
 
 
 def _document(file: Path) -> dict[str, Any]:
@@ -217,13 +179,15 @@ Limits of fitness, judged on traces that were not in training where there are an
 @click.option(
     "--semantics",
     "wanted",
-    type=click.Choice(["written", "own", "thesis", "both"]),
+    type=click.Choice(["written", "carried", "resampled", "both"]),
     default="written",
     show_default=True,
-    help="The temperature is carried over events (own) or drawn on entry (thesis); both are ranked apart.",
+    help="The temperature is carried over events or resampled on entry (the thesis); both are ranked apart.",
 )
 @click.option(
-    "--training", multiple=True, help="Traces that give the thesis semantics its entry laws; rivals are fitted to them."
+    "--training",
+    multiple=True,
+    help="Traces that give the resampled semantics its entry laws; rivals are fitted to them.",
 )
 @skill_options
 @click.option(
@@ -323,7 +287,7 @@ def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> None:
     columns = ("rank", "model", "for deployment", "S", "MAE", "max", "sigma", "CRPS", "coverage 90 %", "persistence")
     names = ("score", "mae", "largest", "scatter", "crps", "coverage", "persistence", "wins")
     rows = [
-        [row.rank or "–", row.entrant, row.verdict, *(getattr(row, name) for name in names), row.failed, row.in_sample]
+        [row.rank or "–", row.entrant, row.fitness, *(getattr(row, name) for name in names), row.failed, row.in_sample]
         for row in ranking.standings
     ]
     table(
@@ -353,7 +317,8 @@ def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> None:
         for finding in row.findings:
             if finding.kept is not True:
                 word = "not kept" if finding.kept is False else "not known"
-                click.echo(f"{row.entrant}: {finding.criterion} {word}: {finding.sentence}")
+                said = f"{row.entrant}: {finding.criterion} {word}: {finding.sentence}"
+                click.echo(f"{said}; next: {finding.next_step}")
     for note in ranking.notes:
         click.echo(f"note: {note}")
     for kind, file in (("page", page), ("picture", picture)):

@@ -14,6 +14,7 @@ import click
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
 from gateway.entry import Exit, fail, interruptible, sentences
+from gateway.lab.facts import facts_of
 from gateway.lab.judged_forecasts import judged_forecasts, skill_options
 from sim.artefacts.formats import write_model_directory
 from sim.engine import Policy
@@ -25,6 +26,7 @@ from sim.validation import (
     LEARNED,
     CampaignPlan,
     CampaignSummary,
+    Facts,
     Prepared,
     Progress,
     TraceResult,
@@ -34,6 +36,8 @@ from sim.validation import (
     claim_folder,
     cluster,
     conduct,
+    findings_of,
+    fitness_sentence,
     gain,
     held,
     load_stage,
@@ -67,10 +71,26 @@ class ValidationRequest:
     rivals: bool
 
 
-def campaign(
-    request: ValidationRequest, tell: Callable[[str], None], progress: Progress
-) -> tuple[list[TraceResult], dict[str, ForecastSkill]]:
-    """The results of all models, and the skill of their forecasts by label if asked for; the folder is complete then.
+@dataclass(frozen=True, slots=True)
+class CampaignFindings:
+    """The results of all models; by label the skill of their forecasts, if asked for, and what else is known."""
+
+    results: list[TraceResult]
+    skill: Mapping[str, ForecastSkill]
+    facts: Mapping[str, Mapping[str, Facts]]
+
+    @property
+    def fitness(self) -> dict[str, dict[str, str]]:
+        """The answer to "may I use this model" with its reason and the next step, by label and semantics."""
+        sentences = {}
+        for name in dict.fromkeys(result.model for result in self.results):
+            found = findings_of([result for result in self.results if result.model == name], self.facts.get(name, {}))
+            sentences[name] = {semantics: fitness_sentence(each) for semantics, each in found.items()}
+        return sentences
+
+
+def campaign(request: ValidationRequest, tell: Callable[[str], None], progress: Progress) -> CampaignFindings:
+    """What came out; the folder is complete then.
 
     Raises ValueError or OSError, before anything is written, for a folder, a map, a model, a set of traces or a cluster
     that cannot be used. Models that are to be learned (see `methods_in`) are learned once all that is known to be good.
@@ -125,6 +145,7 @@ def campaign(
                 rivals = training if request.rivals else None
                 made = judged_forecasts(prepared, traces, training=rivals, seed=seed, report=progress)
                 skill = {model.label: made.skill(model.label, seed=seed) for model in prepared}
+            known_facts = {model.label: facts_of(model) for model in prepared}
             results = conduct(
                 prepared,
                 traces,
@@ -135,8 +156,9 @@ def campaign(
                 tell=tell,
                 progress=progress,
                 skill=skill,
+                facts=known_facts,
             )
-            return results, skill
+            return CampaignFindings(results, skill, known_facts)
 
 
 def to_learn(models: Sequence[str]) -> list[str]:
@@ -184,15 +206,15 @@ MOST_REASONS = 5
 @click.option(
     "--semantics",
     "wanted",
-    type=click.Choice(["written", "own", "thesis", "both"]),
+    type=click.Choice(["written", "carried", "resampled", "both"]),
     default="written",
     show_default=True,
-    help="The temperature is carried over events (own) or drawn on entry (thesis); both side by side.",
+    help="The temperature is carried over events or resampled on entry (the thesis); both side by side.",
 )
 @click.option(
     "--training",
     multiple=True,
-    help="Traces to learn `bins` or `lsha` from, to give the thesis semantics its entry laws, and to fit rivals to.",
+    help="Traces to learn `bins` or `lsha` from, to give the resampled semantics its entry laws, and to fit rivals to.",
 )
 @skill_options
 @click.option(
@@ -256,11 +278,12 @@ def validate(
                 rivals=rivals,
             )
             # With --json the stages are in the folder alone.
-            results, found = campaign(request, (lambda _: None) if as_json else click.echo, report)
+            found = campaign(request, (lambda _: None) if as_json else click.echo, report)
     except KeyboardInterrupt:
         begun = (out / "campaign.json").is_file()
         left = f"what was done lies in {out}, and --overwrite begins anew there" if begun else "nothing was written"
         fail(f"stopped before the end; {left}", Exit.INTERRUPTED)
+    results = found.results
     names = dict.fromkeys(run.model for run in results)
     gains = {name: gain([run for run in results if run.model == name]) for name in names}
     data = {
@@ -268,27 +291,43 @@ def validate(
         "report": str(out / "index.html"),
         "summaries": [asdict(summary) for summary in summaries(results)],
         "gains": {name: asdict(gained) | {"sentence": gained.sentence} for name, gained in gains.items() if gained},
-        "forecasts": {name: each.as_plain() for name, each in found.items()},
+        "fitness": found.fitness,
+        "forecasts": {name: each.as_plain() for name, each in found.skill.items()},
         "results": [asdict(run) | {"verdict": asdict(verdict(run))} for run in results],
     }
-    emit(data, lambda: _show(out, results, found), as_json_line=as_json)
+    emit(data, lambda: _show(out, found), as_json_line=as_json)
     if all(result.failure for result in results):
         fail(f"no model could be run along any trace; {results[0].trace}: {results[0].failure}", Exit.CHECK_FAILED)
 
 
-def _show(out: Path, results: Sequence[TraceResult], skill: Mapping[str, ForecastSkill]) -> None:
-    columns = ("model", "semantics", "good", "review", "failed", "MAE", "RMSE", "at events", "dense", "final %")
+def _show(out: Path, found: CampaignFindings) -> None:
+    results = found.results
+    columns = (
+        "model",
+        "semantics",
+        "traces",
+        "good",
+        "review",
+        "failed",
+        "MAE",
+        "RMSE",
+        "at events",
+        "dense",
+        "final %",
+    )
     more = ("coverage", "CRPS", "persistence")
     names = ("mae", "rmse", "at_events", "dense", "final_percent", "coverage", "crps", "persistence")
     rows = [
-        [summary.model, summary.semantics, summary.good, summary.review, summary.failed]
+        [summary.model, summary.semantics, summary.sample, summary.good, summary.review, summary.failed]
         + [getattr(summary, name) for name in names]
         for summary in summaries(results)
     ]
     units = " and ".join(dict.fromkeys(shown_unit(result.unit) for result in results))
     table(f"validation, means over traces ({units})", (*columns, *more), rows)
-    for name in dict.fromkeys(result.model for result in results):
+    for name, by_semantics in found.fitness.items():
         own = [result for result in results if result.model == name]
+        for semantics, sentence in by_semantics.items():
+            click.echo(f"{name}{f' ({semantics})' if len(by_semantics) > 1 else ''}: {sentence}")
         gained = gain(own)
         if gained is not None:
             click.echo(f"{name}: {gained.sentence}")
@@ -304,7 +343,7 @@ def _show(out: Path, results: Sequence[TraceResult], skill: Mapping[str, Forecas
             click.echo(f"{name}: {sentence}")
         if len(lines) > MOST_REASONS:
             click.echo(f"{name}: {len(lines) - MOST_REASONS} more of these are in the report")
-    for name, each in skill.items():
+    for name, each in found.skill.items():
         for sentence in (*each.sentences, *(f"note: {note}" for note in each.notes)):
             click.echo(f"{name}: {sentence}")
     click.echo(f"report: {out / 'index.html'}")

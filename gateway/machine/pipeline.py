@@ -5,14 +5,15 @@ Several machines may live in one process: everything is an argument or belongs t
 
 import asyncio
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from random import Random
 
 from structlog.typing import FilteringBoundLogger
 
-from drivers.driver import Complains, Driver
-from gateway.machine.alarms import CLOCK, DEVICE, RECORDS, AlarmBoard, make_conditions
+from drivers.driver import Complains, Driver, Supervised
+from drivers.supervision import Supervisor
+from gateway.machine.alarms import CLOCK, DEVICE, OTHER_WRITER, PARTS, RECORDS, AlarmBoard, make_conditions
 from gateway.machine.model import ModelUnit, ScanPrediction, load_members, load_model
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
@@ -20,7 +21,6 @@ from gateway.machine.trust import ClockCheck, RecordsWatch
 from gateway.machine.writing import Arming, ArmingError, BlockStage
 from gateway.settings import Config
 from gateway.store import open_historian, saved_state
-from gateway.supervision import Supervisor
 
 SAVE_SECONDS = 10.0
 ORDERS = ("WritePermit", "AcknowledgeBits")
@@ -55,16 +55,29 @@ class Machine:
     """All parts of one machine, opened (the driver not yet): one scan after another goes through `take`.
 
     `model` is None for one that is only monitored, `block` for one to which nothing is computed for writing. `rng`
-    draws the number that tells this start's blocks from another gateway's. Raises ConfigError, HistorianError or
+    draws the number that tells this start's blocks from another gateway's, `log_failure` says why the log's file cannot
+    be written ("": it can). Raises ConfigError, HistorianError or
     AuditError when something cannot be opened; nothing is left open then.
     """
 
-    def __init__(self, config: Config, *, driver: Driver, clock: Clock, log: FilteringBoundLogger, rng: Random) -> None:
+    def __init__(
+        self,
+        config: Config,
+        *,
+        driver: Driver,
+        clock: Clock,
+        log: FilteringBoundLogger,
+        rng: Random,
+        log_failure: Callable[[], str] = lambda: "",
+    ) -> None:
+        self._log_failure = log_failure
         self.config, self.driver, self.clock, self.log = config, driver, clock, log
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
         loaded = load_model(config)
         members = load_members(config, loaded)
-        self.supervisor = Supervisor(log)
+        self.supervisor = Supervisor(self._note_failure)
+        if isinstance(driver, Supervised):
+            self.supervisor.include("device", driver.supervisor)
         self.historian, numbers = open_historian(
             config.historian.path,
             config.map.tags,
@@ -82,7 +95,11 @@ class Machine:
             newest = believed[0] if believed else store.newest()
             self.clock_check = ClockCheck(now, newest, config.historian.max_off_days * 86_400.0)
             self.clock_complaint = ""
-            self.model = None if loaded is None else ModelUnit(config, loaded, members, historian=store, log=log)
+            self.model = (
+                None
+                if loaded is None
+                else ModelUnit(config, loaded, members, historian=store, log=log, supervisor=self.supervisor)
+            )
             self.link, self.counters = LinkHealth(log), RunCounters()
             inputs = self.model.predictor.inputs if self.model else config.watched
             conditions = make_conditions(config, inputs, complains=isinstance(driver, Complains))
@@ -98,6 +115,7 @@ class Machine:
                     supervisor=self.supervisor,
                     log=log,
                     rng=rng,
+                    log_failure=log_failure,
                 )
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
             self.records = Records(store, Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out))
@@ -140,7 +158,10 @@ class Machine:
             findings = self.model.findings(prediction, forecast) if self.model and prediction else {}
             if DEVICE in self.alarms.conditions:
                 findings[DEVICE] = float(bool(self.complaints()))
+            if OTHER_WRITER in self.alarms.conditions and self.block is not None:
+                findings[OTHER_WRITER] = float(bool(self.block.writer.rival(scan.time)))
             findings[RECORDS] = float(bool(self.records_watch.complaint))
+            findings[PARTS] = float(bool(self.records_watch.failed_parts))
             findings[CLOCK] = float(bool(self.clock_complaint))
             self.alarms.on_predictions(scan, findings)
             await self._disarm_without_records(scan.time)
@@ -167,7 +188,7 @@ class Machine:
     def _look_at_itself(self, scan: Scan) -> None:
         """Whether records and clock can be relied on at this scan; what changes is logged."""
         audit = self.block.audit.complaint if self.block else ""
-        self.records_watch.look(scan.time, audit)
+        self.records_watch.look(scan.time, audit or self._log_failure())
         clock, before = self.clock, self.clock_complaint
         offset = clock.wall_offset() if isinstance(clock, PlantClock) and clock.speed == 1.0 else 0.0
         plc = scan.good(self.config.clock.tag) if self.config.clock.tag else None
@@ -194,6 +215,11 @@ class Machine:
         run = (now, config.model.temperature, model, config.scan.period, config.historian.max_interval)
         self.historian.put("runs", [run])
 
+    def _note_failure(self, part: str, error: BaseException) -> None:
+        """A part has failed, in another way than the last time or after it had been well."""
+        message = "a part of the gateway failed and is begun anew"
+        self.log.error(message, part=part, reason=repr(error), exc_info=error)
+
     def _note_switch_over(self, switch: SwitchOver) -> None:
         """Another link is used from now on."""
         change = {"before": switch.before, "after": switch.after, "reason": switch.reason}
@@ -216,6 +242,8 @@ class Machine:
         unverified = self.model.unverified if self.model else ""
         if self.block is None:
             raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
+        if why := self._log_failure():
+            raise ArmingError(f"not armed: {why}")
         return await self.block.arm(by, reason, minutes, unverified=unverified, acknowledged=acknowledged)
 
     async def disarm(self, by: str, reason: str) -> bool:

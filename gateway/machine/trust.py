@@ -4,25 +4,34 @@ from dataclasses import dataclass
 
 from structlog.typing import FilteringBoundLogger
 
+from drivers.supervision import Supervisor
 from gateway.store import Historian
-from gateway.supervision import Supervisor
 
+RECORDING = ("historian", "audit", "signing")
+"""The supervisor's parts without which what happens is not on record."""
 AGREE_SECONDS = 3600.0
 """By how much clocks may differ that agree: retention counts in days."""
 
 
 class RecordsWatch:
-    """Says when the records begin and cease to be a cause for complaint, and since when nothing is stored."""
+    """Says when the records begin and cease to be a cause for complaint, and since when nothing is stored.
+
+    `failed_parts` are the parts of the gateway that failed of late and do not record ("": none); the supervisor has
+    logged them.
+    """
 
     def __init__(self, historian: Historian, supervisor: Supervisor, log: FilteringBoundLogger) -> None:
         self._historian, self._supervisor, self._log = historian, supervisor, log
-        self.complaint = ""
+        self.complaint = self.failed_parts = ""
         self._stuck_since: float | None = None
 
-    def look(self, now: float, audit: str) -> None:
-        """Look at the records at `now` (plant s); `audit` is what the audit log complains of."""
+    def look(self, now: float, others: str) -> None:
+        """Look at the records at `now` (plant s); `others`: what audit log and log complain of."""
         before, historian = self.complaint, self._historian
-        self.complaint = historian.complaint or audit or self._supervisor.complaint
+        failed = self._supervisor.complaints
+        recording = "; ".join(failed[part] for part in RECORDING if part in failed)
+        self.complaint = historian.complaint or others or recording
+        self.failed_parts = "; ".join(failed[part] for part in failed if part not in RECORDING)
         counts = {"dropped": historian.dropped, "refused": historian.refused}
         if self.complaint and self.complaint != before:
             self._log.error("the records cannot be relied on", reason=self.complaint, **counts)

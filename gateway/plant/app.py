@@ -16,7 +16,8 @@ from gateway.machine import Machine
 from gateway.machine.reading import Clock, PlantClock, QualityRules, Scan, plant_clock, scans
 from gateway.plant.control import Control
 from gateway.plant.device import make_driver, scans_on_change
-from gateway.plant.log import open_log
+from gateway.plant.log import log_file, open_log
+from gateway.plant.log_file import LogFile
 from gateway.plant.status import snapshot, write_status
 from gateway.settings import Config
 
@@ -35,6 +36,7 @@ async def run(
     stop: asyncio.Event | None = None,
     status_path: Path | None = None,
     log: FilteringBoundLogger | None = None,
+    file: LogFile | None = None,
     driver: Driver | None = None,
     rng: Random | None = None,
 ) -> dict[str, Any]:
@@ -42,29 +44,35 @@ async def run(
 
     It starts without a PLC and without a model, and outlives the loss of the PLC. When it stops, it writes validity 0
     if it is armed and permitted, saves its state and commits all records. `status_path` is rewritten four times a
-    second with one line of JSON. `clock` and `driver` are the configured ones unless given; `rng` draws
-    this start's number as a writer, by default from the system's randomness.
+    second with one line of JSON. `clock` and `driver` are the configured ones unless given, as is the `log`, with its
+    `file`; `rng` draws this start's number as a writer, by default from the system's randomness.
 
     Raises ConfigError or HistorianError, before anything runs, for what cannot be opened.
     """
     stop = stop or asyncio.Event()
     clock = clock or plant_clock(config.clock.speed)
     with ExitStack() as opened:
-        log = log or opened.enter_context(open_log(config.log.path, config.log.level, rotation=config.log))
+        if log is None:
+            file = _log_file(config)
+            log = opened.enter_context(open_log(file, config.log.level))
         machine = Machine(
-            config, driver=driver or make_driver(config, clock), clock=clock, log=log, rng=rng or SystemRandom()
+            config,
+            driver=driver or make_driver(config, clock),
+            clock=clock,
+            log=log,
+            rng=rng or SystemRandom(),
+            log_failure=(lambda: "") if file is None else file.complaint,
         )
         reporter = machine.supervisor.task("status", lambda: _report(machine, status_path))
-        # The local socket is a convenience: a gateway that cannot have one runs without it, and says so.
+        opened.enter_context(machine.supervisor.hearing_all())
         control = Control(machine, config.control_socket, snapshot)
-        try:
-            await control.open()
-        except OSError as error:
-            machine.log.warning("other programs cannot ask this gateway", reason=error.strerror or str(error))
+        serving = machine.supervisor.task("control", control.serve)
         try:
             await _supervised(machine, stop)
         finally:
             machine.phase = "stopping"
+            serving.cancel()
+            await asyncio.wait({serving})
             await control.close()
             # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in
             # there.
@@ -94,6 +102,11 @@ async def run(
     return snapshot(machine)
 
 
+def _log_file(config: Config) -> LogFile | None:
+    """The file of the log, which keeps no gateway from running: its `complaint` is an alarm's."""
+    return None if config.log.path is None else log_file(config.log.path, config.log, patient=True)
+
+
 async def _supervised(machine: Machine, stop: asyncio.Event) -> None:
     """Scan until the stop; whatever fails is logged, made known to the PLC, and begun anew a second later."""
     config, clock, log = machine.config, machine.clock, machine.log
@@ -110,12 +123,20 @@ async def _supervised(machine: Machine, stop: asyncio.Event) -> None:
             urgent = machine.urgent if scans_on_change(config) else None
             # Closed here and now, not when the collector comes by: the device must not be read by two streams of scans.
             async with aclosing(
-                scans(machine.driver, config.map.tags, clock, rules, stop=stop, urgent=urgent)
+                scans(
+                    machine.driver,
+                    config.map.tags,
+                    clock,
+                    rules,
+                    stop=stop,
+                    urgent=urgent,
+                    supervisor=machine.supervisor,
+                )
             ) as stream:
                 async for scan in stream:
                     await machine.take(scan)
-        except Exception as error:
-            log.exception("a part of the gateway failed and is begun anew", reason=str(error))
+        except Exception as error:  # noqa: BLE001 - the supervisor's part for the scans: it is said, and begun anew
+            machine.supervisor.failed("scans", error)
             machine.counters.failures, machine.counters.last_failure = machine.counters.failures + 1, repr(error)
             machine.begin_anew()
             # The PLC is told before the pause: for this second nobody stands behind what the last block said.
@@ -175,7 +196,10 @@ def serve(
         stop = asyncio.Event()
         for number in (signal.SIGTERM, signal.SIGINT):
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
-        return await run(config, clock=clock, stop=stop, status_path=status_path, log=log)
+        return await run(config, clock=clock, stop=stop, status_path=status_path, log=log, file=file)
 
-    with open_log(config.log.path, config.log.level, sys.stderr if console else None, rotation=config.log) as log:
+    file = _log_file(config)
+    with open_log(file, config.log.level, sys.stderr if console else None) as log:
+        if file is not None and (reason := file.complaint()):
+            log.error("the gateway runs without its log", reason=reason)
         return asyncio.run(main(log))

@@ -19,6 +19,7 @@ from pydantic import Field, ValidationError
 
 from drivers import json_lines
 from drivers.device_file import TagTable
+from drivers.errors import OneLineError
 from drivers.json_lines import NoObject
 from drivers.settings import Line, Section, sentences
 from drivers.tag import Sample
@@ -30,10 +31,12 @@ from sim.strict_json import strict
 MODE = 0o600
 LONGEST = 1 << 20
 MOST_ROWS = 10_000
+LOOK_SECONDS, RETRY_SECONDS = 1.0, 5.0
+"""How often it is looked whether the socket is still there, and tried to make one where none can be made."""
 _CREDENTIALS = struct.Struct("3i")
 
 
-class ControlError(ValueError):
+class ControlError(OneLineError, ValueError):
     """A request that cannot be carried out; the sentence goes into the reply."""
 
 
@@ -88,24 +91,57 @@ class Control:
     def __init__(self, machine: Machine, path: Path, snapshot: Snapshot) -> None:
         self._machine, self.path, self._snapshot = machine, path, snapshot
         self._server: asyncio.Server | None = None
+        self._bound = (0, 0)
         self._tasks: set[asyncio.Task[Any]] = set()
 
     async def open(self) -> None:
         """Begin to serve. Raises OSError."""
         self._server = await asyncio.start_unix_server(self._serve, sock=listening_socket(self.path), limit=LONGEST)
+        there = self.path.stat()
+        self._bound = (there.st_dev, there.st_ino)
+
+    async def serve(self) -> None:
+        """Serve until cancelled; a socket that cannot be made, or that somebody took away, is made anew.
+
+        It is a convenience: a gateway that cannot have one runs without it, and says so.
+        """
+        said = ""
+        while True:
+            if not self._is_there():
+                self._leave()
+                try:
+                    await self.open()
+                    said = ""
+                except OSError as error:
+                    reason = error.strerror or str(error)
+                    if reason != said:
+                        self._machine.log.warning("other programs cannot ask this gateway", reason=reason)
+                    said = reason
+            await asyncio.sleep(RETRY_SECONDS if said else LOOK_SECONDS)
+
+    def _is_there(self) -> bool:
+        """Whether the socket at the path is this one's: it may be removed, and another gateway's put in its place."""
+        try:
+            there = self.path.stat()
+        except OSError:
+            return False
+        return self._server is not None and (there.st_dev, there.st_ino) == self._bound
+
+    def _leave(self) -> None:
+        server, self._server = self._server, None
+        if server is not None:
+            server.close()
 
     async def close(self) -> None:
         """Stop serving; requests under way are given up."""
-        server, self._server = self._server, None
-        if server is None:
-            return
-        server.close()
+        if self._is_there():
+            self.path.unlink(missing_ok=True)
+        self._leave()
         # A copy: each task takes itself out of the set as it ends.
         tasks = tuple(self._tasks)
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        self.path.unlink(missing_ok=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()

@@ -1,18 +1,16 @@
 """Repeated lines of a log as one line with a count: what floods a log is not what is new in it."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
+
+from gateway.repeated import without_numbers
 
 WINDOW_SECONDS = 60.0
 """For how long repetitions are gathered into one line."""
 FORMS, RETURNS = 20, 10
 """In one window and of one event: so many different lines, and so many that come back after other lines, are written
 at once. Beyond that an event floods, whatever it is that changes in it."""
-
-_NUMBER = re.compile(r"(?<![\w.])(?<![A-Za-z_]:)[-+]?\d+(?:[.,:]\d+)*(?:[eE][-+]?\d+)?")
-"""A number that stands for itself: not the digits of a name (T1) nor of an address (holding:100)."""
 
 Event = Mapping[str, Any]
 _Form = tuple[tuple[str, str], ...]
@@ -54,7 +52,7 @@ class Folding:
     def take(self, event: Event, now: float) -> bool:
         """True if the event is to be written at once; else it is kept back and counted. `now` is monotonic (s)."""
         form = _form(event)
-        group = (str(event.get("level")), _NUMBER.sub("#", str(event.get("event"))))
+        group = (str(event.get("level")), without_numbers(str(event.get("event"))))
         window = self._windows.setdefault(group, _Window(now))
         changed, self._last = form != self._last, form
         if form not in window.forms and len(window.forms) < FORMS:
@@ -87,6 +85,6 @@ class Folding:
 def _form(event: Event) -> _Form:
     """The event without its numbers."""
     return tuple(
-        (key, "#" if isinstance(value, int | float) and not isinstance(value, bool) else _NUMBER.sub("#", str(value)))
+        (key, "#" if isinstance(value, int | float) and not isinstance(value, bool) else without_numbers(str(value)))
         for key, value in sorted(event.items())
     )

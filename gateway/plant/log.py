@@ -42,7 +42,7 @@ class _Tee:
             elif self._timer is None:
                 # The count is written also where no line comes any more.
                 self._timer = threading.Timer(self._folding.window, self._on_time)
-                self._timer.daemon = True
+                self._timer.daemon, self._timer.name = True, "log"
                 self._timer.start()
 
     debug = info = warning = error = critical = msg
@@ -81,16 +81,22 @@ def _printable(_logger: object, _name: str, event: MutableMapping[str, Any]) -> 
     return event
 
 
+def log_file(path: Path, rotation: LogSection, *, patient: bool = False) -> LogFile:
+    """The file of a log. Raises OSError for a path that cannot be written, unless it is `patient`."""
+    size = int(rotation.max_mb * 1_000_000)
+    return LogFile(path, max_bytes=size, max_days=rotation.max_days, keep=rotation.keep, patient=patient)
+
+
 @contextmanager
 def open_log(
-    path: Path | None,
+    path: Path | LogFile | None,
     level: str = "info",
     console: TextIO | None = None,
     *,
     rotation: LogSection | None = None,
     fold_seconds: float = WINDOW_SECONDS,
 ) -> Iterator[FilteringBoundLogger]:
-    """A logger that writes to `path` (JSON lines, appended) and to `console` (for people) until the block ends.
+    """A logger that writes to `path`, or an open file, as JSON lines, and to `console` for people until the block ends.
 
     With neither, it writes to standard error. `rotation` says how large and how old the file becomes. Lines that
     differ in numbers only are folded over `fold_seconds` (real). Raises OSError for a path that cannot be written.
@@ -98,9 +104,7 @@ def open_log(
     sinks: list[_Sink] = []
     with ExitStack() as opened:
         if path is not None:
-            kept = rotation or LogSection()
-            size = int(kept.max_mb * 1_000_000)
-            file = LogFile(path, max_bytes=size, max_days=kept.max_days, keep=kept.keep)
+            file = path if isinstance(path, LogFile) else log_file(path, rotation or LogSection())
             opened.callback(file.close)
             sinks.append((structlog.processors.JSONRenderer(ensure_ascii=False), file.write))
         if console is not None or path is None:

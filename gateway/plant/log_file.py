@@ -2,6 +2,7 @@
 
 import json
 import os
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -20,7 +21,8 @@ class LogFile:
     A new file is begun at `max_bytes`, and when the first line is more than `max_days` away by the wall clock. What is
     deleted goes by the number of files alone: a clock that jumped deletes nothing before its turn. A write that fails
     loses its line, is counted, and is tried again RETRY_SECONDS later; a file or a folder that somebody removed or
-    moved is made anew. Nothing here raises but the constructor: OSError for a path that cannot be written.
+    moved is made anew. Nothing here raises but the constructor: OSError for a path that cannot be written, unless it is
+    `patient`.
     """
 
     # The standard library's handlers rotate by size or by age, not by both, and go on writing into a deleted file.
@@ -32,6 +34,7 @@ class LogFile:
         max_bytes: int,
         max_days: float,
         keep: int,
+        patient: bool = False,
         wall: Callable[[], float] = time.time,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -40,10 +43,33 @@ class LogFile:
         self._wall, self._monotonic = wall, monotonic
         self._file = -1
         self._retry_at = 0.0
-        self._open()
+        self._failure = ""
+        # Reentrant: a signal's handler may log while a line is being written by the same thread.
+        self._lock = threading.RLock()
+        try:
+            self._open()
+        except OSError as error:
+            if not patient:
+                raise
+            self._fail(error)
 
     def write(self, line: str) -> None:
         """Append one line (without its end); it is given to the system at once."""
+        with self._lock:
+            self._write(line)
+
+    def complaint(self) -> str:
+        """Why nothing can be written now, which is tried once more; "" if it can."""
+        with self._lock:
+            if self._failure and self._file < 0 and self._monotonic() >= self._retry_at:
+                try:
+                    self._open()
+                    self._failure = ""
+                except OSError as error:
+                    self._fail(error)
+            return self._failure
+
+    def _write(self, line: str) -> None:
         if self._file < 0 and self._monotonic() < self._retry_at:
             self.lost += 1
             return
@@ -54,10 +80,10 @@ class LogFile:
                 self._append(f'{{"event": "log lines were lost", "level": "error", "lines": {self.lost}}}\n'.encode())
                 self.lost = 0
             self._append(data)
-        except OSError:
+            self._failure = ""
+        except OSError as error:
             self.lost += 1
-            self._retry_at = self._monotonic() + RETRY_SECONDS
-            self.close()
+            self._fail(error)
 
     def close(self) -> None:
         """Let the file go. May be called twice."""
@@ -65,6 +91,12 @@ class LogFile:
             with suppress(OSError):
                 os.close(self._file)
         self._file = -1
+
+    def _fail(self, error: OSError) -> None:
+        reason = error.strerror or error
+        self._failure = f"{self.path}: the log cannot be written ({reason}); see to the disk or the path"
+        self._retry_at = self._monotonic() + RETRY_SECONDS
+        self.close()
 
     def _open(self) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)

@@ -115,5 +115,6 @@ def _writeback(machine: Machine) -> dict[str, Any]:
         "sequence": writer.sequence,
         "writer": writer.number,
         "challenge": writer.challenge,
+        "rival": writer.rival(machine.clock.now()),
         "latency_ms": {"p50": percentile(latencies, 0.5), "p99": percentile(latencies, 0.99)},
     }

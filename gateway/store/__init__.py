@@ -1,24 +1,19 @@
 """What stays: historian, audit log, chains of hashes, and reading them back."""
 
+from gateway.store.arming_rows import Uptime, armings, cancelling, end_of, given_words, over, standing
 from gateway.store.audit import (
     ARMED,
     CANCELLED,
+    CONFIRMED,
     DISARMED,
     EXPIRED,
     Audit,
     AuditEntry,
     AuditError,
     AuditRow,
-    Uptime,
-    armings,
-    cancelling,
-    end_of,
     head,
-    last_arming,
     open_audit,
-    over,
     read,
-    standing,
     verify,
 )
 from gateway.store.audit_damage import open_or_set_aside
@@ -33,6 +28,7 @@ from gateway.store.backup import (
     stage,
 )
 from gateway.store.chain import first_break, hash_of
+from gateway.store.confirming import confirmation
 from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
 from gateway.store.historian import Historian, Row, open_historian, saved_state
 from gateway.store.read_back import (
@@ -49,7 +45,7 @@ from gateway.store.read_back import (
 )
 from gateway.store.schema import storable
 from gateway.store.score import percentile, scorecard
-from gateway.store.signing import SigningKeyError, load_key, load_or_make_key, public_path
+from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
 from gateway.store.witness import (
     HEAD_EVENT,
     HEAD_STATE,
@@ -68,6 +64,7 @@ from gateway.store.witness import (
 __all__ = [
     "ARMED",
     "CANCELLED",
+    "CONFIRMED",
     "DISARMED",
     "EXPIRED",
     "HEAD_EVENT",
@@ -90,16 +87,18 @@ __all__ = [
     "armings",
     "as_one_file",
     "cancelling",
+    "confirmation",
     "discard",
     "end_of",
     "events",
     "examine",
     "first_break",
+    "given_words",
     "hash_of",
     "head",
     "heads_file",
     "history",
-    "last_arming",
+    "key_beside",
     "load_key",
     "load_or_make_key",
     "make_backup",

@@ -20,16 +20,16 @@ import json
 import sqlite3
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from drivers.supervision import Supervisor
 from gateway.store.chain import BEGIN, digest
-from gateway.supervision import Supervisor
 from sim.strict_json import escaped, json_text
 
 APPLICATION_ID = 0x6465_6175
@@ -44,9 +44,11 @@ PAGE = 1024
 """Bytes of a page of a new log: a commit writes whole pages, and a row is about 500 bytes."""
 
 ARMED, DISARMED, EXPIRED, CANCELLED = "armed", "disarmed", "arming over", "arming cancelled"
-"""Kinds of the rows that say who may write. CANCELLED undoes the ARMED row that it names (`cancelling`)."""
+"""Kinds of the rows that say who may write (`gateway.store.arming_rows`)."""
+CONFIRMED = "confirmed"
+"""Kind of the row that makes a person's word count (`gateway.store.confirming`)."""
 LOST = "rows lost"
-_ARMINGS = (ARMED, DISARMED, EXPIRED, CANCELLED)
+_ARMINGS = (ARMED, DISARMED, EXPIRED, CANCELLED, CONFIRMED)
 _OF_ARMINGS = "kind IN ({})".format(", ".join(f"'{kind}'" for kind in _ARMINGS))
 _RETRY_SECONDS = 1.0
 _COLUMNS = "id, time, kind, who, reason, detail, hash"
@@ -64,16 +66,12 @@ CREATE TRIGGER audit_in_order BEFORE INSERT ON audit WHEN NEW.id IS NOT (SELECT 
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Uptime:
-    """Seconds since this start of the machine, sleep included, and which start it is ("": not known)."""
-
-    boot: str
-    seconds: float
-
-
 class AuditError(OSError):
     """The audit log cannot be used; the message is one sentence that says why and what would be right."""
+
+
+class UnusableAuditError(AuditError):
+    """The file cannot be made, read or written now."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,15 +113,25 @@ class Audit:
     """An open audit log. `put` never waits for the disk, `record` and `stored` do; each may be called from any thread.
 
     `failure` says why the disk does not take what waits, "" while it does; `lost` counts what was given up since then.
+    Without a `connection` entries wait, and `attach`, which raises AuditError, is tried again and again.
     """
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, supervisor: Supervisor) -> None:
+    def __init__(
+        self,
+        path: Path,
+        connection: sqlite3.Connection | None,
+        supervisor: Supervisor,
+        *,
+        attach: Callable[[], sqlite3.Connection] | None = None,
+        failure: str = "",
+    ) -> None:
         self.path = path
-        self.failure = ""
+        self.failure = failure
         self.lost = 0
+        self._attach = attach
         self._connection = connection
         # An entry, and the ticket of whoever waits for it: cancelled it is never stored, running it is being committed.
-        self._waiting: deque[tuple[AuditEntry, Future[None] | None]] = deque()
+        self._waiting: deque[tuple[AuditEntry, Future[AuditRow] | None]] = deque()
         self._wake = threading.Condition()
         self._pressing = self._stopping = False
         self._stop = threading.Event()
@@ -143,40 +151,45 @@ class Audit:
             self._pressing = self._pressing or entry.kind in _ARMINGS
             self._wake.notify_all()
 
-    def record(self, entry: AuditEntry, timeout: float = PATIENCE_SECONDS, undo: AuditEntry | None = None) -> bool:
-        """Store the entry and wait until it is on the disk; False: it is not, and will not be.
+    def record(
+        self, entry: AuditEntry, timeout: float = PATIENCE_SECONDS, undo: AuditEntry | None = None
+    ) -> AuditRow | None:
+        """Store the entry and wait until it is on the disk: its row; None: it is not stored, and will not be.
 
         Where that cannot be known, as its commit was under way when the time was over or has failed, `undo` follows it.
         """
         ticket = self._submitted(entry)
         try:
-            ticket.result(timeout)
+            return ticket.result(timeout)
         except (TimeoutError, CancelledError, sqlite3.Error):
             return self._given_up(ticket, undo)
-        return True
 
     async def stored(
         self, entry: AuditEntry, timeout: float = PATIENCE_SECONDS, undo: AuditEntry | None = None
-    ) -> bool:
+    ) -> AuditRow | None:
         """`record` for a task of the event loop; one that is cancelled meanwhile takes its entry back too."""
         ticket = self._submitted(entry)
         if ticket.cancelled():
-            return False
+            return None
         waiting = asyncio.wrap_future(ticket)
         # What fails after nobody waits any more is said by `failure`.
         waiting.add_done_callback(lambda done: None if done.cancelled() else done.exception())
         try:
             # Shielded: a time-out must not cancel the ticket before it was looked at whether the entry is stored.
-            await asyncio.wait_for(asyncio.shield(waiting), timeout)
+            return await asyncio.wait_for(asyncio.shield(waiting), timeout)
         except (TimeoutError, sqlite3.Error):
             return self._given_up(ticket, undo)
         except asyncio.CancelledError:
             self._given_up(ticket, undo, wanted=False)
             raise
-        return True
 
-    def _submitted(self, entry: AuditEntry) -> "Future[None]":
-        ticket: Future[None] = Future()
+    async def kept(self, entry: AuditEntry, timeout: float) -> None:
+        """Have the entry stored and wait for it; what takes longer than `timeout` goes on with nobody waiting."""
+        if await self.stored(entry, timeout) is None:
+            self.put(entry)
+
+    def _submitted(self, entry: AuditEntry) -> "Future[AuditRow]":
+        ticket: Future[AuditRow] = Future()
         _columns(entry)
         with self._wake:
             if self._stopping:
@@ -187,17 +200,16 @@ class Audit:
             self._wake.notify_all()
         return ticket
 
-    def _given_up(self, ticket: "Future[None]", undo: AuditEntry | None, *, wanted: bool = True) -> bool:
-        """Nobody waits for the entry any more; True if it was stored in this very moment, and is `wanted`."""
+    def _given_up(self, ticket: "Future[AuditRow]", undo: AuditEntry | None, *, wanted: bool = True) -> AuditRow | None:
+        """Nobody waits for the entry any more; its row if it was stored in this very moment, and is `wanted`."""
         if ticket.cancel():
-            return False
-        stored = ticket.done() and ticket.exception() is None
-        if stored and wanted:
-            return True
+            return None
+        if wanted and ticket.done() and ticket.exception() is None:
+            return ticket.result()
         # Also after a commit that failed: what it has left in the WAL may be found whole after a power cut.
         if undo is not None:
             self.put(undo)
-        return False
+        return None
 
     @property
     def complaint(self) -> str:
@@ -214,11 +226,20 @@ class Audit:
             self._stopping = True
             self._wake.notify_all()
         self._thread.join(timeout=10.0)
-        if not self._thread.is_alive():
+        if not self._thread.is_alive() and self._connection is not None:
             self._connection.close()
         return not self._waiting and not self.lost
 
     def _work(self) -> None:
+        while (connection := self._connection) is None:
+            try:
+                self._connection = self._attach() if self._attach else None
+                self.failure = ""
+            except AuditError as error:
+                self.failure = str(error)
+                with self._wake:
+                    if self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS):
+                        return
         while True:
             with self._wake:
                 self._wake.wait_for(lambda: self._waiting or self._stopping)
@@ -228,12 +249,12 @@ class Audit:
                     if self._stopping:
                         return
                     continue
-            claimed: list[tuple[AuditEntry, Future[None] | None]] = []
+            claimed: list[tuple[AuditEntry, Future[AuditRow] | None]] = []
             lost = 0
             try:
-                with self._connection:
+                with connection:
                     # The write lock comes first, and may take its time: until then an entry can be taken back.
-                    self._connection.execute("BEGIN IMMEDIATE")
+                    connection.execute("BEGIN IMMEDIATE")
                     with self._wake:
                         self._pressing, lost = False, self.lost
                         claimed = [
@@ -242,11 +263,10 @@ class Audit:
                             if ticket is None or ticket.set_running_or_notify_cancel()
                         ]
                         self._waiting.clear()
-                    entries = [entry for entry, _ in claimed]
-                    if lost and entries:
+                    if lost and claimed:
                         reason = f"{lost} rows could not be kept while the disk took none"
-                        entries.insert(0, AuditEntry(entries[0].time, LOST, "", reason, {"rows": lost}))
-                    _insert(self._connection, entries)
+                        _insert(connection, [AuditEntry(claimed[0][0].time, LOST, "", reason, {"rows": lost})])
+                    rows = _insert(connection, [entry for entry, _ in claimed])
             except sqlite3.Error as error:
                 stored = False
                 self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
@@ -273,9 +293,9 @@ class Audit:
                 stored, self.failure = True, ""
                 with self._wake:
                     self.lost -= lost if claimed else 0
-                for _, ticket in claimed:
+                for (_, ticket), row in zip(claimed, rows, strict=True):
                     if ticket is not None:
-                        ticket.set_result(None)
+                        ticket.set_result(row)
             with self._wake:
                 if self._stopping and (not stored or not self._waiting):
                     return
@@ -285,11 +305,19 @@ class Audit:
 
 def open_audit(path: Path, supervisor: Supervisor | None = None) -> Audit:
     """The audit log at `path`, made if there is none; `supervisor` keeps its thread going. Raises AuditError."""
+    return Audit(path, connected(path), supervisor or Supervisor())
+
+
+def connected(path: Path) -> sqlite3.Connection:
+    """A connection to the audit log at `path`, made if there is none.
+
+    Raises AuditError: UnusableAuditError where it cannot be made or written, which may change while a gateway runs.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
     except (OSError, sqlite3.Error) as error:
-        raise AuditError(f"{path}: cannot be made ({error}); give a path that this user may write") from None
+        raise UnusableAuditError(f"{path}: cannot be made ({error}); give a path that this user may write") from None
     try:
         # Of a new file only, and before the journal mode, which writes its first page (sqlite.org/pragma.html).
         connection.execute(f"PRAGMA page_size = {PAGE}")
@@ -307,25 +335,12 @@ def open_audit(path: Path, supervisor: Supervisor | None = None) -> Audit:
         _check(connection, path)
     except sqlite3.Error as error:
         connection.close()
-        raise AuditError(f"{path}: cannot be used ({error}); give the path of an audit log or of a new file") from None
+        sentence = f"{path}: cannot be used ({error}); give the path of an audit log or of a new file"
+        raise UnusableAuditError(sentence) from None
     except AuditError:
         connection.close()
         raise
-    return Audit(path, connection, supervisor or Supervisor())
-
-
-def append(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> str:
-    """Append the entries in one transaction; gives the newest hash. Raises sqlite3.Error, and then none is stored."""
-    with connection:
-        # IMMEDIATE: the write lock is taken before the newest hash is read, so that no other process can append between
-        # the two and break the chain.
-        connection.execute("BEGIN IMMEDIATE")
-        return _insert(connection, entries)
-
-
-def cancelling(entry: AuditEntry, reason: str) -> AuditEntry:
-    """The row that undoes the ARMED row of `entry`, whether that was stored or not."""
-    return AuditEntry(entry.time, CANCELLED, entry.who, reason, {"armed": entry.time, "until": entry.detail["until"]})
+    return connection
 
 
 def read(path: Path, kinds: Sequence[str] = ()) -> list[AuditRow]:
@@ -337,16 +352,8 @@ def read(path: Path, kinds: Sequence[str] = ()) -> list[AuditRow]:
             raise AuditError(f"{path}: cannot be read ({error}); it was changed by something else") from None
 
 
-def last_arming(path: Path) -> AuditRow | None:
-    """The newest row of the kinds ARMED, DISARMED and EXPIRED that was not cancelled; None without one.
-
-    Raises AuditError.
-    """
-    return next(iter(armings(path)), None)
-
-
-def armings(path: Path) -> list[AuditRow]:
-    """The rows of the kinds ARMED, DISARMED and EXPIRED, the newest first, without what was cancelled.
+def arming_rows(path: Path) -> list[AuditRow]:
+    """The rows that say who may write, in their order, as far as they are well formed; none without a log.
 
     Raises AuditError.
     """
@@ -354,52 +361,24 @@ def armings(path: Path) -> list[AuditRow]:
         return []
     with closing(_reader(path)) as connection:
         try:
-            rows = connection.execute(f"SELECT {_COLUMNS} FROM audit WHERE {_OF_ARMINGS} ORDER BY id DESC").fetchall()  # noqa: S608
+            rows = connection.execute(f"SELECT {_COLUMNS} FROM audit WHERE {_OF_ARMINGS} ORDER BY id").fetchall()  # noqa: S608
         except sqlite3.Error as error:
             raise AuditError(f"{path}: cannot be read ({error}); it was changed by something else") from None
-    cancelled: set[tuple[str, float, float]] = set()
     found = []
-    for row in map(_row, rows):
-        entry = row.entry
-        if entry.kind == CANCELLED:
-            cancelled.add((entry.who, entry.detail["armed"], entry.detail["until"]))
-        elif entry.kind != ARMED or (entry.who, entry.time, entry.detail["until"]) not in cancelled:
-            found.append(row)
+    for plain in rows:
+        with suppress(ValueError, TypeError, KeyError, AttributeError):
+            row = _row(plain)
+            detail = dict(row.entry.detail)
+            if row.entry.kind != ARMED or isfinite(float(detail["until"])):
+                found.append(row)
     return found
 
 
-def standing(path: Path, now: float, uptime: Uptime | None = None) -> AuditRow | None:
-    """The arming in force at `now`; None if there is none, it was taken back, or it is over. Raises AuditError."""
-    row = last_arming(path)
-    return None if row is None or row.entry.kind != ARMED or over(path, row, now, uptime) else row
-
-
-def over(path: Path, row: AuditRow, now: float, uptime: Uptime | None = None) -> str:
-    """Why the arming of an ARMED row of this log is over at `now`; "" while it lasts. Raises AuditError.
-
-    The wall clock alone is not believed: nothing that was stored since then may be of later than `now`.
-    """
-    if now >= float(row.entry.detail["until"]):
-        return "its time is over"
+def newest_time(path: Path, since: int) -> float | None:
+    """The latest time (s UTC) in the rows from number `since` on. Raises AuditError."""
     with closing(_reader(path)) as connection:
-        newest = connection.execute("SELECT max(time) FROM audit WHERE id >= ?", (row.id,)).fetchone()[0]
-    if newest is not None and now < float(newest):
-        return f"the clock stands {float(newest) - now:.3g} s before the newest record, so that its time cannot be told"
-    if now >= end_of(row, now, uptime):
-        return "its time is over by the machine's own count, whatever the clock says"
-    return ""
-
-
-def end_of(row: AuditRow, now: float, uptime: Uptime | None = None) -> float:
-    """When the arming of an ARMED row ends, in the time of `now`.
-
-    While the machine has not been started anew its own count of seconds bounds what is left (`uptime`).
-    """
-    entry, until = row.entry, float(row.entry.detail["until"])
-    if uptime is None or not uptime.boot or entry.detail.get("boot") != uptime.boot:
-        return until
-    spent = (uptime.seconds - float(entry.detail["uptime"])) * float(entry.detail.get("speed", 1.0))
-    return min(until, now + until - entry.time - spent)
+        newest = connection.execute("SELECT max(time) FROM audit WHERE id >= ?", (since,)).fetchone()[0]
+    return None if newest is None else float(newest)
 
 
 def verify(path: Path, head: str = "") -> ChainVerdict:
@@ -430,6 +409,19 @@ def head(path: Path) -> str:
     return bytes(row[0]).hex() if row else BEGIN.hex()
 
 
+def recomputed(path: Path, rows: Iterable[int]) -> dict[int, str]:
+    """The hashes at these rows as they follow from what stands there and from the hash before. Raises AuditError."""
+    found = {}
+    with closing(_reader(path)) as connection:
+        for row in rows:
+            before = connection.execute("SELECT hash FROM audit WHERE id = ?", (row - 1,)).fetchone()
+            plain = connection.execute(f"SELECT {_COLUMNS} FROM audit WHERE id = ?", (row,)).fetchone()  # noqa: S608
+            with suppress(ValueError, TypeError):  # values which no row was ever made of
+                if plain is not None and (before is not None or row == 1):
+                    found[row] = _hash(bytes(before[0]) if before else BEGIN, *plain[:-1]).hex()
+    return found
+
+
 def hashes(path: Path, rows: Iterable[int] | None = None) -> dict[int, str]:
     """The hashes at these rows, as far as they are there; None: at the newest. Raises AuditError."""
     query = "SELECT id, hash FROM audit WHERE id = ?"
@@ -444,16 +436,18 @@ def hashes(path: Path, rows: Iterable[int] | None = None) -> dict[int, str]:
 # ---------------------------------------------------------------- the file
 
 
-def _insert(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> str:
-    """Append the entries within a transaction that has the write lock; gives the newest hash."""
+def _insert(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> list[AuditRow]:
+    """Append the entries within a transaction that has the write lock; gives their rows."""
     last = connection.execute("SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
     number, before = (int(last[0]), bytes(last[1])) if last else (0, BEGIN)
+    rows = []
     for entry in entries:
         number += 1
         plain = _columns(entry)
         before = _hash(before, number, *plain)
         connection.execute(f"INSERT INTO audit ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)", (number, *plain, before))  # noqa: S608
-    return before.hex()
+        rows.append(AuditRow(number, entry, before.hex()))
+    return rows
 
 
 def _columns(entry: AuditEntry) -> tuple[float, str, str, str, str]:

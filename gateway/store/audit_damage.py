@@ -5,31 +5,44 @@ import time
 from contextlib import closing
 from pathlib import Path
 
-from gateway.store.audit import APPLICATION_ID, Audit, AuditError, open_audit
+from drivers.supervision import Supervisor
+from gateway.store.audit import APPLICATION_ID, Audit, UnusableAuditError, connected
 from gateway.store.durable import set_aside
-from gateway.supervision import Supervisor
 
 LOOK_SECONDS = 2.0
 """The longest look for damage at a start (real time); what a longer one would find is found before an arming."""
 
 
 def open_or_set_aside(path: Path, supervisor: Supervisor | None = None) -> tuple[Audit, str]:
-    """The audit log at `path`, and the sentence that a damaged one was set aside ("" if none was). Raises AuditError.
+    """The audit log at `path`, and the sentence that a damaged one was set aside ("" if none was).
 
-    Nothing may be armed on the new one until the old one's head is acknowledged (`gateway.store.witness`).
+    Nothing may be armed on the new one until the old one's head is acknowledged (`gateway.store.witness`). One that
+    cannot be made or written now keeps no gateway from running: it has a `failure`, on which nothing is armed, and is
+    tried again until it can be. Raises AuditError for a file that is something else, or of another layout.
     """
-    reason = damage(path)
+    supervisor = supervisor or Supervisor()
+    try:
+        connection, damaged = _sound(path)
+    except UnusableAuditError as error:
+        return Audit(path, None, supervisor, attach=lambda: _sound(path)[0], failure=str(error)), ""
+    return Audit(path, connection, supervisor), damaged
+
+
+def _sound(path: Path) -> tuple[sqlite3.Connection, str]:
+    """A connection to a log that is whole, and the sentence that a damaged one was set aside. Raises AuditError."""
+    try:
+        reason = damage(path)
+    except OSError as error:  # not even looked at: a folder that this user may not enter
+        raise UnusableAuditError(f"{path}: cannot be read ({error.strerror}); give a path that is yours") from None
     if not reason:
-        return open_audit(path, supervisor), ""
+        return connected(path), ""
     try:
         aside = set_aside(path)
     except OSError as error:
-        raise AuditError(
+        raise UnusableAuditError(
             f"{path}: is damaged ({reason}) and cannot be set aside ({error.strerror}); move it away"
         ) from None
-    return open_audit(
-        path, supervisor
-    ), f"{path}: is damaged ({reason}); it is set aside as {aside.name}, and a new one is begun"
+    return connected(path), f"{path}: is damaged ({reason}); it is set aside as {aside.name}, and a new one is begun"
 
 
 def damage(path: Path) -> str:

@@ -28,6 +28,7 @@ from typing import Any
 
 from structlog.typing import FilteringBoundLogger
 
+from drivers.supervision import Supervisor
 from drivers.tag import Tag
 from gateway.store.columns import PackedError
 from gateway.store.files import HistorianError, HistorianFile, UnusableHistorianError, opened
@@ -42,7 +43,6 @@ from gateway.store.retention import (
     transaction,
 )
 from gateway.store.schema import AT_ONCE, DURABLE, INDICES, INSERTS, MEASURED, PACKED, definition
-from gateway.supervision import Supervisor
 
 QUEUE, URGENT = 200_000, 10_000
 BATCH_SECONDS = 1.0

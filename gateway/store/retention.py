@@ -87,18 +87,19 @@ class Packer:
         if row_count(connection, table) < most + most // 2:
             return False
         names = NAMES[table]
-        query = f"SELECT rowid, {', '.join(names)} FROM {table} ORDER BY rowid LIMIT {most}"  # noqa: S608
-        rows = connection.execute(query).fetchall()
+        (last,) = connection.execute(f"SELECT rowid FROM {table} ORDER BY rowid LIMIT 1 OFFSET {most - 1}").fetchone()  # noqa: S608
         with transaction(connection):
             batch = 1 + int(connection.execute("SELECT coalesce(max(batch), 0) FROM chunks").fetchone()[0])
-            columns = dict(zip(names, map(list, zip(*(row[1:] for row in rows), strict=True)), strict=True))
             if table == "samples":
-                self._samples(batch, columns)
+                self._samples(batch, last)
             else:
+                query = f"SELECT {', '.join(names)} FROM {table} WHERE rowid <= ? ORDER BY rowid"  # noqa: S608
+                rows = connection.execute(query, (last,)).fetchall()
+                columns = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
                 for name, decimals in ROUNDED.get(table, {}).items():
                     columns[name] = [None if value is None else round(value, decimals) for value in columns[name]]
                 self._put(table, 0, batch, columns["time"], list(columns.values()))
-            connection.execute(f"DELETE FROM {table} WHERE rowid <= ?", (rows[-1][0],))  # noqa: S608
+            connection.execute(f"DELETE FROM {table} WHERE rowid <= ?", (last,))  # noqa: S608
         return True
 
     def _put(self, kind: str, tag: int, batch: int, times: Sequence[float], columns: Sequence[Sequence[Cell]]) -> None:
@@ -107,13 +108,13 @@ class Packer:
             (kind, tag, batch, min(times), max(times), len(times), pack(columns)),
         )
 
-    def _samples(self, batch: int, columns: Mapping[str, list[Cell]]) -> None:
+    def _samples(self, batch: int, until: int) -> None:
+        """Pack the samples up to the row `until`, one tag after the other: all at once are several MB of objects."""
         # The tags of one reply share its two moments, which are the costliest numbers of all: they are stored once.
-        places: dict[tuple[Cell, Cell], int] = {}
-        by_tag: dict[int, list[tuple[int, float, Cell, int]]] = {}
-        for tag, time, value, quality, sent in zip(*columns.values(), strict=True):
-            place = places.setdefault((time, sent), len(places))
-            by_tag.setdefault(int(tag), []).append((place, float(time), value, int(quality)))
+        places: dict[tuple[float, float | None], int] = {}
+        query = "SELECT time, sent FROM samples WHERE rowid <= ? ORDER BY rowid"
+        for moment in self._connection.execute(query, (until,)):
+            places.setdefault(moment, len(places))
         moments = [list(column) for column in zip(*places, strict=True)]
         times: list[float] = [float(time) for time in moments[0]]
         self._put("stamps", 0, batch, times, moments)
@@ -122,9 +123,12 @@ class Packer:
         if self._told is not None and self._told < first:
             first = nextafter(self._told, inf)
         scans, self._told = self._scan_times(first, last), last
-        for tag, rows in by_tag.items():
-            which, own, values, qualities = (list(column) for column in zip(*rows, strict=True))
-            self._put("samples", tag, batch, own, [which, values, qualities])
+        query = "SELECT DISTINCT tag FROM samples WHERE rowid <= ? ORDER BY tag"
+        for (tag,) in self._connection.execute(query, (until,)).fetchall():
+            query = "SELECT time, sent, value, quality FROM samples WHERE rowid <= ? AND tag = ? ORDER BY rowid"
+            rows = self._connection.execute(query, (until, tag)).fetchall()
+            own, _, values, qualities = (list(column) for column in zip(*rows, strict=True))
+            self._put("samples", tag, batch, own, [[places[row[:2]] for row in rows], values, qualities])
             self._tell(tag, scans, np.array(own), values, qualities)
 
     def _scan_times(self, first: float, last: float) -> Array:

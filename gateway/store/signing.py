@@ -33,6 +33,11 @@ def public_path(key: Path) -> Path:
     return key.with_suffix(".pub")
 
 
+def key_beside(audit: Path) -> Path:
+    """Where the key of an audit log lies where nothing else is said."""
+    return audit.with_suffix(".key")
+
+
 def load_or_make_key(path: Path) -> Ed25519PrivateKey:
     """The key at `path`, made with its public half if there is none. Raises SigningKeyError."""
     if not path.exists():

@@ -5,7 +5,7 @@ its newest hash, with the row's number, is signed (`gateway.store.signing`) and 
 heads, the historian, the log, and whoever else takes one. Each signed head must be found in the chain again.
 
 Where rows were lost indeed (a damaged file was set aside, a box restored from a backup), a person acknowledges the lost
-head by name: a row of the chain that says so, and which counts once a signed head stands at or after it.
+head by name: a row of the chain that says so, and which counts once it is confirmed (`gateway.store.confirming`).
 """
 
 import json
@@ -18,11 +18,13 @@ from typing import Any, Protocol
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from gateway.store.audit import AuditEntry, ChainVerdict, hashes, read, verify
+from gateway.store.audit import CONFIRMED, AuditEntry, ChainVerdict, hashes, read, verify
+from gateway.store.confirming import is_confirmed
 from gateway.store.files import HistorianError
 from gateway.store.read_back import reading
 from gateway.store.signing import (
     is_signed,
+    key_beside,
     load_key,
     load_public_key,
     public_digits,
@@ -94,7 +96,7 @@ class WitnessPlaces:
 
 def places_beside(audit: Path) -> WitnessPlaces:
     """Key and heads file of an audit log where nothing else is said; no other witness."""
-    return WitnessPlaces(audit=audit, key=audit.with_suffix(".key"), heads=audit.with_suffix(".heads.jsonl"))
+    return WitnessPlaces(audit=audit, key=key_beside(audit), heads=audit.with_suffix(".heads.jsonl"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,8 +184,15 @@ def examine(places: WitnessPlaces, *, head: str = "", public: str | None = None)
         stored = hashes(places.audit, {1, *(signed.row for signed in heads)})
         own = [signed for signed in heads if public is None or signed.key == public]
         witnessed = max((signed.row for signed in own if stored.get(signed.row) == signed.head), default=0)
-        # What a person has acknowledged counts once the key's owner has signed a head at or after it.
-        noted = [(row.id, row.entry) for row in read(places.audit, [ACKNOWLEDGED]) if row.id <= witnessed]
+        # What a person has acknowledged counts once the key's owner has confirmed it.
+        said = read(places.audit, [ACKNOWLEDGED, CONFIRMED])
+        by = [row for row in said if row.entry.kind == CONFIRMED]
+        keys = {public} if public is not None else {signed.key for signed in heads}
+        noted = [
+            (row.id, row.entry)
+            for row in said
+            if row.entry.kind == ACKNOWLEDGED and any(is_confirmed(places.audit, row, by, key) for key in keys)
+        ]
         notes += [f"row {number}: {entry.who} has acknowledged that {entry.reason}" for number, entry in noted]
         missing = [
             signed

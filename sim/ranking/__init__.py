@@ -1,6 +1,5 @@
 """Models compared on the same traces, and settings searched."""
 
-from sim.ranking.fitness import Facts, Seen, limits_of, seen_traces
 from sim.ranking.ranking import Ranking, Weights, entrants, rank
 from sim.ranking.report import as_plain, draw_ranking, write_page
 from sim.ranking.tuning import Objective, StudyPlan, Tuning, final_model, tune
@@ -8,10 +7,8 @@ from sim.ranking.tuning_methods import METHODS, Task
 
 __all__ = [
     "METHODS",
-    "Facts",
     "Objective",
     "Ranking",
-    "Seen",
     "StudyPlan",
     "Task",
     "Tuning",
@@ -20,9 +17,7 @@ __all__ = [
     "draw_ranking",
     "entrants",
     "final_model",
-    "limits_of",
     "rank",
-    "seen_traces",
     "tune",
     "write_page",
 ]

@@ -16,7 +16,7 @@ from sim.ranking.ranking import Ranking, entrants
 from sim.sha import Array, shown_unit
 from sim.validation import MEASURED, QUANTILES, TraceResult
 
-COLOURS: Mapping[str, str] = {"fit": "#2a8c6a", "open": "#b08a2e", "unfit": "#b3261e"}
+COLOURS: Mapping[str, str] = {"fit": "#2a8c6a", "limited": "#b08a2e", "unfit": "#b3261e"}
 SHOWN = (0.05, 0.25, 0.5, 0.75, 0.95)
 LONGEST_LABEL = 28
 
@@ -68,9 +68,9 @@ def figure(ranking: Ranking, results: Sequence[TraceResult]) -> Figure:
     canvas = Figure(figsize=(13, 2.2 + 0.55 * rows), layout="constrained")
     FigureCanvasAgg(canvas)
     left, right = canvas.subplots(1, 2, gridspec_kw={"width_ratios": [3, 2]})
-    verdicts = {standing.entrant: standing.verdict for standing in ranking.standings}
+    words = {standing.entrant: standing.fitness for standing in ranking.standings}
     for row, spread in enumerate(shown):
-        colour = COLOURS[verdicts[spread.entrant]]
+        colour = COLOURS[words[spread.entrant]]
         stats = dict(zip(("whislo", "q1", "med", "q3", "whishi"), spread.levels.tolist(), strict=True))
         left.bxp(
             [{**stats, "fliers": []}],
@@ -92,7 +92,7 @@ def figure(ranking: Ranking, results: Sequence[TraceResult]) -> Figure:
         "box 25-75 %, whiskers 5-95 %, x extremes, | medians of the traces"
     )
     left.grid(alpha=0.25, axis="x")
-    left.set_title("errors at the readings (colour: green fit, ochre open, red unfit)", fontsize=10, loc="left")
+    left.set_title("errors at the readings (colour: green fit, ochre limited, red unfit)", fontsize=10, loc="left")
     names, matrix = win_matrix(ranking)
     # Coloured by the share of each pair's traces, as two pairs need not have the same ones; written is the count.
     shares = matrix / np.where(np.isnan(matrix), 1.0, np.maximum(matrix + matrix.T, 1.0))
@@ -166,7 +166,7 @@ def as_plain(ranking: Ranking) -> dict[str, Any]:
     models = []
     for standing in ranking.standings:
         row = asdict(standing)
-        models.append({**row, "verdict": standing.verdict, "in_sample": standing.in_sample})
+        models.append({**row, "fitness": standing.fitness, "in_sample": standing.in_sample})
     return {
         "weights": asdict(ranking.weights),
         "common": list(ranking.common),

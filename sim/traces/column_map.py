@@ -11,6 +11,7 @@ from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 from drivers.settings import sentences
 from sim.sha import DECANTER, Alphabet
 from sim.traces.alphabet_table import alphabet_from_table
+from sim.traces.load_report import TraceError
 
 
 def _listed(value: object) -> object:
@@ -232,16 +233,16 @@ class ColumnMap(_MapPart):
 
 
 def load_map(path: str | Path) -> ColumnMap:
-    """The column map in a TOML file. Raises ValueError: file, key, reason and what would be right in one sentence."""
+    """The column map in a TOML file. Raises TraceError: file, key, reason and what would be right in one sentence."""
     try:
         table: dict[str, Any] = parse_toml(contents(Path(path), MOST_TOML_BYTES).decode())
     except FileNotFoundError:
-        raise ValueError(f"{path}: there is no such column map; the project's own are in config/traces") from None
+        raise TraceError(f"{path}: there is no such column map; the project's own are in config/traces") from None
     except OSError as error:
-        raise ValueError(f"{path}: this column map cannot be read: {error.strerror}") from None
+        raise TraceError(f"{path}: this column map cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: this is not TOML: {error}") from None
+        raise TraceError(f"{path}: this is not TOML: {error}") from None
     try:
         return ColumnMap.model_validate(table)
     except ValidationError as error:
-        raise ValueError(sentences(ColumnMap, error, str(path))[0]) from None
+        raise TraceError(sentences(ColumnMap, error, str(path))[0]) from None

@@ -6,11 +6,13 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
 
+from drivers.errors import OneLineError
+
 DETAILS = 20
 """So many refused rows or cells are named one by one for each file; the rest are only counted."""
 
 
-class TraceError(ValueError):
+class TraceError(OneLineError, ValueError):
     """A file, or all of them, gave nothing that can be used. `report` has the particulars when there are any."""
 
     def __init__(self, sentence: str, report: "LoadReport | None" = None) -> None:

@@ -2,11 +2,23 @@
 
 from sim.validation.campaign import Progress, cluster, outcomes_by_model, parallel, run_here, unread
 from sim.validation.campaign_run import CampaignPlan, conduct
+from sim.validation.fitness import (
+    Facts,
+    Finding,
+    Fitness,
+    FitnessLimits,
+    findings_of,
+    fitness,
+    fitness_sentence,
+    judge,
+    limits_of,
+)
 from sim.validation.metrics import QUANTILES
 from sim.validation.output_folder import CAMPAIGN, LEARNED, check_folder, claim_folder, held, read_results
 from sim.validation.plots import MEASURED, Curve, Picture, draw
 from sim.validation.report import CampaignSummary, natural
 from sim.validation.results import TraceResult
+from sim.validation.seen import TRAINED_ON, Seen
 from sim.validation.stage_records import load_stage
 from sim.validation.stages import Prepared, Wanted, prepare, relabelled
 from sim.validation.trace_run import TROUBLE, TraceRunSettings
@@ -17,13 +29,19 @@ __all__ = [
     "LEARNED",
     "MEASURED",
     "QUANTILES",
+    "TRAINED_ON",
     "TROUBLE",
     "CampaignPlan",
     "CampaignSummary",
     "Curve",
+    "Facts",
+    "Finding",
+    "Fitness",
+    "FitnessLimits",
     "Picture",
     "Prepared",
     "Progress",
+    "Seen",
     "TraceResult",
     "TraceRunSettings",
     "Wanted",
@@ -32,8 +50,13 @@ __all__ = [
     "cluster",
     "conduct",
     "draw",
+    "findings_of",
+    "fitness",
+    "fitness_sentence",
     "gain",
     "held",
+    "judge",
+    "limits_of",
     "load_stage",
     "natural",
     "outcomes_by_model",

@@ -8,6 +8,7 @@ from sim.sha import Trace
 from sim.skill import ForecastSkill
 from sim.strict_json import json_text
 from sim.validation.campaign import Progress, Runner, Unread, outcomes_by_model, parallel
+from sim.validation.fitness import Facts, Finding, findings_of
 from sim.validation.output_folder import COMPLETE, RESULTS, SKILL, Folder, results_csv, results_json
 from sim.validation.pictures import draw_one, drawings
 from sim.validation.report import CampaignSummary, ModelReport, ReportEntry, index_html, model_html, shown
@@ -42,10 +43,12 @@ def conduct(
     tell: Callable[[str], None],
     progress: Progress,
     skill: Mapping[str, ForecastSkill] | None = None,
+    facts: Mapping[str, Mapping[str, Facts]] | None = None,
 ) -> list[TraceResult]:
     """Stages 5 to 9 of every model; returns all results in the order of models, semantics and traces.
 
-    `skill` is that of the models' forecasts by label, which stands in their reports and in a file of its own.
+    `skill` is that of the models' forecasts by label, which stands in their reports and in a file of its own; `facts`
+    are what is known of the models besides, by label and semantics.
 
     Everything is written as soon as it is known; the index and the state "complete" come last. Raises ValueError where
     the folder can no longer be written.
@@ -84,6 +87,7 @@ def conduct(
             folder=folder,
             progress=progress,
             skill=(skill or {}).get(model.label),
+            findings=findings_of([outcome.result for outcome in outcomes], (facts or {}).get(model.label, {})),
         )
         note(last)
         entries.append(ReportEntry(folder.places[model.label], report))
@@ -102,6 +106,7 @@ def _reported(
     folder: Folder,
     progress: Progress,
     skill: ForecastSkill | None,
+    findings: Mapping[str, Sequence[Finding]],
 ) -> tuple[Stage, ModelReport]:
     """Stage 9: pictures, then the report."""
     last = Stage(9, prepared.label)
@@ -131,6 +136,7 @@ def _reported(
             pictures=pictures,
             missing=dict(missing.most_common(20)),
             skill=skill,
+            findings=findings,
         )
         drawn = f"{2 * len(files)} pictures" if plan.pictures else "no pictures asked for"
         last.found = f"{drawn}, report.html"

@@ -143,7 +143,7 @@ def test_without_a_permit_nothing_is_written_and_the_refusal_is_kept(tmp_path: P
         refused = decanter(tmp_path, "test", "alarms", *place)
         assert refused.exit_code == 6 and "does not permit" in refused.stderr
     assert read_recording(tmp_path / "rec.jsonl").blocks == ()
-    assert [row.entry.kind for row in read(tmp_path / "audit.sqlite")] == ["armed", "write refused"]
+    assert [row.entry.kind for row in read(tmp_path / "audit.sqlite")] == ["armed", "confirmed", "write refused"]
 
 
 def test_a_gateway_that_runs_is_armed_and_disarmed_through_its_socket(
@@ -171,7 +171,7 @@ def test_a_gateway_that_runs_is_armed_and_disarmed_through_its_socket(
             gateway.terminate()
             gateway.wait(PATIENCE_S)
     kinds = [row.entry.kind for row in read(tmp_path / "audit.sqlite")]
-    assert kinds[0] == "armed" and kinds[-1] == "disarmed" and set(kinds) == {"armed", "write", "disarmed"}
+    assert kinds[0] == "armed" and kinds[-1] == "disarmed" and set(kinds) == {"armed", "confirmed", "write", "disarmed"}
 
 
 def _writes(folder: Path) -> dict[str, Any] | None:

@@ -44,7 +44,7 @@ def test_a_learned_model_is_deployable_and_accepts_the_trace_that_it_was_learned
         for b in ("0-100", "100-200", "200-300", "300+", "?")
     }
     text = decanter("model", "prove", model).stdout
-    assert "deployable" in text and "NOT" not in text and len(text.splitlines()) < 40
+    assert "fit: every check that decides" in text and "unfit" not in text and len(text.splitlines()) < 40
 
 
 def test_a_model_that_diverges_leaves_with_1_and_the_printed_word_really_leaves(tmp_path: Path) -> None:
@@ -52,7 +52,7 @@ def test_a_model_that_diverges_leaves_with_1_and_the_printed_word_really_leaves(
     word = tmp_path / "word.txt"
     result = decanter("model", "prove", hot, "--word", word)
     assert result.exit_code == 1
-    assert "NOT deployable: growth" in result.stdout and "without bound" in result.stdout
+    assert "unfit: not proven: growth" in result.stdout and "without bound" in result.stdout
     data = only_object(decanter("model", "simulate", hot, "--word", word, "--json").stdout)
     assert data["leaves"] is True and data["highest"] > 150.0
     text = word.read_text(encoding="utf-8").strip()

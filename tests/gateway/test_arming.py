@@ -15,7 +15,8 @@ from gateway.machine.writing.writeback import Arming, Pace, Writer
 from gateway.plant.app import run
 from gateway.plant.control import connect
 from gateway.settings.config import Config, load_config
-from gateway.store.audit import ARMED, DISARMED, EXPIRED, AuditEntry, open_audit, read, standing, verify
+from gateway.store.arming_rows import standing
+from gateway.store.audit import ARMED, CONFIRMED, DISARMED, EXPIRED, AuditEntry, open_audit, read, verify
 from tests.gateway.support import EPOCH, Bench, JumpClock, config_in, plant_file, scan_of, two_modes
 from tests.gateway.test_writeback import CLOCK, USABLE, Wire, armed, scan
 
@@ -52,7 +53,8 @@ def test_what_is_armed_without_a_gateway_stands_in_the_log_and_can_be_taken_back
     assert standing(path, 399.0) is not None
     assert disarm_in_log(path, "Bea", "enough", 200.0) is not None
     assert standing(path, 201.0) is None and disarm_in_log(path, "Bea", "again", 202.0) is None
-    assert [row.entry.kind for row in read(path)] == [DISARMED, ARMED, DISARMED, DISARMED], "each word is on record"
+    kinds = [row.entry.kind for row in read(path)]
+    assert kinds == [DISARMED, ARMED, CONFIRMED, DISARMED, DISARMED], "each word is on record"
 
 
 # ---------------------------------------------------------------- the writer

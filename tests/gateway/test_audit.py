@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from gateway.store.arming_rows import given_words, standing
 from gateway.store.audit import (
     ARMED,
     DISARMED,
@@ -14,14 +15,14 @@ from gateway.store.audit import (
     Audit,
     AuditEntry,
     AuditError,
-    append,
+    _insert,
     head,
-    last_arming,
     open_audit,
     read,
-    standing,
     verify,
 )
+from gateway.store.confirming import confirmation
+from gateway.store.signing import key_beside, load_or_make_key
 
 
 def filled(path: Path, count: int = 20) -> Audit:
@@ -113,18 +114,24 @@ def test_an_end_that_was_cut_off_shows_by_the_hash_that_was_kept(tmp_path: Path)
     assert verify(path).problem == "" and "the end is missing" in verify(path, kept).problem
 
 
+def confirmed(audit: Audit, entry: AuditEntry) -> None:
+    row = audit.record(entry)
+    assert row is not None
+    assert audit.record(confirmation(row, load_or_make_key(key_beside(audit.path)), entry.time))
+
+
 def test_only_the_newest_arming_counts_and_only_for_its_time(tmp_path: Path) -> None:
     path = tmp_path / "a.sqlite"
-    assert standing(path, 0.0) is None and last_arming(path) is None
+    assert standing(path, 0.0) is None and not given_words(path)
     audit = open_audit(path)
-    audit.record(AuditEntry(100.0, ARMED, "Ada", "first", {"until": 200.0}))
+    confirmed(audit, AuditEntry(100.0, ARMED, "Ada", "first", {"until": 200.0}))
     assert standing(path, 150.0) is not None
     assert standing(path, 200.0) is None and standing(path, 99.0) is None
     audit.record(AuditEntry(160.0, "write refused", "Ada", "the PLC does not permit it"))
     assert standing(path, 170.0) is not None
     audit.record(AuditEntry(175.0, DISARMED, "Bea", "enough"))
     assert standing(path, 176.0) is None
-    audit.record(AuditEntry(180.0, ARMED, "Bea", "second", {"until": 300.0}))
+    confirmed(audit, AuditEntry(180.0, ARMED, "Bea", "second", {"until": 300.0}))
     found = standing(path, 181.0)
     assert found is not None and found.entry.who == "Bea"
     audit.record(AuditEntry(181.0, EXPIRED, "Bea", "over"))
@@ -165,7 +172,8 @@ def test_a_file_that_is_no_audit_log_is_refused_in_a_sentence(tmp_path: Path) ->
 
 def test_a_batch_is_stored_whole_or_not_at_all(tmp_path: Path) -> None:
     audit = open_audit(tmp_path / "a.sqlite")
-    with pytest.raises(sqlite3.Error):
-        append(audit._connection, [AuditEntry(1.0, "write"), AuditEntry(2.0, None)])  # type: ignore[arg-type]
+    with pytest.raises(sqlite3.Error), audit._connection:
+        audit._connection.execute("BEGIN IMMEDIATE")
+        _insert(audit._connection, [AuditEntry(1.0, "write"), AuditEntry(2.0, None)])  # type: ignore[arg-type]
     assert audit.close() and verify(tmp_path / "a.sqlite").rows == 0
     assert json.dumps(head(tmp_path / "a.sqlite")) == f'"{"00" * 32}"'

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from drivers.supervision import Supervisor
 from gateway.machine.alarms.board import AlarmBoard
 from gateway.machine.alarms.conditions import make_conditions
 from gateway.machine.model.loading import load_model
@@ -22,7 +23,6 @@ from gateway.machine.writing.block_stage import BlockStage
 from gateway.plant.log import open_log
 from gateway.settings.config import Config
 from gateway.store.historian import Historian, open_historian
-from gateway.supervision import Supervisor
 from tests.gateway.support import (
     CURRENT,
     EPOCH,
@@ -131,7 +131,7 @@ async def test_block_without_a_prediction_nothing_in_it_is_valid_but_the_alarms_
             clock=clock,
             driver=bench,
             historian=historian,
-            supervisor=Supervisor(log),
+            supervisor=Supervisor(),
             log=log,
             rng=Random(0),
         )

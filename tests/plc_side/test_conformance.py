@@ -230,4 +230,4 @@ async def test_nothing_is_sent_unarmed_unpermitted_or_when_the_arming_was_taken_
         assert read_recording(tmp_path / "rec.jsonl").blocks == ()
     await asyncio.sleep(0)
     kinds = [row.entry.kind for row in read(tmp_path / "audit.sqlite")]
-    assert kinds == ["armed", "write refused", "disarmed", "write refused"]
+    assert kinds == ["armed", "confirmed", "write refused", "disarmed", "write refused"]

@@ -17,7 +17,9 @@ from gateway.commission.acceptance.data import CHECKS, FAILED, INCOMPLETE, OPEN,
 from gateway.commission.acceptance.files import FILES, LIST, verify, write
 from gateway.commission.session.records import CommandRecord, append, hash_of
 from gateway.machine.writing.arming import arm_in_log, disarm_in_log, signed
+from gateway.machine.writing.witnessing import countersign
 from gateway.store.audit import read
+from gateway.store.witness import places_beside
 
 NEEDED = [check.command for check in CHECKS if check.required == "always"]
 WRITING = [check.command for check in CHECKS if check.required == "writing"]
@@ -55,7 +57,7 @@ def complete(folder: Path, *others: CommandRecord) -> Path:
 
 def data_of(records: Path, audit: Path | None = None, **keys: Any) -> dict[str, Any]:
     given = {"site": "plant", "by": "Ada", "now": time.time(), **keys}
-    return gather(records, audit or records.with_name("audit.sqlite"), **given)
+    return gather(records, places_beside(audit or records.with_name("audit.sqlite")), **given)
 
 
 def test_all_that_is_required_and_passed_is_a_passed_site(tmp_path: Path) -> None:
@@ -143,8 +145,23 @@ def test_armings_names_and_an_arming_that_still_stands_are_in_it(tmp_path: Path)
     assert data["names"] == ["Ada", "Bea"] and data["open_points"][0].startswith("still armed: by Bea (loop test)")
     disarm_in_log(audit, "Bea", "done", time.time())
     data = data_of(path, audit)
-    assert data["verdict"] == PASSED and data["audit"]["kinds"] == {"armed": 1, "disarmed": 1}
+    assert data["verdict"] == PASSED and data["audit"]["kinds"] == {"armed": 1, "confirmed": 1, "disarmed": 1}
     assert len(data["audit"]["head"]) == 64
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_the_audit_logs_end_is_held_against_its_signed_heads(tmp_path: Path, gone: bool) -> None:
+    path, audit, now = complete(tmp_path), tmp_path / "audit.sqlite", time.time()
+    arm_in_log(audit, signed("Bea", "loop test", 5, now), now)
+    disarm_in_log(audit, "Bea", "done", time.time())
+    countersign(places_beside(audit), now)
+    assert data_of(path, audit)["audit"]["end"] == "rows 1 to 3 are witnessed"
+    for file in tmp_path.glob("audit.sqlite*"):
+        file.unlink()
+    if not gone:  # begun anew, and whole in itself
+        disarm_in_log(audit, "Bea", "done", time.time())
+    data = data_of(path, audit)
+    assert data["verdict"] == FAILED and "row 3" in data["open_points"][0] and "was signed" in data["open_points"][0]
 
 
 # ---------------------------------------------------------------- the files

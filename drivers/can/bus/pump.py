@@ -8,8 +8,11 @@ from contextlib import suppress
 
 import can
 
+from drivers.supervision import Supervisor
+
 _BURST = 256
 _LOOK = 0.1
+_UNREADABLE = "the bus cannot be read any more"
 _QUEUE = 10_000  # frames kept for a loop that is behind a thread; a bus with a descriptor keeps them itself
 
 
@@ -19,7 +22,13 @@ class Pump:
     A burst of frames leaves the loop to others in between. `close` lets the bus go; nothing is given after that.
     """
 
-    def __init__(self, bus: can.BusABC, take: Callable[[can.Message], None], lost: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        bus: can.BusABC,
+        take: Callable[[can.Message], None],
+        lost: Callable[[str], None],
+        supervisor: Supervisor | None = None,
+    ) -> None:
         self.bus = bus
         self.dropped = 0
         self._take = take
@@ -27,12 +36,13 @@ class Pump:
         self._loop = asyncio.get_running_loop()
         self._waiting: deque[can.Message] = deque()
         self._closed = False
+        self._ended = threading.Event()
         self._fd: int | None = None
         # An interface without a descriptor raises; that of a socket which is closed already is below 0.
         with suppress(NotImplementedError):
             self._fd = number if (number := bus.fileno()) >= 0 else None
         if self._fd is None:
-            threading.Thread(target=self._listen, name=f"can {bus.channel_info}", daemon=True).start()
+            (supervisor or Supervisor()).thread("bus receiver", self._listen, stop=self._ended)
         else:
             self._loop.add_reader(self._fd, self._readable)
 
@@ -41,6 +51,7 @@ class Pump:
         if self._closed:
             return
         self._closed = True
+        self._ended.set()
         if self._fd is not None:
             self._loop.remove_reader(self._fd)
             self.bus.shutdown()
@@ -52,6 +63,10 @@ class Pump:
             except (can.CanError, OSError) as error:
                 self._lost(str(error))
                 return
+            except Exception:
+                # The loop says it; a bus that is left as it is would be tried again at once, and again.
+                self._lost(_UNREADABLE)
+                raise
             if message is None:
                 return
             self._take(message)
@@ -62,21 +77,26 @@ class Pump:
 
     def _listen(self) -> None:
         """The thread: it alone touches the bus for receiving, and shuts it down at its end."""
-        while not self._closed:
-            try:
+        reason = _UNREADABLE
+        try:
+            while not self._ended.is_set():
                 message = self.bus.recv(_LOOK)
-            except (can.CanError, OSError) as error:
-                self._call_in_loop(self._gone, str(error))
-                break
-            if message is None:
-                continue
-            if len(self._waiting) >= _QUEUE:
-                self.dropped += 1
-                continue
-            self._waiting.append(message)
-            if len(self._waiting) == 1:
-                self._call_in_loop(self._drain)
-        self.bus.shutdown()
+                if message is None:
+                    continue
+                if len(self._waiting) >= _QUEUE:
+                    self.dropped += 1
+                    continue
+                self._waiting.append(message)
+                if len(self._waiting) == 1:
+                    self._call_in_loop(self._drain)
+        except (can.CanError, OSError) as error:
+            reason = str(error)
+            self._ended.set()
+        finally:
+            # Whatever has ended it, also what the supervisor hears of: the bus is opened anew.
+            self._call_in_loop(self._gone, reason)
+            if self._ended.is_set():
+                self.bus.shutdown()
 
     def _call_in_loop(self, function: Callable[..., None], *arguments: str) -> None:
         # The loop may have ended before the thread has noticed that it is to end.
@@ -84,16 +104,19 @@ class Pump:
             self._loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:
             self._closed = True
+            self._ended.set()
 
     def _gone(self, reason: str) -> None:
         if not self._closed:
             self._lost(reason)
 
     def _drain(self) -> None:
-        for _ in range(min(_BURST, len(self._waiting))):
-            if self._closed:
-                return
-            self._take(self._waiting[0])
-            self._waiting.popleft()
-        if self._waiting:
-            self._loop.call_soon(self._drain)
+        try:
+            for _ in range(min(_BURST, len(self._waiting))):
+                if self._closed:
+                    return
+                self._take(self._waiting.popleft())
+        finally:
+            # Also after a frame that could not be taken: the others do not wait for ever.
+            if self._waiting and not self._closed:
+                self._loop.call_soon(self._drain)

@@ -88,7 +88,7 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
 
     report += [
         Heading("Checks", 2),
-        Text("Of a check that was repeated the last one counts. The number is that of its record below."),
+        Text("Of a check that was repeated the last one counts. The number is that of its record in the annex."),
     ]
     rows, states = [], []
     for check in data["checks"]:
@@ -102,7 +102,7 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
     report.append(ReportTable(columns, tuple(rows), tuple(states), widths))
 
     report.append(Heading("Writing", 2))
-    if not audit["rows"]:
+    if not audit["rows"] and not audit["problem"]:
         report.append(Text("Nothing was armed and nothing was written: there is no audit log."))
     else:
         kinds = ", ".join(f"{count} {kind}" for kind, count in audit["kinds"].items())
@@ -114,12 +114,20 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
         heads = ("row", "time", "what", "who", "reason", "until")
         report += [
             Text(f"Audit log {audit['path']}: {audit['rows']} rows ({kinds}); its chain is {whole}."),
-            Text(f"Newest hash: {audit['head']}"),
+            Text(f"Newest hash: {audit['head']}. By signed heads {audit['end']}."),
             ReportTable(heads, armings, widths=(0.06, 0.18, 0.12, 0.14, 0.32, 0.18)),
         ]
 
-    # The evidence: files of configuration, every record in full, and the lines to sign on.
-    report.append(Heading("Configuration", 2))
+    # Who signs has read what stands above; what follows is the annex: files of configuration, every record in full.
+    report += [
+        Heading("Signatures", 2),
+        Text(
+            f"Those who sign have seen this report. Its data has the SHA-256 {digest}; the seal that `decanter plc "
+            "report` printed covers all files, and `decanter plc report --verify` checks them."
+        ),
+        Signatures(("commissioning engineer", "plant operator")),
+        Heading("Annex: configuration", 2),
+    ]
     files = tuple((file["path"], file["sha256"], "yes" if file["changed"] else "no") for file in data["configuration"])
     if files:
         named = ("file", "SHA-256 when last used", "changed since")
@@ -129,20 +137,12 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
     chain = "whole" if records["broken_at"] is None else f"broken at line {records['broken_at']}"
     count = len(records["rows"])
     report += [
-        Heading("Records", 2),
+        Heading("Annex: records", 2),
         Text(f"{records['path']}: {count} records, chain {chain}, SHA-256 {records['sha256']}"),
     ]
     for record in records["rows"]:
         report += [Heading(f"{record['number']}. {record['command']}", 2), *_record(record)]
-    return [
-        *report,
-        Heading("Signatures", 2),
-        Text(
-            f"Those who sign have seen this report. Its data has the SHA-256 {digest}; the seal that `decanter plc "
-            "report` printed covers all files, and `decanter plc report --verify` checks them."
-        ),
-        Signatures(("commissioning engineer", "plant operator")),
-    ]
+    return report
 
 
 def _record(record: Mapping[str, Any]) -> Iterator[Block]:

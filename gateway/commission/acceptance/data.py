@@ -9,7 +9,19 @@ from typing import Any
 from gateway.commission.acceptance.blocks import at
 from gateway.commission.session import CommandRecord, broken_at, read_records, versions
 from gateway.machine.writing import uptime
-from gateway.store import ARMED, DISARMED, EXPIRED, hash_of, read, standing, verify
+from gateway.store import (
+    ARMED,
+    DISARMED,
+    EXPIRED,
+    WitnessPlaces,
+    examine,
+    given_words,
+    hash_of,
+    over,
+    public_path,
+    read,
+    trusted_key,
+)
 
 FORMAT = 1
 PASSED, OPEN, INCOMPLETE, FAILED = "passed", "passed with open points", "not complete", "failed"
@@ -54,11 +66,12 @@ NOT_CARRIED_OUT = frozenset({2, 6, 130})
 
 
 def gather(
-    records_path: Path, audit_path: Path, *, site: str, by: str, now: float, remarks: Sequence[str] = ()
+    records_path: Path, places: WitnessPlaces, *, site: str, by: str, now: float, remarks: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """The report's data. `remarks` are open points that a person adds.
+    """The report's data. `places` are the audit log and its witnesses, `remarks` open points that a person adds.
 
-    Raises RecordsError or AuditError for files that are damaged, OSError for records that are not there.
+    Raises RecordsError, AuditError or SigningKeyError for files that are damaged, OSError for records that are not
+    there.
     """
     records = read_records(records_path)
     if not records:
@@ -66,7 +79,7 @@ def gather(
     writing = any(record.command == "arm" and not record.code for record in records)
     checks = [_checked(check, records, writing=writing) for check in CHECKS]
     chain = broken_at(records_path)
-    audit = _audit(audit_path, now)
+    audit = _audit(places, now)
     configuration = _configuration(records)
     points: list[str] = []
     # The gravest first: what makes the records themselves doubtful, what failed, what is missing, what is merely open.
@@ -179,19 +192,35 @@ def _dicts(value: object) -> list[Mapping[str, Any]]:
     return [row for row in value if isinstance(row, dict)] if isinstance(value, list) else []
 
 
-def _audit(path: Path, now: float) -> dict[str, Any]:
-    """What the audit log says, and whether it is whole."""
-    empty: dict[str, Any] = {"path": str(path), "rows": 0, "head": "", "problem": "", "kinds": {}, "armings": []}
-    if not path.exists():
+def _audit(places: WitnessPlaces, now: float) -> dict[str, Any]:
+    """What the audit log says, and whether it is whole by the witness of its signed heads."""
+    path = places.audit
+    empty: dict[str, Any] = {
+        "path": str(path),
+        "rows": 0,
+        "head": "",
+        "problem": "",
+        "end": "",
+        "kinds": {},
+        "armings": [],
+    }
+    if not path.exists() and not places.heads.exists():
         return {**empty, "standing": "", "names": []}
-    checked = verify(path)
-    rows = [] if checked.problem else read(path)
+    public = public_path(places.key)
+    checked = examine(places, public=trusted_key(places, public if public.exists() else None))
+    rows = [] if checked.broken else read(path)
     armings = [{"row": row.id, **asdict(row.entry)} for row in rows if row.entry.kind in (ARMED, DISARMED, EXPIRED)]
-    row = None if checked.problem else standing(path, now, uptime())
+    # Confirmed or not: what looks armed is a point to look at, and to see that needs no key.
+    row = None if checked.broken else next(iter(given_words(path)), None)
+    if row is not None and (row.entry.kind != ARMED or over(path, row, now, uptime())):
+        row = None
     sentence = f"by {row.entry.who} ({row.entry.reason}) until {at(row.entry.detail['until'])}" if row else ""
     return {
         **empty,
-        **asdict(checked),
+        "rows": checked.rows,
+        "head": checked.head,
+        "problem": checked.problem,
+        "end": checked.end,
         "kinds": dict(Counter(row.entry.kind for row in rows)),
         "armings": armings,
         "standing": sentence,

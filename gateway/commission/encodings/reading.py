@@ -3,12 +3,14 @@
 import re
 from dataclasses import dataclass
 
+from drivers.errors import OneLineError
+
 _SPACES = "'’ \u00a0\u202f"
 _NUMBER = re.compile(rf"([+-]?)([.,]?\d[\d.,{_SPACES}]*)")
 _STATES = {"on": True, "true": True, "yes": True, "off": False, "false": False, "no": False}
 
 
-class ReadingError(ValueError):
+class ReadingError(OneLineError, ValueError):
     """The text is nothing that an HMI shows; the message says what would be."""
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from openpyxl import load_workbook
 from openpyxl.utils.exceptions import InvalidFileException
 
+from drivers.errors import OneLineError
 from drivers.named_files import MOST_BYTES, contents
 
 HEADER_WITHIN = 40
@@ -31,7 +32,7 @@ _XLSX_RAISES = (
 _ENCODINGS = ("utf-8-sig", "cp1252", "latin-1")
 
 
-class ListError(ValueError):
+class ListError(OneLineError, ValueError):
     """The list cannot be used; the message says why and what would be right."""
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import OneLineError
 from gateway.commission.files.cells import ListError, ListRow, ListSheet, key_of, number_of, read_sheet
 from gateway.commission.files.io_words import COLUMNS, FUNCTIONS, KNOWN_TYPES, ORDERS, TABLES, type_of
 from gateway.commission.survey import AddressTextError, Register, parse_register
@@ -24,7 +25,7 @@ _SINGLE = frozenset({"bool", "int8", "uint8", "int16", "uint16", "bcd16", "strin
 _DIGITS = 9
 
 
-class _RowError(ValueError):
+class _RowError(OneLineError, ValueError):
     """What is wrong with a row: the column and the rest of the sentence."""
 
     def __init__(self, column: str, reason: str) -> None:

@@ -13,13 +13,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import OneLineError
 from gateway.store import first_break, hash_of
 from sim.strict_json import json_text
 
 LIBRARIES = ("decanter-gateway", "pymodbus", "python-can", "canopen", "cantools", "pyserial")
 
 
-class RecordsError(ValueError):
+class RecordsError(OneLineError, ValueError):
     """The file of records cannot be used; the message says which line and why."""
 
 

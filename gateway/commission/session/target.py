@@ -9,6 +9,7 @@ from typing import Any
 
 from drivers.capabilities import Capabilities
 from drivers.driver import LINKS, Driver, capabilities, link_of, open_driver
+from drivers.errors import OneLineError
 from drivers.tag import Tag
 from drivers.tap import Medium
 from gateway.settings import Config, DeviceMap, load_config, load_device
@@ -21,7 +22,7 @@ CONNECT_S = 3.0
 """Seconds for a connection where no plant file says otherwise: a laptop may be far away, over a VPN for one."""
 
 
-class TargetError(ValueError):
+class TargetError(OneLineError, ValueError):
     """What was given names no device, or more than one; the message says what would be right."""
 
 

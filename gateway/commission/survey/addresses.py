@@ -3,6 +3,8 @@
 import re
 from dataclasses import dataclass
 
+from drivers.errors import OneLineError
+
 _FIRST = {"coil": 0, "discrete": 1, "input": 3, "holding": 4}
 _TABLES = {str(digit): table for table, digit in _FIRST.items()}
 _PDU = re.compile(r"(coil|discrete|input|holding):(\d{1,5})")
@@ -12,7 +14,7 @@ _SHORT = 9999
 LAST = 65535
 
 
-class AddressTextError(ValueError):
+class AddressTextError(OneLineError, ValueError):
     """The text is no address; the message says what would be one."""
 
 

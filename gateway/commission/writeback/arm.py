@@ -28,11 +28,11 @@ from gateway.machine.writing import (
     countersign,
     disarm_in_log,
     next_start,
-    places_of,
+    places_for,
     signed,
     uptime,
 )
-from gateway.store import head, open_audit, places_beside
+from gateway.store import head, open_audit
 
 
 async def start_arming(
@@ -48,13 +48,13 @@ async def start_arming(
     reply = _ask_gateway(site, "arm", by=arming.by, reason=arming.reason, minutes=minutes, acknowledge=[*acknowledged])
     if reply is None:
         config = site.target.config
-        places = places_of(config) if config and config.audit == audit_path else places_beside(audit_path)
+        places = places_for(audit_path, config)
         audit = open_audit(audit_path)
         try:
             clear_for_arming(places, audit.record, by=arming.by, now=now, acknowledged=acknowledged)
         finally:
             audit.close()
-        arm_in_log(audit_path, arming, now)
+        arm_in_log(audit_path, arming, now, key=places.key)
         countersign(places, now)
     place = "the audit log" if reply is None else f"the running gateway (pid {reply['pid']})"
     until = arming.until if reply is None else float(reply["until"])
@@ -75,6 +75,10 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
         config = site.target.config
         stamp = config.path.stat().st_mtime if config is not None else None
         row = disarm_in_log(audit_path, by, reason, time.time(), stamp)
+        try:
+            countersign(places_for(audit_path, config), time.time())
+        except ArmingError as error:
+            site.notes.append(str(error))
         was, sentence = row is not None, "nothing was armed"
         if row is not None:
             try:

@@ -10,9 +10,9 @@ import click
 from gateway.commission.session import SharedOptions, at, audit_option, audit_path, record_options
 from gateway.console import emit, table
 from gateway.entry import Exit, fail, sentences
-from gateway.machine.writing import places_of
+from gateway.machine.writing import places_for
 from gateway.settings import load_config
-from gateway.store import WitnessPlaces, examine, numbered_files, places_beside, read, trusted_key
+from gateway.store import examine, numbered_files, read, trusted_key
 
 _PATH = click.Path(path_type=Path)
 
@@ -46,7 +46,8 @@ def audit(
     are checked by the gateway's key, which others must not be able to read, or the public key alone (--public-key).
     """
     with sentences():
-        places = _places(given, audit)
+        config = load_config(given.plant) if given.plant is not None else None
+        places = places_for(audit_path(audit, given), config)
         places = replace(
             places,
             heads=heads or places.heads,
@@ -61,14 +62,6 @@ def audit(
     emit(result, lambda: _show_audit(result), as_json_line=given.as_json)
     if verdict.problem:
         fail(f"{places.audit}: {verdict.problem}", Exit.CHECK_FAILED)
-
-
-def _places(given: SharedOptions, audit: Path | None) -> WitnessPlaces:
-    """The audit log that is meant, and its witnesses."""
-    path = audit_path(audit, given)
-    if given.plant is not None and (config := load_config(given.plant)).audit == path:
-        return places_of(config)
-    return places_beside(path)
 
 
 def _show_audit(data: Mapping[str, Any]) -> None:

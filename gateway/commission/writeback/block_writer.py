@@ -26,10 +26,22 @@ from gateway.machine.writing import (
     arming_of,
     build,
     next_heartbeat,
+    places_for,
     uptime,
 )
 from gateway.settings import DeviceMap, WritebackLayout
-from gateway.store import ARMED, EXPIRED, Audit, AuditEntry, AuditRow, last_arming, open_audit, over, standing
+from gateway.store import (
+    ARMED,
+    EXPIRED,
+    Audit,
+    AuditEntry,
+    AuditRow,
+    WitnessPlaces,
+    armings,
+    open_audit,
+    over,
+    standing,
+)
 
 PERMIT_S = 1.0
 """How long ago the permit may have been asked for when a block is sent."""
@@ -53,11 +65,12 @@ Ask = Callable[[str], bool]
 Progress = Callable[[str, float], None]
 
 
-def in_force(path: Path, now: float) -> Arming:
-    """The arming in force. Raises WriteForbidden without one, AuditError."""
-    row = standing(path, now, uptime())
+def in_force(places: WitnessPlaces, now: float) -> Arming:
+    """The arming in force. Raises WriteForbidden without one, AuditError, SigningKeyError."""
+    path = places.audit
+    row = standing(path, now, uptime(), key=places.key)
     if row is None:
-        _note_the_end(path, now)
+        _note_the_end(places, now)
         raise WriteForbidden(
             f"not armed: nothing is written; arm first: decanter plc arm --by NAME --reason WHY --minutes N (audit log "
             f"{path})"
@@ -65,9 +78,10 @@ def in_force(path: Path, now: float) -> Arming:
     return arming_of(row)
 
 
-def _note_the_end(path: Path, now: float) -> None:
+def _note_the_end(places: WitnessPlaces, now: float) -> None:
     """Put on record that an arming is over, so that it stays so whatever the clock does after this."""
-    last = last_arming(path)
+    path = places.audit
+    last = next(armings(path, places.key), None)
     if last is None or last.entry.kind != ARMED:
         return
     why = over(path, last, now, uptime())
@@ -103,7 +117,8 @@ def gateway_runs(historian: Path) -> bool:
 
 @dataclass(slots=True)
 class BlockWriter:
-    """One command that writes blocks as writer `number`. `ask` asks the person, None where nobody is to be asked.
+    """One command that writes blocks as writer `number`; `key` is the gateway's, which confirms armings. `ask` asks the
+    person, None where nobody is to be asked.
 
     `taking_back`: the arming has been taken back already, and the only block left to write is that which says so.
     """
@@ -114,6 +129,7 @@ class BlockWriter:
     writes: Writes
     audit: Audit
     arming: Arming
+    key: Path
     number: int
     ask: Ask | None = None
     taking_back: bool = False
@@ -173,7 +189,7 @@ class BlockWriter:
         if self.taking_back:
             return
         now = time.time()
-        if now >= self.arming.until or standing(self.audit.path, now, uptime()) is None:
+        if now >= self.arming.until or standing(self.audit.path, now, uptime(), key=self.key) is None:
             raise WriteForbidden("the arming is over; nothing was sent")
 
     async def permitted(self) -> bool:
@@ -287,7 +303,8 @@ async def open_block_writer(
     gateway runs, AuditError, DriverError, ValueError.
     """
     device, layout = layout_of(site)
-    arming = arming_of(taking_back) if taking_back is not None else in_force(audit_path, time.time())
+    places = places_for(audit_path, site.target.config)
+    arming = arming_of(taking_back) if taking_back is not None else in_force(places, time.time())
     if site.target.config is not None and gateway_runs(site.target.config.historian.path):
         raise ValueError("a gateway runs with this plant file and writes the same block; stop it for this test")
     audit = open_audit(audit_path)
@@ -303,6 +320,7 @@ async def open_block_writer(
                 writes=driver,
                 audit=audit,
                 arming=arming,
+                key=places.key,
                 number=(rng or SystemRandom()).randint(1, 0xFFFF),
                 ask=ask,
                 taking_back=taking_back is not None,

@@ -14,7 +14,7 @@ from gateway.commission.survey import reference_of
 from gateway.commission.writeback.block_writer import ACCOUNT_TAGS, layout_of
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
 from gateway.console import table
-from gateway.machine.writing import uptime
+from gateway.machine.writing import places_for, uptime
 from gateway.settings import LEAST_BLOCKS, DeviceMap, WritebackLayout
 from gateway.store import standing
 
@@ -29,8 +29,8 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
     """
     device, layout = layout_of(site)
     problems = list(problems_of(site, device, layout))
-    row = standing(audit_path, time.time(), uptime())
     config = site.target.config
+    row = standing(audit_path, time.time(), uptime(), key=places_for(audit_path, config).key)
     words = []
     for field, tag in zip(layout.fields, layout.words, strict=True):
         unit, meaning = MEANINGS[field.name]

@@ -8,8 +8,11 @@ from gateway.settings import Config
 
 DEVICE = "device"
 """The alarm for what the device itself says is wrong with it."""
-RECORDS, CLOCK = "records", "clock"
-"""The alarms for records that cannot be relied on, and for a clock that cannot."""
+RECORDS, PARTS, CLOCK = "records", "parts", "clock"
+"""The alarms for records that cannot be relied on, for another part of the gateway that failed (they share a bit), and
+for a clock that cannot be relied on."""
+OTHER_WRITER = "another writer"
+"""The alarm for what the PLC says of another gateway; it shares the bit of what the device says else."""
 DRIFT_SINCE = "14d"
 """The span of the historian that a diagnosis is offered for: ten cycles or more of a plant that runs every day."""
 REVIEW = "the readings lie beyond 3 sigma of the model too often: look at the sensor, then learn or correct the model"
@@ -52,11 +55,21 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
     # One reading that came late is no alarm: inputs have to be bad for as long as a value may be held.
     bad = AlarmCondition("inputs bad", ", ".join(inputs), bit=4, limit=0.5, on_delay=STALE_PERIODS * period)
     lost = "what happens may not be on record: see historian and parts in the status, and make room or mend the disk"
+    failed = "a part of the gateway failed and was begun anew: see parts in the status and the log, and report it"
     wrong = "the clock has jumped: set it and start the gateway anew; nothing is deleted by age meanwhile"
     conditions += [
         AlarmCondition(RECORDS, config.map.name, 7, 0.5, off_delay=a.off_delay, response=lost),
+        AlarmCondition(PARTS, config.map.name, 7, 0.5, off_delay=a.off_delay, response=failed),
         AlarmCondition(CLOCK, config.map.name, 8, 0.5, off_delay=a.off_delay, priority=3, response=wrong),
     ]
+    if config.map.writeback is not None and config.writeback.mode != "off":
+        other = (
+            "another gateway writes to this PLC: other_writer in the status is its number, writer is "
+            "this one's; find it and disarm one of the two"
+        )
+        conditions.append(
+            AlarmCondition(OTHER_WRITER, config.map.name, 6, 0.5, off_delay=a.off_delay, priority=1, response=other)
+        )
     if complains:
         response = "the device or its bus says that something is wrong: see complaints in the status"
         conditions.append(AlarmCondition(DEVICE, config.map.name, 6, 0.5, off_delay=a.off_delay, response=response))

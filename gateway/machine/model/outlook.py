@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import Ensemble, ForecastJob, MixedForecast, bands, foresee, run_job
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading import Scan
@@ -43,7 +44,9 @@ class Outlook:
         ensemble: Ensemble | None = None,
         *,
         levels: tuple[float, ...] = LEVELS,
+        supervisor: Supervisor | None = None,
     ) -> None:
+        self._supervisor = supervisor or Supervisor()
         self.predictor, self.section, self.limit = predictor, section, limit
         self.ensemble, self.levels = ensemble, levels
         self.latest: Forecast | None = None
@@ -125,7 +128,7 @@ class Outlook:
                 limit=self.limit,
                 levels=self.levels,
             )
-        self._task = asyncio.create_task(asyncio.to_thread(work), name="forecast")
+        self._task = self._supervisor.job("forecast", work)
 
     async def finished(self) -> None:
         """Wait for the forecast being made, if any; the next `collect` gives it. For a clock that is not the wall's."""

@@ -14,6 +14,7 @@ from functools import partial
 from math import inf
 
 from drivers.settings import ConfigError
+from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import FAULTS
 from gateway.machine.model.loading import LoadedModel, load_model
 from gateway.machine.model.predict import Predictor
@@ -53,8 +54,9 @@ class Pickup:
     `ready` is a model that waits until it is `taken`, `refused` why the newest promotion is not run ("": it is).
     """
 
-    def __init__(self, config: Config, running: LoadedModel | None) -> None:
+    def __init__(self, config: Config, running: LoadedModel | None, supervisor: Supervisor | None = None) -> None:
         self.config = config
+        self._supervisor = supervisor or Supervisor()
         self.running = running.version if running is not None else ""
         self.ready: ReadyModel | None = None
         self.refused = ""
@@ -75,7 +77,7 @@ class Pickup:
         self._due = now + POLL_SECONDS
         # Copies, since the scans of the meantime go into the originals while the thread looks.
         work = partial(_look, self.config, self._seen, self.running, members=tuple(members), recent=tuple(self._recent))
-        self._task = asyncio.create_task(asyncio.to_thread(work), name="pickup")
+        self._task = self._supervisor.job("look for another model", work)
 
     def collect(self) -> str:
         """Take in a finished look: it may set `ready`. The sentence of a refusal is given back, once; "" else."""

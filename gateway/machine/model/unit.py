@@ -4,6 +4,7 @@ from typing import Any
 
 from structlog.typing import FilteringBoundLogger
 
+from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import Ensemble
 from gateway.machine.model.guards import Guards
 from gateway.machine.model.loading import LoadedModel
@@ -32,10 +33,11 @@ class ModelUnit:
         *,
         historian: Historian,
         log: FilteringBoundLogger,
+        supervisor: Supervisor | None = None,
     ) -> None:
         self.config, self.loaded, self.members = config, loaded, members
-        self._historian, self._log = historian, log
-        self.pickup = Pickup(config, loaded)
+        self._historian, self._log, self._supervisor = historian, log, supervisor or Supervisor()
+        self.pickup = Pickup(config, loaded, self._supervisor)
         self.begin_anew()
         for model in (loaded, *members):
             self._warn(model)
@@ -58,7 +60,9 @@ class ModelUnit:
             if models or (config.ensemble.plain and self.loaded.model.plain)
             else None
         )
-        self.outlook = Outlook(self.predictor, config.forecast, config.alarms.limit, period, ensemble)
+        self.outlook = Outlook(
+            self.predictor, config.forecast, config.alarms.limit, period, ensemble, supervisor=self._supervisor
+        )
         self.guards = Guards(self.loaded.model, config.forecast.horizons, config.alarms.drift)
         self.prediction: ScanPrediction | None = None
         self._clamped = False

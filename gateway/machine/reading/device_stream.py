@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 
 from drivers.driver import Streams
+from drivers.supervision import Supervisor
 from drivers.tag import Sample, Tag
 
 Urgent = Callable[[], Collection[str]]
@@ -18,16 +19,19 @@ class DeviceStream:
     at most.
     """
 
-    def __init__(self, driver: Streams, tags: Sequence[Tag], urgent: Urgent) -> None:
+    def __init__(self, driver: Streams, tags: Sequence[Tag], urgent: Urgent, supervisor: Supervisor | None) -> None:
         self._driver, self._tags, self._urgent = driver, tags, urgent
         self._latest: dict[str, Sample] = {}
         self._seen: dict[str, Sample] = {}
         self._changed = asyncio.Event()
         self._not_before = 0.0
-        self._task = asyncio.create_task(self._listen(), name="news of the device")
+        name = "news of the device"
+        self._task = (
+            supervisor.task(name, self._listen) if supervisor else asyncio.create_task(self._listen(), name=name)
+        )
 
     async def close(self) -> None:
-        """Stop listening. Raises what the stream raised, if it did."""
+        """Stop listening. Raises what the stream raised, if it did and no supervisor has begun it anew."""
         self._task.cancel()
         (result,) = await asyncio.gather(self._task, return_exceptions=True)
         if isinstance(result, Exception):

@@ -1,12 +1,12 @@
 """Whether good readings arrive at all, why they do not, and the outages so far."""
 
-import re
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from structlog.typing import FilteringBoundLogger
 
 from gateway.machine.reading.scan import Scan
+from gateway.repeated import without_measured
 
 OUTAGES = 50
 
@@ -29,18 +29,10 @@ class Outage:
         }
 
 
-_MEASURED = re.compile(r"\d+\.\d+")
-
-
 def reason_of(scan: Scan) -> str:
     """What most of the tags without a good reading say; of several the first in the map's order."""
     reasons = Counter(sample.reason for sample in scan.samples.values() if sample.reason)
     return reasons.most_common(1)[0][0] if reasons else ""
-
-
-def _kind(reason: str) -> str:
-    """The reason without what is measured anew in each scan: seconds waited, seconds left."""
-    return _MEASURED.sub("#", reason)
 
 
 @dataclass(slots=True)
@@ -69,7 +61,7 @@ class LinkHealth:
             self.outages.append(Outage(self.last_good, scan.time))
             self.count += 1
             self.log.warning("no good reading any more", time=scan.time, reason=self.reason)
-        elif not good and _kind(self.reason) != _kind(before):
+        elif not good and without_measured(self.reason) != without_measured(before):
             # A device that connects and gives nothing has no outage to begin with: it is said at once, and by change.
             self.log.warning("no good reading", time=scan.time, reason=self.reason)
         self.alive, self.last_good = good, scan.time if good else self.last_good

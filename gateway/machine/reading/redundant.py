@@ -19,8 +19,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.driver import BeforeSending, Cautions, Complains, Driver, Explains, PlanLine, Writes, anyhow
+from drivers.driver import BeforeSending, Cautions, Complains, Driver, Explains, PlanLine, Supervised, Writes, anyhow
 from drivers.errors import AddressError, DeviceException, DriverError, EncodingError, LinkDown, WriteForbidden
+from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample, Tag, Value
 from gateway.machine.reading.quality import LINK_FAULTS
 from gateway.machine.reading.same_plc import Pulse, agree, still, with_beat
@@ -95,6 +96,10 @@ class Redundant:
         self._last: dict[str, tuple[int, Sample]] = {}
         self._counts = dict.fromkeys(("switch_overs", "returns", "held_samples", "confirmed_elsewhere"), 0)
         self.on_switch: Callable[[SwitchOver], None] = lambda _: None
+        self.supervisor = Supervisor()
+        for path in paths:
+            if isinstance(path.driver, Supervised):
+                self.supervisor.include(path.name, path.driver.supervisor)
 
     # ------------------------------------------------------------ Driver
 

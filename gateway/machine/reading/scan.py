@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from math import floor
 
 from drivers.driver import Driver, Streams
+from drivers.supervision import Supervisor
 from drivers.tag import Sample, Tag
 from gateway.machine.reading.clock import Clock
 from gateway.machine.reading.device_stream import DeviceStream, Urgent
@@ -47,6 +48,7 @@ async def scans(
     *,
     stop: asyncio.Event | None = None,
     urgent: Urgent | None = None,
+    supervisor: Supervisor | None = None,
 ) -> AsyncGenerator[Scan, None]:
     """Scan after scan until `stop` is set; the next one is never begun before it is asked for.
 
@@ -56,11 +58,14 @@ async def scans(
     restart of the gateway shall not look like a doubt about the device.
 
     With `urgent`, which gives names of tags, and a driver that streams, a change of one of them brings an early scan
-    between two ticks, made of what the device has told; nothing is asked for.
+    between two ticks, made of what the device has told; nothing is asked for. The `supervisor` begins a
+    stream that fails anew; without one it ends the scans with its reason.
     """
     begin, tick, missed, number, last = clock.now(), 0, 0, 0, 0.0
     age, stop = DeviceAge(), stop or asyncio.Event()
-    stream = DeviceStream(driver, tags, urgent) if urgent is not None and isinstance(driver, Streams) else None
+    stream = None
+    if urgent is not None and isinstance(driver, Streams):
+        stream = DeviceStream(driver, tags, urgent, supervisor)
     try:
         while (due := await _awaited(clock, begin + tick * rules.period, stop, stream if number else None)) != "stop":
             sent = clock.now()

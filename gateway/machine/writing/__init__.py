@@ -12,7 +12,7 @@ from gateway.machine.writing.arming import (
 )
 from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, SessionWords, Validity, build, crc, next_heartbeat
 from gateway.machine.writing.block_stage import BlockStage
-from gateway.machine.writing.witnessing import clear_for_arming, countersign, places_of
+from gateway.machine.writing.witnessing import clear_for_arming, countersign, places_for, places_of
 from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "disarm_in_log",
     "next_heartbeat",
     "next_start",
+    "places_for",
     "places_of",
     "signed",
     "uptime",

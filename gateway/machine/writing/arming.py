@@ -1,9 +1,13 @@
 """Arming and disarming: who lets the gateway write, why and for how long. It counts once the audit log has it.
 
-The audit log is the one memory of it. The newest word of a person wins: an arming or disarming by command, or the plant
-file, whose word is given when it is saved. `next_start` says what a start makes of all that.
+The audit log is the one memory of it. A start believes an arming only if a second row confirms it, which is written
+once the arming is in force (`gateway.store.confirming`): what was answered with "not armed" has none, whatever the
+disk and a kill make of its row, and nobody can write one without the gateway's key. The newest word of a person wins:
+an arming or disarming by command, or the plant file, whose word is given when it is saved. `next_start` says what a
+start makes of all that.
 """
 
+import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +15,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver, Writes
@@ -26,16 +31,22 @@ from gateway.store import (
     AuditEntry,
     AuditRow,
     Historian,
+    SigningKeyError,
     Uptime,
     armings,
     cancelling,
+    confirmation,
     end_of,
+    given_words,
+    key_beside,
+    load_or_make_key,
     open_audit,
     over,
-    standing,
 )
 
 LONGEST = 200
+CONFIRMED_SECONDS = 2.0
+"""The longest wait for the disk to take the row that confirms an arming in force; then nobody waits for it."""
 
 
 class ArmingError(ValueError):
@@ -74,13 +85,27 @@ def arming_of(row: AuditRow) -> Arming:
     return Arming(row.entry.who, row.entry.reason, float(row.entry.detail["until"]))
 
 
-def arm_in_log(path: Path, arming: Arming, now: float) -> None:
+def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = None) -> None:
     """Arm where no gateway runs: for the commands that write, and for a gateway that starts meanwhile.
 
-    Raises ArmingError or AuditError.
+    `key` is the gateway's key file, by default the one beside the log. Raises ArmingError, AuditError, SigningKeyError.
     """
     entry = entry_of(arming, now, "command")
-    _store(path, entry, cancelling(entry, "the disk did not take it in time"))
+    late = "the disk did not take it in time"
+    signing = load_or_make_key(key or key_beside(path))
+    audit = open_audit(path)
+    try:
+        row = audit.record(entry, undo=cancelling(entry, late))
+        # Nothing is in force by then, so that the confirming row is waited for, and taken back by a disarming.
+        stored = row is not None and audit.record(
+            confirmation(row, signing, now), undo=AuditEntry(now, DISARMED, "", late)
+        )
+    finally:
+        known = audit.close()
+    if not stored:
+        why = audit.failure or "the disk does not answer"
+        doubt = "" if known else "; whether it has taken it after all cannot be told: disarm before a gateway starts"
+        raise ArmingError(f"nothing has changed, as the audit log does not take it: {why}{doubt}")
 
 
 def disarm_in_log(path: Path, by: str, reason: str, now: float, stamp: float | None = None) -> AuditRow | None:
@@ -89,19 +114,18 @@ def disarm_in_log(path: Path, by: str, reason: str, now: float, stamp: float | N
     Gives the arming that was in force, None where there was none; the row is written all the same. Raises ArmingError
     or AuditError.
     """
-    row = standing(path, now, uptime())
-    _store(path, AuditEntry(now, DISARMED, by, reason, {} if stamp is None else {"stamp": stamp}))
-    return row
-
-
-def _store(path: Path, entry: AuditEntry, undo: AuditEntry | None = None) -> None:
+    # Confirmed or not: to take it back at the PLC needs no key.
+    row = next(iter(given_words(path)), None)
+    if row is not None and (row.entry.kind != ARMED or over(path, row, now, uptime())):
+        row = None
     audit = open_audit(path)
     try:
-        if not audit.record(entry, undo=undo):
+        if not audit.record(AuditEntry(now, DISARMED, by, reason, {} if stamp is None else {"stamp": stamp})):
             why = audit.failure or "the disk does not answer"
             raise ArmingError(f"nothing has changed, as the audit log does not take it: {why}")
     finally:
         audit.close()
+    return row
 
 
 # ---------------------------------------------------------------- what a start makes of it
@@ -128,20 +152,32 @@ def next_start(config: Config, path: Path, now: float, count: Uptime) -> NextSta
     The file's words count once: their time runs from their first use, restarts included. A disarming wins over every
     file that was saved before it. Raises AuditError.
     """
-    section, rows = config.writeback, armings(path)
-    last = rows[0] if rows else None
+    section, rows = config.writeback, given_words(path)
     words = {"by": section.armed_by, "reason": section.reason, "minutes": section.minutes, "stamp": config.stamp}
     if section.mode == "off":
         return NextStart(None, "writeback.mode is 'off'")
+    try:
+        last = next(armings(path, config.audit_key), None)
+    except SigningKeyError as error:
+        return NextStart(None, str(error))
+    # Confirmed or not, a row of the file's words uses them up.
     if section.mode == "armed" and not any(_is_of(row, words) for row in rows):
         # Times of change are compared with one another, so that no clock has a say; without one, with the row's time.
-        saved = last.entry.detail.get("stamp", last.entry.time) if last is not None else 0.0
-        if last is None or last.entry.kind != DISARMED or config.stamp > float(saved):
+        stamp = last.entry.detail.get("stamp") if last is not None else None
+        if (
+            last is None
+            or last.entry.kind != DISARMED
+            or config.stamp > (stamp if isinstance(stamp, int | float) else last.entry.time)
+        ):
             arming = signed(section.armed_by, section.reason, section.minutes or 0.0, now)
             return NextStart(arming, f"{config.path} arms it for {section.minutes:g} minutes", words)
         return NextStart(
             None, f"{_who(last)} after {config.path} was saved; save it anew to arm again", by=last.entry.who
         )
+    if rows and rows[0].entry.kind == ARMED and (last is None or last.entry.kind != ARMED):
+        who = rows[0].entry.who
+        why = f"the arming by {who} (row {rows[0].id}) is not confirmed with this gateway's key, so that it does not "
+        return NextStart(None, f"{why}count; arm again if that is wanted", ended=rows[0], by=who)
     if last is None:
         return NextStart(None, "nobody has armed it")
     if last.entry.kind == DISARMED:
@@ -200,6 +236,9 @@ def open_writer(
             reason = f"{config.map.driver!r} cannot write; set writeback.mode to 'shadow'"
             raise ConfigError([f"{config.map.path}: device.driver: {reason}"])
         return writer
+    if audit.failure:
+        log.error("not armed", reason=audit.failure)
+        return writer
     start = next_start(config, audit.path, now, uptime())
     arming = start.arming
     if start.ended is not None:
@@ -217,16 +256,20 @@ def open_writer(
     historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
     entry = entry_of(arming, now, "gateway began", clock.speed, **({} if start.file is None else {"file": start.file}))
     undo = cancelling(entry, "the records could not be stored when the gateway began")
-    if not (historian.flush() and audit.record(entry, undo=undo)):
+    row = audit.record(entry, undo=undo) if historian.flush() else None
+    if row is None:
         log.error("not armed, as the audit record cannot be stored", reason=historian.failure or audit.failure)
         return writer
     writer.arm(driver, arming)
+    audit.put(confirmation(row, load_or_make_key(config.audit_key), now))
     log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
     return writer
 
 
-async def arm(writer: Writer, driver: Driver, *, by: str, reason: str, minutes: float) -> Arming:
-    """Arm a gateway that runs in shadow, or sign its arming anew. Raises ArmingError."""
+async def arm(
+    writer: Writer, driver: Driver, *, by: str, reason: str, minutes: float, key: Ed25519PrivateKey
+) -> Arming:
+    """Arm a gateway that runs in shadow, or sign its arming anew; `key` confirms it. Raises ArmingError."""
     if writer.audit is None or not isinstance(driver, Writes):
         raise ArmingError("this driver cannot write")
     if writer.ending:
@@ -234,14 +277,15 @@ async def arm(writer: Writer, driver: Driver, *, by: str, reason: str, minutes: 
     now, generation = writer.clock.now(), writer.generation
     arming = signed(by, reason, minutes, now)
     entry = entry_of(arming, now, "command", writer.clock.speed)
-    if not await writer.audit.stored(entry, undo=cancelling(entry, "not armed: the disk did not take it in time")):
+    row = await writer.audit.stored(entry, undo=cancelling(entry, "not armed: the disk did not take it in time"))
+    if row is None:
         why = writer.audit.failure or "the disk does not answer"
         raise ArmingError(f"not armed, as the audit log does not take it: {why}")
     if writer.generation != generation:
         # Whoever disarmed did so while this was being stored, and has been told that nothing is written any more.
-        cancelled = cancelling(entry, "not armed: it was disarmed meanwhile")
-        if not await writer.audit.stored(cancelled):
-            writer.audit.put(cancelled)
+        writer.audit.put(cancelling(entry, "not armed: it was disarmed meanwhile"))
         raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
     writer.arm(driver, arming)
+    # Shielded: whoever asked may go away, and it is in force all the same.
+    await asyncio.shield(writer.audit.kept(confirmation(row, key, now), CONFIRMED_SECONDS))
     return arming

@@ -2,13 +2,15 @@
 
 import asyncio
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from random import Random
 from struct import pack
 
 from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver
+from drivers.supervision import Supervisor
 from gateway.machine.model import ZONES, ScanPrediction, block_values
 from gateway.machine.reading import Clock, Scan
 from gateway.machine.writing.arming import ArmingError, arm, open_writer, signed
@@ -16,11 +18,12 @@ from gateway.machine.writing.block import Validity, validity
 from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
 from gateway.machine.writing.writeback import Arming, Attempt
 from gateway.settings import Config, WritebackLayout
-from gateway.store import Historian, open_or_set_aside
-from gateway.supervision import Supervisor
+from gateway.store import Historian, open_or_set_aside, saved_state
 from sim.forecast import Forecast
 
 LATENCIES = 10_000
+STARTS_KEPT = 8
+"""So many of the gateway's numbers are kept: one that is killed and killed again knows its own by them."""
 
 
 class BlockStage:
@@ -41,9 +44,11 @@ class BlockStage:
         supervisor: Supervisor,
         log: FilteringBoundLogger,
         rng: Random,
+        log_failure: Callable[[], str] = lambda: "",
     ) -> None:
         self.config = config
         self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
+        self._supervisor = supervisor
         self._refusals: Mapping[int, str] = {code: reason for reason, code in config.map.refusals.items()}
         self._refused = ""
         self.attempt: Attempt | None = None
@@ -65,13 +70,22 @@ class BlockStage:
                 audit=self.audit,
                 log=log,
                 rng=rng,
-                obstacle=lambda: obstacle(self.witnessing.places)[0],
+                obstacle=lambda: log_failure() or obstacle(self.witnessing.places)[0],
             )
+            writers = saved_state(historian, "writers", log)
+            formers = [int(number) for number in writers[1].get("numbers", ())] if writers else []
+            self.writer.formers = frozenset(formers)
+            historian.save("writers", self._signed, {"numbers": [*formers, self.writer.number][-STARTS_KEPT:]})
             self.witnessing.sign(self._signed)
             opened = True
         finally:
             if not opened:
                 self.audit.close()
+
+    def _sign(self, now: float) -> None:
+        """Sign the newest head in a thread: no scan waits for the disk."""
+        self._signed = now
+        self._signing = self._supervisor.job("signing", partial(self.witnessing.sign, now))
 
     def take_counts(self, scan: Scan) -> None:
         """Take over what the PLC says of the blocks before this one."""
@@ -97,9 +111,7 @@ class BlockStage:
         """
         self.take_counts(scan)
         if scan.time - self._signed >= SIGN_SECONDS:
-            self._signed = scan.time
-            # In a thread: no scan waits for the disk.
-            self._signing = asyncio.create_task(asyncio.to_thread(self.witnessing.sign, scan.time))
+            self._sign(scan.time)
         # Taking back comes first: no block of an arming that is over may follow it.
         if over := self._disarming(scan.time, unverified):
             await self.disarm("", over, scan, alarms)
@@ -165,7 +177,7 @@ class BlockStage:
             raise ArmingError(f"the model that runs does not verify: {unverified}")
         signed(by, reason, minutes, self._clock.now())  # what is not even signed leaves no row
         witnessing, generation = self.witnessing, self.writer.generation
-        await asyncio.to_thread(
+        key = await asyncio.to_thread(
             clear_for_arming,
             witnessing.places,
             self.audit.record,
@@ -176,7 +188,7 @@ class BlockStage:
         )
         if self.writer.generation != generation:
             raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
-        arming = await arm(self.writer, self._driver, by=by, reason=reason, minutes=minutes)
+        arming = await arm(self.writer, self._driver, by=by, reason=reason, minutes=minutes, key=key)
         self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
         await asyncio.to_thread(witnessing.sign, self._clock.now())
@@ -192,6 +204,8 @@ class BlockStage:
         attempt = await self.writer.disarm(now, by, reason, scan=scan, alarms=alarms, stamp=stamp)
         if attempt is not None:
             self._record(attempt)
+        # A disarming that could be cut off unnoticed would leave the arming before it as the newest word.
+        self._sign(now)
         if arming is None:
             return False
         who, verdict = by or arming.by, attempt.verdict if attempt else "off"

@@ -1,9 +1,11 @@
-"""The gateway's part in the witness of its audit log: heads are signed each hour, at a stop, and around each arming."""
+"""The gateway's part in the witness of its audit log: signed heads each hour, at a stop, arming and disarming."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from structlog.typing import FilteringBoundLogger
 
 from gateway.machine.writing.arming import ArmingError
@@ -13,17 +15,21 @@ from gateway.store import (
     HEAD_STATE,
     AuditEntry,
     AuditError,
+    AuditRow,
     HeadSink,
     Historian,
     SignedHead,
     SigningKeyError,
     WitnessPlaces,
     acknowledgement,
+    confirmation,
     examine,
     heads_file,
     load_or_make_key,
     numbered_files,
+    places_beside,
     sign_head,
+    trusted_key,
 )
 
 SIGN_SECONDS = 3600.0
@@ -40,11 +46,16 @@ def places_of(config: Config) -> WitnessPlaces:
     )
 
 
+def places_for(audit: Path, config: Config | None) -> WitnessPlaces:
+    """Those of this audit log: the plant file's if it is its own, else what lies beside it."""
+    return places_of(config) if config is not None and config.audit == audit else places_beside(audit)
+
+
 def obstacle(places: WitnessPlaces) -> tuple[str, SignedHead | None]:
     """Why nobody may arm on this audit log ("" if one may), and the lost head that a person has to acknowledge."""
     try:
         load_or_make_key(places.key)
-        verdict = examine(places)
+        verdict = examine(places, public=trusted_key(places, None))
     except (SigningKeyError, AuditError) as error:
         return str(error), None
     if verdict.broken:
@@ -61,16 +72,16 @@ def obstacle(places: WitnessPlaces) -> tuple[str, SignedHead | None]:
 
 def clear_for_arming(
     places: WitnessPlaces,
-    store: Callable[[AuditEntry], bool],
+    store: Callable[[AuditEntry], AuditRow | None],
     *,
     by: str,
     now: float,
     acknowledged: Sequence[str] = (),
     sinks: Sequence[HeadSink] = (),
-) -> None:
+) -> Ed25519PrivateKey:
     """See that the audit log is whole and its end witnessed, with the lost heads acknowledged that a person names.
 
-    `store` puts a row on the disk, False if it could not. Raises ArmingError.
+    Gives the key that confirms the arming. `store` puts a row on the disk, None if it could not. Raises ArmingError.
     """
     reason, lost = obstacle(places)
     names = [name.lower() for name in acknowledged if len(name) >= LEAST_DIGITS]
@@ -78,7 +89,8 @@ def clear_for_arming(
     for _ in names:
         if lost is None or not any(lost.head.startswith(name) for name in names):
             break
-        if not store(acknowledgement(lost, by, now)):
+        row = store(acknowledgement(lost, by, now))
+        if row is None or store(confirmation(row, load_or_make_key(places.key), now)) is None:
             raise ArmingError("not armed, as the audit log does not take the acknowledgement")
         countersign(places, now, sinks)
         reason, lost = obstacle(places)
@@ -86,6 +98,7 @@ def clear_for_arming(
         raise ArmingError(f"not armed: {reason}")
     # Before it counts: an arming whose head cannot be signed is none.
     countersign(places, now, sinks)
+    return load_or_make_key(places.key)
 
 
 def countersign(places: WitnessPlaces, now: float, sinks: Sequence[HeadSink] = ()) -> None:

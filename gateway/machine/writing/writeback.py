@@ -32,6 +32,9 @@ ANOTHER_CHALLENGE, ANOTHER_WRITER = "another challenge", "another writer"
 """The contract's reasons by which a PLC refuses a block of no session, or of another writer than the session's."""
 SENDING_SECONDS = 0.25
 """The longest (real time) from counting a block's age until it is sent, the wait for its audit row included."""
+RIVAL_SECONDS = 10.0
+"""For so long (real time) another writer is one that writes now; and so long after a start, the start before may have
+the session still: a PLC's timer ends it within 5 s."""
 DISARMED_SECONDS = 2.0
 """The longest wait for the disk to take the row of a disarming; then it goes on being tried without anybody waiting."""
 
@@ -118,7 +121,8 @@ class Writer:
     `number` (1..65535, drawn anew at each start) tells this writer from another; `challenge` is the PLC's that the
     newest block on the wire carried, 0 before the first. `pace` bounds the blocks a second, `audit` takes an
     account of every one. `max_age` (real s) is how old the readings of a block may be, and its permit, when it is
-    sent. `generation` counts the disarmings, `ending` those that are under way.
+    sent. `generation` counts the disarmings, `ending` those that are under way. `formers` are the numbers of this
+    gateway's starts before.
     """
 
     layout: WritebackLayout
@@ -133,10 +137,22 @@ class Writer:
     pace: Pace | None = None
     audit: Audit | None = None
     max_age: float = 1.0
+    formers: frozenset[int] = frozenset()
     challenge: int = field(default=0, init=False)
     generation: int = field(default=0, init=False)
     ending: int = field(default=0, init=False)
     _sending: asyncio.Lock = field(default_factory=asyncio.Lock, init=False)
+    _began: float = field(init=False)
+    _rival: tuple[float, str] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self._began = self.clock.now()
+
+    def rival(self, now: float) -> str:
+        """The PLC's word of another writer that writes now, and what to do about it; "" where there is none."""
+        if not self.armed or self._rival is None or (now - self._rival[0]) / self.clock.speed > RIVAL_SECONDS:
+            return ""
+        return self._rival[1]
 
     @property
     def armed(self) -> bool:
@@ -182,8 +198,7 @@ class Writer:
                     entry = AuditEntry(
                         now, EXPIRED if over else DISARMED, who, why, {} if stamp is None else {"stamp": stamp}
                     )
-                    if not await self.audit.stored(entry, DISARMED_SECONDS):
-                        self.audit.put(entry)
+                    await self.audit.kept(entry, DISARMED_SECONDS)
                 return attempt
         finally:
             self.ending -= 1
@@ -231,6 +246,11 @@ class Writer:
             other = theirs or other
             role = "was refused" if session == self.number else "has the session"
             sentence = f"{why}: number {theirs or 'unknown'} {role} at the PLC, this gateway is number {self.number}"
+            if theirs in self.formers and (scan.time - self._began) / self.clock.speed <= RIVAL_SECONDS:
+                sentence += "; it is this gateway's start before, whose session the PLC's timer ends"
+            else:
+                sentence += "; find the gateway whose status has that number, and disarm one of the two"
+                self._rival = scan.time, sentence
         if sentence and self.armed:
             detail = {"blocks": more, "sequence": self.sequence}
             self._note(AuditEntry(scan.time, REFUSED_BY_PLC, "PLC", sentence, detail))

@@ -13,6 +13,8 @@ from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedCharacters, UnexpectedInput, UnexpectedToken
 from lark.tree import Meta
 
+from sim.strict_json import escaped
+
 GRAMMAR = r"""
 start: estimate | hypothesis | comparison | expectation | simulation | symbolic | leads_to
 estimate: probability
@@ -134,7 +136,13 @@ _BEGINNINGS = MappingProxyType({"pr": "Pr", "e": "E", "a": "A", "simulate": "sim
 
 
 class QueryError(ValueError):
-    """A query cannot be read, or asks what cannot be answered: where, what stands there, what would be right."""
+    """A query cannot be read, or asks what cannot be answered: where, what stands there, what would be right.
+
+    It is one line of printable characters, whatever the query holds.
+    """
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(escaped(sentence))
 
 
 @cache

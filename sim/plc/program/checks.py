@@ -9,11 +9,12 @@ from typing import Any, TypeVar, get_type_hints
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from drivers.device_file import DeviceFile, read_device_file
+from drivers.errors import OneLineError
 from drivers.named_files import endless_number, parse_toml, regular
 from drivers.settings import ConfigError, reason_of, sentences
 
 
-class InputError(ValueError):
+class InputError(OneLineError, ValueError):
     """A file, an argument or a command that the PLC cannot use; the message is for the one who wrote it."""
 
 

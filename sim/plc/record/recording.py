@@ -118,30 +118,38 @@ def read_recording(path: Path) -> PlcRecording:
     events: list[EventRow] = []
     counts = {"missing": 0, "damaged": 0}
     expected = 1
-    for row in _rows(path, counts):
-        kind = row["k"]
-        if kind == "run":
-            clock = EmulatorClock(row["epoch"], row["monotonic"], row["speed"])
-            roundings = {name: (absolute, relative) for name, (absolute, relative) in row["roundings"].items()}
-            runs.append(Run(clock, row["device"], row["trace"], row["seed"], roundings))
-            expected = 1  # each process numbers its rows from 1
-        if not runs:
-            raise InputError(f"{path}: line 1: is no start of a run; give a file that the software PLC recorded")
-        counts["missing"] += row["n"] - expected
-        expected = row["n"] + 1
-        time = runs[-1].clock.at(row["t"])
-        if kind == "truth":
-            truth += [TruthRow(row["t"], time, row["version"], tag, value) for tag, value in row["values"].items()]
-        elif kind == "request":
-            requests.append(_request(row, time))
-        elif kind == "block":
-            blocks.append(_block(row, time))
-        elif kind == "frame":
-            data = None if row["data"] is None else bytes.fromhex(row["data"])
-            frames.append(FrameRow(row["t"], time, face=row["face"], sent=row["sent"], id=row["id"], data=data))
-        elif kind == "event":
-            detail = {key: value for key, value in row.items() if key not in ("k", "n", "t", "event")}
-            events.append(EventRow(row["t"], time, row["event"], detail))
+    for number, row in _rows(path, counts):
+        try:
+            kind = row["k"]
+            if kind == "run":
+                clock = EmulatorClock(row["epoch"], row["monotonic"], row["speed"])
+                roundings = {name: (absolute, relative) for name, (absolute, relative) in row["roundings"].items()}
+                runs.append(Run(clock, row["device"], row["trace"], row["seed"], roundings))
+                expected = 1  # each process numbers its rows from 1
+            if not runs:
+                raise InputError(f"{path}: line 1: is no start of a run; give a file that the software PLC recorded")
+            counts["missing"] += row["n"] - expected
+            expected = row["n"] + 1
+            time = runs[-1].clock.at(row["t"])
+            if kind == "truth":
+                truth += [TruthRow(row["t"], time, row["version"], tag, value) for tag, value in row["values"].items()]
+            elif kind == "request":
+                requests.append(_request(row, time))
+            elif kind == "block":
+                blocks.append(_block(row, time))
+            elif kind == "frame":
+                data = None if row["data"] is None else bytes.fromhex(row["data"])
+                frames.append(FrameRow(row["t"], time, face=row["face"], sent=row["sent"], id=row["id"], data=data))
+            elif kind == "event":
+                detail = {key: value for key, value in row.items() if key not in ("k", "n", "t", "event")}
+                events.append(EventRow(row["t"], time, row["event"], detail))
+        except InputError:
+            raise
+        except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            reason = f"{type(error).__name__}: {error}"
+            raise InputError(
+                f"{path}: line {number}: is no row that the software PLC wrote ({reason}); take it out"
+            ) from None
     return PlcRecording(
         runs=tuple(runs),
         truth=tuple(truth),
@@ -154,20 +162,19 @@ def read_recording(path: Path) -> PlcRecording:
     )
 
 
-def _rows(path: Path, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
-    for line in read_text(path, "a recording of the software PLC").split("\n"):
+def _rows(path: Path, counts: dict[str, int]) -> Iterator[tuple[int, dict[str, Any]]]:
+    for number, line in enumerate(read_text(path, "a recording of the software PLC").split("\n"), start=1):
         if not line:
             continue
         try:
             row = json.loads(line)
-        except json.JSONDecodeError:
+        except (ValueError, RecursionError):
             counts["damaged"] += 1  # a killed writer leaves half a line
             continue
-        if not isinstance(row, dict) or row.get("k") not in _KINDS:
-            raise InputError(
-                f"{path}: {line[:60]!r} is no row of a recording; give a file that the software PLC recorded"
-            )
-        yield row
+        if not (isinstance(row, dict) and isinstance(kind := row.get("k"), str) and kind in _KINDS):
+            reason = "is no row of a recording; give a file that the software PLC recorded"
+            raise InputError(f"{path}: line {number}: {line[:60]!r} {reason}")
+        yield number, row
 
 
 def _request(row: Mapping[str, Any], time: float) -> RequestRow:

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
+from drivers.supervision import Supervisor
 from gateway.store import audit as module
 from gateway.store.audit import AuditEntry, open_audit, read
-from gateway.supervision import Supervisor
 from tests.gateway.support import EPOCH
 
 

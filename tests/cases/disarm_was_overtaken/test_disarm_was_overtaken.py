@@ -6,17 +6,20 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from drivers.driver import BeforeSending, anyhow
 from gateway.machine.writing.arming import ArmingError, arm
 from gateway.machine.writing.writeback import Writer
-from gateway.store.audit import ARMED, CANCELLED, DISARMED, last_arming, open_audit, read
+from gateway.store.arming_rows import armings
+from gateway.store.audit import ARMED, CANCELLED, DISARMED, open_audit, read
 from tests.drivers.benches import Bench
 from tests.drivers.test_contract import BENCHES
 from tests.gateway.test_writeback import CLOCK, USABLE, Wire, armed, scan
 from tests.rig.disarms import disarmed_at_random
 
 MOMENTS, SPAN_S = 25, 0.02
+KEY = Ed25519PrivateKey.generate()
 
 
 class SlowWire(Wire):
@@ -73,12 +76,12 @@ async def test_who_arms_while_somebody_disarms_is_refused_and_a_restart_knows_it
     offer = asyncio.create_task(writer.offer(scan(), {}, USABLE))
     await wire.waiting.wait()
     # One arms and is stored, the other disarms meanwhile; a third comes while that is under way.
-    arming = asyncio.create_task(arm(writer, wire, by="Cai", reason="at once", minutes=5))  # type: ignore[arg-type]
+    arming = asyncio.create_task(arm(writer, wire, by="Cai", reason="at once", minutes=5, key=KEY))  # type: ignore[arg-type]
     await asyncio.sleep(0)
     disarming = asyncio.create_task(writer.disarm(CLOCK.now(), "Bea", "enough", scan=scan()))
     await asyncio.sleep(0)
     with pytest.raises(ArmingError, match="being disarmed at this moment"):
-        await arm(writer, wire, by="Dan", reason="at once", minutes=5)  # type: ignore[arg-type]
+        await arm(writer, wire, by="Dan", reason="at once", minutes=5, key=KEY)  # type: ignore[arg-type]
     wire.go.set()
     with pytest.raises(ArmingError, match="disarmed meanwhile"):
         await arming
@@ -88,8 +91,7 @@ async def test_who_arms_while_somebody_disarms_is_refused_and_a_restart_knows_it
     assert writer.audit.close()
     kinds = [row.entry.kind for row in read(writer.audit.path) if row.entry.kind in (ARMED, DISARMED, CANCELLED)]
     assert sorted(kinds) == sorted([ARMED, DISARMED, CANCELLED])
-    newest = last_arming(writer.audit.path)
-    assert newest is not None and newest.entry.kind == DISARMED
+    assert [row.entry.kind for row in armings(writer.audit.path)] == [DISARMED]
 
 
 async def test_a_disarming_whose_client_goes_away_is_carried_to_its_end() -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from gateway.machine.writing.arming import arm_in_log, next_start, signed, uptime
-from gateway.store.audit import ARMED, EXPIRED, AuditEntry, Uptime, last_arming, open_audit, read, standing
+from gateway.store.arming_rows import Uptime, armings, standing
+from gateway.store.audit import ARMED, EXPIRED, AuditEntry, open_audit, read
 from tests.gateway.support import EPOCH, JumpClock, config_in, two_modes
 from tests.gateway.test_arming import SHADOW, bench_of, go
 
@@ -55,8 +56,7 @@ async def written(config: object, moment: float) -> bool:
 def test_between_restarts_the_machines_own_count_bounds_what_is_left(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW)
     arm_in_log(config.audit, signed("Ada", "run", 480, EPOCH), EPOCH)
-    row = last_arming(config.audit)
-    assert row is not None
+    row = next(armings(config.audit))
     begun = Uptime(row.entry.detail["boot"], row.entry.detail["uptime"])
     assert begun.boot, "this machine says which of its starts this is"
     # Six hours and forty minutes have passed; the clock was set back to a minute after the arming.

@@ -17,7 +17,8 @@ from gateway.machine.writing import places_of
 from gateway.plant.app import run
 from gateway.settings import Config, load_config
 from gateway.store import examine, open_historian
-from gateway.store.audit import ARMED, DISARMED, AuditEntry, AuditError, open_audit, read, standing, verify
+from gateway.store.arming_rows import given_words, standing
+from gateway.store.audit import ARMED, DISARMED, AuditEntry, AuditError, open_audit, read, verify
 from gateway.store.backup import MANIFEST, BackupError, _seal, read_manifest
 from tests.gateway.support import EPOCH, MAP, Bench, JumpClock, config_in, logged, two_modes
 
@@ -230,8 +231,9 @@ def test_an_audit_log_of_a_former_program_is_read_and_gone_on_with(tmp_path: Pat
     path = old_audit(tmp_path / "audit.sqlite")
     kept = verify(path)
     assert (kept.rows, kept.problem) == (4, "")
-    found = standing(path, EPOCH + 10.0)
-    assert found is not None and found.entry.kind == ARMED and found.entry.who == "Ada"
+    (found,) = given_words(path)
+    assert found.entry.kind == ARMED and found.entry.who == "Ada"
+    assert standing(path, EPOCH + 10.0) is None, "no former program confirmed an arming: it has to be given again"
     audit = open_audit(path)
     assert audit.record(AuditEntry(EPOCH + 20.0, DISARMED, "Bea", "enough"))
     audit.close()

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
+from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample, Tag
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
 from gateway.store.historian import Historian, open_historian
 from gateway.store.read_back import samples, to_trace
-from gateway.supervision import Supervisor
 from tests.gateway.support import EPOCH
 
 TAGS = (Tag("Count", "holding:1"), Tag("T", "holding:5"))

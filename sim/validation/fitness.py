@@ -1,16 +1,16 @@
-"""Which models are fit for deployment, and why not: a table of criteria with limits, judged on campaign results."""
+"""May I use this model: fit, limited or unfit, by a table of criteria with limits, judged on campaign results."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from math import isfinite, nan
 from typing import Literal
 
-from sim.sha import DEGREES, Model, Trace, joint_hash, shown_unit
-from sim.validation import TraceResult
+from sim.sha import DEGREES, shown_unit
+from sim.validation.results import TraceResult
+from sim.validation.seen import TRAINED_ON
 
-Verdict = Literal["fit", "unfit", "open"]
-Seen = Literal["content", "name"]
-"""Why a trace counts as one that the model was trained on: proven by its content, or only by its name."""
+Fitness = Literal["fit", "limited", "unfit"]
+"""The one answer to "may I use this model": yes; yes, but not where something is not known; no."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +68,19 @@ class Facts:
     synthetic: bool | None = None
     verified: bool | None = None
     gate: str = ""
-    seen: Mapping[str, Seen] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One criterion: kept, not kept, or None where nothing is known; `sentence` says by which figure."""
+    """One criterion: kept, not kept, or None where nothing is known; `sentence` says by which figure.
+
+    `next_step` says what to do about it; empty for a criterion that is kept.
+    """
 
     criterion: str
     kept: bool | None
     sentence: str
+    next_step: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,31 +96,43 @@ class Case:
 def judge(results: Sequence[TraceResult], facts: Facts, limits: FitnessLimits) -> tuple[Finding, ...]:
     """All criteria for one model, in the order of the table."""
     # What was not trained on, where there is any: errors in sample flatter. Failures count by criteria of their own.
-    fresh = [result for result in results if result.trace not in facts.seen]
+    fresh = [result for result in results if result.seen not in TRAINED_ON]
     done = [result for result in fresh or results if not result.failure]
     case = Case(results, done, facts, limits)
-    return tuple(Finding(name, *criterion(case)) for name, criterion in CRITERIA.items())
+    findings = []
+    for name, (criterion, next_step) in CRITERIA.items():
+        kept, sentence = criterion(case)
+        findings.append(Finding(name, kept, sentence, "" if kept else next_step))
+    return tuple(findings)
 
 
-def verdict(findings: Iterable[Finding]) -> Verdict:
-    """ "unfit" when one criterion is not kept, "open" when one could not be looked at, else "fit"."""
+def findings_of(results: Sequence[TraceResult], facts: Mapping[str, Facts]) -> dict[str, tuple[Finding, ...]]:
+    """The criteria for one model under each of its semantics; `facts` are by semantics, "" for all others."""
+    by_semantics: dict[str, list[TraceResult]] = {}
+    for result in results:
+        by_semantics.setdefault(result.semantics, []).append(result)
+    unknown = facts.get("", Facts())
+    return {name: judge(own, facts.get(name, unknown), FitnessLimits()) for name, own in by_semantics.items()}
+
+
+def fitness(findings: Iterable[Finding]) -> Fitness:
+    """ "unfit" when one criterion is not kept, "limited" when one could not be looked at, else "fit"."""
     kept = {finding.kept for finding in findings}
-    return "unfit" if False in kept else "open" if None in kept else "fit"
+    return "unfit" if False in kept else "limited" if None in kept else "fit"
 
 
-def seen_traces(model: Model, traces: Sequence[Trace]) -> dict[str, Seen]:
-    """Which of the traces the model was trained on.
+def why(findings: Sequence[Finding]) -> str:
+    """Why a model is limited or unfit and what to do next, of the gravest criteria alone; "" for one that is fit."""
+    word = fitness(findings)
+    worst = [finding for finding in findings if finding.kept is (False if word == "unfit" else None)]
+    where = "; ".join(finding.sentence for finding in worst)
+    return f"{where}; next: {'; '.join(finding.next_step for finding in worst)}" if worst else ""
 
-    A model keeps one hash over all its training traces, so content proves it where the traces with known names, all
-    traces, or one of them alone, have that hash; otherwise a known name is a warning, since its content may differ.
-    """
-    origin = model.provenance
-    named = [trace for trace in traces if trace.name in set(origin.traces)]
-    if origin.data_hash:
-        for group in (named, list(traces), *([trace] for trace in traces)):
-            if group and joint_hash(group) == origin.data_hash:
-                return {trace.name: "content" for trace in group}
-    return {trace.name: "name" for trace in named}
+
+def fitness_sentence(findings: Sequence[Finding]) -> str:
+    """The word with its reasons."""
+    reasons = why(findings)
+    return f"{fitness(findings)}{': ' if reasons else ''}{reasons}"
 
 
 Said = tuple[bool | None, str]
@@ -192,7 +207,9 @@ def _persistence(case: Case) -> Said:
 
 
 def _unseen(case: Case) -> Said:
-    count = sum(result.trace not in case.facts.seen for result in case.results)
+    count = sum(result.seen == "no" for result in case.results)
+    if not count and any(result.seen == "unknown" for result in case.results):
+        return None, "the model does not say which traces it was trained on"
     return count >= case.limits.unseen, f"{_traces(count)} that it was not trained on (at least {case.limits.unseen:g})"
 
 
@@ -204,18 +221,18 @@ def _from_plant(case: Case) -> Said:
     return case.limits.synthetic, "learned from synthetic traces" + (", which was allowed" * case.limits.synthetic)
 
 
-CRITERIA: Mapping[str, Callable[[Case], Said]] = {
-    "verified": _verified,
-    "passed": _passed,
-    "accepted": _accepted,
-    "clamps": _clamps,
-    "diverging": _diverging,
-    "coverage": _covered,
-    "persistence": _persistence,
-    "unseen": _unseen,
-    "from a plant": _from_plant,
+CRITERIA: Mapping[str, tuple[Callable[[Case], Said], str]] = {
+    "verified": (_verified, "see what `decanter model prove` refutes, and learn with another --method or flow"),
+    "passed": (_passed, "mend the traces that failed, or leave them out by name"),
+    "accepted": (_accepted, "learn with traces in which these events happen"),
+    "clamps": (_clamps, "learn with traces that reach these temperatures"),
+    "diverging": (_diverging, "look at that trace's picture: the sensor, or a cause that `decanter diagnose` names"),
+    "coverage": (_covered, "learn with more traces of the kind that it misses, or look at the sensor's noise"),
+    "persistence": (_persistence, "learn with more starts and stops; `decanter diagnose` names what is missing"),
+    "unseen": (_unseen, "validate along traces that it has not seen"),
+    "from a plant": (_from_plant, "learn from the plant's own traces"),
 }
-"""Every criterion by name: whether it is kept (None: not known), and in words by which figure."""
+"""Every criterion by name: whether it is kept (None: not known) with its figure, and the next step where it is not."""
 
 
 def _mean(values: Iterable[float]) -> float:
