@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 from contextlib import nullcontext, suppress
+from importlib import import_module
 from math import isfinite
 from pathlib import Path
 
@@ -50,6 +51,8 @@ def run(
     """
     if watch and quiet:
         raise click.UsageError("--watch and --quiet exclude each other: one shows what the other hides")
+    for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
+        import_module(room)
     clock = _clock(clock_text) if clock_text else None
     speed = clock.speed if clock else None
     with sentences():

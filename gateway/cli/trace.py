@@ -18,6 +18,13 @@ COMMANDS: Table = {
 }
 
 
-@click.group(cls=LazyGroup, table=COMMANDS)
+EXAMPLES = {
+    "can": "trace can trip.asc --device obd2 --out out/trip.csv",
+    "show": "trace show out/traces/cd8.csv",
+    "synth": "trace synth cd8 --out out/traces",
+}
+
+
+@click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES)
 def trace() -> None:
     """Make and look at traces."""
