@@ -112,6 +112,9 @@ FLOAT_SCALES: dict[float, float] = {
 }
 FLOAT_OFFSETS: dict[float, float] = {0.0: 0.985, -273.15: 0.01, 32.0: 0.001, -40.0: 0.001, -50.0: 0.001}
 
+GRAINS: dict[float, float] = {5.0: 0.03, 1.0: 0.12, 0.5: 0.07, 0.1: 0.2, 0.01: 0.08}
+"""To what a source rounds a number before it is stored as a float; the rest is not rounded. (Shares of all floats.)"""
+
 ZERO, ALL_ONES = 0.3, 0.02
 """How often a register that has nothing to do with the value is 0 (spare, a state without alarm), or 0xFFFF."""
 STANDS_STILL, REMAINS_EMPTY = 0.5, 0.97
