@@ -131,7 +131,8 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
     best = weighed[0].weight
     beliefs = [math.exp(row.weight - best) for row in weighed]
     others = sum(beliefs[1:]) + math.exp(chance - best)
-    if len(weighed) > 1 and weighed[1].exact == weighed[0].exact:
+    rivalled = len(weighed) > 1 and weighed[1].exact == weighed[0].exact
+    if rivalled:
         beliefs[0] = min(beliefs[0], others * MOST_BELIEVED / (1.0 - MOST_BELIEVED))
     total = beliefs[0] + others
     return [
@@ -142,7 +143,7 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
             scale=row.scale,
             offset=row.offset,
             weight=row.weight,
-            share=belief / total,
+            share=min(belief / total, MOST_BELIEVED) if rivalled else belief / total,
             exact=row.exact,
             values=row.values,
         )
