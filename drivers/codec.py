@@ -198,31 +198,31 @@ def _has_empty_end(tag: Tag, payload: bytes) -> bool:
     return (not any(rest) and any(top)) or (set(rest) == {0xFF} and top[0] >= 0x80 and top != b"\xff\xff")
 
 
-def _looks_swapped(tag: Tag, registers: Sequence[int]) -> str:
-    """ "; the words look swapped: as CDAB it reads 40.8" if another order makes a usual number of them.
+def other_order(tag: Tag, registers: Sequence[int], believed: Callable[[float], bool]) -> str:
+    """Say which other order makes a `believed` engineering value of the registers, the commonest first; "" if none.
 
-    "" if none does.
+    As "the words look swapped: as CDAB it reads 40.8".
     """
-    own = tag.order
-    orders = _SEVERAL_REGISTERS if len(registers) > 1 else _ONE_REGISTER
-    for order in orders if registers else ():
-        value = None if order is own else _in_order(replace(tag, order=order), registers)
-        if value is not None:
-            words = (own in _SWAPPED_WORDS) != (order in _SWAPPED_WORDS)
-            octets = (own in _SWAPPED_BYTES) != (order in _SWAPPED_BYTES)
-            swapped = " and ".join(name for name, differs in (("words", words), ("bytes", octets)) if differs)
-            return f"; the {swapped} look swapped: as {order} it reads {_short(value)}"
+    for order in _SEVERAL_REGISTERS if len(registers) > 1 else _ONE_REGISTER:
+        other = replace(tag, order=order)
+        words = reversed(registers) if _swaps_words(other) else registers
+        raw, _ = _RAW[tag.dtype](other, struct.pack(f"{_endian(other)}{len(registers)}H", *words))
+        value = math.nan if raw is None or order is tag.order else raw * tag.scale + tag.offset
+        if math.isfinite(value) and believed(value):
+            moved = {"words": _SWAPPED_WORDS, "bytes": _SWAPPED_BYTES}
+            swapped = " and ".join(name for name, orders in moved.items() if (tag.order in orders) != (order in orders))
+            return f"the {swapped} look swapped: as {order} it reads {_short(value)}"
     return ""
 
 
-def _in_order(tag: Tag, registers: Sequence[int]) -> float | None:
-    """The engineering value in the tag's order; None unless it is a usual number in the tag's range."""
-    words = reversed(registers) if _swaps_words(tag) else registers
-    raw, _ = _RAW[tag.dtype](tag, struct.pack(f"{_endian(tag)}{len(registers)}H", *words))
-    if raw is None or not (math.isfinite(raw) and _USUAL[0] <= abs(raw) <= _USUAL[1]):
-        return None
-    value = raw * tag.scale + tag.offset
-    return value if _broken_limit(tag, value) is None else None
+def _looks_swapped(tag: Tag, registers: Sequence[int]) -> str:
+    """What `other_order` says of usual numbers in the tag's range, to be added to a reason; "" if none."""
+    if not registers:
+        return ""
+    reason = other_order(
+        tag, registers, lambda value: _USUAL[0] <= abs(value) <= _USUAL[1] and _broken_limit(tag, value) is None
+    )
+    return reason and f"; {reason}"
 
 
 def _short(number: float) -> str:

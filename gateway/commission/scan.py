@@ -19,10 +19,12 @@ async def _with_bar(title: str, work: Callable[[Progress], Awaitable[CommandResu
         return await work(report)
 
 
-def _numbers(low: int, high: int) -> Callable[[click.Context, click.Parameter, str], list[int]]:
-    """A callback that reads `1-32`, `1,2,17` or both as numbers from `low` to `high`, each once."""
+def _numbers(low: int, high: int) -> Callable[[click.Context, click.Parameter, str | None], list[int] | None]:
+    """A callback that reads `1-32`, `1,2,17` or both as numbers from `low` to `high`, each once; None as it is."""
 
-    def read(_: click.Context, __: click.Parameter, text: str) -> list[int]:
+    def read(_: click.Context, __: click.Parameter, text: str | None) -> list[int] | None:
+        if text is None:
+            return None
         numbers: list[int] = []
         for part in text.split(","):
             first, dash, last = part.strip().partition("-")
@@ -39,10 +41,15 @@ def _numbers(low: int, high: int) -> Callable[[click.Context, click.Parameter, s
 
 
 @click.command(short_help="Which Modbus units answer behind this connection.")
-@click.option("--units", "numbers", default="1-247", show_default=True, callback=_numbers(0, 255), help="Which to ask.")
+@click.option(
+    "--units", "numbers", callback=_numbers(0, 255), help="Which to ask; 1-247 until 20 in a row are silent by default."
+)
 @link_options
-def units(given: SharedOptions, numbers: list[int]) -> None:
-    """Which Modbus units answer behind this connection: each is asked for one register, twice at most."""
+def units(given: SharedOptions, numbers: list[int] | None) -> None:
+    """Which Modbus units answer behind this connection: each is asked for one register, twice at most.
+
+    Without --units it ends after twenty silent ones in a row, and says so.
+    """
 
     def show(data: Mapping[str, Any]) -> None:
         rows = [(row["unit"], row["ms"], row["answer"], row["identity"]) for row in data["units"]]

@@ -3,6 +3,11 @@
 import re
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+_SLACK = 1e-9
+"""What binary fractions may add to an error, as a share of the value (of 1 at least)."""
 _SPACES = "'’ \u00a0\u202f"
 _NUMBER = re.compile(rf"([+-]?)([.,]?\d[\d.,{_SPACES}]*)")
 _STATES = {"on": True, "true": True, "yes": True, "off": False, "false": False, "no": False}
@@ -22,6 +27,19 @@ class ShownNumber:
     def __str__(self) -> str:
         decimals = max(0, len(f"{self.step:.9f}".rstrip("0").partition(".")[2]))
         return f"{self.value:.{decimals}f}"
+
+    def rounded_from(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which of the values the HMI shows like this if it rounds."""
+        return np.asarray(np.abs(values - self.value) <= 0.5 * self.step + self._slack)
+
+    def cut_from(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which of the values it shows like this if it cuts digits off, towards 0."""
+        towards_zero = (values - self.value) * (1.0 if self.value >= 0 else -1.0)
+        return np.asarray((towards_zero >= -self._slack) & (towards_zero < self.step + self._slack))
+
+    @property
+    def _slack(self) -> float:
+        return _SLACK * max(1.0, abs(self.value))
 
 
 def parse_shown(text: str) -> ShownNumber | bool:

@@ -40,7 +40,6 @@ ELSEWHERE = 0.05
 """How often a value lies nowhere near the address that was given, so that what fits there fits by chance."""
 MOST_BELIEVED = 0.9
 """The greatest share of belief as long as another encoding is as exact: neighbours are alike in ways not known here."""
-_SLACK = 1e-9
 _LOG_MIX = math.log(65536.0)
 
 
@@ -237,18 +236,14 @@ def _log_shown(values: Vector, shown: ShownNumber) -> tuple[Vector, NDArray[np.b
 
     With it, for each value, whether rounding or cutting alone explains the reading.
     """
-    step, slack = shown.step, _SLACK * max(1.0, abs(shown.value))
-    error = values - shown.value
+    step, error = shown.step, values - shown.value
     # The value moved between the HMI's refresh and the read: a Cauchy density, whose tails forgive a wide move.
     width = step + DRIFT * abs(shown.value)
     away = np.maximum(np.abs(error) - 0.5 * step, 0.0) / width
     logs = np.full(values.shape, -math.inf)
     # Few of all values are near, and what is rounded or cut is.
     near = np.flatnonzero(away < FARTHEST)
-    error, away = error[near], away[near]
-    rounded = np.abs(error) <= 0.5 * step + slack
-    towards_zero = error * (1.0 if shown.value >= 0 else -1.0)
-    cut = (towards_zero >= -slack) & (towards_zero < step + slack)
+    away, rounded, cut = away[near], shown.rounded_from(values[near]), shown.cut_from(values[near])
     moved = MOVED * step / (math.pi * width * (1.0 + away**2))
     logs[near] = np.log(ROUNDED * rounded + CUT * cut + moved)
     explained = np.zeros(values.shape, dtype=np.bool_)
@@ -274,10 +269,13 @@ def _log_background(words: Sequence[int], former: Sequence[int] | None, dtype: D
 
 
 def _stranger(word: int) -> float:
-    """Often 0, or 0xFFFF; else as likely any number as any order of magnitude."""
+    """Often 0, or 0xFFFF, or the high word of a float; else as likely any number as any order of magnitude."""
     if word == 0:
         return priors.ZERO
     if word == 0xFFFF:
         return priors.ALL_ONES
     size = min(word, 65536 - word)  # a small negative number is as likely as a small positive one
-    return (1.0 - priors.ZERO - priors.ALL_ONES) * (0.5 / 65536 + 0.25 / (size * (_LOG_MIX - math.log(2.0))))
+    any_number = 0.5 / 65536 + 0.25 / (size * (_LOG_MIX - math.log(2.0)))
+    low, high = priors.FLOAT_TOP
+    top = priors.FLOAT_TOPS / (2 * (high - low)) if low <= word & 0x7FFF < high else 0.0
+    return (1.0 - priors.ZERO - priors.ALL_ONES - priors.FLOAT_TOPS) * any_number + top

@@ -1,7 +1,7 @@
 """How readings come in and what each is worth: the clock, the scan, several links, quality."""
 
 from gateway.machine.reading.clock import Clock, PlantClock, plant_clock
-from gateway.machine.reading.link_health import LinkHealth
+from gateway.machine.reading.link_health import LinkHealth, kind_of
 from gateway.machine.reading.quality import STALE_PERIODS, QualityRules
 from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath, SwitchOver
 from gateway.machine.reading.scan import Scan, scans
@@ -17,6 +17,7 @@ __all__ = [
     "RedundantPath",
     "Scan",
     "SwitchOver",
+    "kind_of",
     "plant_clock",
     "scans",
 ]

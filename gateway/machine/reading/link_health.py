@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from structlog.typing import FilteringBoundLogger
 
+from drivers.tag import Quality
 from gateway.machine.reading.scan import Scan
 
 OUTAGES = 50
@@ -29,7 +30,7 @@ class Outage:
         }
 
 
-_MEASURED = re.compile(r"\d+\.\d+")
+_MEASURED = re.compile(r"-?\d+(\.\d+(e[+-]?\d+)?|e[+-]?\d+)")
 
 
 def reason_of(scan: Scan) -> str:
@@ -38,8 +39,8 @@ def reason_of(scan: Scan) -> str:
     return reasons.most_common(1)[0][0] if reasons else ""
 
 
-def _kind(reason: str) -> str:
-    """The reason without what is measured anew in each scan: seconds waited, seconds left."""
+def kind_of(reason: str) -> str:
+    """The reason without what is measured anew in each scan: seconds waited, seconds left, a value that cannot be."""
     return _MEASURED.sub("#", reason)
 
 
@@ -56,6 +57,7 @@ class LinkHealth:
     last_good: float | None = None
     outages: deque[Outage] = field(default_factory=lambda: deque(maxlen=OUTAGES))
     count: int = 0
+    garbled: set[str] = field(default_factory=set)
 
     def take(self, scan: Scan) -> None:
         """Take in whether the scan had a good reading; a change of that is logged."""
@@ -69,7 +71,16 @@ class LinkHealth:
             self.outages.append(Outage(self.last_good, scan.time))
             self.count += 1
             self.log.warning("no good reading any more", time=scan.time, reason=self.reason)
-        elif not good and _kind(self.reason) != _kind(before):
+        elif not good and kind_of(self.reason) != kind_of(before):
             # A device that connects and gives nothing has no outage to begin with: it is said at once, and by change.
             self.log.warning("no good reading", time=scan.time, reason=self.reason)
+        for name, sample in scan.samples.items():
+            # Said once, until the tag is good again: a wrong order stays so until somebody corrects it.
+            if sample.quality is Quality.DATA_ENCODING_INVALID and name not in self.garbled:
+                self.garbled.add(name)
+                self.log.warning(
+                    "a tag is not what it is configured as", tag=name, time=scan.time, reason=sample.reason
+                )
+            elif sample.quality.is_good:
+                self.garbled.discard(name)
         self.alive, self.last_good = good, scan.time if good else self.last_good
