@@ -51,8 +51,8 @@ def models(folder: Path) -> dict[str, Model]:
     both = side_by_side(learned, None)
     driven = tuple(_driven(location) for location in learned.sha.locations)
     return {
-        "own": both["own"],
-        "thesis": both["thesis"],
+        "carried": both["carried"],
+        "resampled": both["resampled"],
         "driven": replace(learned, sha=replace(learned.sha, locations=driven)),
         "limited": replace(learned, sha=replace(learned.sha, max_rate=RATE)),
     }
@@ -131,7 +131,9 @@ def long_trace(model: Model, rows: int) -> list[Figure]:
     trace = slim(Trace("long", 1.0 * np.arange(rows), signals, synthetic=True), model)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     begin = perf_counter()
-    outcome = run_job(TraceJob(label="own", semantics="own", model=model, trace=trace, settings=TraceRunSettings(RUNS)))
+    outcome = run_job(
+        TraceJob(label="carried", semantics="carried", model=model, trace=trace, settings=TraceRunSettings(RUNS))
+    )
     seconds = perf_counter() - begin
     after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     if outcome.result.failure:
@@ -147,7 +149,7 @@ def measure(folder: Path, *, repeats: int, count: int, runs: int, rows: int) -> 
     named = models(folder)
     traces = [scenario(name) for name in list(SCENARIOS)[:count]]
     figures, outcomes = speeds(jobs(named, traces, runs), repeats)
-    return [*figures, pictures(outcomes, folder / "pictures"), *long_trace(named["own"], rows)]
+    return [*figures, pictures(outcomes, folder / "pictures"), *long_trace(named["carried"], rows)]
 
 
 @click.command(help=__doc__)

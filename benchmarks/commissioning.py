@@ -85,7 +85,9 @@ class Walk:
             answers=answers,
         )
         self.commands += 1
-        name = " ".join(words[1:3] if words[1:2] and words[1] in ("scan", "write", "loop") else words[1:2])
+        name = " ".join(
+            words[1:3] if (words[1:2] and words[1] in ("scan", "test")) or words[2:3] == ["--write"] else words[1:2]
+        )
         self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - begun
         if code != expect:
             raise WalkError(f"decanter {' '.join(words)}: exit code {code} instead of {expect}; it said:\n{said}")
@@ -213,13 +215,13 @@ def _write(walked: Walk, *, conformance: bool) -> None:
     config = ("--config", "plant.toml")
     walked.note("The write-back: the PLC's programmer gets the function block, then the loop tests with the HMI.")
     walked.run("codegen", "--device", "devices/plant.toml", "--out", "out/decanter.st")
-    walked.run("write", "plan", *config)
-    walked.run("loop", "heartbeat", *config, expect=6)
+    walked.run("plan", "--write", *config)
+    walked.run("test", "heartbeat", *config, expect=6)
     walked.run("arm", "--reason", "commissioning of line 2", "--minutes", 30, *config)
-    walked.run("loop", "alarms", "--ask", *config, answers=walked.person.answers)
-    walked.run("loop", "heartbeat", *config)
+    walked.run("test", "alarms", "--ask", *config, answers=walked.person.answers)
+    walked.run("test", "heartbeat", *config)
     if conformance:
-        walked.run("conformance", "--ask", *config, answers=walked.person.answers)
+        walked.run("test", "conformance", "--ask", *config, answers=walked.person.answers)
 
 
 def _run_armed(walked: Walk) -> None:

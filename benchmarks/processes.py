@@ -81,7 +81,7 @@ def software_plc(folder: Path, speed: float = 1.0) -> Iterator[Plc]:
     """The software PLC at `speed` plant seconds a second, recording everything; it replays a synthetic run."""
     trace, recording = folder / "replay.csv", folder / "plc.jsonl"
     write_trace(scenario(REPLAYED), trace)
-    options = ["--map", MAP, "--trace", trace, "--offset", OFFSET, "--loop", "--record", recording, "--stdin"]
+    options = ["--device", MAP, "--trace", trace, "--offset", OFFSET, "--loop", "--record", recording, "--stdin"]
     options += ["--speed", speed]
     options += ["--cycle", CYCLE_S, "--writable", f"holding:{TEST_REGISTERS}-{TEST_REGISTERS + WRITTEN - 1}"]
     command = [sys.executable, "-m", "sim.plc", *map(str, options)]

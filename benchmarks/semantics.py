@@ -66,7 +66,7 @@ def skab(seed: int) -> Scores:
 
 def gain(scores: Scores, measure: str, seed: int) -> Paired:
     """(thesis - own) of one measure, paired by trace; above 0 where carrying the temperature is better."""
-    pairs = zip(scores["thesis"], scores["own"], strict=True)
+    pairs = zip(scores["resampled"], scores["carried"], strict=True)
     return paired([getattr(old, measure) - getattr(new, measure) for old, new in pairs], np.random.default_rng(seed))
 
 
@@ -74,7 +74,9 @@ def figures_of(what: str, scores: Scores, seed: int) -> list[Figure]:
     """Each measure of both semantics, and the gain with its interval."""
     figures = []
     for measure, name in MEASURES.items():
-        own, thesis = (float(np.mean([getattr(one, measure) for one in scores[kind]])) for kind in ("own", "thesis"))
+        own, thesis = (
+            float(np.mean([getattr(one, measure) for one in scores[kind]])) for kind in ("carried", "resampled")
+        )
         found = gain(scores, measure, seed)
         figures += [
             Figure(f"{what}: {name}, carried", own, "°C", "drawn on entry", thesis),
@@ -82,8 +84,8 @@ def figures_of(what: str, scores: Scores, seed: int) -> list[Figure]:
             Figure(f"{what}: gain in {name}, 95 % from", found.low, "°C"),
             Figure(f"{what}: gain in {name}, 95 % to", found.high, "°C"),
         ]
-    wins = sum(new.mae < old.mae for new, old in zip(scores["own"], scores["thesis"], strict=True))
-    return [*figures, Figure(f"{what}: carried is better (MAE)", wins, "traces", "of", len(scores["own"]))]
+    wins = sum(new.mae < old.mae for new, old in zip(scores["carried"], scores["resampled"], strict=True))
+    return [*figures, Figure(f"{what}: carried is better (MAE)", wins, "traces", "of", len(scores["carried"]))]
 
 
 @click.command(help=__doc__)

@@ -69,7 +69,7 @@ def make_unknown(folder: Path) -> Unknown:
 
 def start(unknown: Unknown) -> Plc:
     """The PLC as a process, its replay held, with the forbidden register; the caller ends it."""
-    options = ["--map", unknown.map, "--trace", unknown.trace, "--record", unknown.recording, "--cycle", CYCLE_S]
+    options = ["--device", unknown.map, "--trace", unknown.trace, "--record", unknown.recording, "--cycle", CYCLE_S]
     limits = ["--max-registers", LIMIT, "--max-clients", 1, "--loop", "--stdin"]
     plc = plc_process(*options, *limits)
     plc.order("pause")

@@ -10,10 +10,6 @@ COMMANDS: Table = {
         "Run the main job end to end on this machine: PLC, gateway, outage, summary, picture.",
     ),
     "run": ("gateway.cli.run:run", "Run the gateway with a configuration file."),
-    "check": (
-        "gateway.cli.check:check",
-        "Check a configuration, its register map and its model; with --connect the PLC too.",
-    ),
     "emulate": (
         "gateway.cli.emulate:emulate",
         "Start the software PLC, which replays a trace, as a process of its own.",
@@ -34,7 +30,12 @@ COMMANDS: Table = {
 }
 
 
-@click.group(cls=LazyGroup, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
+RENAMED = {"check": "`decanter plc check --offline` for the files alone, `decanter plc check` for the PLC too"}
+
+
+@click.group(
+    "decanter", cls=LazyGroup, table=COMMANDS, renamed=RENAMED, context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(package_name="decanter-gateway")
 @click.option("--traceback", is_flag=True, help="Show where in the program an error arose.")
 def main(traceback: bool) -> None:

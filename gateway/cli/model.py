@@ -18,7 +18,7 @@ COMMANDS: Table = {
         "gateway.lab.validate:validate",
         "Validate models along measured traces in nine stages; write a report for each.",
     ),
-    "verify": ("gateway.lab.verify:verify", "Prove or refute what a model can do; say whether it may be deployed."),
+    "prove": ("gateway.lab.prove:prove", "Prove or refute what a model can do; say whether it may be deployed."),
     "promote": ("gateway.lab.promote:promote", "Make a version of a store current, if its model verifies."),
     "rank": ("gateway.lab.rank:rank", "Compare models on the same traces; say which are fit for deployment."),
     "tune": ("gateway.lab.tune:tune", "Search a learning method's best settings by cross-validation over traces."),
@@ -27,7 +27,10 @@ COMMANDS: Table = {
 
 
 @click.group(
-    cls=LazyGroup, table=COMMANDS, short_help="The model laboratory: learn, validate, check and export models."
+    cls=LazyGroup,
+    table=COMMANDS,
+    renamed={"verify": "`decanter model prove` (`decanter plc verify` compares tags with the HMI)"},
+    short_help="The model laboratory: learn, validate, check and export models.",
 )
 def model() -> None:
     """Learn, look at, validate and check models."""

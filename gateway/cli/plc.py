@@ -10,7 +10,7 @@ COMMANDS: Table = {
         "Look at this machine before the plant: clock, network, ports, files.",
     ),
     "probe": ("gateway.commission.probe:probe", "Is the device there, does it speak, and who is it?"),
-    "scan": ("gateway.cli.plc:scan", "Look for units, nodes, CAN frames, or readable registers."),
+    "scan": ("gateway.commission.scan:scan", "Look for units, nodes, CAN frames, or readable registers."),
     "read": ("gateway.commission.read:read", "Read tags or bare addresses: raw words and values side by side."),
     "guess": (
         "gateway.commission.guess:guess",
@@ -28,7 +28,7 @@ COMMANDS: Table = {
     "check": ("gateway.commission.check:check", "Check the configuration, and with the device every tag of it."),
     "plan": (
         "gateway.commission.plan:plan",
-        "The requests of one scan, and their longest time against the period.",
+        "The requests of one scan, and their longest time; with --write what would be written.",
     ),
     "verify": (
         "gateway.commission.verify:verify",
@@ -42,13 +42,11 @@ COMMANDS: Table = {
         "gateway.commission.writeback.codegen:codegen",
         "Generate the PLC's side of the write-back as Structured Text.",
     ),
-    "write": ("gateway.cli.plc:write", "What would be written to the PLC; nothing is sent."),
     "arm": ("gateway.commission.writeback.arm:arm", "Let blocks be written: by whom, why and for how many minutes."),
     "disarm": ("gateway.commission.writeback.arm:disarm", "Take the arming back."),
-    "loop": ("gateway.cli.plc:loop", "Loop tests of alarm bits and heartbeats; needs an arming."),
-    "conformance": (
-        "gateway.commission.writeback.conformance:conformance",
-        "Put the PLC's side of the contract through its suite.",
+    "test": (
+        "gateway.commission.writeback.test:test",
+        "Test the PLC's side: alarm bits, heartbeats, the contract; needs an arming.",
     ),
     "audit": ("gateway.commission.writeback.audit:audit", "Show and verify the audit log."),
     "report": ("gateway.commission.report:report", "Make or verify the site acceptance report: page, paper, JSON."),
@@ -56,7 +54,19 @@ COMMANDS: Table = {
 }
 
 
-@click.group(cls=LazyGroup, table=COMMANDS, short_help="Commission a PLC: probe, scan, read, guess, bind, verify, arm.")
+RENAMED = {
+    "write": "`decanter plc plan --write`",
+    "loop": "`decanter plc test alarms` and `decanter plc test heartbeat`",
+    "conformance": "`decanter plc test conformance`",
+}
+
+
+@click.group(
+    cls=LazyGroup,
+    table=COMMANDS,
+    renamed=RENAMED,
+    short_help="Commission a PLC: probe, scan, read, guess, bind, verify, arm.",
+)
 def plc() -> None:
     """Commission a PLC: look, read, understand, bind, verify. Nothing is written unless armed.
 
@@ -64,38 +74,4 @@ def plc() -> None:
 
     Exit codes: 0 in order, 1 a check failed, 2 wrong usage or input, 3 cannot connect, 4 the device refused, 5 no
     reply in time, 6 not armed.
-    """
-
-
-SCANS: Table = {
-    "units": ("gateway.commission.scan:units", "Which Modbus units answer behind this connection."),
-    "nodes": ("gateway.commission.scan:nodes", "Which CANopen nodes are on this bus."),
-    "can": ("gateway.commission.scan:can", "Which frames are on this CAN bus; nothing is sent."),
-    "registers": ("gateway.commission.scan:registers", "Which registers can be read, and how many at once."),
-}
-WRITES: Table = {
-    "plan": ("gateway.commission.writeback.write:plan", "What the gateway would write, word by word; nothing is sent."),
-}
-LOOPS: Table = {
-    "alarms": ("gateway.commission.writeback.loop:alarms", "Each alarm bit through to the HMI, one after another."),
-    "heartbeat": ("gateway.commission.writeback.loop:heartbeat", "Both heartbeats, and the PLC's timer."),
-}
-
-
-@click.group(cls=LazyGroup, table=SCANS)
-def scan() -> None:
-    """Look for units, nodes, CAN frames, or readable registers."""
-
-
-@click.group(cls=LazyGroup, table=WRITES, short_help="What would be written to the PLC; nothing is sent.")
-def write() -> None:
-    """What would be written."""
-
-
-@click.group(cls=LazyGroup, table=LOOPS, short_help="Loop tests of alarm bits and heartbeats; needs an arming.")
-def loop() -> None:
-    """Loop tests of the write-back. They write, so they need an arming (decanter plc arm).
-
-    Their blocks have validity 0, and the last one takes everything back; only the test of the PLC's timer needs a block
-    that is valid, with a probability of 0 and no other number in it.
     """

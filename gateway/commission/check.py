@@ -2,7 +2,8 @@
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import click
@@ -20,6 +21,7 @@ from gateway.commission.session import (
     device_of,
     failed,
     link_options,
+    make_target,
     ok,
     perform,
     period_of,
@@ -28,23 +30,48 @@ from gateway.commission.session import (
     warning,
     words_of,
 )
-from gateway.commission.writeback.write import problems_of
-from gateway.entry import Exit
+from gateway.commission.writeback.write_plan import problems_of
+from gateway.entry import Exit, exit_code
 from gateway.machine.model import load_model
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})
 _DEAD = frozenset({Quality.NOT_CONNECTED, Quality.COMMUNICATION_ERROR, Quality.NO_COMMUNICATION, Quality.TIMEOUT})
 
 
-async def check_configuration(site: Site, *, offline: bool) -> CommandResult:
-    """Every step, each with its sentence; with `offline` the device is not asked."""
-    steps = [*_files(site), *_places(site), *_model(site), *_contract(site)]
+async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> CommandResult:
+    """Every step, each with its sentence; with `offline` no device is asked.
+
+    `sites` are the device over each of its links, by the links' names.
+    """
+    first = next(iter(sites.values()))
+    steps = [*_files(first), *_model(first), *_contract(first)]
     rows: list[dict[str, Any]] = []
-    if not offline and not any(step.state == "failed" for step in steps[:1]):
-        rows = await _readings(site, steps)
+    absent: list[DriverError] = []
+    for name, site in sites.items():
+        own = _places(site)
+        if not offline and steps[0].state != "failed":
+            try:
+                rows += [{"link": name, **row} for row in await _readings(site, own)]
+            except DriverError as error:
+                absent.append(error)
+                own.append(failed("reading", str(error)))
+                gone = {"value": None, "quality": Quality.NOT_CONNECTED.name, "reason": str(error)}
+                rows += [{"link": name, "tag": tag.name, **gone} for tag in site.target.tags]
+        of_link = f"link {name!r}: " if len(sites) > 1 else ""
+        steps += [replace(step, sentence=of_link + step.sentence) for step in own]
     code, complaint = verdict(steps)
+    if len(absent) == len(sites):
+        # The device's absence is said rather than what fails because of it.
+        code = exit_code(absent[0])
+        complaint = f"{absent[0]}; is the PLC there? Give --host and --port, or start one: decanter emulate"
     warnings = [step.sentence for step in steps if step.state == "warning"]
-    data = {"steps": [step.plain() for step in steps], "readings": rows, "open_points": warnings}
+    data = {
+        "links": {name: site.target.place for name, site in sites.items()},
+        "tags": len(device_of(first).tags),
+        "steps": [step.plain() for step in steps],
+        "readings": rows,
+        "open_points": warnings,
+    }
     return CommandResult(data, code, complaint)
 
 
@@ -162,4 +189,13 @@ async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
 @link_options
 def check(given: SharedOptions, offline: bool) -> None:
     """Check files, places, limits, model and write-back contract; then read every tag, and see the heartbeat move."""
-    perform(given, "check", {"offline": offline}, lambda site: check_configuration(site, offline=offline), show_steps)
+
+    async def work(site: Site) -> CommandResult:
+        sites = {site.target.kind: site}
+        if site.target.config is not None and given.link is None:
+            links = site.target.config.links
+            others = {link.name: replace(site, target=make_target(given.plant, link=link.name)) for link in links[1:]}
+            sites = {links[0].name: site, **others}
+        return await check_configuration(sites, offline=offline)
+
+    perform(given, "check", {"offline": offline}, work, show_steps)

@@ -1,8 +1,9 @@
-"""`decanter plc plan`: the requests of one scan, and their longest time against the period; nothing is sent."""
+"""`decanter plc plan`: the requests of one scan and their longest time, or what would be written; nothing is sent."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
 from math import ceil
+from pathlib import Path
 from typing import Any
 
 import click
@@ -13,6 +14,8 @@ from gateway.commission.session import (
     CommandResult,
     SharedOptions,
     Site,
+    audit_option,
+    audit_path,
     device_of,
     link_options,
     perform,
@@ -20,6 +23,7 @@ from gateway.commission.session import (
     words_of,
 )
 from gateway.commission.survey import parse_register, reference_of
+from gateway.commission.writeback.write_plan import plan_writing, show_writing
 from gateway.console import table
 
 
@@ -79,15 +83,32 @@ def _reference(place: str, count: int) -> str:
     return f"{first}-{parse_register(place).moved(count - 1).reference}" if first and count > 1 else first
 
 
-@click.command(short_help="The requests of one scan, and their longest time against the period.")
+@click.command(short_help="The requests of one scan, and their longest time; with --write what would be written.")
 @click.option("--period", type=click.FloatRange(0.01), help="Seconds between two scans.  [default: the plant file's]")
+@click.option("--write", is_flag=True, help="What the gateway would write instead, word by word, and what is missing.")
+@audit_option
 @link_options
-def plan(given: SharedOptions, period: float | None) -> None:
+def plan(given: SharedOptions, period: float | None, write: bool, audit: Path | None) -> None:
     """The requests of one scan, and the longest time that they can take against the period; nothing is sent.
 
     The worst case is every request answered only just within its deadline, and the write-back's own requests besides.
+    With --write it shows what the gateway would write, and by which rules; that is not sent either.
     """
-    perform(given, "plan", {"period": period}, lambda site: plan_scan(site, period), _show)
+    if write and period is not None:
+        raise click.UsageError("--period is for the plan of a scan, not for --write")
+    if audit is not None and not write:
+        raise click.UsageError("--audit is for --write")
+
+    async def scan(site: Site) -> CommandResult:
+        return await plan_scan(site, period)
+
+    async def writing(site: Site) -> CommandResult:
+        return await plan_writing(site, audit_path(audit, given, site.target))
+
+    if write:
+        perform(given, "plan --write", {}, writing, show_writing)
+    else:
+        perform(given, "plan", {"period": period}, scan, _show)
 
 
 def _show(data: Mapping[str, Any]) -> None:

@@ -1,145 +1,135 @@
 """`decanter plc scan`: who is there, and what can be read."""
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import click
 
+from drivers.capabilities import Capabilities
 from gateway.commission.session import CommandResult, SharedOptions, Site, link_options, make_target, perform
 from gateway.commission.survey import parse_stretch, scan_can, scan_nodes, scan_registers, scan_units
-from gateway.console import progress, table
+from gateway.console import progress, renamed_option, table
 from gateway.entry import sentences
 
-Progress = Callable[[str, float], None]
+
+def numbers(text: str, low: int, high: int) -> list[int]:
+    """`1-32`, `1,2,17` or both as numbers from `low` to `high`, each once. Raises click.BadParameter."""
+    found: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        try:
+            span = range(int(first), int(last if dash else first) + 1)
+        except ValueError:
+            span = range(0)  # refused below, as an empty or a reversed span is
+        if not span or span[0] < low or span[-1] > high:
+            raise click.BadParameter(f"{part!r}: give numbers from {low} to {high}, such as 1-32 or 1,2,17")
+        found += [number for number in span if number not in found]
+    return found
 
 
-async def _with_bar(title: str, work: Callable[[Progress], Awaitable[CommandResult]]) -> CommandResult:
-    """The work with a bar on a terminal, which is gone before anything is printed."""
-    with progress(title) as report:
-        return await work(report)
+@dataclass(frozen=True, slots=True)
+class ScanKind:
+    """What can be looked for: `offered` by a device's capabilities or refused with `sentence`, `options` its own."""
+
+    offered: Callable[[Capabilities], bool]
+    sentence: str
+    show: Callable[[Mapping[str, Any]], None]
+    options: tuple[str, ...] = ()
 
 
-def _numbers(low: int, high: int) -> Callable[[click.Context, click.Parameter, str | None], list[int] | None]:
-    """A callback that reads `1-32`, `1,2,17` or both as numbers from `low` to `high`, each once; None as it is."""
-
-    def read(_: click.Context, __: click.Parameter, text: str | None) -> list[int] | None:
-        if text is None:
-            return None
-        numbers: list[int] = []
-        for part in text.split(","):
-            first, dash, last = part.strip().partition("-")
-            try:
-                span = range(int(first), int(last if dash else first) + 1)
-            except ValueError:
-                span = range(0)  # refused below, as an empty or a reversed span is
-            if not span or span[0] < low or span[-1] > high:
-                raise click.BadParameter(f"{part!r}: give numbers from {low} to {high}, such as 1-32 or 1,2,17")
-            numbers += [number for number in span if number not in numbers]
-        return numbers
-
-    return read
+def _show_units(data: Mapping[str, Any]) -> None:
+    rows = [(row["unit"], row["ms"], row["answer"], row["identity"]) for row in data["units"]]
+    table(f"{len(rows)} of {data['asked']} units answer", ("unit", "ms", "answer", "identity"), rows)
 
 
-@click.command(short_help="Which Modbus units answer behind this connection.")
-@click.option(
-    "--units", "numbers", callback=_numbers(0, 255), help="Which to ask; 1-247 until 20 in a row are silent by default."
-)
+def _show_nodes(data: Mapping[str, Any]) -> None:
+    keys = list(dict.fromkeys(key for row in data["nodes"] for key in row))
+    rows = [[row.get(key, "") for key in keys] for row in data["nodes"]]
+    table(f"{len(rows)} of {data['asked']} nodes", keys, rows)
+
+
+def _show_frames(data: Mapping[str, Any]) -> None:
+    load = f", {data['load_percent']:.1f} % of the bus at most" if "load_percent" in data else ""
+    rows = [["" if cell is None else cell for cell in row.values()] for row in data["ids"]]
+    title = f"{data['heard']} frames in {data['seconds']:g} s{load}"
+    table(title, list(data["ids"][0]) if rows else ["id"], rows)
+
+
+def _show_registers(data: Mapping[str, Any]) -> None:
+    keys = ("first", "last", "reference", "count")
+    states = ("readable", "refused", "unknown")
+    rows = [(state, *(row[key] for key in keys)) for state in states for row in data[state]]
+    rows.sort(key=lambda row: int(row[1].partition(":")[2]))
+    table(f"{data['requests']} requests", ("state", "from", "to", "reference", "count"), rows)
+    longer = f"; {data['too_long']} are refused" if data["too_long"] else " (no longer range to try, or no limit)"
+    click.echo(f"largest block: {data['largest_block']}{longer}")
+    if data["seams"]:
+        click.echo(f"not read across: {', '.join(data['seams'])}")
+    if data["refusals"]:
+        click.echo("refusals: " + ", ".join(f"{count} {reason}" for reason, count in data["refusals"].items()))
+
+
+KINDS: dict[str, ScanKind] = {
+    "units": ScanKind(lambda own: own.units, "units are Modbus's", _show_units),
+    "nodes": ScanKind(lambda own: own.nodes, "nodes are CANopen's", _show_nodes, ("listen_only",)),
+    "frames": ScanKind(lambda own: own.bus, "frames by identifier are a CAN bus's", _show_frames, ("seconds",)),
+    "registers": ScanKind(lambda own: own.registers, "registers are Modbus's", _show_registers, ("requests",)),
+}
+
+
+@click.command(short_help="Look for units, nodes, CAN frames, or readable registers.")
+@click.argument("what", type=click.Choice(list(KINDS)))
+@click.argument("stretch", required=False, metavar="[RANGE]")
+@click.option("--requests", type=click.IntRange(1), help="registers: the most requests to send.  [default: 3000]")
+@click.option("--seconds", type=click.FloatRange(0.1, 3600), help="frames: how long to listen.  [default: 5]")
+@click.option("--listen-only", is_flag=True, default=None, help="nodes: send nothing, only hear their heartbeats.")
+@renamed_option("--units", "give them as RANGE, `decanter plc scan units 1-32`")
+@renamed_option("--nodes", "give them as RANGE, `decanter plc scan nodes 1-32`")
 @link_options
-def units(given: SharedOptions, numbers: list[int] | None) -> None:
-    """Which Modbus units answer behind this connection: each is asked for one register, twice at most.
+def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -> None:
+    """Look for what is there: units, nodes, frames or registers, within RANGE. Nothing is written.
 
-    Without --units it ends after twenty silent ones in a row, and says so.
+    units: which Modbus units answer behind this connection (1-247, without RANGE until twenty in a row are silent);
+    each is asked for one register, twice at most.
+    nodes: which CANopen nodes are on this bus (1-127), by their heartbeats and by their answers to SDO requests.
+    frames: which frames are on this CAN bus, how often, and what they may be; nothing is sent.
+    registers: which of holding:0-999, or 40001-41000, can be read, and how many at once. Blocks are asked first,
+    refused ones are cut in halves; what the bound on requests leaves unasked is said.
     """
-
-    def show(data: Mapping[str, Any]) -> None:
-        rows = [(row["unit"], row["ms"], row["answer"], row["identity"]) for row in data["units"]]
-        table(f"{len(rows)} of {data['asked']} units answer", ("unit", "ms", "answer", "identity"), rows)
-
-    def work(site: Site) -> Awaitable[CommandResult]:
-        return _with_bar("units", lambda report: scan_units(site, numbers, report))
-
-    _only(given, "units", "units are Modbus's")
-    perform(given, "scan units", {"units": numbers}, work, show)
-
-
-@click.command(short_help="Which CANopen nodes are on this bus.")
-@click.option("--nodes", "numbers", default="1-127", show_default=True, callback=_numbers(1, 127), help="Which to ask.")
-@click.option("--listen-only", is_flag=True, help="Send nothing: only the nodes that have a heartbeat are found.")
-@link_options
-def nodes(given: SharedOptions, numbers: list[int], listen_only: bool) -> None:
-    """Which CANopen nodes are on this bus: by their heartbeats, and by their answers to SDO requests."""
-
-    def show(data: Mapping[str, Any]) -> None:
-        keys = list(dict.fromkeys(key for row in data["nodes"] for key in row))
-        rows = [[row.get(key, "") for key in keys] for row in data["nodes"]]
-        table(f"{len(rows)} of {data['asked']} nodes", keys, rows)
-
-    def work(site: Site) -> Awaitable[CommandResult]:
-        return _with_bar("nodes", lambda report: scan_nodes(site, numbers, report, listen_only=listen_only))
-
-    _only(given, "nodes", "nodes are CANopen's")
-    perform(given, "scan nodes", {"nodes": numbers, "listen_only": listen_only}, work, show)
-
-
-@click.command(short_help="Which frames are on this CAN bus; nothing is sent.")
-@click.option("--seconds", type=click.FloatRange(0.1, 3600), default=5.0, show_default=True, help="How long to listen.")
-@link_options
-def can(given: SharedOptions, seconds: float) -> None:
-    """Which frames are on this CAN bus, how often, and what they may be; nothing is sent."""
-
-    def show(data: Mapping[str, Any]) -> None:
-        load = f", {data['load_percent']:.1f} % of the bus at most" if "load_percent" in data else ""
-        rows = [["" if cell is None else cell for cell in row.values()] for row in data["ids"]]
-        title = f"{data['heard']} frames in {data['seconds']:g} s{load}"
-        table(title, list(data["ids"][0]) if rows else ["id"], rows)
-
-    def work(site: Site) -> Awaitable[CommandResult]:
-        return _with_bar("listening", lambda report: scan_can(site, seconds))
-
-    _only(given, "can", "frames by identifier are a CAN bus's")
-    perform(given, "scan can", {"seconds": seconds}, work, show)
-
-
-@click.command(short_help="Which registers can be read, and how many at once.")
-@click.argument("stretch", default="holding:0-999")
-@click.option("--requests", type=click.IntRange(1), default=3000, show_default=True, help="The most requests to send.")
-@link_options
-def registers(given: SharedOptions, stretch: str, requests: int) -> None:
-    """Which registers of STRETCH (holding:0-999, or 40001-41000) can be read, and how many at once.
-
-    Blocks are asked first; refused ones are cut in halves. It reads only, and every answer counts: what the bound on
-    requests leaves unasked is said.
-    """
+    kind = KINDS[what]
+    options = {name: value for name, value in options.items() if value is not None}
+    if foreign := [name for name in options if name not in kind.options]:
+        owner = next(other for other, each in KINDS.items() if foreign[0] in each.options)
+        raise click.UsageError(f"--{foreign[0].replace('_', '-')} is for {owner}, not for {what}")
+    if what == "frames" and stretch is not None:
+        raise click.UsageError(f"{stretch!r}: frames have no RANGE; every one that is heard is listed")
     with sentences():
-        first, count = parse_stretch(stretch)
-
-    def show(data: Mapping[str, Any]) -> None:
-        keys = ("first", "last", "reference", "count")
-        states = ("readable", "refused", "unknown")
-        rows = [(state, *(row[key] for key in keys)) for state in states for row in data[state]]
-        rows.sort(key=lambda row: int(row[1].partition(":")[2]))
-        table(f"{data['requests']} requests", ("state", "from", "to", "reference", "count"), rows)
-        longer = f"; {data['too_long']} are refused" if data["too_long"] else " (no longer range to try, or no limit)"
-        click.echo(f"largest block: {data['largest_block']}{longer}")
-        if data["seams"]:
-            click.echo(f"not read across: {', '.join(data['seams'])}")
-        if data["refusals"]:
-            click.echo("refusals: " + ", ".join(f"{count} {reason}" for reason, count in data["refusals"].items()))
-
-    def work(site: Site) -> Awaitable[CommandResult]:
-        return _with_bar("registers", lambda report: scan_registers(site, first, count, requests, report))
-
-    _only(given, "registers", "registers are Modbus's")
-    perform(given, "scan registers", {"stretch": stretch, "requests": requests}, work, show)
-
-
-def _only(given: SharedOptions, command: str, sentence: str) -> None:
-    """Refuse a link that does not have the notion, with what its device has; what is not found `perform` says."""
-    with sentences():
+        arguments: dict[str, Any]
+        if what == "units":
+            arguments = {"units": numbers(stretch, 0, 255) if stretch else None}
+        elif what == "nodes":
+            arguments = {"nodes": numbers(stretch or "1-127", 1, 127), "listen_only": bool(options.get("listen_only"))}
+        elif what == "frames":
+            arguments = {"seconds": options.get("seconds", 5.0)}
+        else:
+            arguments = {"stretch": stretch or "holding:0-999", "requests": options.get("requests", 3000)}
+            first, count = parse_stretch(arguments["stretch"])
         target = make_target(given.plant, given.device, given.link, given.settings)
         own = target.capabilities
-        offers = {"units": own.units, "nodes": own.nodes, "can": own.bus, "registers": own.registers}
-        if not offers[command]:
-            others = [f"decanter plc scan {other}" for other, offered in offers.items() if offered]
+        if not kind.offered(own):
+            others = [f"decanter plc scan {other}" for other, each in KINDS.items() if each.offered(own)]
             remedy = f"here try {' or '.join(others)}" if others else f"what there is stands in {own.described_in}"
-            raise ValueError(f"link {target.kind!r}: {sentence}; {remedy}")
+            raise ValueError(f"link {target.kind!r}: {kind.sentence}; {remedy}")
+
+    async def work(site: Site) -> CommandResult:
+        with progress(what) as report:  # the bar is gone before anything is printed
+            if what == "units":
+                return await scan_units(site, arguments["units"], report)
+            if what == "nodes":
+                return await scan_nodes(site, arguments["nodes"], report, listen_only=arguments["listen_only"])
+            if what == "frames":
+                return await scan_can(site, arguments["seconds"])
+            return await scan_registers(site, first, count, arguments["requests"], report)
+
+    perform(given, f"scan {what}", arguments, work, kind.show)

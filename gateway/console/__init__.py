@@ -1,8 +1,8 @@
 """What commands show and take: tables, JSON, progress, options that several share."""
 
-from gateway.console.options import finite, json_option, map_option, seed_option
+from gateway.console.options import finite, json_option, map_option, renamed_option, seed_option
 from gateway.console.output import emit, make_folder, progress, table
-from gateway.console.places import config_dir, shipped
+from gateway.console.places import config_dir, plant_here, shipped
 
 __all__ = [
     "config_dir",
@@ -11,7 +11,9 @@ __all__ = [
     "json_option",
     "make_folder",
     "map_option",
+    "plant_here",
     "progress",
+    "renamed_option",
     "seed_option",
     "shipped",
     "table",

@@ -1,6 +1,8 @@
 """Options that several commands share."""
 
+from collections.abc import Callable
 from math import isfinite
+from typing import Any
 
 import click
 
@@ -13,6 +15,16 @@ map_option = click.option(
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
 seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="0 is the reference.")
+
+
+def renamed_option(old: str, now: str) -> Callable[[Any], Any]:
+    """The command with an option's name of the last release, hidden: who gives it is told what to type now."""
+
+    def answer(_: click.Context, __: click.Parameter, given: str | None) -> None:
+        if given is not None:
+            raise click.UsageError(f"{old} has another name now: {now}")
+
+    return click.option(old, hidden=True, expose_value=False, callback=answer)
 
 
 def finite(_: click.Context, __: click.Parameter, number: float | None) -> float | None:

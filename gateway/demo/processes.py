@@ -60,7 +60,7 @@ def software_plc(setting: DemoRun, recording: Path) -> Iterator[PlcProcess]:
     """Start the PLC with its replay held; terminated on leaving. Raises DemoError when it does not come up."""
     epoch = float(setting.trace.times[0])
     arguments: list[object] = [
-        "--map",
+        "--device",
         setting.device,
         "--trace",
         setting.replay,

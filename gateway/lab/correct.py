@@ -64,7 +64,7 @@ def correct(
         accepted = learned.chosen is not None or (bites is not None and bites.accepted)
         written = None
         if accepted:
-            new = corrected_model(model, learned, joint_hash(traces), parent)
+            new = corrected_model(model, learned, traces, parent)
             if rate is not None and bites is not None and bites.accepted:
                 new = with_max_rate(new, rate)
             is_store = (out / STORE_FILE).is_file()

@@ -24,7 +24,7 @@ def promote(
 ) -> None:
     """Make VERSION of STORE the current one: what a gateway runs whose model.path is the store.
 
-    A model that does not verify (see `decanter model verify`) is refused, in one sentence with the reasons. --force
+    A model that does not verify (see `decanter model prove`) is refused, in one sentence with the reasons. --force
     with --by promotes it all the same, if it can be run at all: name and reason are kept in the store, the gateway
     warns at each start, and it does not run armed on such a model.
     """

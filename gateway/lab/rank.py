@@ -19,13 +19,11 @@ from sim.pictures import check_picture
 from sim.ranking import (
     Facts,
     Ranking,
-    Seen,
     Weights,
     as_plain,
     draw_ranking,
     entrants,
     limits_of,
-    seen_traces,
     write_page,
 )
 from sim.ranking import rank as ranked
@@ -92,14 +90,14 @@ def compared(request: RankingRequest, progress: Progress) -> RankingInput:
             prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
         )
         results = [outcome.result for _, outcomes in by_model for outcome in outcomes]
-        facts_at_hand = _by_entrant(results, {model.label: _facts(model, traces) for model in prepared})
+        facts_at_hand = _by_entrant(results, {model.label: _facts(model) for model in prepared})
         if not request.skill:
             return RankingInput(results, facts_at_hand)
         learned = training if request.rivals else None
         made = judged_forecasts(prepared, traces, training=learned, seed=request.seed, report=progress)
         return RankingInput(results, facts_at_hand, made.skill(seed=request.seed))
     results = [result for folder in request.folders for result in read_results(folder)]
-    names, labels = {result.trace for result in results}, sorted({result.model for result in results})
+    labels = sorted({result.model for result in results})
     facts: dict[str, dict[str, Facts]] = {}
     for path in request.folders:
         # What the campaign's records say of its models, by label and semantics; a missing or odd record says nothing.
@@ -107,10 +105,8 @@ def compared(request: RankingRequest, progress: Progress) -> RankingInput:
         for label, place in _document(folder / CAMPAIGN).get("folders", {}).items():
             facts[label] = {}
             for semantics, row in _document(folder / place / GENERATION).get("variants", {}).items():
-                trained = set(row.get("training_traces", ()))
-                traced = bool(row.get("data_hash") or trained)
-                seen: dict[str, Seen] = {name: "name" for name in names if name in trained}
-                facts[label][semantics] = Facts(synthetic=bool(row.get("synthetic")) if traced else None, seen=seen)
+                traced = bool(row.get("data_hash") or row.get("training_traces"))
+                facts[label][semantics] = Facts(synthetic=bool(row.get("synthetic")) if traced else None)
     # A model at hand is that of the results with its name: it is verified, which the records cannot say.
     for at_hand in _prepared(request, None):
         if at_hand.label not in labels:
@@ -119,9 +115,8 @@ def compared(request: RankingRequest, progress: Progress) -> RankingInput:
             )
         own: dict[str, Facts] = {}
         for semantics, model in at_hand.variants.items():
-            origin = _origin(model, {name: "name" for name in names if name in model.provenance.traces})
             verified, gate = gate_of(model)
-            own[semantics] = replace(origin, verified=verified, gate=gate)
+            own[semantics] = replace(_origin(model), verified=verified, gate=gate)
         # The gate's word on the model at hand is its word on the recorded semantics too.
         word = next(iter(own.values()), Facts(verified=False, gate="; ".join(at_hand.refusals.values())))
         recorded = {
@@ -167,19 +162,19 @@ def _by_entrant(results: Sequence[TraceResult], facts: Mapping[str, Mapping[str,
     return by_entrant
 
 
-def _facts(prepared: Prepared, traces: Sequence[Trace]) -> dict[str, Facts]:
+def _facts(prepared: Prepared) -> dict[str, Facts]:
     """What a model at hand says of itself, by semantics; a model that cannot be run fails the gate."""
     facts = {"": Facts(verified=False, gate="; ".join(prepared.refusals.values()))}
     for semantics, model in prepared.variants.items():
         verified, gate = gate_of(model)
-        facts[semantics] = replace(_origin(model, seen_traces(model, traces)), verified=verified, gate=gate)
+        facts[semantics] = replace(_origin(model), verified=verified, gate=gate)
     return facts
 
 
-def _origin(model: Model, seen: Mapping[str, Seen]) -> Facts:
+def _origin(model: Model) -> Facts:
     """Artefacts and models by hand do not say what they were learned from."""
     known = bool(model.provenance.data_hash or model.provenance.traces)
-    return Facts(synthetic=model.provenance.synthetic if known else None, seen=seen)
+    return Facts(synthetic=model.provenance.synthetic if known else None)
 
 
 def _document(file: Path) -> dict[str, Any]:
@@ -217,13 +212,15 @@ Limits of fitness, judged on traces that were not in training where there are an
 @click.option(
     "--semantics",
     "wanted",
-    type=click.Choice(["written", "own", "thesis", "both"]),
+    type=click.Choice(["written", "carried", "resampled", "both"]),
     default="written",
     show_default=True,
-    help="The temperature is carried over events (own) or drawn on entry (thesis); both are ranked apart.",
+    help="The temperature is carried over events or resampled on entry (the thesis); both are ranked apart.",
 )
 @click.option(
-    "--training", multiple=True, help="Traces that give the thesis semantics its entry laws; rivals are fitted to them."
+    "--training",
+    multiple=True,
+    help="Traces that give the resampled semantics its entry laws; rivals are fitted to them.",
 )
 @skill_options
 @click.option(

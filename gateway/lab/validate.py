@@ -184,15 +184,15 @@ MOST_REASONS = 5
 @click.option(
     "--semantics",
     "wanted",
-    type=click.Choice(["written", "own", "thesis", "both"]),
+    type=click.Choice(["written", "carried", "resampled", "both"]),
     default="written",
     show_default=True,
-    help="The temperature is carried over events (own) or drawn on entry (thesis); both side by side.",
+    help="The temperature is carried over events or resampled on entry (the thesis); both side by side.",
 )
 @click.option(
     "--training",
     multiple=True,
-    help="Traces to learn `bins` or `lsha` from, to give the thesis semantics its entry laws, and to fit rivals to.",
+    help="Traces to learn `bins` or `lsha` from, to give the resampled semantics its entry laws, and to fit rivals to.",
 )
 @skill_options
 @click.option(
@@ -277,11 +277,23 @@ def validate(
 
 
 def _show(out: Path, results: Sequence[TraceResult], skill: Mapping[str, ForecastSkill]) -> None:
-    columns = ("model", "semantics", "good", "review", "failed", "MAE", "RMSE", "at events", "dense", "final %")
+    columns = (
+        "model",
+        "semantics",
+        "traces",
+        "good",
+        "review",
+        "failed",
+        "MAE",
+        "RMSE",
+        "at events",
+        "dense",
+        "final %",
+    )
     more = ("coverage", "CRPS", "persistence")
     names = ("mae", "rmse", "at_events", "dense", "final_percent", "coverage", "crps", "persistence")
     rows = [
-        [summary.model, summary.semantics, summary.good, summary.review, summary.failed]
+        [summary.model, summary.semantics, summary.sample, summary.good, summary.review, summary.failed]
         + [getattr(summary, name) for name in names]
         for summary in summaries(results)
     ]

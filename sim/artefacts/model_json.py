@@ -475,12 +475,14 @@ def _provenance_part(provenance: Provenance) -> dict[str, Any]:
         "settings": dict(sorted(provenance.settings.items())),
         "scores": _numbers_part(provenance.scores),
         "parent": provenance.parent,
+        # Left out where there is none, so that a model of a former release keeps its hash.
+        **({"contents": list(provenance.contents)} if provenance.contents else {}),
     }
 
 
 def _provenance_of(node: JsonNode) -> Provenance:
     """The provenance that `_provenance_part` wrote."""
-    node.only(("method", "data_hash", "traces", "synthetic", "settings", "scores", "parent"))
+    node.only(("method", "data_hash", "traces", "synthetic", "settings", "scores", "parent", "contents"))
     return Provenance(
         method=node.get("method").text(),
         data_hash=node.get("data_hash").text(),
@@ -489,6 +491,7 @@ def _provenance_of(node: JsonNode) -> Provenance:
         settings=node.get("settings").table(_setting_of),
         scores=node.get("scores").table(JsonNode.number),
         parent=node.get("parent").text(),
+        contents=tuple(item.text() for item in node.get("contents").each()) if "contents" in node.value else (),
     )
 
 

@@ -93,7 +93,7 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
         raise at(
             store / VERSIONS / version,
             None,
-            f"is not promoted, as it does not verify: {reason}; see `decanter model verify {store}@{version}`, learn "
+            f"is not promoted, as it does not verify: {reason}; see `decanter model prove {store}@{version}`, learn "
             "another model, or force it with a name and a reason",
         )
     try:

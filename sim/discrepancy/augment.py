@@ -8,7 +8,7 @@ import numpy as np
 from sim.discrepancy.fitting import Fitted, effects_of
 from sim.effects import of_feature
 from sim.learning import RATES, with_inputs
-from sim.sha import Distribution, Flow, Input, Location, Model, Provenance, Trace, distributions
+from sim.sha import Distribution, Flow, Input, Location, Model, Provenance, Trace, content_hash, distributions
 
 
 def augmented(
@@ -50,6 +50,7 @@ def augmented(
             method="diagnose",
             data_hash=data_hash,
             traces=tuple(traces),
+            contents=tuple(sorted({*model.provenance.contents, *(content_hash(trace) for trace in readings)})),
             synthetic=model.provenance.synthetic,
             settings={"effects": ", ".join(named.entry.name for named in fitted.state.named)},
             scores={"log_likelihood": fitted.likelihood, **strengths},

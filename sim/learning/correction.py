@@ -22,7 +22,7 @@ from sim.learning.data import resolution, without_spikes
 from sim.learning.free_run import HUBER
 from sim.learning.held_out import huber_scale
 from sim.learning.structure import LearningError
-from sim.sha import Array, Correction, Model, Trace, shown_unit
+from sim.sha import Array, Correction, Model, Trace, content_hash, joint_hash, shown_unit
 
 Form = Literal["gain", "affine"]
 FORMS: tuple[Form, ...] = ("gain", "affine")
@@ -253,8 +253,8 @@ def _mean_and_error(values: Array) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1)) / sqrt(values.size)
 
 
-def corrected_model(model: Model, learned: LearnedCorrection, data_hash: str, parent: str) -> Model:
-    """The model with the learned correction, and where it comes from: `parent` is what it was derived from.
+def corrected_model(model: Model, learned: LearnedCorrection, traces: Sequence[Trace], parent: str) -> Model:
+    """The model with the correction learned from `traces`; `parent` is what it was derived from.
 
     Method, traces and data hash stay those of the automaton; the correction's own stand among settings and scores.
     """
@@ -264,7 +264,7 @@ def corrected_model(model: Model, learned: LearnedCorrection, data_hash: str, pa
     settings = {
         **model.provenance.settings,
         "correction_form": fit.form,
-        "correction_data": data_hash,
+        "correction_data": joint_hash(traces),
         "correction_runs": fit.runs,
     }
     figures = {
@@ -274,5 +274,6 @@ def corrected_model(model: Model, learned: LearnedCorrection, data_hash: str, pa
         "correction_mae_after": fit.after,
     }
     scores = {**model.provenance.scores, **{name: value for name, value in figures.items() if isfinite(value)}}
-    provenance = replace(model.provenance, settings=settings, scores=scores, parent=parent)
+    contents = tuple(sorted({*model.provenance.contents, *(content_hash(trace) for trace in traces)}))
+    provenance = replace(model.provenance, settings=settings, scores=scores, parent=parent, contents=contents)
     return replace(model, correction=learned.correction, provenance=provenance)

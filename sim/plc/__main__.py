@@ -81,9 +81,16 @@ def _explain(context: click.Context, _: click.Parameter, wanted: bool) -> None:
         context.exit()
 
 
+def _renamed(_: click.Context, __: click.Parameter, given: str | None) -> None:
+    """Answer the option's name of the last release."""
+    if given is not None:
+        raise click.UsageError(f"--map is now --device: give --device {given}")
+
+
 @with_faces
-@click.command(context_settings={"show_default": True})
-@click.option("--map", "map_path", type=click.Path(path_type=Path), required=True, help="Register map (TOML).")
+@click.command(context_settings={"show_default": True, "help_option_names": ["-h", "--help"]})
+@click.option("--device", "map_path", type=click.Path(path_type=Path), required=True, help="Register map (TOML).")
+@click.option("--map", hidden=True, expose_value=False, callback=_renamed)
 @click.option("--trace", type=click.Path(path_type=Path), help="Trace to replay (wide CSV, first column time).")
 @click.option("--host", default="127.0.0.1", help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="TCP port; 0 takes a free one.")

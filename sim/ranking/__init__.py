@@ -1,6 +1,6 @@
 """Models compared on the same traces, and settings searched."""
 
-from sim.ranking.fitness import Facts, Seen, limits_of, seen_traces
+from sim.ranking.fitness import Facts, limits_of
 from sim.ranking.ranking import Ranking, Weights, entrants, rank
 from sim.ranking.report import as_plain, draw_ranking, write_page
 from sim.ranking.tuning import Objective, StudyPlan, Tuning, final_model, tune
@@ -11,7 +11,6 @@ __all__ = [
     "Facts",
     "Objective",
     "Ranking",
-    "Seen",
     "StudyPlan",
     "Task",
     "Tuning",
@@ -22,7 +21,6 @@ __all__ = [
     "final_model",
     "limits_of",
     "rank",
-    "seen_traces",
     "tune",
     "write_page",
 ]

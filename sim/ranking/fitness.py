@@ -1,16 +1,14 @@
 """Which models are fit for deployment, and why not: a table of criteria with limits, judged on campaign results."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from math import isfinite, nan
 from typing import Literal
 
-from sim.sha import DEGREES, Model, Trace, joint_hash, shown_unit
-from sim.validation import TraceResult
+from sim.sha import DEGREES, shown_unit
+from sim.validation import TRAINED_ON, TraceResult
 
 Verdict = Literal["fit", "unfit", "open"]
-Seen = Literal["content", "name"]
-"""Why a trace counts as one that the model was trained on: proven by its content, or only by its name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +66,6 @@ class Facts:
     synthetic: bool | None = None
     verified: bool | None = None
     gate: str = ""
-    seen: Mapping[str, Seen] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +90,7 @@ class Case:
 def judge(results: Sequence[TraceResult], facts: Facts, limits: FitnessLimits) -> tuple[Finding, ...]:
     """All criteria for one model, in the order of the table."""
     # What was not trained on, where there is any: errors in sample flatter. Failures count by criteria of their own.
-    fresh = [result for result in results if result.trace not in facts.seen]
+    fresh = [result for result in results if result.seen not in TRAINED_ON]
     done = [result for result in fresh or results if not result.failure]
     case = Case(results, done, facts, limits)
     return tuple(Finding(name, *criterion(case)) for name, criterion in CRITERIA.items())
@@ -103,21 +100,6 @@ def verdict(findings: Iterable[Finding]) -> Verdict:
     """ "unfit" when one criterion is not kept, "open" when one could not be looked at, else "fit"."""
     kept = {finding.kept for finding in findings}
     return "unfit" if False in kept else "open" if None in kept else "fit"
-
-
-def seen_traces(model: Model, traces: Sequence[Trace]) -> dict[str, Seen]:
-    """Which of the traces the model was trained on.
-
-    A model keeps one hash over all its training traces, so content proves it where the traces with known names, all
-    traces, or one of them alone, have that hash; otherwise a known name is a warning, since its content may differ.
-    """
-    origin = model.provenance
-    named = [trace for trace in traces if trace.name in set(origin.traces)]
-    if origin.data_hash:
-        for group in (named, list(traces), *([trace] for trace in traces)):
-            if group and joint_hash(group) == origin.data_hash:
-                return {trace.name: "content" for trace in group}
-    return {trace.name: "name" for trace in named}
 
 
 Said = tuple[bool | None, str]
@@ -192,7 +174,9 @@ def _persistence(case: Case) -> Said:
 
 
 def _unseen(case: Case) -> Said:
-    count = sum(result.trace not in case.facts.seen for result in case.results)
+    count = sum(result.seen == "no" for result in case.results)
+    if not count and any(result.seen == "unknown" for result in case.results):
+        return None, "the model does not say which traces it was trained on"
     return count >= case.limits.unseen, f"{_traces(count)} that it was not trained on (at least {case.limits.unseen:g})"
 
 

@@ -8,10 +8,10 @@ from math import isfinite, nan
 import numpy as np
 
 from sim.paired import Paired, holm, paired
-from sim.ranking.fitness import Facts, Finding, FitnessLimits, Seen, Verdict, judge, verdict
+from sim.ranking.fitness import Facts, Finding, FitnessLimits, Verdict, judge, verdict
 from sim.sha import DEGREES
 from sim.skill import ForecastSkill
-from sim.validation import TraceResult
+from sim.validation import TRAINED_ON, Seen, TraceResult
 
 LEVEL = 0.05
 
@@ -154,7 +154,7 @@ def rank(
                 wins=wins[name],
                 traces=len(own),
                 failed=sum(bool(result.failure) for result in own.values()),
-                seen={trace: reason for trace, reason in entrant.seen.items() if trace in own},
+                seen={trace: result.seen for trace, result in own.items() if result.seen in TRAINED_ON},
                 findings=judge(list(own.values()), entrant, limits or FitnessLimits()),
             )
         )
@@ -178,7 +178,7 @@ def rank(
 
 
 def entrants(results: Sequence[TraceResult]) -> dict[str, dict[str, TraceResult]]:
-    """Entrant -> trace -> result. A model that ran under several semantics is one entrant for each, "model (thesis)".
+    """Entrant -> trace -> result. A model that ran under several semantics is one for each, "model (resampled)".
 
     Raises ValueError when there is no result, or two of one model on one trace.
     """

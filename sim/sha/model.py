@@ -46,7 +46,9 @@ class Correction:
 class Provenance:
     """Where a model comes from. `data_hash` is the SHA-256 over the training traces' content.
 
-    `synthetic` says that no plant made those traces, `parent` is the version that this one was derived from.
+    `synthetic` says that no plant made those traces, `parent` is the version that this one was derived from. `contents`
+    has the hash of each trace that had a part in it (`content_hash`), those of the models before it included: a trace
+    is known again by it whatever its file is called.
     """
 
     method: str
@@ -56,6 +58,7 @@ class Provenance:
     settings: Mapping[str, str | float | int | bool] = field(default_factory=dict)
     scores: Mapping[str, float] = field(default_factory=dict)
     parent: str = ""
+    contents: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from sim.validation.output_folder import CAMPAIGN, LEARNED, check_folder, claim_
 from sim.validation.plots import MEASURED, Curve, Picture, draw
 from sim.validation.report import CampaignSummary, natural
 from sim.validation.results import TraceResult
+from sim.validation.seen import TRAINED_ON, Seen
 from sim.validation.stage_records import load_stage
 from sim.validation.stages import Prepared, Wanted, prepare, relabelled
 from sim.validation.trace_run import TROUBLE, TraceRunSettings
@@ -17,6 +18,7 @@ __all__ = [
     "LEARNED",
     "MEASURED",
     "QUANTILES",
+    "TRAINED_ON",
     "TROUBLE",
     "CampaignPlan",
     "CampaignSummary",
@@ -24,6 +26,7 @@ __all__ = [
     "Picture",
     "Prepared",
     "Progress",
+    "Seen",
     "TraceResult",
     "TraceRunSettings",
     "Wanted",

@@ -21,6 +21,7 @@ from sim.effects import signals_of
 from sim.sha import Model, Trace
 from sim.traces import LoadReport
 from sim.validation.results import TraceResult
+from sim.validation.seen import seen_traces
 from sim.validation.stages import Prepared
 from sim.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
 
@@ -66,6 +67,8 @@ def jobs_of(prepared: Prepared, traces: Sequence[Trace], settings: TraceRunSetti
         jobs = [(semantics or "none", prepared.structure, reason)]
     else:
         jobs = [(semantics, model, "") for semantics, model in prepared.variants.items()]
+    # Of the structure, which has the origin of all variants, and of whole traces: a slim one has another content.
+    seen = seen_traces(prepared.structure, traces)
     return [
         TraceJob(
             label=prepared.label,
@@ -74,6 +77,7 @@ def jobs_of(prepared: Prepared, traces: Sequence[Trace], settings: TraceRunSetti
             trace=slim(trace, model),
             settings=settings,
             refusal=reason,
+            seen=seen[trace.name],
         )
         for semantics, model, reason in jobs
         for trace in traces
@@ -237,7 +241,7 @@ def waited_for(future: Any, client: Any, address: str) -> BaseException | None:
 
 def _undone(job: TraceJob, reason: str) -> TraceOutcome:
     result = TraceResult(job.label, job.trace.name, job.semantics, synthetic=job.trace.synthetic, stage=5)
-    return TraceOutcome(replace(result, failure=reason), rows=job.trace.times.size)
+    return TraceOutcome(replace(result, seen=job.seen, failure=reason), rows=job.trace.times.size)
 
 
 def _reason(error: BaseException) -> str:

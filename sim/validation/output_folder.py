@@ -18,6 +18,7 @@ from sim.engine import Score
 from sim.files import replace_durably
 from sim.strict_json import json_text
 from sim.validation.results import Interval, TraceResult
+from sim.validation.semantics import CARRIED, RESAMPLED
 from sim.validation.stages import Stage
 
 CAMPAIGN = "campaign.json"
@@ -25,6 +26,7 @@ RESULTS = "results"
 SKILL = "skill.json"
 FORMAT = "decanter-validation"
 VERSION = 1
+FORMER_SEMANTICS = {"own": CARRIED, "thesis": RESAMPLED}
 RUNNING, COMPLETE = "running", "complete"
 OWN_FILES = ("index.html", f"{RESULTS}.json", f"{RESULTS}.csv", SKILL, "campaign.log")
 MODEL_FILES = ("0[1-9]_*.json", "report.html", "pictures/*.png", "pictures/*.pdf", "pictures/.*.part")
@@ -211,6 +213,9 @@ def read_results(path: Path) -> list[TraceResult]:
     file = path / f"{RESULTS}.json" if path.is_dir() else path
     try:
         document = json.loads(regular(file).read_text(encoding="utf-8"))
+        # A former release called the semantics by whose they are.
+        for row in document["results"]:
+            row["semantics"] = FORMER_SEMANTICS.get(row["semantics"], row["semantics"])
         # Only the fields that this program knows: what a newer one adds is passed over, what an older one lacked keeps
         # its default.
         kinds = {field.name: field.type for field in fields(TraceResult)}

@@ -15,14 +15,17 @@ from sim.sha import shown_unit
 from sim.skill import ForecastSkill
 from sim.validation.metrics import QUANTILES
 from sim.validation.results import Interval, TraceResult
+from sim.validation.seen import Seen
 from sim.validation.stages import Prepared, Stage, location_row
-from sim.validation.verdicts import Gain, TraceVerdict, VerdictSummary, gain, summaries, verdict
+from sim.validation.verdicts import SAMPLE, Gain, TraceVerdict, VerdictSummary, gain, summaries, verdict
 
 EMBEDDED = 40
 """Pictures that stand in the report itself; of more traces the worst, and the others are in the folder."""
 OPEN = 3
 """Pictures that are unfolded when the report opens, rounded up to whole traces."""
 LONGEST_LABEL = 24
+TRAINING: Mapping[Seen, str] = {"no": "no", "content": "yes", "name": "yes, by name", "unknown": "not known"}
+"""What the column `in training` says."""
 WIDTH, LEFT, RIGHT, ROW, TOP, BOTTOM = 860.0, 150.0, 20.0, 20.0, 8.0, 34.0
 
 
@@ -85,19 +88,27 @@ class ModelReport:
 
     @property
     def judged(self) -> list[tuple[TraceResult, TraceVerdict]]:
-        """Each result with its verdict, trace by trace in the order of the numbers in their names (cd2 before cd10)."""
-        places = list(dict.fromkeys(result.semantics for result in self.results))
-        ordered = sorted(self.results, key=lambda result: (places.index(result.semantics), natural(result.trace)))
+        """Each result with its verdict: unseen traces first, then by the numbers in their names (cd2 before cd10)."""
+        semantics = list(dict.fromkeys(result.semantics for result in self.results))
+        samples = list(dict.fromkeys(SAMPLE.values()))
+        ordered = sorted(
+            self.results,
+            key=lambda result: (
+                samples.index(SAMPLE[result.seen]),
+                semantics.index(result.semantics),
+                natural(result.trace),
+            ),
+        )
         return [(result, verdict(result)) for result in ordered]
 
     @property
     def summaries(self) -> list[VerdictSummary]:
-        """One a semantics."""
+        """One a semantics and sample, of unseen traces first."""
         return summaries(self.results)
 
     @property
     def gain(self) -> Gain | None:
-        """Thesis semantics against ours, where both ran."""
+        """Carried against resampled temperature, where both ran."""
         return gain(self.results)
 
     @property
@@ -110,10 +121,9 @@ class ModelReport:
         return "; ".join(parts)
 
     @property
-    def in_sample(self) -> list[str]:
-        """The traces that have the name of one that the model was learned from."""
-        learned = set(self.prepared.structure.provenance.traces)
-        return [name for name in dict.fromkeys(result.trace for result, _ in self.judged) if name in learned]
+    def several_semantics(self) -> bool:
+        """Whether the rows have to say under which semantics they are."""
+        return len({result.semantics for result in self.results}) > 1
 
     @property
     def locations(self) -> list[tuple[str, list[dict[str, Any]]]]:
@@ -211,12 +221,14 @@ def shown(results: Sequence[TraceResult], files: Mapping[tuple[str, str], Path],
 
 def model_html(report: ModelReport) -> str:
     """The report of one model as one HTML file without any external resource."""
-    each = max(1, len(report.summaries))  # pictures that one trace has: whole traces are unfolded
+    each = max(
+        1, len({result.semantics for result in report.results})
+    )  # pictures that one trace has: whole traces are unfolded
     opened = each * ceil(OPEN / each)
     return (
         _environment()
         .get_template("model.html")
-        .render(report=report, unit=report.unit, open=opened, embedded=EMBEDDED)
+        .render(report=report, unit=report.unit, open=opened, embedded=EMBEDDED, training=TRAINING)
     )
 
 

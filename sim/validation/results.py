@@ -5,6 +5,7 @@ from math import nan
 
 from sim.engine import Score
 from sim.sha import DEGREES
+from sim.validation.seen import Seen
 
 NO_SCORE = Score(nan, nan, nan, 0)
 
@@ -27,7 +28,8 @@ class TraceResult:
     `at_events` is the thesis's way, `at_samples` that of this project, `dense` the thesis's second run over all rows.
     `coverage` is the share of readings inside the 90 % band, `crps` the mean CRPS (degC), `beyond` the share of
     readings outside three standard deviations (the review flag). `persistence` is the MAE of the first reading held.
-    `error_quantiles` are the 0, 5, 25, 50, 75, 95, 100 % quantiles of the error at the readings.
+    `error_quantiles` are the 0, 5, 25, 50, 75, 95, 100 % quantiles of the error at the readings. `seen`: was the
+    model trained on the trace?
     """
 
     model: str
@@ -60,3 +62,4 @@ class TraceResult:
     stage: int = 9
     failure: str = ""
     unit: str = DEGREES
+    seen: Seen = "unknown"

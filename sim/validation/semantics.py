@@ -1,8 +1,8 @@
 """Two semantics of the same automaton: the temperature carried over an event, or drawn anew at each one (the thesis).
 
-Under the thesis' semantics (`resample`) a location begins with X ~ N(mu, sigma), whatever the temperature was before;
-under ours X goes on where it was, and what is drawn is the mode parameter of the stay. Each model gets its counterpart
-with the same locations, edges and flows, so that both can be run on the same traces and the difference be measured.
+Under "resampled", the thesis' semantics, a location begins with X ~ N(mu, sigma), whatever the temperature was before;
+under "carried" X goes on where it was, and what is drawn is the mode parameter of the stay. Each model gets its
+counterpart with the same locations, edges and flows, so that both can be run on the same traces and compared.
 """
 
 from collections import defaultdict
@@ -35,9 +35,9 @@ from sim.sha import (
     mode_parameter,
 )
 
-Semantics = Literal["own", "thesis"]
-OWN: Semantics = "own"
-THESIS: Semantics = "thesis"
+Semantics = Literal["carried", "resampled"]
+CARRIED: Semantics = "carried"
+RESAMPLED: Semantics = "resampled"
 
 RUNS, SPAN = 200, 3600.0
 """Semi-Markov runs from each location, and the seconds that each lasts, where no trace gives the entry laws."""
@@ -60,21 +60,22 @@ class EntryLaws:
 
 
 def side_by_side(model: Model, training: Sequence[Trace] | None, *, seed: int = 0) -> Mapping[str, Model]:
-    """The model under both semantics: "own" carries the temperature over events, "thesis" draws it on entry.
+    """The model under both semantics: "carried" over events, or "resampled", drawn on entry.
 
-    The one that `model` has is `model` itself. `training` gives the entry laws of a thesis counterpart (best the traces
-    that the model was learned from); without it they come from semi-Markov runs of the model itself, drawn by `seed`.
+    The one that `model` has is `model` itself. `training` gives the entry laws of a resampled counterpart (best the
+    traces that the model was learned from); without it they come from semi-Markov runs of the model itself, drawn by
+    `seed`.
     Raises ValueError where neither can give any.
     """
-    if semantics_of(model) == THESIS:
-        return {OWN: carried(model), THESIS: model}
+    if semantics_of(model) == RESAMPLED:
+        return {CARRIED: carried(model), RESAMPLED: model}
     entries = entries_of_traces(model, training) if training is not None else entries_of_runs(model, seed)
-    return {OWN: model, THESIS: resampled(model, entries)}
+    return {CARRIED: model, RESAMPLED: resampled(model, entries)}
 
 
 def semantics_of(model: Model) -> Semantics:
-    """ "thesis" as soon as one location draws the temperature on entry."""
-    return THESIS if any(location.entry == "resample" for location in model.sha.locations) else OWN
+    """ "resampled" as soon as one location draws the temperature on entry."""
+    return RESAMPLED if any(location.entry == "resample" for location in model.sha.locations) else CARRIED
 
 
 def carried(model: Model) -> Model:
@@ -91,7 +92,7 @@ def carried(model: Model) -> Model:
             law = location.distribution if target else None
             location = replace(location, distribution=law, entry="parameter" if target else "none")
         locations.append(location)
-    return _counterpart(model, tuple(locations), "own: temperature carried over events", "the flows of the model")
+    return _counterpart(model, tuple(locations), "carried: temperature carried over events", "the flows of the model")
 
 
 def resampled(model: Model, entries: EntryLaws) -> Model:
@@ -122,7 +123,7 @@ def resampled(model: Model, entries: EntryLaws) -> Model:
         # The location has room for one law, now the temperature's: m stays at its mean.
         fixed = {**location.flow.params, FIXED: mode_parameter(location)[0]}
         locations.append(Location(location.name, replace(location.flow, params=fixed), law, "resample"))
-    return _counterpart(model, tuple(locations), "thesis: temperature drawn on entry", entries.source)
+    return _counterpart(model, tuple(locations), "resampled: temperature drawn on entry", entries.source)
 
 
 def _counterpart(model: Model, locations: tuple[Location, ...], semantics: str, laws: str) -> Model:

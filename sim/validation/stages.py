@@ -11,7 +11,7 @@ from sim.artefacts.formats import FoundModel, find_model
 from sim.effects import check_sha
 from sim.sha import Alphabet, Location, Model, Provenance, Trace, alphabet_symbols, distributions, transitions
 from sim.validation.discovery import CrossCheck, Discovery, cross_check, discover, own_check, report_beside
-from sim.validation.semantics import semantics_of, side_by_side
+from sim.validation.semantics import CARRIED, RESAMPLED, semantics_of, side_by_side
 
 STAGES: Mapping[int, str] = {
     1: "discovery",
@@ -24,7 +24,7 @@ STAGES: Mapping[int, str] = {
     8: "metrics",
     9: "pictures and report",
 }
-Wanted = Literal["written", "own", "thesis", "both"]
+Wanted = Literal["written", "carried", "resampled", "both"]
 """Which semantics to run: the one that the model is written in, one of the two, or both side by side."""
 
 
@@ -224,12 +224,12 @@ def _variants(
         check_sha(model.sha)
     except ValueError as error:
         return {}, {"": str(error)}
-    own = semantics_of(model)
-    if wanted in ("written", own):
-        return {own: model}, {}
+    written = semantics_of(model)
+    if wanted in ("written", written):
+        return {written: model}, {}
     try:
         both = side_by_side(model, training, seed=seed)
     except ValueError as error:
-        other = "own" if own == "thesis" else "thesis"
-        return ({own: model} if wanted == "both" else {}), {other: str(error)}
+        other = CARRIED if written == RESAMPLED else RESAMPLED
+        return ({written: model} if wanted == "both" else {}), {other: str(error)}
     return {name: each for name, each in both.items() if wanted in ("both", name)}, {}

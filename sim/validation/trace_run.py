@@ -28,6 +28,7 @@ from sim.sha import Array, Event, Model, Trace, distributions, encode, unit_of
 from sim.validation.compatibility import Compatibility, compatibility, dense_events, symbols_of
 from sim.validation.metrics import error_quantiles, judge_band, mae_interval, rmse_interval
 from sim.validation.results import TraceResult
+from sim.validation.seen import Seen
 
 MEMORY = 128 * 2**20
 """Bytes that the runs of one trace may take: of a longer trace a part of the readings, evenly spread, is simulated."""
@@ -54,7 +55,8 @@ class TraceRunSettings:
 class TraceJob:
     """One model under one semantics along one trace (not yet encoded; only the signals that matter).
 
-    `refusal` says why the model cannot be run: then nothing is done after the check of the events.
+    `refusal` says why the model cannot be run: then nothing is done after the check of the events. `seen` says whether
+    the model was trained on the trace.
     """
 
     label: str
@@ -63,6 +65,7 @@ class TraceJob:
     trace: Trace
     settings: TraceRunSettings
     refusal: str = ""
+    seen: Seen = "unknown"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +135,9 @@ class _PartialOutcome:
 def run_job(job: TraceJob) -> TraceOutcome:
     """The job done, or the sentence of the stage that could not be passed. Equal jobs give equal results anywhere."""
     unit = unit_of([job.trace], job.model.temperature, job.model.unit)
-    result = TraceResult(job.label, job.trace.name, job.semantics, synthetic=job.trace.synthetic, unit=unit)
+    result = TraceResult(
+        job.label, job.trace.name, job.semantics, synthetic=job.trace.synthetic, unit=unit, seen=job.seen
+    )
     partial = _PartialOutcome(TraceOutcome(result, rows=job.trace.times.size))
     try:
         _stages(job, partial)

@@ -1,6 +1,6 @@
 """What the figures of a campaign mean: a verdict on each trace with its reasons, and a summary of each model."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
 from statistics import fmean
@@ -8,6 +8,8 @@ from typing import Literal
 
 from sim.sha import DEGREES, shown_unit
 from sim.validation.results import TraceResult
+from sim.validation.seen import Seen
+from sim.validation.semantics import CARRIED, RESAMPLED
 
 Word = Literal["good", "review", "failed"]
 
@@ -45,15 +47,21 @@ def verdict(result: TraceResult) -> TraceVerdict:
     return TraceVerdict("review" if reasons else "good", tuple(reasons))
 
 
+Sample = Literal["unseen", "not known", "in-sample"]
+"""Whether figures are of traces of the model's training; "not known" where it does not say which these were."""
+SAMPLE: Mapping[Seen, Sample] = {"no": "unseen", "unknown": "not known", "content": "in-sample", "name": "in-sample"}
+
+
 @dataclass(frozen=True, slots=True)
 class VerdictSummary:
-    """One model under one semantics over all its traces; means over the traces that have figures, each counting once.
+    """One model under one semantics over its traces of one sample; means over those with figures, each counting once.
 
     `better` counts the traces with a smaller MAE than persistence.
     """
 
     model: str
     semantics: str
+    sample: Sample
     traces: int
     scored: int
     good: int
@@ -75,7 +83,7 @@ class VerdictSummary:
 
 
 def summary(results: Sequence[TraceResult]) -> VerdictSummary:
-    """The summary of the results of one model and semantics. Raises ValueError without results."""
+    """The summary of the results of one model, semantics and sample. Raises ValueError without results."""
     if not results:
         raise ValueError("nothing can be summarised without results")
     done = [result for result in results if not result.failure]
@@ -83,6 +91,7 @@ def summary(results: Sequence[TraceResult]) -> VerdictSummary:
     return VerdictSummary(
         model=results[0].model,
         semantics=results[0].semantics,
+        sample=SAMPLE[results[0].seen],
         traces=len(results),
         scored=len(done),
         good=words.count("good"),
@@ -105,47 +114,58 @@ def summary(results: Sequence[TraceResult]) -> VerdictSummary:
 
 
 def summaries(results: Iterable[TraceResult]) -> list[VerdictSummary]:
-    """One summary for each model and semantics, in the order of their first result."""
-    groups: dict[tuple[str, str], list[TraceResult]] = {}
+    """One summary for each model, semantics and sample: the models in their order, of each the unseen traces first.
+
+    What stands first is what people take for the result, and an error on the traces of the training is none.
+    """
+    groups: dict[str, dict[tuple[Sample, str], list[TraceResult]]] = {}
     for result in results:
-        groups.setdefault((result.model, result.semantics), []).append(result)
-    return [summary(group) for group in groups.values()]
+        groups.setdefault(result.model, {}).setdefault((SAMPLE[result.seen], result.semantics), []).append(result)
+    order = list(dict.fromkeys(SAMPLE.values()))
+    return [
+        summary(group)
+        for own in groups.values()
+        for _, group in sorted(own.items(), key=lambda item: order.index(item[0][0]))
+    ]
 
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """Thesis semantics against ours on the traces where both have figures; `wins` counts those with our MAE smaller."""
+    """Carried against resampled temperature on the traces where both have figures; `wins` counts those where carried
+    has the smaller MAE. The traces are the unseen ones where there are any."""
 
     traces: int
     wins: int
-    own: VerdictSummary
-    thesis: VerdictSummary
+    carried: VerdictSummary
+    resampled: VerdictSummary
 
     @property
     def sentence(self) -> str:
         """The gain with its numbers."""
-        ratio = f" ({self.thesis.mae / self.own.mae:.2g} times as much)" if self.own.mae > 0 else ""
-        unit = shown_unit(self.own.unit)
+        ratio = f" ({self.resampled.mae / self.carried.mae:.2g} times as much)" if self.carried.mae > 0 else ""
+        unit = shown_unit(self.carried.unit)
         return (
-            f"mean MAE {self.own.mae:.3f} {unit} with the temperature carried over events, "
-            f"{self.thesis.mae:.3f} {unit} with it drawn on entry{ratio}; "
-            f"carried is better on {self.wins} of {self.traces} traces; "
-            f"mean CRPS {self.own.crps:.3f} against {self.thesis.crps:.3f} {unit}, "
-            f"coverage of the 90 % band {self.own.coverage:.0%} against {self.thesis.coverage:.0%}"
+            f"mean MAE {self.carried.mae:.3f} {unit} with the temperature carried over events, "
+            f"{self.resampled.mae:.3f} {unit} with it drawn on entry{ratio}; "
+            f"carried is better on {self.wins} of {self.traces} traces ({self.carried.sample}); "
+            f"mean CRPS {self.carried.crps:.3f} against {self.resampled.crps:.3f} {unit}, "
+            f"coverage of the 90 % band {self.carried.coverage:.0%} against {self.resampled.coverage:.0%}"
         )
 
 
 def gain(results: Sequence[TraceResult]) -> Gain | None:
     """The two semantics of one model side by side; None unless both have figures on a common trace."""
-    own, thesis = (
+    carried, resampled = (
         {result.trace: result for result in results if result.semantics == name and not result.failure}
-        for name in ("own", "thesis")
+        for name in (CARRIED, RESAMPLED)
     )
-    common = [name for name in own if name in thesis]
+    both = [name for name in carried if name in resampled]
+    common = [name for name in both if SAMPLE[carried[name].seen] == "unseen"] or both
     if not common:
         return None
-    wins = sum(own[name].mae.value < thesis[name].mae.value for name in common)
-    return Gain(len(common), wins, summary([own[name] for name in common]), summary([thesis[name] for name in common]))
+    wins = sum(carried[name].mae.value < resampled[name].mae.value for name in common)
+    one, other = (summary([own[name] for name in common]) for own in (carried, resampled))
+    return Gain(len(common), wins, one, other)
 
 
 def mean(values: Iterable[float]) -> float:

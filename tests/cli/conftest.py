@@ -32,3 +32,9 @@ def wrong(tmp_path: Path) -> Path:
     (tmp_path / "folder" / "note.txt").write_text("hello", encoding="utf-8")
     (tmp_path / "cold.csv").write_text("time,MarciaDecanter,Assorbimento\n0,1,10\n1,1,12\n", encoding="utf-8")
     return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commissioning commands append to a file of this test, not to out/ of the project."""
+    monkeypatch.setenv("DECANTER_RECORDS", str(tmp_path / "records" / "commissioning.jsonl"))

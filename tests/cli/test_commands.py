@@ -69,7 +69,7 @@ def test_emulate_speaks_under_its_own_name() -> None:
 
 def test_emulate_refuses_a_wrong_map_in_one_sentence(wrong: Path) -> None:
     done = subprocess.run(
-        [*GATEWAY, "emulate", "--map", str(wrong / "none.toml")],
+        [*GATEWAY, "emulate", "--device", str(wrong / "none.toml")],
         capture_output=True,
         text=True,
         check=False,
@@ -81,7 +81,7 @@ def test_emulate_refuses_a_wrong_map_in_one_sentence(wrong: Path) -> None:
 def test_unknown_words_are_refused() -> None:
     misused(decanter("bogus"), "No such command 'bogus'")
     misused(decanter("trace", "bogus"), "No such command 'bogus'")
-    misused(decanter("check", "--bogus"), "No such option")
+    misused(decanter("plc", "check", "--bogus"), "No such option")
     misused(decanter("trace", "synth"), "name scenarios")
     misused(decanter("demo", "--seconds", "nan"), "no finite number")
     misused(decanter("demo", "--limit", "nan"), "no finite number")
@@ -164,20 +164,21 @@ def test_model_commands_refuse_wrong_input_in_one_sentence(wrong: Path, model: P
 
 
 def test_check_accepts_the_shipped_configuration_as_one_object() -> None:
-    data = only_object(decanter("check", "--json").stdout)
+    data = only_object(decanter("plc", "check", "--offline", "--json").stdout)
     assert data["ok"] is True and data["readings"] == [] and data["tags"] > 10
 
 
 def test_check_prints_the_requests_of_a_scan() -> None:
-    assert "holding" in only_object(decanter("check", "--json").stdout)["requests of a scan"]
+    steps = only_object(decanter("plc", "check", "--offline", "--json").stdout)["steps"]
+    assert any(step["step"] == "places" and "requests for" in step["sentence"] for step in steps), steps
 
 
 def test_check_names_the_file_and_the_key_of_a_wrong_configuration(wrong: Path) -> None:
-    refused(decanter("check", "--config", wrong / "none.toml"), 2, "none.toml")
-    refused(decanter("check", "--config", wrong / "empty"), 2, "empty", "device")
-    refused(decanter("check", "--config", wrong / "garbage"), 2, "garbage")
-    refused(decanter("check", "--config", wrong / "folder"), 2, "folder")
-    refused(decanter("check", "--config", plant_file(wrong, "prt = 1")), 2, "plant.toml", "prt")
+    refused(decanter("plc", "check", "--config", wrong / "none.toml"), 2, "none.toml")
+    refused(decanter("plc", "check", "--config", wrong / "empty"), 2, "empty", "device")
+    refused(decanter("plc", "check", "--config", wrong / "garbage"), 2, "garbage")
+    refused(decanter("plc", "check", "--config", wrong / "folder"), 2, "folder")
+    refused(decanter("plc", "check", "--config", plant_file(wrong, "prt = 1")), 2, "plant.toml", "prt")
     refused(decanter("run", "--config", wrong / "none.toml"), 2, "none.toml")
 
 
@@ -189,16 +190,17 @@ def test_run_refuses_a_clock_that_is_none(clock: str) -> None:
 def test_check_reads_every_tag_of_a_running_plc_and_says_when_there_is_none(tmp_path: Path, traces: Path) -> None:
     with running("--trace", traces / "cd1.csv") as plc:
         port = plc.port
-        result = decanter("check", "--connect", "--port", port, "--json")
+        result = decanter("plc", "check", "--config", ROOT / "config/plant.toml", "--port", port, "--json")
         data = only_object(result.stdout)
         assert {row["tag"] for row in data["readings"]} >= {"TCuscinettiRiduttore", "PlcHeartbeat"}
-        assert result.exit_code == (0 if data["ok"] else 1)
+        assert data["ok"] and result.exit_code == 0, data["steps"]
         assert all(row["quality"] == "GOOD" for row in data["readings"]), data["readings"]
-    gone = decanter("check", "--connect", "--port", port, "--json")
+    gone = decanter("plc", "check", "--config", ROOT / "config/plant.toml", "--port", port, "--json")
     assert gone.exit_code == 3
     assert only_object(gone.stdout)["ok"] is False
-    said = refused(decanter("check", "--connect", "--port", port), 3, f"127.0.0.1:{port}", "--port")
-    assert said.count(f"127.0.0.1:{port}") == 1
+    said = decanter("plc", "check", "--config", ROOT / "config/plant.toml", "--port", port)
+    assert said.exit_code == 3 and said.stderr.startswith("decanter: ") and "--port" in said.stderr
+    assert said.stderr.count(f"127.0.0.1:{port}") == said.stderr.count("\n") == 1
 
 
 def test_run_stops_when_its_standard_input_ends_and_leaves_the_historian_whole(tmp_path: Path) -> None:

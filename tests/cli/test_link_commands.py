@@ -54,10 +54,10 @@ def test_check_reads_every_link_and_names_the_one_that_fails(tmp_path: Path) -> 
         )
         path = tmp_path / "plant.toml"
         path.write_text(f"[device]\n{links}", encoding="utf-8")
-        done = decanter("check", "--config", path, "--connect", "--json")
+        done = decanter("plc", "check", "--config", path, "--json")
     assert done.exit_code == 1
     data = only_object(done.stdout)
-    assert data["links"].startswith("way 0 (modbus, host 127.0.0.1 port ") and not data["ok"]
+    assert data["links"]["way 0"].startswith("modbus, host 127.0.0.1 port ") and not data["ok"]
     good = Counter(row["link"] for row in data["readings"] if row["quality"] == "GOOD")
     assert good["way 0"] > 10 and good["way 1"] == good["way 0"] and good["way 2"] == 0
     assert {row["quality"] for row in data["readings"] if row["link"] == "way 2"} == {"NOT_CONNECTED"}

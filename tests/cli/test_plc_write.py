@@ -18,7 +18,7 @@ from gateway.store.audit import read, verify
 from sim.plc.record.recording import read_recording
 from tests.plc.bench import DECANTER, PATIENCE_S, ROOT, Process, running, wait_until
 
-MINE = ("codegen", "write", "arm", "disarm", "loop", "conformance", "audit", "report")
+MINE = ("codegen", "plan", "arm", "disarm", "test", "audit", "report")
 
 
 @pytest.fixture(scope="module")
@@ -51,13 +51,13 @@ def test_every_command_that_writes_is_in_the_table_and_has_its_help(name: str) -
 
 def test_the_plan_shows_every_word_with_both_addresses_and_sends_nothing(tmp_path: Path) -> None:
     nobody = at(free_port())
-    done = decanter(tmp_path, "write", "plan", *nobody, "--json")
+    done = decanter(tmp_path, "plan", "--write", *nobody, "--json")
     assert done.exit_code == 0
     words = json.loads(done.stdout)["words"]
     assert len(words) == 26
     assert (words[7]["address"], words[7]["reference"], words[7]["unknown"]) == ("holding:407", "40408", "0x8000")
     assert words[1]["unknown"] == "" and json.loads(done.stdout)["armed"] is None
-    text = decanter(tmp_path, "write", "plan", *nobody).stdout
+    text = decanter(tmp_path, "plan", "--write", *nobody).stdout
     assert "holding:425" in text and "40426" in text and "not armed" in text
 
 
@@ -69,7 +69,7 @@ def test_the_plan_says_what_stands_in_the_way(tmp_path: Path) -> None:
     )
     path = tmp_path / "device.toml"
     path.write_text(content.replace('heartbeat = "PlcHeartbeat"', ""))
-    done = decanter(tmp_path, "write", "plan", "--device", str(path), "--host", "127.0.0.1", "--json")
+    done = decanter(tmp_path, "plan", "--write", "--device", str(path), "--host", "127.0.0.1", "--json")
     assert done.exit_code == 1
     problems = "\n".join(json.loads(done.stdout)["problems"])
     for words in ("no tag WritePermit", "names no heartbeat", "PredictionUsable lies at holding:405"):
@@ -78,7 +78,7 @@ def test_the_plan_says_what_stands_in_the_way(tmp_path: Path) -> None:
 
 def test_without_an_arming_nothing_is_written_and_the_exit_code_is_6(plc: tuple[Process, Path], tmp_path: Path) -> None:
     before = len(read_recording(plc[1]).blocks)
-    for words in (["loop", "alarms"], ["loop", "heartbeat"], ["conformance"]):
+    for words in (["test", "alarms"], ["test", "heartbeat"], ["test", "conformance"]):
         done = decanter(tmp_path, *words, *at(plc[0].port))
         assert done.exit_code == 6 and "not armed" in done.stderr and done.stderr.count("\n") == 1
     assert len(read_recording(plc[1]).blocks) == before
@@ -107,15 +107,15 @@ def test_armed_the_loop_tests_run_each_answer_is_kept_and_disarming_ends_it(
     place = at(plc[0].port)
     armed = decanter(tmp_path, "arm", "--reason", "loop test", "--minutes", "5", *place)
     assert armed.exit_code == 0 and "ARMED until" in armed.stdout and "Ada" in armed.stdout
-    asked = decanter(tmp_path, "loop", "alarms", "--ask", *place, told="y\ny\nn\ny\ny\ny\ny\ny\ny\ny\n")
+    asked = decanter(tmp_path, "test", "alarms", "--ask", *place, told="y\ny\nn\ny\ny\ny\ny\ny\ny\ny\n")
     assert asked.exit_code == 1 and "'AnomalyFound' the first" in asked.stderr
-    assert decanter(tmp_path, "loop", "alarms", *place).exit_code == 0
-    beats = decanter(tmp_path, "loop", "heartbeat", "--no-watchdog", *place, "--json")
+    assert decanter(tmp_path, "test", "alarms", *place).exit_code == 0
+    beats = decanter(tmp_path, "test", "heartbeat", "--no-watchdog", *place, "--json")
     assert beats.exit_code == 0 and [row["ok"] for row in json.loads(beats.stdout)["rows"]] == [True] * 3
     done = decanter(tmp_path, "disarm", "--reason", "enough", *place)
     assert done.exit_code == 0 and "validity 0 was written" in done.stdout
     assert "nothing was armed" in decanter(tmp_path, "disarm", *place).stdout
-    assert decanter(tmp_path, "loop", "alarms", *place).exit_code == 6
+    assert decanter(tmp_path, "test", "alarms", *place).exit_code == 6
     blocks = read_recording(plc[1]).blocks
     writes = read(tmp_path / "audit.sqlite", ["write"])
     assert [row.entry.detail["words"] for row in writes] == [
@@ -129,7 +129,7 @@ def test_armed_the_loop_tests_run_each_answer_is_kept_and_disarming_ends_it(
 def test_a_plc_that_is_not_there_is_exit_code_3_and_disarming_works_all_the_same(tmp_path: Path) -> None:
     place = [*at(free_port()), "--timeout", "0.2"]
     assert decanter(tmp_path, "arm", "--reason", "x", "--minutes", "5", *place).exit_code == 0
-    gone = decanter(tmp_path, "loop", "heartbeat", *place)
+    gone = decanter(tmp_path, "test", "heartbeat", *place)
     assert gone.exit_code == 3 and gone.stderr.count("\n") == 1
     done = decanter(tmp_path, "disarm", *place)
     assert done.exit_code == 0 and "the PLC's own timer covers it" in done.stdout
@@ -140,7 +140,7 @@ def test_without_a_permit_nothing_is_written_and_the_refusal_is_kept(tmp_path: P
     with running("--no-permit", "--record", tmp_path / "rec.jsonl") as process:
         place = at(process.port)
         assert decanter(tmp_path, "arm", "--reason", "x", "--minutes", "5", *place).exit_code == 0
-        refused = decanter(tmp_path, "loop", "alarms", *place)
+        refused = decanter(tmp_path, "test", "alarms", *place)
         assert refused.exit_code == 6 and "does not permit" in refused.stderr
     assert read_recording(tmp_path / "rec.jsonl").blocks == ()
     assert [row.entry.kind for row in read(tmp_path / "audit.sqlite")] == ["armed", "write refused"]
@@ -162,7 +162,7 @@ def test_a_gateway_that_runs_is_armed_and_disarmed_through_its_socket(
             armed = decanter(tmp_path, "arm", "--reason", "walk", "--minutes", "5", *config, "--json")
             assert armed.exit_code == 0 and f"pid {gateway.pid}" in json.loads(armed.stdout)["told"]
             wait_until(lambda: (_writes(tmp_path) or {}).get("written", 0) > 3)
-            loop = decanter(tmp_path, "loop", "alarms", *config)
+            loop = decanter(tmp_path, "test", "alarms", *config)
             assert loop.exit_code == 2 and "a gateway runs" in loop.stderr
             done = decanter(tmp_path, "disarm", *config)
             assert done.exit_code == 0 and "writes no more" in done.stdout

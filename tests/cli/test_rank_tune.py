@@ -49,7 +49,8 @@ def test_rank_runs_models_marks_what_they_were_trained_on_and_writes_page_and_pi
     options = ("--traces", traces, "--runs", 100, "--semantics", "both", "--page", page, "--picture", picture)
     found = only_object(decanter("model", "rank", model, rival, *options, "--json").stdout)
     rows = {row["entrant"]: row for row in found["models"]}
-    assert set(rows) == {f"decanter ({name}) ({kind})" for name in ("model", "rival") for kind in ("own", "thesis")}
+    kinds = ("carried", "resampled")
+    assert set(rows) == {f"decanter ({name}) ({kind})" for name in ("model", "rival") for kind in kinds}
     assert {row["in_sample"] for row in rows.values()} == {"in-sample (1 of 2 traces)"}
     assert all(list(row["seen"].values()) == ["content"] for row in rows.values())
     assert {row["verdict"] for row in rows.values()} == {"unfit"}  # learned from synthetic traces
@@ -67,7 +68,7 @@ def test_rank_reads_an_earlier_campaign_with_what_it_knew_of_its_models(
     (row,) = only_object(decanter("model", "rank", "--results", out, "--json").stdout)["models"]
     kept = {one["criterion"]: one["kept"] for one in row["findings"]}
     assert (kept["verified"], kept["from a plant"], kept["unseen"]) == (None, False, True)
-    assert row["seen"] == {"cd17": "name"}
+    assert row["seen"] == {"cd17": "content"}
     fresh = only_object(decanter("model", "rank", model, "--traces", traces, "--runs", 100, "--json").stdout)
     assert fresh["scores"]["decanter"] == pytest.approx(row_scores(out))
     (checked,) = only_object(decanter("model", "rank", model, "--results", out, "--json").stdout)["models"]

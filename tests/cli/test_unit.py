@@ -61,7 +61,7 @@ def test_every_command_says_kw_and_none_says_degrees(plant: tuple[Path, Path, Pa
         ("show", model),
         ("simulate", model, "--trace", one, *run),
         ("simulate", model, "--word", "@0,T=2 fast@30,m=4 @60"),
-        ("verify", model),
+        ("prove", model),
         ("check", model, "Pr[<=60](<> Power > 4)", "--events", one, "--map", column_map, "--runs", "50"),
         ("rank", model, "--traces", traces, "--map", column_map),
     ):

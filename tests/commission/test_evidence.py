@@ -87,7 +87,7 @@ def test_frames_of_a_bus_stand_in_the_pcap_as_socketcan(tmp_path: Path) -> None:
     options = ["--can", ROOT / "config/devices/decanter_can.toml", "--can-interface", "hub", "--can-channel", hub]
     with Hub(hub), running(*options):
         bus = ("--link", "can", "--interface", "hub", "--channel", hub)
-        data = answer(tmp_path, "scan", "can", *bus, "--seconds", 0.3, "--pcap", path)
+        data = answer(tmp_path, "scan", "frames", *bus, "--seconds", 0.3, "--pcap", path)
     link, packets = read_pcap(path)
     assert link == 227 and len(packets) >= data["heard"] > 0
     for packet in packets:

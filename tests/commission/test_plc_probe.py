@@ -102,7 +102,8 @@ def test_a_server_that_closes_at_once_looks_busy(tmp_path: Path) -> None:
     assert "busy with another client" in result.output
 
 
-def test_without_any_device_named_the_usage_is_said(tmp_path: Path) -> None:
+def test_without_any_device_named_the_usage_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     result = plc(tmp_path, "probe")
     assert result.exit_code == 2
     assert "--host HOST" in result.stderr and "--config FILE" in result.stderr

@@ -130,7 +130,7 @@ async def test_silence_at_one_address_is_a_refusal_while_the_device_still_answer
 
 def test_units_that_answer_are_found_among_those_that_do_not(device: tuple[Process, Path], tmp_path: Path) -> None:
     process, _ = device
-    data = answer(tmp_path, "scan", "units", *at(process), "--units", "1-40,247")
+    data = answer(tmp_path, "scan", "units", "1-40,247", *at(process))
     assert [row["unit"] for row in data["units"]] == [1]
     assert data["units"][0]["identity"].startswith("decanter")
     assert data["asked"] == 41
@@ -138,7 +138,7 @@ def test_units_that_answer_are_found_among_those_that_do_not(device: tuple[Proce
 
 def test_the_node_on_the_bus_is_found_by_sdo_and_by_its_heartbeat(device: tuple[Process, Path], tmp_path: Path) -> None:
     bus = ("--link", "canopen", "--interface", "hub", "--channel", device[1])
-    data = answer(tmp_path, "scan", "nodes", *bus, "--nodes", "1-5")
+    data = answer(tmp_path, "scan", "nodes", "1-5", *bus)
     assert [(row["node"], row["sdo"]) for row in data["nodes"]] == [(1, True)]
     assert data["exchanges"]["lost"] == 4
     heard = answer(tmp_path, "scan", "nodes", *bus, "--listen-only")
@@ -150,7 +150,7 @@ def test_frames_on_the_bus_are_listed_with_their_names_and_nothing_is_sent(
     device: tuple[Process, Path], tmp_path: Path
 ) -> None:
     bus = ("--link", "can", "--interface", "hub", "--channel", device[1], "--dbc", ROOT / "config/decanter.dbc")
-    data = answer(tmp_path, "scan", "can", *bus, "--seconds", 0.6)
+    data = answer(tmp_path, "scan", "frames", *bus, "--seconds", 0.6)
     rows = {row["id"]: row for row in data["ids"]}
     assert rows["0x100"]["what"] == "PlcStatus" and rows["0x701"]["what"] == "CANopen heartbeat of node 1"
     assert rows["0x100"]["period_ms"] == pytest.approx(20.0, rel=0.3)
@@ -162,7 +162,7 @@ def test_a_bus_on_which_nobody_speaks_is_a_timeout(tmp_path: Path) -> None:
     with Hub(tmp_path / "can.hub"):
         begun = time.monotonic()
         result = plc(
-            tmp_path, "scan", "can", "--link", "can", "--interface", "hub", "--channel", tmp_path / "can.hub",
+            tmp_path, "scan", "frames", "--link", "can", "--interface", "hub", "--channel", tmp_path / "can.hub",
             "--seconds", 0.2,
         )  # fmt: skip
     assert result.exit_code == 5 and "no frame in 0.2 s" in result.stderr

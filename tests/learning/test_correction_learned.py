@@ -71,8 +71,9 @@ def test_a_sensor_that_is_right_gets_no_correction_worth_speaking_of(model: Mode
 
 
 def test_corrected_the_open_loop_is_that_much_better_on_traces_not_seen(model: Model) -> None:
-    learned = learn_correction(model, off(reading(), 1.1, 2.0))
-    better = corrected_model(model, learned, "hash", model_hash(model))
+    traces = off(reading(), 1.1, 2.0)
+    learned = learn_correction(model, traces)
+    better = corrected_model(model, learned, traces, model_hash(model))
     unseen = off(reading(seed=77, cycles=4), 1.1, 2.0)
 
     def mae(one: Model) -> float:

@@ -77,12 +77,12 @@ class Process:
 
 
 def command_line(*options: str | Path, map_path: Path = DECANTER) -> list[str]:
-    return [sys.executable, "-m", "sim.plc", "--map", str(map_path), "--challenge", "1", *map(str, options)]
+    return [sys.executable, "-m", "sim.plc", "--device", str(map_path), "--challenge", "1", *map(str, options)]
 
 
 def refusal(*options: str | Path, map_path: Path = DECANTER) -> tuple[int, str]:
     """The exit code and the words on stderr of a PLC that must not start; run in this process."""
-    done = CliRunner().invoke(main, ["--map", str(map_path), *map(str, options)])
+    done = CliRunner().invoke(main, ["--device", str(map_path), *map(str, options)])
     assert isinstance(done.exception, SystemExit) and done.stdout == ""
     return done.exit_code, done.stderr
 

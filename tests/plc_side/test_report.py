@@ -100,7 +100,7 @@ def test_what_a_passed_check_has_left_open_is_an_open_point(tmp_path: Path) -> N
         record("verify", result={"open_points": ["verify: TFango: a second value"], "clock_offset": 1.25}),
         record("loop alarms", result={"asked": False}),
         record("loop heartbeat", result={"watchdog": False}),
-        record("conformance", result={"rows": [{"step": "no permit", "skipped": "nobody there"}]}),
+        record("test conformance", result={"rows": [{"step": "no permit", "skipped": "nobody there"}]}),
     )
     data = data_of(path, remarks=["earthing of the shield"])
     assert data["verdict"] == OPEN

@@ -218,7 +218,7 @@ class Rig:
         return Gateway(process, status)
 
     def _plc_options(self) -> list[str]:
-        options = ["--map", MAP, "--trace", self.trace, "--record", self.recording, "--cycle", CYCLE_S, "--stdin"]
+        options = ["--device", MAP, "--trace", self.trace, "--record", self.recording, "--cycle", CYCLE_S, "--stdin"]
         return [str(option) for option in (*options, "--speed", repr(self.speed))]
 
 

@@ -61,7 +61,7 @@ def prepared(label: str, **options: float) -> Prepared:
         where=label,
         parsed=parsed,
         structure=model,
-        variants={"own": model},
+        variants={"carried": model},
         refusals={},
         stages=(),
         discovery=Discovery("by hand", Path(), ()),

@@ -22,7 +22,7 @@ from sim.validation.results import Interval, TraceResult
 FULL = TraceResult(
     "plant",
     "cd1",
-    "own",
+    "carried",
     synthetic=True,
     events=47,
     at_events=Score(0.4, 0.3, -0.1, 47),
@@ -30,7 +30,7 @@ FULL = TraceResult(
     flags=("clamps: 3", 'it said, "no"'),
     error_quantiles=(-1.0, -0.5, 0.0, 0.1, 0.2, 0.3, 1.0),
 )
-FAILED = TraceResult("plant", "cd2", "own", stage=5, failure="it has no reading")
+FAILED = TraceResult("plant", "cd2", "carried", stage=5, failure="it has no reading")
 
 
 def same(left: TraceResult, right: TraceResult) -> bool:

@@ -1,6 +1,7 @@
 """Ranking: known scores, wins, tests and criteria; what few traces cannot tell is said; the order does not matter."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -12,15 +13,11 @@ from hypothesis import strategies as st
 
 from sim.engine.open_loop_run import Score
 from sim.paired import holm, paired
-from sim.plant.scenarios import scenario
-from sim.ranking.fitness import CRITERIA, Facts, FitnessLimits, judge, limits_of, seen_traces, verdict
+from sim.ranking.fitness import CRITERIA, Facts, FitnessLimits, judge, limits_of, verdict
 from sim.ranking.ranking import Ranking, Weights, rank, score
 from sim.ranking.report import as_plain, draw_ranking, page, spreads, win_matrix
-from sim.sha.automaton import SHA, Flow, Location
-from sim.sha.events import Alphabet
-from sim.sha.model import Model, Provenance
-from sim.sha.trace import joint_hash
 from sim.validation.results import TraceResult
+from sim.validation.seen import Seen
 
 KNOWN = Facts(synthetic=False, verified=True)
 
@@ -30,7 +27,7 @@ def result(model: str, trace: str, mae: float = 1.0, **changes: object) -> Trace
     made = TraceResult(
         model,
         trace,
-        "own",
+        "carried",
         readings=100,
         accepted=True,
         at_samples=Score(mae, mae, 0.0, 100),
@@ -39,6 +36,7 @@ def result(model: str, trace: str, mae: float = 1.0, **changes: object) -> Trace
         coverage=0.9,
         crps=0.7 * mae,
         persistence=10.0,
+        seen="no",
         error_quantiles=tuple(mae * quantile for quantile in (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)),
     )
     return replace(made, **changes)
@@ -119,8 +117,8 @@ def test_without_a_common_trace_there_is_no_order() -> None:
 
 
 def test_both_semantics_of_one_model_are_ranked_apart() -> None:
-    both = [*campaign(m=1.0), *(replace(one, semantics="thesis") for one in campaign(m=2.0))]
-    assert [one.entrant for one in rank(both).standings] == ["m (own)", "m (thesis)"]
+    both = [*campaign(m=1.0), *(replace(one, semantics="resampled") for one in campaign(m=2.0))]
+    assert [one.entrant for one in rank(both).standings] == ["m (carried)", "m (resampled)"]
 
 
 @pytest.mark.parametrize(
@@ -192,12 +190,23 @@ def test_one_trace_decides_a_criterion(change: dict[str, object], criterion: str
         (Facts(), "from a plant", None),
         (Facts(synthetic=True), "from a plant", False),
         (Facts(synthetic=False), "from a plant", True),
-        (Facts(seen={"t0": "content", "t1": "name"}), "unseen", False),
-        (Facts(seen={"t0": "content"}), "unseen", True),
     ],
 )
 def test_what_is_known_of_the_model_decides_a_criterion(facts: Facts, criterion: str, kept: bool | None) -> None:
     assert finding([result("m", "t0"), result("m", "t1")], criterion, facts) is kept
+
+
+@pytest.mark.parametrize(
+    ("seen", "kept"),
+    [
+        (("content", "name"), False),
+        (("content", "no"), True),
+        (("unknown", "unknown"), None),
+        (("unknown", "no"), True),
+    ],
+)
+def test_unseen_traces_are_those_that_are_known_to_be(seen: tuple[Seen, Seen], kept: bool | None) -> None:
+    assert finding([result("m", f"t{n}", seen=each) for n, each in enumerate(seen)], "unseen") is kept
 
 
 def test_fit_unfit_and_open_follow_from_the_findings() -> None:
@@ -209,9 +218,9 @@ def test_fit_unfit_and_open_follow_from_the_findings() -> None:
 
 
 def test_coverage_and_persistence_are_judged_on_traces_that_were_not_trained_on() -> None:
-    results = [result("m", "seen", coverage=0.9), result("m", "fresh", coverage=0.2)]
-    assert finding(results, "coverage", replace(KNOWN, seen={"seen": "content"})) is False
-    assert finding(results, "coverage", replace(KNOWN, seen={"fresh": "content"})) is True
+    good, bad = result("m", "one", coverage=0.9), result("m", "other", coverage=0.2)
+    assert finding([replace(good, seen="content"), replace(bad, seen="no")], "coverage") is False
+    assert finding([replace(good, seen="no"), replace(bad, seen="content")], "coverage") is True
 
 
 def test_limits_come_from_names_and_numbers() -> None:
@@ -228,33 +237,15 @@ def test_limits_come_from_names_and_numbers() -> None:
             limits_of(pairs)
 
 
-def learned_from(*names: str, data_hash: str = "") -> Model:
-    sha = SHA("m", (Location("q", Flow("constant", {"noise": 0.1})),), (), "q")
-    return Model(sha, Alphabet(()), "T", 0.1, provenance=Provenance("bins", data_hash, names))
-
-
-def test_a_trace_of_the_training_is_proven_by_content_and_otherwise_warned_of_by_name() -> None:
-    cd1, cd2, cd3 = (scenario(name) for name in ("cd1", "cd2", "cd3"))
-    both = joint_hash([cd1, cd2])
-    assert seen_traces(learned_from("cd1", "cd2", data_hash=both), [cd3, cd2, cd1]) == {
-        "cd1": "content",
-        "cd2": "content",
-    }
-    assert seen_traces(learned_from("cd1", "cd2", data_hash=both), [cd1, cd3]) == {"cd1": "name"}
-    assert seen_traces(learned_from("cd1", "cd2", data_hash=both), [scenario("cd1", 5), cd2]) == {
-        "cd1": "name",
-        "cd2": "name",
-    }
-    renamed = replace(cd1, name="other")
-    assert seen_traces(learned_from("cd1", data_hash=joint_hash([cd1])), [cd3, renamed]) == {"other": "content"}
-    assert seen_traces(learned_from(), [cd1]) == {}
-
-
 def test_in_sample_is_said_beside_the_model_and_that_it_is_favoured() -> None:
-    found = rank(campaign(a=1.0, b=2.0), {"a": replace(KNOWN, seen={"t0": "content"}), "b": KNOWN})
+    def first_seen(results: Sequence[TraceResult], how: Seen) -> list[TraceResult]:
+        """The results of model a on the first trace as of one that it was trained on."""
+        return [replace(one, seen=how) if (one.model, one.trace) == ("a", "t0") else one for one in results]
+
+    found = rank(first_seen(campaign(a=1.0, b=2.0), "content"), {"a": KNOWN, "b": KNOWN})
     assert [one.in_sample for one in found.standings] == ["in-sample (1 of 8 traces)", ""]
     assert any(note.startswith("in-sample: a saw") for note in found.notes)
-    by_name = rank(campaign(a=1.0), {"a": replace(KNOWN, seen={"t0": "name"})})
+    by_name = rank(first_seen(campaign(a=1.0), "name"), {"a": KNOWN})
     assert by_name.standings[0].in_sample == "in-sample (1 of 8 traces, by name)"
 
 

@@ -60,7 +60,7 @@ def prepared(label: str) -> Prepared:
         where=label,
         parsed=FoundModel(label, model.sha, model),
         structure=model,
-        variants={"own": model},
+        variants={"carried": model},
         refusals={},
         stages=(),
         discovery=Discovery("", Path(), ()),

@@ -60,16 +60,16 @@ def law_of(model: Model, name: str) -> dict[str, float]:
 def test_entry_laws_are_those_of_the_readings_at_the_entries() -> None:
     seen = trace([10, 20, 30, 40, 50, 60], {1: "on", 3: "off", 5: "on"})
     both = side_by_side(plant(), [seen])
-    assert list(both) == ["own", "thesis"]
+    assert list(both) == ["carried", "resampled"]
     pooled = np.std([20.0, 40.0, 60.0])
-    assert law_of(both["thesis"], "ON") == pytest.approx({"mu": 40.0, "sigma": sqrt((800 + pooled**2) / 2)})
-    assert law_of(both["thesis"], "OFF") == pytest.approx({"mu": 40.0, "sigma": pooled})  # one entry: no certainty
-    assert both["thesis"].sha.by_name["ON"].entry == "resample"
-    assert both["thesis"].provenance.settings["entry_laws"] == "3 entries along 1 traces"
+    assert law_of(both["resampled"], "ON") == pytest.approx({"mu": 40.0, "sigma": sqrt((800 + pooled**2) / 2)})
+    assert law_of(both["resampled"], "OFF") == pytest.approx({"mu": 40.0, "sigma": pooled})  # one entry: no certainty
+    assert both["resampled"].sha.by_name["ON"].entry == "resample"
+    assert both["resampled"].provenance.settings["entry_laws"] == "3 entries along 1 traces"
 
 
 def test_a_location_never_entered_takes_the_law_of_all_entries_and_an_unknown_one_stays_unknown() -> None:
-    thesis = side_by_side(plant(), [trace([10, 20, 30, 40], {1: "on", 3: "off"})])["thesis"]
+    thesis = side_by_side(plant(), [trace([10, 20, 30, 40], {1: "on", 3: "off"})])["resampled"]
     assert law_of(thesis, "SPARE") == pytest.approx({"mu": 30.0, "sigma": 10.0})
     assert thesis.sha.by_name["LOST"] == plant().sha.by_name["LOST"]
 
@@ -78,7 +78,7 @@ def test_the_thesis_counterpart_begins_at_the_law_and_follows_the_same_flow() ->
     model = plant()
     seen = trace([10, 20, 30, 40, 50, 60], {1: "on", 3: "off"})
     both = side_by_side(model, [seen])
-    assert both["own"] is model
+    assert both["carried"] is model
     own, thesis = (open_loop(each, seen) for each in both.values())
     assert thesis.mean[1] == pytest.approx(20.0)  # the law of ON, whatever came before
     assert thesis.mean[2] == pytest.approx(80.0 + (20.0 - 80.0) * exp(-10 * K))
@@ -87,7 +87,7 @@ def test_the_thesis_counterpart_begins_at_the_law_and_follows_the_same_flow() ->
 
 def artefact(*locations: Location) -> Model:
     edges = tuple(Edge(one.name, f"to_{other.name}", other.name) for one in locations for other in locations)
-    return Model(SHA("thesis", locations, edges, locations[0].name), Alphabet(()), "T", 0.0)
+    return Model(SHA("resampled", locations, edges, locations[0].name), Alphabet(()), "T", 0.0)
 
 
 def test_a_model_of_the_thesis_gets_a_counterpart_that_carries_the_temperature() -> None:
@@ -96,18 +96,18 @@ def test_a_model_of_the_thesis_gets_a_counterpart_that_carries_the_temperature()
     still = Location("still", Flow("constant", {"noise": 0.0}), normal(40.0, 1.0), "resample")
     model = artefact(free, fixed, still)
     both = side_by_side(model, None)
-    assert both["thesis"] is model
+    assert both["resampled"] is model
     seen = trace([10.0] * 4, {1: "to_fixed", 2: "to_still"})
-    mean = open_loop(both["own"], seen).mean
+    mean = open_loop(both["carried"], seen).mean
     warmed = 60.0 + (10.0 - 60.0) * exp(-10 * K)
     assert mean == pytest.approx([10.0, warmed, warmed + 0.5, warmed + 0.5])
-    assert both["own"].sha.by_name["free"].entry == "parameter"
+    assert both["carried"].sha.by_name["free"].entry == "parameter"
 
 
 def test_a_correction_is_worked_into_the_counterpart() -> None:
     corrected = plant(correction=Correction(1.1, -2.0))
     seen = trace([10, 20, 30, 40, 50, 60], {1: "on", 3: "off"})
-    thesis = side_by_side(corrected, [seen])["thesis"]
+    thesis = side_by_side(corrected, [seen])["resampled"]
     mean = open_loop(thesis, seen).mean
     assert mean[1] == pytest.approx(20.0)  # as the sensor reads it
     assert mean[2] == pytest.approx(86.0 + (20.0 - 86.0) * exp(-10 * K))
@@ -118,10 +118,10 @@ def test_without_traces_the_model_itself_says_at_what_temperatures_it_is_entered
     both = side_by_side(model, None, seed=3)
     # Nine relaxation times to 900 s: a stay ends at its own target, where the next one begins. The first stays begin
     # at 25 degC and reach theirs as well.
-    assert law_of(both["thesis"], "ON")["mu"] == pytest.approx(20.0, abs=0.2)
-    assert law_of(both["thesis"], "OFF")["mu"] == pytest.approx(80.0, abs=0.4)
+    assert law_of(both["resampled"], "ON")["mu"] == pytest.approx(20.0, abs=0.2)
+    assert law_of(both["resampled"], "OFF")["mu"] == pytest.approx(80.0, abs=0.4)
     assert side_by_side(model, None, seed=3) == both
-    assert "semi-Markov" in str(both["thesis"].provenance.settings["entry_laws"])
+    assert "semi-Markov" in str(both["resampled"].provenance.settings["entry_laws"])
 
 
 @pytest.mark.parametrize(
@@ -160,6 +160,6 @@ def test_each_semantics_is_the_better_one_on_data_made_by_its_own_rule() -> None
     model = plant()
     carried = simulated(model, 1)
     both = side_by_side(model, carried)
-    assert mean_error(both["own"], carried) < 0.5 * mean_error(both["thesis"], carried)
-    drawn = simulated(replace(both["thesis"], initial=None), 2)
-    assert mean_error(both["thesis"], drawn) < 0.9 * mean_error(both["own"], drawn)
+    assert mean_error(both["carried"], carried) < 0.5 * mean_error(both["resampled"], carried)
+    drawn = simulated(replace(both["resampled"], initial=None), 2)
+    assert mean_error(both["resampled"], drawn) < 0.9 * mean_error(both["carried"], drawn)

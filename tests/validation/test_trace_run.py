@@ -17,7 +17,7 @@ SETTINGS = TraceRunSettings(runs=400)
 
 def run(model: Model, trace: Trace, settings: TraceRunSettings = SETTINGS, refusal: str = "") -> TraceOutcome:
     return run_job(
-        TraceJob(label="plant", semantics="own", model=model, trace=trace, settings=settings, refusal=refusal)
+        TraceJob(label="plant", semantics="carried", model=model, trace=trace, settings=settings, refusal=refusal)
     )
 
 

@@ -9,17 +9,17 @@ from pathlib import Path
 import pytest
 
 from sim.artefacts.formats.find import FoundModel
-from sim.sha.model import Provenance
 from sim.sha.trace import Trace
 from sim.validation.campaign import jobs_of
 from sim.validation.discovery import Discovery
 from sim.validation.pictures import drawings
 from sim.validation.plots import draw
 from sim.validation.report import CampaignSummary, ModelReport, ReportEntry, error_boxes, index_html, model_html, shown
+from sim.validation.results import Interval, TraceResult
 from sim.validation.stage_records import records
 from sim.validation.stages import Prepared, Stage
 from sim.validation.trace_run import TraceOutcome, TraceRunSettings, run_job
-from sim.validation.verdicts import gain, verdict
+from sim.validation.verdicts import gain, summaries, verdict
 from tests.validation.small_plant import location, plant_model, plant_trace
 
 EVIL = '<script>alert(1)</script> & "quotes"'
@@ -30,7 +30,7 @@ def prepared(label: str = "plant") -> Prepared:
     model = plant_model("plant", sensor=0.2, sigma=1.0)
     cold = replace(model, sha=replace(model.sha, locations=(location("off", 15.0), location("on", 40.0))))
     parsed = FoundModel(label, model.sha, model, None, (f"note {label}",))
-    variants = {"own": model, "thesis": cold}
+    variants = {"carried": model, "resampled": cold}
     return Prepared(
         label=label,
         where=label,
@@ -135,7 +135,8 @@ def test_boxes_without_width_are_drawn_all_the_same(quantiles: tuple[float, ...]
 
 def test_verdicts_have_reasons_and_a_good_trace_has_none() -> None:
     own, thesis = (
-        [one.result for one in outcomes(prepared()) if one.result.semantics == name] for name in ("own", "thesis")
+        [one.result for one in outcomes(prepared()) if one.result.semantics == name]
+        for name in ("carried", "resampled")
     )
     assert verdict(own[0]).word == "good" and verdict(own[0]).reasons == ()
     assert verdict(own[-1]).word == "failed" and verdict(own[-1]).reasons[0].startswith("stage 5: ")
@@ -147,8 +148,8 @@ def test_the_gain_is_counted_on_the_traces_that_both_semantics_have() -> None:
     results = [one.result for one in outcomes(prepared())]
     found = gain(results)
     assert found is not None and (found.traces, found.wins) == (3, 3)
-    assert found.own.mae < found.thesis.mae and f"{found.thesis.mae:.3f}" in found.sentence
-    assert gain([one for one in results if one.semantics == "own"]) is None
+    assert found.carried.mae < found.resampled.mae and f"{found.resampled.mae:.3f}" in found.sentence
+    assert gain([one for one in results if one.semantics == "carried"]) is None
 
 
 def test_the_index_links_each_report_by_its_folder() -> None:
@@ -161,13 +162,21 @@ def test_the_index_links_each_report_by_its_folder() -> None:
     assert re.findall(r'href="([^"]+)"', text) == ["plant/report.html"] * 2
 
 
-def test_traces_that_the_model_was_learned_from_are_named() -> None:
-    one, results = prepared(), [outcome.result for outcome in outcomes(prepared())]
-    assert "In sample" not in model_html(ModelReport(campaign=CAMPAIGN, prepared=one, stages=[], results=results))
-    origin = Provenance("bins", traces=("run2", "elsewhere"))
-    learned = replace(one, structure=replace(one.structure, provenance=origin))
-    text = model_html(ModelReport(campaign=CAMPAIGN, prepared=learned, stages=[], results=results))
-    assert "learned from traces of the names run2;" in text
+def test_what_stands_first_is_of_traces_that_the_model_has_not_seen() -> None:
+    one, (first, second, *_) = prepared(), [outcome.result for outcome in outcomes(prepared())]
+    worse = replace(second, mae=Interval(3.92))
+    seen, unseen, unknown = replace(first, seen="content"), replace(worse, seen="no"), replace(second, seen="unknown")
+
+    def text(*results: TraceResult) -> str:
+        return model_html(ModelReport(campaign=CAMPAIGN, prepared=one, stages=[], results=results))
+
+    mixed = text(seen, unseen)
+    assert mixed.index("Unseen traces") < mixed.index("3.92") < mixed.index("In-sample (the model was learned")
+    assert 'class="notice"><b>In-sample' not in mixed
+    assert mixed.index(f'>{unseen.trace}&nbsp;*</td><td class="l">no<') < mixed.index('<td class="l">yes<')
+    assert 'class="notice"><b>In-sample' in text(seen, replace(seen, trace="other", seen="name"))
+    assert 'class="notice"><b>Not known what was seen' in text(unknown)
+    assert [each.sample for each in summaries([seen, unseen, unknown])] == ["unseen", "not known", "in-sample"]
 
 
 def test_a_last_reading_of_0_has_no_per_cent() -> None:

@@ -15,7 +15,7 @@ from gateway.commission.session import CONNECT_S, DEFAULT_DRIVER, Target, Target
 from gateway.settings import load_config, load_device
 
 _PLANT = """\
-# The gateway's configuration. Relative paths are relative to this file. `decanter check` says what is wrong with it.
+# The gateway's configuration. Relative paths are relative to this file. `decanter plc check` says what is wrong.
 
 [device]
 

@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import click
 
 from drivers.driver import LINKS
 from drivers.named_files import parse_toml
+from gateway.console import plant_here
 
 _FILE = click.Path(path_type=Path)
 RECORDS = Path("out/commissioning.jsonl")
@@ -48,8 +49,16 @@ _SETTINGS: dict[str, str] = {
 }
 """Parameter of the command line -> the driver's setting."""
 
+_PLACES = frozenset({"host", "serial", "channel"})
+"""Settings that name a device by themselves: where one is given, the working folder's plant file is not meant."""
+
 _OPTIONS = (
-    click.option("--config", "plant", type=_FILE, help="Plant file: its first link, or the one that --link names."),
+    click.option(
+        "--config",
+        "plant",
+        type=_FILE,
+        help="Plant file: its first link, or the one that --link names.  [default: plant.toml, config/plant.toml]",
+    ),
     click.option("--device", type=_FILE, help="Device file (register map) instead of a plant file."),
     click.option("--link", metavar="KIND", help=f"One of {', '.join(LINKS)}; with --config also a link's name."),
     click.option("--host", help="Modbus over a network: the PLC's name or address."),
@@ -88,7 +97,10 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(command)
     def with_given(**options: Any) -> Any:
-        return command(given=_given(options), **options)
+        given = _given(options)
+        if given.plant is None and given.device is None and not _PLACES & set(given.settings):
+            given = replace(given, plant=plant_here())
+        return command(given=given, **options)
 
     wrapped: Callable[..., Any] = with_given
     for option in reversed((*_OPTIONS, *_KEPT)):

@@ -1,4 +1,4 @@
-"""`scan can`: what is heard on a CAN bus, by identifier, and what each of them is likely to be. Nothing is sent."""
+"""`scan frames`: what is heard on a CAN bus, by identifier, and what each of them is likely to be. Nothing is sent."""
 
 import time
 from collections.abc import Mapping, Sequence

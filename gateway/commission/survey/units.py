@@ -77,7 +77,7 @@ async def scan_units(site: Site, units: Sequence[int] | None, progress: Progress
     if asked < len(wanted):
         site.notes.append(
             f"stopped after {MOST_SILENT} silent units in a row: {wanted[asked]} to {wanted[-1]} were not asked "
-            f"(--units {wanted[asked]}-{wanted[-1]} asks them)"
+            f"(`decanter plc scan units {wanted[asked]}-{wanted[-1]}` asks them)"
         )
     data = {"units": rows, "asked": asked, "ignores_unit": ignored}
     if not rows:

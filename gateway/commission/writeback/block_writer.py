@@ -10,8 +10,6 @@ from pathlib import Path
 from random import Random, SystemRandom
 from struct import pack
 
-import click
-
 from drivers.driver import Driver, Writes, capabilities
 from drivers.errors import DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Sample
@@ -53,7 +51,6 @@ ACCOUNT_TAGS = (
 )
 Ask = Callable[[str], bool]
 Progress = Callable[[str, float], None]
-ASK = click.option("--ask", is_flag=True, help="Put each question to the person at the HMI, here.")
 
 
 def in_force(path: Path, now: float) -> Arming:

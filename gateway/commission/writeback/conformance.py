@@ -1,14 +1,11 @@
-"""`decanter plc conformance`: the conformance suite put to a PLC over the wire."""
+"""The conformance suite, put to a PLC over the wire."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-import click
-
-from gateway.commission.session import CommandResult, SharedOptions, audit_option, link_options, perform
-from gateway.commission.writeback.block_writer import ASK, BlockWriter, with_block_writer
+from gateway.commission.session import CommandResult
+from gateway.commission.writeback.block_writer import BlockWriter
 from gateway.commission.writeback.suite import put_through
 from gateway.commission.writeback.vectors import SuiteStep, vectors
 from gateway.console import table
@@ -33,21 +30,8 @@ async def conform(
     return CommandResult({**counts, "rows": rows})
 
 
-@click.command(short_help="Put the PLC's side of the contract through its suite.")
-@ASK
-@audit_option
-@link_options
-def conformance(given: SharedOptions, ask: bool, audit: Path | None) -> None:
-    """Put the PLC's side of the write-back contract through the conformance suite, over the wire.
-
-    It writes whole, torn, wrong and late blocks and asks the PLC what it makes of each; needs an arming. Takes about
-    five times the PLC's timer. With --ask a person gives and takes the permit when the suite wants it.
-    """
-
-    perform(given, "conformance", {"ask": ask}, with_block_writer(given, audit, "conformance", conform, ask=ask), _show)
-
-
-def _show(data: Mapping[str, Any]) -> None:
+def show_conformance(data: Mapping[str, Any]) -> None:
+    """The result of `conform` for a person."""
     rows = [
         ["skipped" if row["skipped"] else "ok" if row["ok"] else "FAILED", row["step"], row["wrong"] or row["skipped"]]
         for row in data["rows"]

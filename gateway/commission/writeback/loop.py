@@ -1,18 +1,15 @@
-"""`decanter plc loop alarms` and `loop heartbeat`: alarm bits to the HMI, heartbeats both ways, the PLC's timer."""
+"""Loop tests of the write-back: alarm bits to the HMI, heartbeats both ways, the PLC's timer."""
 
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-import click
-
 from drivers.errors import WriteUnverified
-from gateway.commission.session import CommandResult, SharedOptions, audit_option, link_options, perform
-from gateway.commission.writeback.block_writer import ASK, NOTHING, SETTLE_S, BlockWriter, with_block_writer
+from gateway.commission.session import CommandResult
+from gateway.commission.writeback.block_writer import NOTHING, SETTLE_S, BlockWriter
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS
 from gateway.commission.writeback.suite import Account
 from gateway.console import table
@@ -154,38 +151,20 @@ def _outcome(rows: list[dict[str, Any]], more: dict[str, Any], what: str) -> Com
     return CommandResult({"rows": rows, **more}, int(bool(failed)), complaint)
 
 
-@click.command(short_help="Each alarm bit through to the HMI, one after another.")
-@ASK
-@audit_option
-@link_options
-def alarms(given: SharedOptions, ask: bool, audit: Path | None) -> None:
-    """Set each alarm bit alone, then none: the PLC has to accept the block, and the HMI to show it (--ask)."""
-
-    def show(data: Mapping[str, Any]) -> None:
-        seen = {True: "yes", False: "NO", None: "not asked"}
-        rows = []
-        for row in data["rows"]:
-            accepted = "accepted" if row["accepted"] else "NOT ACCEPTED"
-            rows.append([_state(row), row["name"], accepted, seen[row["seen"]], row["meaning"]])
-        table("loop test of the alarm bits", ("", "bit", "the PLC", "seen at the HMI", "meaning"), rows)
-
-    work = with_block_writer(given, audit, "loop alarms", alarm_loop, ask=ask)
-    perform(given, "loop alarms", {"ask": ask}, work, show)
+def show_alarms(data: Mapping[str, Any]) -> None:
+    """The result of `alarm_loop` for a person."""
+    seen = {True: "yes", False: "NO", None: "not asked"}
+    rows = []
+    for row in data["rows"]:
+        accepted = "accepted" if row["accepted"] else "NOT ACCEPTED"
+        rows.append([_state(row), row["name"], accepted, seen[row["seen"]], row["meaning"]])
+    table("loop test of the alarm bits", ("", "bit", "the PLC", "seen at the HMI", "meaning"), rows)
 
 
-@click.command(short_help="Both heartbeats, and the PLC's timer.")
-@click.option("--watchdog/--no-watchdog", default=True, show_default=True, help="Let the PLC's timer run out too.")
-@audit_option
-@link_options
-def heartbeat(given: SharedOptions, watchdog: bool, audit: Path | None) -> None:
-    """Both heartbeats move and are checked; the PLC's timer runs out when the blocks cease."""
-
-    def show(data: Mapping[str, Any]) -> None:
-        rows = [[_state(row), row["step"], row["sentence"]] for row in data["rows"]]
-        table("loop test of the heartbeats", ("", "step", "seen"), rows)
-
-    work = with_block_writer(given, audit, "loop heartbeat", partial(heartbeat_loop, watchdog=watchdog))
-    perform(given, "loop heartbeat", {"watchdog": watchdog}, work, show)
+def show_heartbeats(data: Mapping[str, Any]) -> None:
+    """The result of `heartbeat_loop` for a person."""
+    rows = [[_state(row), row["step"], row["sentence"]] for row in data["rows"]]
+    table("loop test of the heartbeats", ("", "step", "seen"), rows)
 
 
 def _state(row: Mapping[str, Any]) -> str:

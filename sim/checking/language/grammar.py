@@ -121,9 +121,9 @@ _SIGNS = MappingProxyType(
 )
 _FIRST = MappingProxyType(
     {
-        "sup": "ask E[<=444; 1000](max: Temp), or `decanter model verify` for a bound that is proven",
-        "inf": "ask E[<=444; 1000](min: Temp), or `decanter model verify` for a bound that is proven",
-        "bounds": "ask E[<=444; 1000](max: Temp), or `decanter model verify` for a bound that is proven",
+        "sup": "ask E[<=444; 1000](max: Temp), or `decanter model prove` for a bound that is proven",
+        "inf": "ask E[<=444; 1000](min: Temp), or `decanter model prove` for a bound that is proven",
+        "bounds": "ask E[<=444; 1000](max: Temp), or `decanter model prove` for a bound that is proven",
         "control": "there is no strategy to be found: the events come from the plant",
         "strategy": "there is no strategy to be found: the events come from the plant",
         "minE": "there is no strategy to be found: the events come from the plant",

@@ -55,7 +55,7 @@ from sim.learning.bins.candidates import (
     modelled_places,
     process_groups,
 )
-from sim.sha import Alphabet, Array, Model, Provenance, Trace, check_alphabet, unit_of
+from sim.sha import Alphabet, Array, Model, Provenance, Trace, check_alphabet, content_hash, unit_of
 
 CHOICE_BUDGET, FIT_BUDGET, PART_BUDGET = 3_000, 40_000, 6_000
 """Knots to which the runs are sampled for cross-validation, for the last fit and for the fits of the calibration."""
@@ -171,6 +171,7 @@ def learn_bins(
         method="bins",
         data_hash=data_hash or digest,
         traces=tuple(sorted(trace.name for trace in ordered)),
+        contents=tuple(sorted(content_hash(trace) for trace in ordered)),
         synthetic=any(trace.synthetic for trace in ordered),
         settings={
             "seed": seed,

@@ -35,7 +35,7 @@ from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import Structure, choose_structure
 from sim.learning.lsha.teacher import CYCLE, Teacher, beginnings, teacher_of
 from sim.learning.lsha.words import Word, described, spelled
-from sim.sha import Alphabet, Model, Provenance, Trace, check_alphabet
+from sim.sha import Alphabet, Model, Provenance, Trace, check_alphabet, content_hash
 
 BUDGET, PART_BUDGET = 20_000, 5_000
 """Knots to which the runs are sampled for the last fit, and for the fits of the bands."""
@@ -219,6 +219,7 @@ def learn_lsha(
         method="lsha",
         data_hash=data_hash or digest,
         traces=tuple(sorted(trace.name for trace in ordered)),
+        contents=tuple(sorted(content_hash(trace) for trace in ordered)),
         synthetic=any(trace.synthetic for trace in ordered),
         settings={
             "seed": seed,

@@ -1,4 +1,4 @@
-"""`decanter plc write plan`: what the gateway would write, and whether the contract is complete; nothing is sent."""
+"""`decanter plc plan --write`: what the gateway would write, and whether the contract is complete; nothing is sent."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -9,16 +9,7 @@ import click
 
 from drivers.driver import Writes
 from drivers.errors import DriverError
-from gateway.commission.session import (
-    CommandResult,
-    SharedOptions,
-    Site,
-    at,
-    audit_option,
-    audit_path,
-    link_options,
-    perform,
-)
+from gateway.commission.session import CommandResult, Site, at
 from gateway.commission.survey import reference_of
 from gateway.commission.writeback.block_writer import ACCOUNT_TAGS, layout_of
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
@@ -102,19 +93,8 @@ def problems_of(site: Site, device: DeviceMap, layout: WritebackLayout) -> Itera
         yield f"the driver refuses the write map: {error}"
 
 
-@click.command(short_help="What the gateway would write, word by word; nothing is sent.")
-@audit_option
-@link_options
-def plan(given: SharedOptions, audit: Path | None) -> None:
-    """What the gateway would write, word by word, and by which rules; nothing is sent."""
-
-    async def work(site: Site) -> CommandResult:
-        return await plan_writing(site, audit_path(audit, given, site.target))
-
-    perform(given, "write plan", {}, work, _show_plan)
-
-
-def _show_plan(data: Mapping[str, Any]) -> None:
+def show_writing(data: Mapping[str, Any]) -> None:
+    """The result of `plan_writing` for a person."""
     columns = ("field", "address", "reference", "type", "scale", "unit", "unknown", "meaning")
     rows = [
         [word[column] if column != "scale" else f"{word['scale']:g}" for column in columns] for word in data["words"]

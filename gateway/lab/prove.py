@@ -1,4 +1,4 @@
-"""`decanter model verify`: what is certain about a model before it runs, and the word that shows what is wrong."""
+"""`decanter model prove`: what is certain about a model before it runs, and the word that shows what is wrong."""
 
 import sys
 from collections.abc import Sequence
@@ -13,8 +13,7 @@ from gateway.console import emit, finite, json_option, map_option, shipped, tabl
 from gateway.entry import Exit, sentences
 from gateway.lab.traces.load import load
 from sim.artefacts.formats import FoundModel, find_model
-from sim.checking.proof import DAY, Assumptions, Sojourn, TimedWord, Verification, word_text
-from sim.checking.proof import verify as check
+from sim.checking.proof import DAY, Assumptions, Sojourn, TimedWord, Verification, verify, word_text
 from sim.engine import Policy
 from sim.traces import load_map
 
@@ -85,7 +84,7 @@ def _inputs(_: click.Context, __: click.Parameter, texts: Sequence[str]) -> dict
 )
 @click.option("--word", "out", type=click.Path(path_type=Path, dir_okay=False), help="Write the first counterexample.")
 @json_option
-def verify(
+def prove(
     model: str,
     paths: Sequence[str],
     map_name: str,
@@ -127,7 +126,7 @@ def verify(
         )
         # The alphabet of artefacts is the one that their report lists, if it lists one.
         reported = tuple(name for name, _ in found.artefacts.report.events) if found.artefacts else ()
-        result = check(
+        result = verify(
             found.model or found.structure,
             symbols=reported or None,
             traces=traces,
