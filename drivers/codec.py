@@ -102,7 +102,8 @@ def decode(tag: Tag, registers: Sequence[int], *, one_order: bool = False) -> Re
     # Other orders are looked at for what cannot be, not for each of the many readings that can.
     looks = partial(_looks_swapped, tag, () if one_order else registers)
     if not math.isfinite(raw):
-        return None, Quality.SENSOR_FAILURE, f"the device sent {raw}{looks()}"
+        # What a device sends on purpose has nothing but zeros behind its first register.
+        return None, Quality.SENSOR_FAILURE, f"the device sent {raw}{looks() if any(payload[2:]) else ''}"
     if tag.dtype in _FLOATS:
         if reason := _unmeasurable(raw):
             return None, Quality.DATA_ENCODING_INVALID, f"the device sent {reason}{looks()}"
@@ -199,20 +200,25 @@ def _has_empty_end(tag: Tag, payload: bytes) -> bool:
 
 
 def other_order(tag: Tag, registers: Sequence[int], believed: Callable[[float], bool]) -> str:
-    """Say which other order makes a `believed` engineering value of the registers, the commonest first; "" if none.
+    """Say which other order makes a `believed` engineering value of the registers; "" if none.
 
-    As "the words look swapped: as CDAB it reads 40.8".
+    As "the words look swapped: as CDAB it reads 40.8". Of several a number with one decimal wins, which no wrong order
+    makes by chance, then the commonest order.
     """
+    found: list[tuple[bool, Order, float]] = []
     for order in _SEVERAL_REGISTERS if len(registers) > 1 else _ONE_REGISTER:
         other = replace(tag, order=order)
         words = reversed(registers) if _swaps_words(other) else registers
         raw, _ = _RAW[tag.dtype](other, struct.pack(f"{_endian(other)}{len(registers)}H", *words))
         value = math.nan if raw is None or order is tag.order else raw * tag.scale + tag.offset
         if math.isfinite(value) and believed(value):
-            moved = {"words": _SWAPPED_WORDS, "bytes": _SWAPPED_BYTES}
-            swapped = " and ".join(name for name, orders in moved.items() if (tag.order in orders) != (order in orders))
-            return f"the {swapped} look swapped: as {order} it reads {_short(value)}"
-    return ""
+            found.append((abs(value - round(value, 1)) > 1e-6 * abs(value), order, value))
+    if not found:
+        return ""
+    _, order, value = min(found, key=lambda one: one[0])
+    moved = {"words": _SWAPPED_WORDS, "bytes": _SWAPPED_BYTES}
+    swapped = " and ".join(name for name, orders in moved.items() if (tag.order in orders) != (order in orders))
+    return f"the {swapped} look swapped: as {order} it reads {_short(value)}"
 
 
 def _looks_swapped(tag: Tag, registers: Sequence[int]) -> str:

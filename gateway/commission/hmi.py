@@ -164,9 +164,9 @@ def compare(
     numbers = [float(value) for value in values if not isinstance(value, str)]
     exact = True
     if step and numbers:
-        # Between two looks the value passed through all between; the raw value and `slack` may be off besides.
-        rest, number = tolerance - step, float(wanted)
-        passed = min(max(number, min(numbers) - rest), max(numbers) + rest)
+        # Between two looks the value passed through all between; it may be off by `slack` besides.
+        number = float(wanted)
+        passed = min(max(number, min(numbers) - slack), max(numbers) + slack)
         display, at = ShownNumber(number, step), np.array([passed])
         exact = bool(display.rounded_from(at)[0] or display.cut_from(at)[0])
     return Point(

@@ -121,8 +121,8 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
     weighed = [row for row in weighed if row.weight >= chance]
     if not weighed:
         return []
-    # Exact ones first, and no inexact one is believed more than any of them.
-    floor = min((row.weight for row in weighed if row.exact), default=math.inf)
+    # Exact ones first; every inexact one is believed less than any of them, by how much seldomer a value moves.
+    floor = min((row.weight for row in weighed if row.exact), default=math.inf) + math.log(MOVED / ROUNDED)
     weighed = [row if row.exact else replace(row, weight=min(row.weight, floor)) for row in weighed]
     # A stable sort: of equal weights the one that comes first in the tables of priors stays first.
     weighed.sort(key=lambda row: (row.exact, row.weight), reverse=True)

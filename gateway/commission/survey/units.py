@@ -71,9 +71,7 @@ async def scan_units(site: Site, units: Sequence[int] | None, progress: Progress
             "what answers is one device, unless a gateway answers for itself"
         )
     if scan.disliked:
-        site.notes.append(
-            f"unit {scan.disliked} answered the question who it is (function 43) badly: no other is asked"
-        )
+        site.notes.append(f"unit {scan.disliked} took function 43 (who are you?) badly: no other unit was asked it")
     if asked < len(wanted):
         site.notes.append(
             f"stopped after {MOST_SILENT} silent units in a row: {wanted[asked]} to {wanted[-1]} were not asked "
