@@ -39,7 +39,8 @@ KEPT, HOPELESS = 60, 25.0
 ELSEWHERE = 0.05
 """How often a value lies nowhere near the address that was given, so that what fits there fits by chance."""
 MOST_BELIEVED = 0.9
-"""The greatest share of belief as long as another encoding is as exact: neighbours are alike in ways not known here."""
+"""The greatest share of belief as long as another encoding is as exact, or an inexact one would be likelier but for
+that: neighbours are alike in ways not known here."""
 _LOG_MIX = math.log(65536.0)
 
 
@@ -123,6 +124,7 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
         return []
     # Exact ones first; every inexact one is believed less than any of them, by how much seldomer a value moves.
     floor = min((row.weight for row in weighed if row.exact), default=math.inf) + math.log(MOVED / ROUNDED)
+    contested = any(row.weight > floor for row in weighed if not row.exact)
     weighed = [row if row.exact else replace(row, weight=min(row.weight, floor)) for row in weighed]
     # A stable sort: of equal weights the one that comes first in the tables of priors stays first.
     weighed.sort(key=lambda row: (row.exact, row.weight), reverse=True)
@@ -130,7 +132,7 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
     best = weighed[0].weight
     beliefs = [math.exp(row.weight - best) for row in weighed]
     others = sum(beliefs[1:]) + math.exp(chance - best)
-    rivalled = len(weighed) > 1 and weighed[1].exact == weighed[0].exact
+    rivalled = len(weighed) > 1 and (contested or weighed[1].exact == weighed[0].exact)
     if rivalled:
         beliefs[0] = min(beliefs[0], others * MOST_BELIEVED / (1.0 - MOST_BELIEVED))
     total = beliefs[0] + others
