@@ -149,7 +149,7 @@ def _time(where: str, text: str, now: float) -> float | None:
 
 
 def compare(
-    tag: Tag, shown: HmiReading, values: Sequence[Value], now: float, slack: float = 0.0, missing: str = ""
+    tag: Tag, shown: HmiReading, values: Sequence[Value], now: float, slack: float = 0.0, *, missing: str = ""
 ) -> Point:
     """Whether the HMI's reading agrees with one of the PLC's, or lies between them while the value moves.
 

@@ -102,7 +102,7 @@ async def against(
             # NaN, a gap in the recording, does not equal itself.
             values = [column[at] for at in near if column[at] == column[at]] if column is not None else []
         why = missing.get(reading.tag, "") if reading.time is None else ""
-        points.append(compare(known[reading.tag], reading, values, now, slack, why))
+        points.append(compare(known[reading.tag], reading, values, now, slack, missing=why))
     return outcome(tags, points, before, complete=complete)
 
 
@@ -147,7 +147,7 @@ async def by_questions(
             values, reasons = await _window(site, [tag])
             try:
                 reading, why = HmiReading(tag.name, answer), reasons.get(tag.name, "")
-                point = compare(tag, reading, values[tag.name], time.time(), slack, why)
+                point = compare(tag, reading, values[tag.name], time.time(), slack, missing=why)
             except ListError as error:
                 tell(f"  {error}")
                 continue

@@ -17,7 +17,7 @@ from gateway.commission.survey import scan_units, units
 
 
 @dataclass
-class Line:
+class AnsweringUnits:
     """A connection to units that answer by a rule: a word, or what is raised; what was asked is counted."""
 
     answers: Callable[[int], int | Exception]
@@ -46,9 +46,9 @@ class Line:
 def scanned(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., tuple[CommandResult, Site]]:
     """Scan a line: the result, and the site with its notes."""
 
-    def scan(line: Line, wanted: list[int] | None = None) -> tuple[CommandResult, Site]:
+    def scan(line: AnsweringUnits, wanted: list[int] | None = None) -> tuple[CommandResult, Site]:
         @asynccontextmanager
-        async def opened(*_: Any, **__: Any) -> AsyncIterator[Line]:
+        async def opened(*_: Any, **__: Any) -> AsyncIterator[AnsweringUnits]:
             yield line
 
         monkeypatch.setattr(units, "open_registers", opened)
@@ -63,7 +63,7 @@ def silence(unit: int) -> Exception:
 
 
 def test_after_twenty_silent_units_the_scan_ends_and_says_which_were_not_asked(scanned: Any) -> None:
-    line = Line(lambda unit: 7 if unit in (1, 5) else silence(unit))
+    line = AnsweringUnits(lambda unit: 7 if unit in (1, 5) else silence(unit))
     result, site = scanned(line)
     assert [row["unit"] for row in result.data["units"]] == [1, 5]
     assert result.data["asked"] == 25 and max(unit for unit in line.reads if unit < 200) == 25
@@ -72,28 +72,28 @@ def test_after_twenty_silent_units_the_scan_ends_and_says_which_were_not_asked(s
 
 
 def test_units_that_were_named_are_all_asked(scanned: Any) -> None:
-    line = Line(lambda unit: 7 if unit == 100 else silence(unit))
+    line = AnsweringUnits(lambda unit: 7 if unit == 100 else silence(unit))
     result, site = scanned(line, list(range(1, 101)))
     assert [row["unit"] for row in result.data["units"]] == [100] and result.data["asked"] == 100
     assert not any("were not asked" in note for note in site.notes)
 
 
 def test_where_nobody_answers_the_scan_ends_too(scanned: Any) -> None:
-    line = Line(silence)
+    line = AnsweringUnits(silence)
     result, _ = scanned(line)
     assert result.code == 5 and len(line.reads) == 40
 
 
 @pytest.mark.parametrize("trouble", [ReplyTimeout("silent"), LinkDown("closed", fault=LinkFault.CLOSED)])
 def test_function_43_goes_to_no_other_unit_after_one_that_dislikes_it(scanned: Any, trouble: Exception) -> None:
-    line = Line(lambda unit: 7 if unit < 6 else silence(unit), trouble)
+    line = AnsweringUnits(lambda unit: 7 if unit < 6 else silence(unit), trouble)
     result, site = scanned(line)
     assert line.identities == [1] and len(result.data["units"]) == 5
     assert any("unit 1 took function 43" in note for note in site.notes)
 
 
 def test_a_device_that_ignores_the_unit_number_is_called_one_and_asked_once_who_it_is(scanned: Any) -> None:
-    line = Line(lambda unit: 7)
+    line = AnsweringUnits(lambda unit: 7)
     result, site = scanned(line)
     assert result.data["ignores_unit"] and line.identities == [1]
     assert any("ignores the unit number" in note for note in site.notes)
@@ -101,14 +101,14 @@ def test_a_device_that_ignores_the_unit_number_is_called_one_and_asked_once_who_
 
 def test_a_refusal_that_meets_any_number_is_no_unit(scanned: Any) -> None:
     refusal = DeviceException(4, "exception 4: server device failure")
-    result, _ = scanned(Line(lambda unit: 7 if unit == 1 else refusal), list(range(1, 40)))
+    result, _ = scanned(AnsweringUnits(lambda unit: 7 if unit == 1 else refusal), list(range(1, 40)))
     assert [row["unit"] for row in result.data["units"]] == [1]
     assert not result.data["ignores_unit"]
 
 
 def test_a_unit_that_hangs_up_is_silent_and_a_device_that_is_gone_ends_the_scan(scanned: Any) -> None:
     closed = LinkDown("closed", fault=LinkFault.CLOSED)
-    result, _ = scanned(Line(lambda unit: 7 if unit in (1, 3) else closed), [1, 2, 3, 4])
+    result, _ = scanned(AnsweringUnits(lambda unit: 7 if unit in (1, 3) else closed), [1, 2, 3, 4])
     assert [row["unit"] for row in result.data["units"]] == [1, 3]
     with pytest.raises(LinkDown):
-        scanned(Line(lambda unit: 7 if unit == 1 else LinkDown("refused", fault=LinkFault.REFUSED)), [1, 2])
+        scanned(AnsweringUnits(lambda unit: 7 if unit == 1 else LinkDown("refused", fault=LinkFault.REFUSED)), [1, 2])
