@@ -1,14 +1,16 @@
 """The demonstration's figures over seeds: how long before the limit each alarm comes, and how often in vain.
 
-`python -m benchmarks.demo_seeds [--seeds 20] [--first 0] [--json FILE]`: for each seed a model is learned from three
-days of the simulated decanter, and the alarms are scored on another day, in which the bearing runs to its limit and nobody
-acts. It is the demonstration without its processes: the gateway's own predictor, bands and ensemble follow the day scan
-by scan (`forecasts_along`), with the demonstration's periods. A day has one richer feed that is harmless, and one heat.
+`python -m benchmarks.demo_seeds [--seeds 20] [--histories 4] [--json FILE]`: the alarms are scored on one day for each
+seed, in which the bearing runs to its limit and nobody acts. It is the demonstration without its processes: the
+gateway's own predictor, bands and ensemble follow the day scan by scan (`forecasts_along`), with the demonstration's
+periods. A day has one richer feed that is harmless, and one heat. The models are learned from histories of three days;
+the days take turns with them (`--histories` as many as seeds: each day has its own, as in the demonstration).
 """
 
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from statistics import mean, median
 from typing import Any
@@ -23,17 +25,22 @@ from gateway.demo.lead_time import AlarmScore, first_reached, forecast_alarm, ri
 from gateway.demo.prepare import LEAST_FORECAST_S, P_LIMIT, PLANT_LIMIT, pace
 from gateway.lab.learn import learn_from
 from sim.plant import heat_day_uncontrolled, heat_history
-from sim.sha import Trace, encode
+from sim.sha import Model, Trace, encode
 from sim.traces import load_map
 
 FORECAST = "forecast"
 
 
-def scores_of(seed: int, training: Sequence[Trace], day: Trace) -> list[AlarmScore]:
-    """Every alarm's score on the day of one seed, with a model learned from `training`."""
+@cache
+def learned(seed: int) -> Model:
+    """The model of one history."""
     column_map = load_map(shipped("traces", "decanter"))
-    days = [replace(trace, events=encode(trace, column_map.alphabet)) for trace in training]
-    model = learn_from(days, column_map, name="demo", seed=seed, report=lambda *_: None).model
+    days = [replace(trace, events=encode(trace, column_map.alphabet)) for trace in heat_history(seed)]
+    return learn_from(days, column_map, name="demo", seed=seed, report=lambda *_: None).model
+
+
+def scores_of(model: Model, day: Trace) -> list[AlarmScore]:
+    """Every alarm's score on one day."""
     _, speed, scan_period = pace(day, None)
     period = max(10.0, 5 * scan_period, LEAST_FORECAST_S * speed)
     reached = first_reached(day, model.temperature, PLANT_LIMIT)
@@ -94,15 +101,15 @@ def show(figures: dict[str, dict[str, Any]], console: Console) -> None:
 
 @click.command()
 @click.option("--seeds", type=click.IntRange(1), default=20, show_default=True)
-@click.option("--first", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--histories", type=click.IntRange(1), default=4, show_default=True)
 @click.option("--json", "path", type=click.Path(path_type=Path), help="Write the scores of each seed here.")
-def main(seeds: int, first: int, path: Path | None) -> None:
+def main(seeds: int, histories: int, path: Path | None) -> None:
     """Score the demonstration's alarms over seeds."""
     by_name: dict[str, list[AlarmScore]] = {}
     every: list[dict[str, Any]] = []
-    for seed in range(first, first + seeds):
+    for seed in range(seeds):
         day = heat_day_uncontrolled(seed)
-        scored = scores_of(seed, heat_history(seed), day)
+        scored = scores_of(learned(seed % histories), day)
         for each in scored:
             by_name.setdefault(each.name, []).append(each)
         begin = float(day.times[0])

@@ -1,6 +1,6 @@
 """The picture of the live demonstration: with and without the gateway, the forecast at the alarm, what the PLC did."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -16,8 +16,10 @@ from gateway.demo.prepare import DemoRun
 from gateway.store import history, matured, to_trace
 from sim.sha import Array
 
-MEASURED, WITHOUT, FORECAST, LIMIT, OUTAGE = "#222222", "#c65d1e", "#1f6fb4", "#b3261e", "#999999"
+MEASURED, WITHOUT, FORECAST, AT_ALARM = "#222222", "#c65d1e", "#1f6fb4", "#2a8c6a"
+LIMIT, OUTAGE = "#b3261e", "#999999"
 LOAD = "Assorbimento"
+BAND = (0.05, 0.5, 0.95)
 ISSUED_S = 300.0
 """Of the forecasts that came due: how long before (s) they were issued."""
 
@@ -29,7 +31,7 @@ def draw_heat(
     temperature = setting.model.temperature
     begin, without = started(setting.trace, happened)
 
-    def clock(absolute: Array | float) -> Array:
+    def clock(absolute: Array) -> Array:
         return (np.asarray(absolute, dtype=float) - begin) / 60.0
 
     figure = Figure(figsize=(11, 7), layout="constrained")
@@ -44,23 +46,28 @@ def draw_heat(
         linewidth=1.5,
         label="same day without the gateway",
     )
-    good = np.isfinite(seen.measured)
-    upper.plot(clock(seen.times[good]), seen.measured[good], ".", color=MEASURED, markersize=3, label="measured")
+    upper.plot(clock(seen.times), seen.measured, ".", color=MEASURED, markersize=3, label="measured")
     due = matured(historian).get(ISSUED_S)
     if due is not None:
         at = due.times + ISSUED_S
         shown = at <= readings.times[-1]
-        low, median, high = (due.quantiles[shown, due.levels.index(level)] for level in (0.05, 0.5, 0.95))
+        at = at[shown]
+        low, median, high = (due.quantiles[shown, due.levels.index(level)] for level in BAND)
+        # No line where no forecast was issued: in the outage there was none.
+        holes = np.flatnonzero(np.diff(at) > 3 * setting.forecast_period) + 1
+        at, low, median, high = (np.insert(column, holes, np.nan) for column in (at, low, median, high))
         words = f"forecast issued {ISSUED_S / 60:.0f} minutes before, 90 % band"
-        upper.plot(clock(at[shown]), median, color=FORECAST, linewidth=1.3, label=words)
-        upper.fill_between(clock(at[shown]), low, high, color=FORECAST, alpha=0.18, linewidth=0)
+        upper.plot(clock(at), median, color=FORECAST, linewidth=1.3, label=words)
+        upper.fill_between(clock(at), low, high, color=FORECAST, alpha=0.18, linewidth=0)
     upper.axhline(setting.limit, color=LIMIT, linewidth=1, linestyle=":")
     upper.text(0.4, setting.limit + 0.3, f"limit {setting.limit:g} °C", color=LIMIT, fontsize=9)
+    if heat["alarm_s"] is not None:
+        _forecast_at(upper, historian, begin + heat["alarm_s"], clock)
     _story(upper, heat, setting.limit)
     for row in happened:
         if row["event"] == "fault began":
             ended = [each["time"] for each in happened if each["event"] == "fault ended"]
-            left, right = clock(row["time"]), clock(ended[0] if ended else readings.times[-1])
+            left, right = clock(np.array([row["time"], ended[0] if ended else readings.times[-1]]))
             for axis in (upper, lower):
                 axis.axvspan(float(left), float(right), color=OUTAGE, alpha=0.25, linewidth=0)
             y = upper.get_ylim()[0]
@@ -74,9 +81,7 @@ def draw_heat(
         (without, "--", WITHOUT, "without the gateway"),
         (readings, "-", MEASURED, "measured"),
     ):
-        column = trace.signals[LOAD]
-        known = np.isfinite(column)
-        lower.plot(clock(trace.times[known]), column[known], style, color=colour, linewidth=1, label=label)
+        lower.plot(clock(trace.times), trace.signals[LOAD], style, color=colour, linewidth=1, label=label)
     lower.set_ylabel("load current (A)")
     lower.set_xlabel(f"plant time (min since the start; the demo shows {setting.speed / 60:.1f} of them in a second)")
     for axis in (upper, lower):
@@ -89,6 +94,21 @@ def draw_heat(
     return path
 
 
+def _forecast_at(axis: Axes, historian: Path, moment: float, clock: Callable[[Array], Array]) -> None:
+    """The whole forecast that the alarm was raised by: the newest one at that moment, at each of its horizons."""
+    points = []
+    for horizon, forecasts in sorted(matured(historian).items()):
+        before = np.flatnonzero(forecasts.times <= moment)
+        if before.size:
+            fan = forecasts.quantiles[before[-1]]
+            points.append((forecasts.times[before[-1]] + horizon, *fan[[forecasts.levels.index(x) for x in BAND]]))
+    if points:
+        at, low, median, high = np.array(points).T
+        spread = (median - low, high - median)
+        words = "the forecast at the alarm: 1, 5 and 15 min on"
+        axis.errorbar(clock(at), median, spread, fmt="o", color=AT_ALARM, markersize=5, capsize=4, label=words)
+
+
 def _story(axis: Axes, heat: Mapping[str, Any], limit: float) -> None:
     """Alarm, lead time, the PLC's action and the trip, at their places."""
     forecast, reached = heat["alarms"][0], heat["without_reached_s"]
@@ -97,7 +117,7 @@ def _story(axis: Axes, heat: Mapping[str, Any], limit: float) -> None:
         true = reached is not None and reached - moment <= TRUE_WITHIN_S
         words = "ALARM" if true else "FALSE ALARM"
         axis.annotate(
-            words, (moment / 60, limit - 8), (-4, 0), textcoords="offset points", rotation=90, ha="right", fontsize=9
+            words, (moment / 60, limit - 4), (-4, 0), textcoords="offset points", rotation=90, ha="right", fontsize=9
         )
     if forecast["lead_s"] is not None:
         begin, end = (reached - forecast["lead_s"]) / 60, reached / 60
@@ -106,14 +126,23 @@ def _story(axis: Axes, heat: Mapping[str, Any], limit: float) -> None:
         axis.text((begin + end) / 2, limit + 2.3, words, color=FORECAST, ha="center", fontsize=10)
     if heat["acted_s"] is not None:
         words = f"PLC: feed to {100 * heat['feed']:.0f} %"
-        place = (heat["acted_s"] / 60, limit - 12)
-        axis.annotate(words, place, (6, 0), textcoords="offset points", color=MEASURED, fontsize=9)
+        place = (heat["acted_s"] / 60, heat["hottest"])
+        axis.annotate(
+            words,
+            place,
+            (0, -90),
+            textcoords="offset points",
+            ha="center",
+            color=MEASURED,
+            fontsize=10,
+            arrowprops={"arrowstyle": "->", "color": MEASURED},
+        )
     if reached is not None:
         axis.plot([reached / 60], [limit], "x", color=WITHOUT, markersize=9, markeredgewidth=2)
         axis.annotate(
             "without the gateway:\nthe PLC trips",
             (reached / 60, limit),
-            (8, -14),
+            (8, -32),
             textcoords="offset points",
             color=WITHOUT,
             fontsize=9,
