@@ -61,6 +61,9 @@ def draw_heat(
         upper.fill_between(clock(at), low, high, color=FORECAST, alpha=0.18, linewidth=0)
     upper.axhline(setting.limit, color=LIMIT, linewidth=1, linestyle=":")
     upper.text(0.4, setting.limit + 0.3, f"limit {setting.limit:g} °C", color=LIMIT, fontsize=9)
+    # What was measured fills the picture; the far end of a wide forecast is cut off.
+    coldest = float(min(np.nanmin(seen.measured), np.min(without.signals[temperature])))
+    upper.set_ylim(coldest - 6.0, setting.limit + 5.0)
     if heat["alarm_s"] is not None:
         _forecast_at(upper, historian, begin + heat["alarm_s"], clock)
     _story(upper, heat, setting.limit)
@@ -106,7 +109,9 @@ def _forecast_at(axis: Axes, historian: Path, moment: float, clock: Callable[[Ar
         at, low, median, high = np.array(points).T
         spread = (median - low, high - median)
         words = "the forecast at the alarm: 1, 5 and 15 min on"
-        axis.errorbar(clock(at), median, spread, fmt="o", color=AT_ALARM, markersize=5, capsize=4, label=words)
+        axis.errorbar(
+            clock(at), median, spread, fmt="o", color=AT_ALARM, markersize=5, elinewidth=1, capsize=4, label=words
+        )
 
 
 def _story(axis: Axes, heat: Mapping[str, Any], limit: float) -> None:
@@ -142,9 +147,8 @@ def _story(axis: Axes, heat: Mapping[str, Any], limit: float) -> None:
         axis.annotate(
             "without the gateway:\nthe PLC trips",
             (reached / 60, limit),
-            (8, -32),
+            (8, 4),
             textcoords="offset points",
             color=WITHOUT,
             fontsize=9,
         )
-    axis.set_ylim(top=limit + 5)
