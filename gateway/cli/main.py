@@ -34,6 +34,8 @@ COMMANDS: Table = {
 EXAMPLES = {
     "demo": "demo --seconds 40 --out out/demo",
     "run": "run --config plant.toml",
+    "top": "top --config plant.toml",
+    "status": "status --json",
     "emulate": "emulate --device config/devices/decanter_plc.toml --trace out/traces/cd8.csv --port 15020",
     "backup": "backup /media/usb/gateway-2026-05-04 --config plant.toml",
     "restore": "restore /media/usb/gateway-2026-05-04 --by 'A. Rossi'",
