@@ -55,8 +55,6 @@ def codegen(
 
     It checks layout version, sequence copy, CRC, session and heartbeat, keeps a timer, and falls back to the PLC's own
     logic. What to paste where in OpenPLC, CODESYS and TIA Portal is in docs/plc_side.md.
-
-    Example: decanter plc codegen --target openplc --permit-at %IX0.0 --out block.st
     """
     with sentences():
         device_map = load_device(device)
