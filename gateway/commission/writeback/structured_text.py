@@ -15,7 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from drivers.tag import DType, Order, Tag
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, FRAME, described, unknown_word
-from gateway.commission.writeback.targets import TARGETS, Target
+from gateway.commission.writeback.targets import TARGETS, PlcTool
 from gateway.settings import DeviceMap, WritebackLayout
 
 _KEYS: Mapping[str, str] = {
@@ -70,7 +70,7 @@ class Program:
 
 
 def generate(
-    device: DeviceMap, name: str = "", program: Program | None = None, target: Target = TARGETS["plain"]
+    device: DeviceMap, name: str = "", program: Program | None = None, target: PlcTool = TARGETS["plain"]
 ) -> str:
     """The function block for a device's write-back area; with `program` also an example that calls it.
 
@@ -176,7 +176,9 @@ def _real(value: float) -> str:
 # ---------------------------------------------------------------- the example program
 
 
-def _program(device: DeviceMap, layout: WritebackLayout, name: str, program: Program, target: Target) -> dict[str, Any]:
+def _program(
+    device: DeviceMap, layout: WritebackLayout, name: str, program: Program, target: PlcTool
+) -> dict[str, Any]:
     """All that an example program's template asks for. `declared` rows are variables of their own in the program."""
     prefix = target.prefix(program.prefix)
     configuration, resource = target.names or (f"{name}_CONFIGURATION", "MainResource")
@@ -203,9 +205,10 @@ def _program(device: DeviceMap, layout: WritebackLayout, name: str, program: Pro
     answering = prefix.replace("%I", "%Q")
     if target.registers == "located":
         content["where"] = target.where(prefix)
-        for row in (*words, *answers):
-            if (register := _register(row["tag"])) is not None:
-                row["place"] = f" AT {target.place(register, prefix if 'field' in row else answering)}"
+        for rows, area in ((words, prefix), (answers, answering)):
+            for row in rows:
+                if (register := _register(row["tag"])) is not None:
+                    row["place"] = f" AT {target.place(register, area)}"
     elif target.registers == "data block":
         served = [row for row in (*words, *answers) if _register(row["tag"]) is not None]
         for row in served:

@@ -1,6 +1,6 @@
 """The tools that the PLC's side goes into, and what each asks of the text: names, places of registers, spelling.
 
-The logic is the same text for all of them: a tool that wants another spelling gets it from `Target.spelling`, at the
+The logic is the same text for all of them: a tool that wants another spelling gets it from `PlcTool.spelling`, at the
 end. What the tools want was read in their documents; `docs/plc_side.md` says which of them have compiled it here.
 """
 
@@ -20,7 +20,7 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
+class PlcTool:
     """What one tool asks of the text.
 
     `registers` says how a program gets at them: as variables, each at its location; as two arrays; in a data block.
@@ -103,8 +103,8 @@ def siemens(text: str) -> str:
     return "".join(blocks)
 
 
-TARGETS: Mapping[str, Target] = {
-    "plain": Target(
+TARGETS: Mapping[str, PlcTool] = {
+    "plain": PlcTool(
         tool="IEC 61131-3",
         template="program.st.j2",
         locations=("%MW", "%QW", "%IW"),
@@ -112,7 +112,7 @@ TARGETS: Mapping[str, Target] = {
         bit_example="%IX0.0 or %MX10.0",
     ),
     # OpenPLC compiles files of these two names, and its Modbus server keeps 1,024 words of each kind.
-    "openplc": Target(
+    "openplc": PlcTool(
         tool="OpenPLC",
         template="program.st.j2",
         locations=("%QW",),
@@ -121,7 +121,7 @@ TARGETS: Mapping[str, Target] = {
         names=("Config0", "Res0"),
         spans=(Span(0, 1023, "%QW"), Span(1024, 2047, "%MW")),
     ),
-    "codesys": Target(
+    "codesys": PlcTool(
         tool="CODESYS",
         template="program_codesys.st.j2",
         registers="arrays",
@@ -129,7 +129,7 @@ TARGETS: Mapping[str, Target] = {
         bit=re.compile(r"%[IQM]X?\d+\.[0-7]"),
         bit_example="%IX0.0",
     ),
-    "tia": Target(
+    "tia": PlcTool(
         tool="TIA Portal",
         template="program_tia.scl.j2",
         registers="data block",
