@@ -91,6 +91,16 @@ def test_nothing_is_printed_over_the_lines_to_sign_on(monkeypatch: pytest.Monkey
     assert places["Annex"] >= places["operator: name, date, signature"] + 5, "mm, the height of the line's text"
 
 
+@pytest.mark.parametrize(
+    "room", ["sim/discrepancy/output", "sim/ranking", "sim/validation", "gateway/commission/acceptance"]
+)
+def test_a_table_has_its_head_on_each_sheet_of_paper(room: str) -> None:
+    """A row of headings that is no `thead` stood alone at the foot of a page, and nowhere on the next one."""
+    for path in (Path(__file__).parents[3] / room / "templates").iterdir():
+        rows = re.findall(r"(\S*)\s*<tr><th\b", path.read_text(encoding="utf-8"))
+        assert all(before.endswith("<thead>") for before in rows), path
+
+
 def test_the_ranking_has_its_parts_in_sections_too() -> None:
     template = (Path(__file__).parents[3] / "sim/ranking/templates/ranking.html").read_text(encoding="utf-8")
     assert template.count("<section>") == template.count("</section>") == template.count("<h2>")
