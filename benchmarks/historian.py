@@ -34,6 +34,7 @@ from gateway.machine.records import Keeper
 from gateway.settings import load_device
 from gateway.store import Historian, open_historian, samples, trend
 from gateway.store.columns import pack, unpack
+from gateway.store.retention import ended_tiers, pack_tier
 from sim.plant.scenarios import production
 from sim.sha import Array, Trace
 from tests.rig.layout_1 import FormerStore
@@ -172,7 +173,7 @@ def put(historian: Historian, batch: Batch) -> None:
 
 
 def multiplied(path: Path, tags: Sequence[Tag], days: int) -> None:
-    """Make `days` days of a file with one: its chunks and tiers with their times moved."""
+    """Make `days` days of a file with one: its chunks and tiers with their times moved, the tiers packed."""
     historian, _ = open_historian(path, tags, max_mb=100_000.0)
     connection = historian._normal  # noqa: SLF001 - the benchmark fills what would take 90 days to fill
     chunks = connection.execute(
@@ -200,6 +201,8 @@ def multiplied(path: Path, tags: Sequence[Tag], days: int) -> None:
             "WHERE start < (SELECT min(start) FROM tiers) + 86400"
         )
     connection.execute("COMMIT")
+    for ended in ended_tiers(connection, max(row[4] for row in chunks)):
+        pack_tier(connection, *ended)
     historian.close()
 
 
