@@ -84,7 +84,9 @@ def test_repeats_are_stored_once_in_an_interval_and_a_deadband_is_only_for_the_h
     assert [s.value for s in kept if s.tag == "A"] == pytest.approx([100.0, 100.6, 101.2, 101.8])
 
 
-numbers = st.one_of(st.floats(-3.0, 3.0), st.floats(), st.integers(-(1 << 64), 1 << 64))
+numbers = st.one_of(
+    st.floats(-3.0, 3.0), st.sampled_from([np.nan, np.inf, -np.inf]), st.floats(), st.integers(-(1 << 64), 1 << 64)
+)
 moments = st.lists(st.sampled_from([1.0, 4.0, 5.0, 3600.0]), min_size=40, max_size=40)
 qualities = st.sampled_from([Quality.GOOD, Quality.GOOD, Quality.GOOD, Quality.LAST_USABLE, Quality.TIMEOUT])
 
