@@ -17,8 +17,10 @@ rows that are not packed yet weigh most.
 """
 
 import json
+import sqlite3
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -243,6 +245,10 @@ def measure(days: int, hours: float, seconds: float) -> list[Figure]:
         now, former = one_day(slow, tags, course, folder / "slow1.sqlite")
         figures.append(Figure("bytes a day at 1 Hz", now / 1e6, "MB", "layout 1", former / 1e6))
         figures.append(Figure("bytes of 90 days at 1 Hz", 90 * now / 1e6, "MB", "goal", 1000.0))
+        with closing(sqlite3.connect(slow)) as connection:
+            packed = dict(connection.execute("SELECT kind, sum(length(data)) FROM chunks GROUP BY kind").fetchall())
+        values, every = packed["samples"] / 1e6, sum(packed.values()) / 1e6
+        figures.append(Figure("readings packed, without their moments", values, "MB", "all that is packed", every))
         thin = folder / "thin.sqlite"
         wide = [replace(tag, deadband=DEADBAND) if tag.dtype == "float32" else tag for tag in tags]
         less, _ = one_day(thin, wide, Course(wide, 1.0, hours * 3600.0), None)
