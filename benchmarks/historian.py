@@ -184,6 +184,19 @@ def multiplied(path: Path, tags: Sequence[Tag], days: int) -> None:
     chunks = connection.execute(
         "SELECT kind, tag, batch, first, last, rows, data FROM chunks ORDER BY rowid"
     ).fetchall()
+    connection.execute("BEGIN")
+    for day in range(1, days):
+        connection.execute(
+            f"INSERT INTO tiers SELECT tag, width, start - {day * DAY}, count, low, mean, high FROM tiers "  # noqa: S608
+            "WHERE start >= (SELECT max(start) FROM tiers) - 86400"
+            if day == 1
+            else f"INSERT INTO tiers SELECT tag, width, start - {DAY}, count, low, mean, high FROM tiers "  # noqa: S608
+            "WHERE start < (SELECT min(start) FROM tiers) + 86400"
+        )
+    connection.execute("COMMIT")
+    # First, so that the room of their rows is used again, as it is when they come day by day.
+    for ended in ended_tiers(connection, max(row[4] for row in chunks)):
+        pack_tier(connection, *ended)
     # Before the day that is there already, which stays the newest, by its batches as by its times.
     top = max(row[2] for row in chunks)
     connection.execute("BEGIN")
@@ -198,16 +211,7 @@ def multiplied(path: Path, tags: Sequence[Tag], days: int) -> None:
             connection.execute(
                 "INSERT INTO chunks (kind, tag, batch, first, last, rows, data) VALUES (?, ?, ?, ?, ?, ?, ?)", row
             )
-        connection.execute(
-            f"INSERT INTO tiers SELECT tag, width, start - {day * DAY}, count, low, mean, high FROM tiers "  # noqa: S608
-            "WHERE start >= (SELECT max(start) FROM tiers) - 86400"
-            if day == 1
-            else f"INSERT INTO tiers SELECT tag, width, start - {DAY}, count, low, mean, high FROM tiers "  # noqa: S608
-            "WHERE start < (SELECT min(start) FROM tiers) + 86400"
-        )
     connection.execute("COMMIT")
-    for ended in ended_tiers(connection, max(row[4] for row in chunks)):
-        pack_tier(connection, *ended)
     historian.close()
 
 
