@@ -1,4 +1,4 @@
-"""The live table of a running gateway, made from its status file and the PLC's own account."""
+"""The live panel: rows of a running gateway from its status, rows of the software PLC from its account."""
 
 import json
 from collections.abc import Mapping
@@ -6,12 +6,11 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE
-from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.console import RenderableType
 from rich.text import Text
 
-ZONE_COLOURS = {"green": "green", "yellow": "yellow", "red": "red"}
+from gateway.panel import framed, number, status_rows
+from gateway.status import read_status as status_of
 
 
 class DemoPhase(Enum):
@@ -20,10 +19,23 @@ class DemoPhase(Enum):
     RUNNING = "running"
     OUTAGE = "OUTAGE: the PLC refuses its connections"
     RECOVERING = "recovering"
+    LOST = "NO GOOD READING"
     ENDED = "end of the trace"
 
 
-ALARM_STATES = ("unacknowledged", "acknowledged")
+def phase_of(status: Mapping[str, Any], plc: Mapping[str, Any], before: DemoPhase) -> DemoPhase:
+    """Where it is by what the gateway itself says: an outage begins when it is noticed, and not before.
+
+    So a title never says something else than the rows under it. The PLC's faults and the phase `before` only tell an
+    outage that was ordered from a loss that nobody ordered.
+    """
+    if plc["ended"]:
+        return DemoPhase.ENDED
+    if status["link"]["alive"]:
+        return DemoPhase.RUNNING
+    if any(fault["in_force"] for fault in plc["faults"]):
+        return DemoPhase.OUTAGE
+    return DemoPhase.RECOVERING if before in (DemoPhase.OUTAGE, DemoPhase.RECOVERING) else DemoPhase.LOST
 
 
 def read_status(path: Path) -> dict[str, Any] | None:
@@ -35,52 +47,30 @@ def read_status(path: Path) -> dict[str, Any] | None:
     return status
 
 
-def _number(value: object, digits: int = 2, unit: str = "") -> str:
-    return f"{value:.{digits}f}{unit}" if isinstance(value, int | float) else "–"
-
-
-def live_table(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str, phase: DemoPhase) -> RenderableType:
-    """Measured, predicted with band, location, events, alarms, and what the PLC has received; 80 columns suffice."""
-    p, value = status.get("prediction") or {}, status["values"].get(temperature, {})
-    quality, link = str(value.get("quality", "")), status["link"]
-    recent = ", ".join(str(symbol) for _, symbol, _ in status["recent_events"][-6:])
-    raised = [name for name, state in status["alarms"].items() if state in ALARM_STATES]
-    zone = str(p.get("zone", "none"))
-    place = f"{_number(plc.get('position'), 0)} of {_number(plc.get('duration'), 0)} s"
-    scans = f"{status['scan']['count']} scans, {status['scan']['missed']} missed, {link['outage_count']} outages"
-    alive = Text(f"good, {scans}", style="green")
-    if not link["alive"]:
-        alive = Text(f"NO GOOD READING, {scans}", style="bold red")
-    now = f"{_number(p.get('mean'))} °C, 90 % band {_number(p.get('low'))} to {_number(p.get('high'))}"
-    rows: list[tuple[str, Text | str]] = [
-        ("replay", f"{place}, {_number(plc.get('speed'), 0)} times real time"),
-        ("link", alive),
-        ("measured", Text(f"{_number(value.get('value'))} °C  {quality}", style="" if quality == "GOOD" else "red")),
-        ("predicted", f"{now}; free run {_number(p.get('free_run'))}"),
-        ("location", Text(f"{p.get('location', '–')}, confidence {zone}", style=ZONE_COLOURS.get(zone, ""))),
-    ]
-    # One row a horizon, so that the table keeps its height.
-    fans = status.get("forecast")
-    if not fans:
-        rows.append(("forecast", "–"))
-    else:
-        for horizon, fan, p_limit in zip(fans["horizons"], fans["quantiles"], fans["p_limit"], strict=True):
-            span = f"{fan[2]:.1f} °C ({fan[0]:.1f} to {fan[4]:.1f})"
-            rows.append((f"in {horizon / 60:g} min", f"{span}, P(limit) {p_limit:.3f}"))
-    # What an operator sees on the PLC's side.
+def plc_rows(plc: Mapping[str, Any]) -> dict[str, Text]:
+    """What an operator sees on the software PLC's side: its account, whether it uses the prediction and why not."""
     block = plc.get("block") or {}
-    held = f"{_number(block.get('temperature_now'))} °C, block {_number(block.get('sequence'), 0)}, usable"
-    refusal = Text("prediction not usable, own logic in force", style="red")
-    rows += [
-        ("events", f"{status['events']}: ... {recent}"),
-        ("alarms", Text(", ".join(raised), style="bold red") if raised else "none"),
-        ("PLC's account", f"{plc.get('accepted', 0)} blocks accepted, {plc.get('refused', 0)} refused"),
-        ("PLC shows", Text(held) if plc.get("usable") else refusal),
-    ]
-    grid = Table(box=SIMPLE, show_header=False, pad_edge=False)
-    grid.add_column(style="bold", no_wrap=True)
-    grid.add_column(overflow="fold")
-    for name, text in rows:
-        grid.add_row(name, text if isinstance(text, Text) else Text(text))  # no markup: names come from files
-    style = "bold red" if phase is DemoPhase.OUTAGE else "bold"
-    return Group(Text(f"decanter demo, {temperature}: {phase.value}", style=style), grid)
+    held = f"{number(block.get('temperature_now'))} °C, block {number(block.get('sequence'), 0)}, usable"
+    refusal = Text(f"not usable, own logic in force: {plc.get('unusable') or 'no block yet'}", style="red")
+    rows = {
+        "PLC's account": Text(f"{plc.get('accepted', 0)} blocks accepted, {plc.get('refused', 0)} refused"),
+        "PLC shows": Text(held) if plc.get("usable") else refusal,
+    }
+    if plant := plc.get("plant"):
+        feed = f"{100 * plant['feed']:.0f} % of the feed"
+        if plant["tripped"]:
+            rows["PLC acts"] = Text("the drum has TRIPPED", style="bold red")
+        else:
+            reduced = plant["feed"] < 1
+            words = f"{feed}: the limit is predicted" if reduced else feed
+            rows["PLC acts"] = Text(words, style="bold yellow" if reduced else "")
+    return rows
+
+
+def demo_table(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str, phase: DemoPhase) -> RenderableType:
+    """The panel of a demonstration: where the replay is, the gateway's rows, the PLC's."""
+    place = f"{number(plc.get('position'), 0)} of {number(plc.get('duration'), 0)} s"
+    replay = Text(f"{place}, {number(plc.get('speed'), 0)} times real time")
+    rows = {"replay": replay, **status_rows(status_of(status)), **plc_rows(plc)}
+    style = "bold red" if phase in (DemoPhase.OUTAGE, DemoPhase.LOST) else "bold"
+    return framed(Text(f"decanter demo, {temperature}: {phase.value}", style=style), rows)
