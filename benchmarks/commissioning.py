@@ -39,7 +39,7 @@ REFUSALS = (
     *("none", "layout version", "sequence and its copy differ", "CRC", "heartbeat did not change", "length or start"),
     *("another challenge", "another writer", "sequence not 1 to 100 ahead", "no permit"),
 )
-HERE, THERE = 12.0, 41.0
+HERE, BETWEEN, THERE = 12.0, 27.0, 41.0
 """Two places of the plant's trace at which every signal is another."""
 USABLE_S = 45.0
 
@@ -196,13 +196,13 @@ def _number(walked: Walk, name: str) -> int:
 
 
 def _prove(walked: Walk, soak_s: float) -> None:
-    """Every value against the HMI, at two states of the plant; then the same scan for a while."""
+    """Every value against the HMI, at three states of the plant; then the same scan for a while."""
     config = ("--config", "plant.toml")
-    walked.note("Somebody at the HMI writes down what it shows, in two states of the plant.")
-    for number, (position, on) in enumerate(((HERE, True), (THERE, False)), start=1):
+    walked.note("Somebody at the HMI writes down what it shows, in three states of the plant.")
+    for number, (position, on) in enumerate(((HERE, True), (BETWEEN, True), (THERE, False)), start=1):
         walked.person.moves_plant(position, dict.fromkeys(FLAGS, on))
         walked.person.writes_down(walked.folder / f"hmi{number}.csv", (*FLAGS, *ANALOGUE))
-        complete = ("--complete",) if number == 2 else ()
+        complete = ("--complete",) if number == 3 else ()
         walked.run("verify", "--against", f"hmi{number}.csv", *complete, *config)
     walked.plc.order("release")
     walked.plc.order("resume")

@@ -4,8 +4,11 @@ from typing import Any
 
 import pytest
 from rich.console import Console
+from rich.text import Text
 
-from gateway.demo.live import DemoPhase, demo_table, gateway_rows, panel, phase_of
+from gateway.demo.live import DemoPhase, demo_table, phase_of
+from gateway.panel import framed, status_rows
+from gateway.status import read_status
 from sim.plc.control import obey
 from sim.plc.program.clock import EmulatorClock
 from sim.plc.program.plc import Plc
@@ -16,7 +19,7 @@ from tests.plc.test_writeback import tell
 
 REFUSING = {"number": 1, "kind": "refuse", "in_force": True, "hits": 0}
 OVER = REFUSING | {"in_force": False}
-SILENT = {"alive": False, "outage_count": 1, "reason": "127.0.0.1:502 does not connect"}
+SILENT = STATUS["link"] | {"alive": False, "outage_count": 1, "reason": "127.0.0.1:502 does not connect"}
 
 
 def account(*faults: dict[str, Any], ended: bool = False) -> dict[str, Any]:
@@ -54,7 +57,7 @@ def test_what_comes_after_an_outage_and_what_nobody_ordered_have_names_of_their_
 def test_the_panel_of_a_gateway_needs_no_software_plc() -> None:
     console = Console(width=80)
     with console.capture() as captured:
-        console.print(panel("a gateway", gateway_rows(STATUS, "T [red]")))
+        console.print(framed(Text("a gateway"), status_rows(read_status(STATUS))))
     assert "45.68 °C GOOD" in " ".join(captured.get().split())
 
 

@@ -76,6 +76,10 @@ def test_no_command_writes_a_text_outside_of_it() -> None:
             for node in ast.walk(tree):
                 if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)) or id(node) in inside:
                     continue
-                if node.func.attr in ("write_text", "write_bytes", "savefig"):
+                # Click's help formatter has a method of that name, and no file.
+                if (
+                    node.func.attr in ("write_text", "write_bytes", "savefig")
+                    and ast.unparse(node.func.value) != "formatter"
+                ):
                     bare.append(f"{name}:{node.lineno}")
     assert bare == []
