@@ -7,7 +7,8 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from errno import EFBIG, EINVAL
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,17 @@ _BESIDE_KEYS = re.compile(r"[=,#{}\n]")
 
 _KINDS = {stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 _DIGITS = re.compile(rf"\d{{{MOST_DIGITS + 1},}}", re.ASCII)
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """Names the file in an OSError that has none: a disk that is full says so when bytes go out, not on opening."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
 
 
 def regular(path: Path) -> Path:

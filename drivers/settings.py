@@ -5,7 +5,7 @@ It is the only place where such a sentence is made. A field's description is its
 
 import difflib
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
@@ -111,15 +111,27 @@ def sentences(section: type[BaseModel], error: ValidationError, place: str) -> l
     return [_sentence(section, detail, place) for detail in error.errors(include_url=False)]
 
 
+def first_sentence(section: type[BaseModel], error: ValidationError, place: str) -> str:
+    """The one sentence that explains most: a slip in a key also makes the key that was meant a missing one."""
+    found = sentences(section, error, place)
+    return next((sentence for sentence in found if "did you mean" in sentence), found[0])
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The question after a name that is not known: the one that looks most like it, whatever its case; "" if none."""
+    by_folded = {name.casefold(): name for name in known}
+    close = difflib.get_close_matches(word.casefold(), by_folded, n=1, cutoff=0.6)
+    return f"did you mean {by_folded[close[0]]!r}?" if close else ""
+
+
 def _sentence(section: type[BaseModel], detail: ErrorDetails, place: str) -> str:
     unknown = detail["type"] == "extra_forbidden"
     key, models, field = _located(section, detail["loc"], unknown=unknown)
     where = f"{place}: {key}" if key else place
     if unknown:
         known = list(dict.fromkeys(name for model in models for name in model.model_fields))
-        close = difflib.get_close_matches(str(detail["loc"][-1]), known, n=1, cutoff=0.6)
-        remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
-        return f"{where}: there is no such key; {remedy}"
+        remedy = did_you_mean(str(detail["loc"][-1]), known)
+        return f"{where}: there is no such key; {remedy or 'known are ' + ', '.join(known)}"
     if detail["type"] == "value_error":
         return f"{where}: {detail['msg'].removeprefix('Value error, ')}"
     remedy = f"give {field.description}" if field and field.description else ""

@@ -15,6 +15,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from drivers.named_files import writing
+
 ROLE = x509.ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
 """The extension that holds a client's role as a UTF8String (MODBUS/TCP Security v21)."""
 
@@ -89,12 +91,14 @@ def issue(
 
 def write(folder: Path, name: str, signer: Signer) -> None:
     """NAME.pem, and NAME.key for its owner's eyes only."""
-    (folder / f"{name}.pem").write_bytes(signer.certificate.public_bytes(serialization.Encoding.PEM))
+    with writing(folder / f"{name}.pem"):
+        (folder / f"{name}.pem").write_bytes(signer.certificate.public_bytes(serialization.Encoding.PEM))
     key = folder / f"{name}.key"
     key.touch(mode=0o600)
     key.chmod(0o600)
     encoding, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
-    key.write_bytes(signer.key.private_bytes(encoding, form, serialization.NoEncryption()))
+    with writing(key):
+        key.write_bytes(signer.key.private_bytes(encoding, form, serialization.NoEncryption()))
 
 
 def _builder(

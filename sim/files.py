@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from drivers.errors import OneLineError
-from drivers.named_files import contents, endless_number
+from drivers.named_files import contents, endless_number, writing
 
 
 class ArtefactError(OneLineError, ValueError):
@@ -41,7 +41,7 @@ def refused(path: Path, error: OSError) -> ArtefactError:
 
 def write_durably(path: Path, content: str) -> None:
     """Writes a new file and waits until it is on the disk. Raises OSError."""
-    with path.open("wb") as stream:
+    with writing(path), path.open("wb") as stream:
         stream.write(content.encode("utf-8"))
         stream.flush()
         os.fsync(stream.fileno())

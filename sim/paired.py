@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from math import nan, sqrt
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.stats import wilcoxon
 
 RESAMPLES = 10_000
 LEAST_FOR_INTERVAL = 5
@@ -64,7 +64,7 @@ def paired(differences: ArrayLike, rng: np.random.Generator, resamples: int = RE
         high=high,
         error=error,
         # With nothing but zeros there are no ranks to test.
-        p=float(wilcoxon(values, zero_method="pratt").pvalue) if np.any(values) else 1.0,
+        p=float(scipy.stats.wilcoxon(values, zero_method="pratt").pvalue) if np.any(values) else 1.0,
         # All differences of one sign are one of 2^n equally likely patterns of signs, and there are two such sides.
         least=min(1.0, 2.0 ** (1 - n)),
     )

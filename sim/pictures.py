@@ -6,6 +6,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from drivers.named_files import writing
+
 ENDINGS = (".png", ".pdf", ".svg")
 
 
@@ -17,6 +19,6 @@ def check_picture(path: Path) -> None:
 
 def save_picture(figure: Figure, target: Path | StringIO, form: str) -> None:
     """Write a figure in the form `png`, `pdf` or `svg`. Raises OSError."""
-    with warnings.catch_warnings():
+    with writing(target if isinstance(target, Path) else "the picture"), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
         figure.savefig(target, format=form, dpi=110, metadata={"Date": None} if form == "svg" else None)

@@ -15,6 +15,9 @@ import pytest
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
+# Tests look for words, not for where a table folds them; the tests of tables name their own width.
+os.environ["COLUMNS"] = "240"
+
 # A shell that starts a command in the background lets it ignore Control-C, and its children inherit that; the tests of
 # Control-C speak of a command in the foreground.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -10,6 +10,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from drivers.driver import capabilities
+from drivers.named_files import writing
 from gateway.cli.plant_file import config_option
 from gateway.commission.session import login
 from gateway.commission.writeback.block_writer import gateway_runs
@@ -145,7 +146,8 @@ def _disarm(manifest: Manifest, drafts: dict[str, Path], by: str) -> str:
         mode = str(section.get("mode", "off"))
         if mode == "armed":
             section["mode"] = "shadow"
-            plant.write_text(tomlkit.dumps(text), encoding="utf-8")
+            with writing(plant):
+                plant.write_text(tomlkit.dumps(text), encoding="utf-8")
     if (log := drafts.get("audit")) is not None:
         audit = open_audit(log)
         try:

@@ -5,13 +5,20 @@ import sys
 
 import click
 
-PROGRAM = "from sim.plc.__main__ import main; main(prog_name='decanter emulate')"
+# The emulator is started by its name: nothing of the gateway imports it.
+PROGRAM = """\
+import sys
+from functools import partial
+from gateway.entry import run_answered
+from sim.plc.__main__ import main
+run_answered(partial(main.main, prog_name="decanter emulate"), sys.argv[1:])
+"""
 
 
 @click.command(
     context_settings={"ignore_unknown_options": True, "help_option_names": []},
     add_help_option=False,
-    short_help="Start the software PLC, which replays a trace, as a process of its own.",
+    short_help="Start the software PLC, which replays a trace.",
 )
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 def emulate(arguments: tuple[str, ...]) -> None:

@@ -2,17 +2,22 @@
 
 import click
 
+from gateway.cli.model import model
+from gateway.cli.plc import plc
+from gateway.cli.trace import trace
 from gateway.entry import LazyGroup, Table, one_thread
 
 COMMANDS: Table = {
     "demo": (
         "gateway.demo.command:demo",
-        "Run the main job end to end on this machine: PLC, gateway, outage, summary, picture.",
+        "Run the main job on this machine: PLC, gateway, outage, picture.",
     ),
     "run": ("gateway.cli.run:run", "Run the gateway with a configuration file."),
+    "top": ("gateway.cli.top:top", "Watch a running gateway: the live panel, or one line a change off a terminal."),
+    "status": ("gateway.cli.top:status", "Show once how a running gateway is; the exit code says how well."),
     "emulate": (
         "gateway.cli.emulate:emulate",
-        "Start the software PLC, which replays a trace, as a process of its own.",
+        "Start the software PLC, which replays a trace.",
     ),
     "backup": ("gateway.cli.backup:backup", "Copy all that a gateway is into a new folder, while it runs."),
     "restore": ("gateway.cli.backup:restore", "Put a backup's files back in their places."),
@@ -22,11 +27,19 @@ COMMANDS: Table = {
     ),
     "diagnose": (
         "gateway.lab.diagnose:diagnose",
-        "Find where a model and traces disagree, name what is missing, add it, prove it.",
+        "Find where a model and traces disagree; name and add what is missing.",
     ),
-    "plc": ("gateway.cli.plc:plc", "Commission a PLC: probe, scan, read, guess, bind, verify, arm."),
-    "trace": ("gateway.cli.trace:trace", "Make and look at traces."),
-    "model": ("gateway.cli.model:model", "The model laboratory: learn, validate, check and export models."),
+    "completion": ("gateway.cli.completion:completion", "Print what makes a shell complete, or install it."),
+}
+EXAMPLES = {
+    "demo": "demo --seconds 40 --out out/demo",
+    "run": "run --config plant.toml",
+    "emulate": "emulate --device config/devices/decanter_plc.toml --trace out/traces/cd8.csv --port 15020",
+    "backup": "backup /media/usb/gateway-2026-05-04 --config plant.toml",
+    "restore": "restore /media/usb/gateway-2026-05-04 --by 'A. Rossi'",
+    "certificates": "certificates out/certificates --host 192.168.1.10",
+    "diagnose": "diagnose --model out/model --traces out/traces --out out/diagnosis",
+    "completion": "completion bash --install",
 }
 
 
@@ -34,7 +47,12 @@ RENAMED = {"check": "`decanter plc check --offline` for the files alone, `decant
 
 
 @click.group(
-    "decanter", cls=LazyGroup, table=COMMANDS, renamed=RENAMED, context_settings={"help_option_names": ["-h", "--help"]}
+    "decanter",
+    cls=LazyGroup,
+    table=COMMANDS,
+    examples=EXAMPLES,
+    renamed=RENAMED,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(package_name="decanter-gateway")
 @click.option("--traceback", is_flag=True, help="Show where in the program an error arose.")
@@ -46,6 +64,9 @@ def main(traceback: bool) -> None:
     """
     one_thread()
 
+
+for group in (plc, trace, model):
+    main.add_command(group)
 
 if __name__ == "__main__":
     main()

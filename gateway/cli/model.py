@@ -26,11 +26,28 @@ COMMANDS: Table = {
 }
 
 
+EXAMPLES = {
+    "learn": "model learn --traces out/traces --out out/model",
+    "show": "model show out/model",
+    "simulate": "model simulate out/model --trace out/traces/cd8.csv --picture simulated.png",
+    "check": "model check out/model 'Pr[<=600](<> Temp >= 80)' --events out/traces/cd8.csv",
+    "correct": "model correct out/model --traces out/traces --out out/corrected",
+    "skill": "model skill out/model --traces out/traces",
+    "validate": "model validate out/model --traces out/traces --out out/validation",
+    "prove": "model prove out/model --traces out/traces",
+    "promote": "model promote models/decanter --add out/model",
+    "rank": "model rank out/model out/corrected --traces out/traces",
+    "tune": "model tune --traces out/traces --study out/tune.db",
+    "export": "model export out/model --uppaal --trace out/traces/cd8.csv --out out/uppaal",
+}
+
+
 @click.group(
     cls=LazyGroup,
     table=COMMANDS,
+    examples=EXAMPLES,
     renamed={"verify": "`decanter model prove` (`decanter plc verify` compares tags with the HMI)"},
-    short_help="The model laboratory: learn, validate, check and export models.",
+    short_help="The model laboratory.",
 )
 def model() -> None:
     """Learn, look at, validate and check models."""

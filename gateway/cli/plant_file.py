@@ -1,23 +1,33 @@
-"""The plant file that `decanter run` and `decanter check` take, with what the command line replaces in it."""
+"""The plant file of the commands that read one: the one named, or the one of the folder they are called in."""
 
 from pathlib import Path
 from typing import Any
 
 import click
 
-from gateway.console import config_dir
+from gateway.console import find_plant_file
+from gateway.entry import fail
 from gateway.settings import Config, load_config
 
 
 def config_option(command: Any) -> Any:
-    """The command with --config; it gets `path`."""
+    """The command with --config; it gets `path`, which is None only while the command line is looked through."""
+
+    def found(context: click.Context, _: click.Parameter, given: Path | None) -> Path | None:
+        # While a line is being completed or its help is shown, nothing has to be there.
+        if given is not None or context.resilient_parsing:
+            return given
+        try:
+            return find_plant_file()
+        except ValueError as error:
+            fail(str(error))
+
     return click.option(
         "--config",
         "path",
         type=click.Path(path_type=Path),
-        default=lambda: config_dir() / "plant.toml",
-        show_default="config/plant.toml",
-        help="The gateway's configuration (TOML).",
+        callback=found,
+        help="The gateway's configuration (TOML).  [default: ./plant.toml, then ./config/plant.toml]",
     )(command)
 
 

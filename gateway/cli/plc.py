@@ -1,5 +1,8 @@
 """`decanter plc`: commissioning, one module a command; what they share is in `gateway.commission.session`."""
 
+from importlib import import_module
+from types import ModuleType
+
 import click
 
 from gateway.entry import LazyGroup, Table
@@ -61,11 +64,59 @@ RENAMED = {
 }
 
 
+EXAMPLES = {
+    "doctor": "plc doctor",
+    "probe": "plc probe --host 192.168.1.10",
+    "scan": "plc scan registers holding:0-999 --host 192.168.1.10",
+    "read": "plc read 40101 --type float32 --host 192.168.1.10",
+    "guess": "plc guess holding:100 72.4 --host 192.168.1.10",
+    "watch": "plc watch --config plant.toml",
+    "bind": "plc bind Coppia 40104 --type uint16 --scale 0.1 --units % --config plant.toml",
+    "import": "plc import io_list.csv --config plant.toml --host 192.168.1.10",
+    "check": "plc check --offline",
+    "plan": "plc plan --write",
+    "verify": "plc verify --against hmi.csv",
+    "soak": "plc soak --seconds 60",
+    "codegen": "plc codegen --device devices/decanter_plc.toml --out decanter.st",
+    "arm": "plc arm --by 'A. Rossi' --reason 'loop test' --minutes 30",
+    "disarm": "plc disarm --reason 'tests are done'",
+    "test": "plc test alarms --ask",
+    "audit": "plc audit",
+    "report": "plc report --site 'Plant 1'",
+    "replay": "plc replay out/soak.jsonl",
+}
+
+
+class CommissioningGroup(LazyGroup):
+    """The group whose commands share the options of the connection, which only its own help lists."""
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command; its help says where the shared options are."""
+        command = super().get_command(ctx, cmd_name)
+        if command is not None and any(type(option) is _connection().SharedOption for option in command.params):
+            command.epilog = f"Connection, --json and records: see `decanter plc --help`.\n\n{command.epilog}"
+        return command
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The group's own options and commands, then the shared options."""
+        super().format_options(ctx, formatter)
+        titles = ("Connection, after the command's name; else the plant file says it", "Records, after the name too")
+        for title, options in zip(titles, _connection().shared_options(), strict=True):
+            with formatter.section(title):
+                formatter.write_dl([record for option in options if (record := option.get_help_record(ctx))])
+
+
+def _connection() -> ModuleType:
+    """The shared options' module, which is not loaded for the help of `decanter` itself."""
+    return import_module("gateway.connection")
+
+
 @click.group(
-    cls=LazyGroup,
+    cls=CommissioningGroup,
     table=COMMANDS,
+    examples=EXAMPLES,
     renamed=RENAMED,
-    short_help="Commission a PLC: probe, scan, read, guess, bind, verify, arm.",
+    short_help="Commissioning of a PLC.",
 )
 def plc() -> None:
     """Commission a PLC: look, read, understand, bind, verify. Nothing is written unless armed.

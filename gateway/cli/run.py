@@ -4,12 +4,15 @@ import os
 import signal
 import sys
 import threading
+from contextlib import nullcontext, suppress
+from importlib import import_module
 from math import isfinite
 from pathlib import Path
 
 import click
 
 from gateway.cli.plant_file import config_option, load
+from gateway.cli.top import watched
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.reading import PlantClock
 from gateway.plant import serve
@@ -28,6 +31,7 @@ from gateway.plant import serve
 @click.option(
     "--status", type=click.Path(path_type=Path), help="Rewrite this file with the present state (one line of JSON)."
 )
+@click.option("--watch", is_flag=True, help="Show the live panel, as `decanter top` does; lines off a terminal.")
 @click.option("--quiet", is_flag=True, help="Log to the file only.")
 @click.option("--stdin", is_flag=True, help="Also stop when standard input ends, as it does when the parent is gone.")
 def run(
@@ -36,17 +40,29 @@ def run(
     port: int | None,
     clock_text: str | None,
     status: Path | None,
+    watch: bool,
     quiet: bool,
     stdin: bool,
 ) -> None:
-    """Run the gateway until it is told to stop (SIGTERM or Ctrl-C)."""
+    """Run the gateway until it is told to stop (SIGTERM or Ctrl-C).
+
+    It begins with three lines (model, PLC, records) and says each change of state in one line on standard output.
+    Other events of the log go to standard error.
+    """
+    if watch and quiet:
+        raise click.UsageError("--watch and --quiet exclude each other: one shows what the other hides")
+    for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
+        import_module(room)
     clock = _clock(clock_text) if clock_text else None
     speed = clock.speed if clock else None
     with sentences():
         config = load(path, host, port, speed)
         if stdin:
             threading.Thread(target=_stop_at_end, name="stdin", daemon=True).start()
-        last = serve(config, clock=clock, status_path=status, console=not quiet)
+        drawn = watch and sys.stdout.isatty()
+        silent = quiet or drawn
+        with watched(config.control_socket) if drawn else nullcontext():
+            last = serve(config, clock=clock, status_path=status, console=not silent, say=None if silent else _say)
     records = last["historian"]
     if records["failure"]:
         fail(f"records could not be stored: {records['failure']}", Exit.CHECK_FAILED)
@@ -55,6 +71,12 @@ def run(
     if failed := {name: part for name, part in last["parts"].items() if part["restarts"]}:
         reasons = "; ".join(f"{name} ({part['restarts']}): {part['failure']}" for name, part in failed.items())
         fail(f"parts of the gateway failed and were begun anew: {reasons}", Exit.CHECK_FAILED)
+
+
+def _say(line: str) -> None:
+    # A terminal or a pipe that has gone is no reason for a gateway to stop.
+    with suppress(OSError, ValueError):
+        click.echo(line)
 
 
 def _stop_at_end() -> None:

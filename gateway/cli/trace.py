@@ -9,11 +9,22 @@ COMMANDS: Table = {
         "gateway.lab.traces.can:can_log",
         "Decode a CAN log (candump, ASC, BLF, TRC, CSV, MF4) to a table and a CSV.",
     ),
+    "map": (
+        "gateway.lab.traces.map:map_command",
+        "Draft a column map from a CSV: clock, units, switches, temperature, thresholds.",
+    ),
     "show": ("gateway.lab.traces.show:show", "Load traces; say what was used, what was refused and why."),
     "synth": ("gateway.lab.traces.synth:synth", "Write SYNTHETIC traces as CSV."),
 }
 
 
-@click.group(cls=LazyGroup, table=COMMANDS)
+EXAMPLES = {
+    "can": "trace can trip.asc --device obd2 --out out/trip.csv",
+    "show": "trace show out/traces/cd8.csv",
+    "synth": "trace synth cd8 --out out/traces",
+}
+
+
+@click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES)
 def trace() -> None:
     """Make and look at traces."""

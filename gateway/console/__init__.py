@@ -2,11 +2,12 @@
 
 from gateway.console.options import finite, json_option, map_option, renamed_option, seed_option
 from gateway.console.output import emit, make_folder, progress, table
-from gateway.console.places import config_dir, plant_here, shipped
+from gateway.console.places import config_dir, find_plant_file, plant_here, shipped
 
 __all__ = [
     "config_dir",
     "emit",
+    "find_plant_file",
     "finite",
     "json_option",
     "make_folder",

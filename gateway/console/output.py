@@ -6,14 +6,23 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import click
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.cells import cell_len
+from rich.console import Console, JustifyMethod
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from sim.strict_json import json_text
+from gateway.entry import print_json
+
+LONGEST_WORD = 28
+"""Characters of a table's word that is kept whole: any number, a time, an address, most names."""
+EASY_READING = 20
+"""Characters at least of a column of longer texts."""
+GAP = 3
+"""Characters between two columns."""
+EDGES = 2
+"""Characters around all of them."""
 
 
 def make_folder(path: Path) -> None:
@@ -34,17 +43,45 @@ def _cell(value: object) -> str:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table; numbers are aligned to the right, and no cell is read as markup: names come from files."""
-    grid = Table(title=Text(title), title_justify="left", header_style="bold", box=SIMPLE_HEAD, pad_edge=False)
-    for index, column in enumerate(columns):
-        numeric = all(isinstance(row[index], int | float) for row in rows)
-        grid.add_column(Text(column), justify="right" if numeric else "left")
-    for row in rows:
-        grid.add_row(*(Text(_cell(cell)) for cell in row))
+    """Print a table as wide as the terminal, COLUMNS or 80; numbers are aligned to the right.
+
+    Text is folded between words, numbers never: columns that do not fit follow below as a further table, which begins
+    with the first column again. No cell is read as markup: names come from files.
+    """
     console = Console()
-    if not console.is_terminal:  # a file or a pipe has no width: nothing is cut off there
-        console = Console(width=240)
-    console.print(grid)
+    cells = [[Text(_cell(cell)) for cell in row] for row in rows]
+    heads = [Text(column) for column in columns]
+    natural, least = [], []
+    for index, head in enumerate(heads):
+        own = [head, *(row[index] for row in cells)]
+        natural.append(max(cell.cell_len for cell in own))
+        words = (cell_len(word) for cell in own for word in cell.plain.split())
+        # A longer word, such as a path, is folded within; a number is never that long.
+        least.append(max(min(max(words, default=0), LONGEST_WORD), min(natural[-1], EASY_READING)))
+    width = console.width - EDGES
+    for band in bands(least, width):
+        grid = Table(title=Text(title), title_justify="left", header_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+        left = width - GAP * (len(band) - 1) - sum(least[index] for index in band)
+        for position, index in enumerate(sorted(band, key=lambda index: natural[index] - least[index])):
+            more = min(natural[index] - least[index], left // (len(band) - position))
+            least[index], left = least[index] + more, left - more
+        for index in band:
+            numeric = all(isinstance(row[index], int | float) for row in rows)
+            justify: JustifyMethod = "right" if numeric else "left"
+            grid.add_column(heads[index], justify=justify, width=least[index], overflow="fold")
+        for row in cells:
+            grid.add_row(*(row[index] for index in band))
+        console.print(grid)
+
+
+def bands(least: Sequence[int], width: int) -> list[list[int]]:
+    """The columns of each table, by their least widths: the first one in every table, the others each in one."""
+    tables = [[0]] if least else []
+    for index in range(1, len(least)):
+        if len(tables[-1]) > 1 and sum(least[each] + GAP for each in (*tables[-1], index)) - GAP > width:
+            tables.append([0])
+        tables[-1].append(index)
+    return tables
 
 
 @contextmanager
@@ -64,6 +101,6 @@ def progress(title: str) -> Iterator[Callable[[str, float], None]]:
 def emit(data: Mapping[str, Any], show: Callable[[], None], *, as_json_line: bool) -> None:
     """One JSON object for machines, or what `show` prints for people."""
     if as_json_line:
-        click.echo(json_text(data))
+        print_json(data)
     else:
         show()

@@ -1,21 +1,34 @@
-"""Where the shipped data lie: the `config` folder of a checkout, or its copy inside an installed package."""
+"""Where files lie: those that are shipped with the program, and the plant file of the folder that one works in."""
 
 from pathlib import Path
 
-
-def config_dir() -> Path:
-    """The folder with plant.toml, devices/, traces/ and models/."""
-    packaged = Path(__file__).parent.parent / "_config"
-    return packaged if packaged.is_dir() else Path(__file__).parent.parent.parent / "config"
-
-
 PLANT_FILES = (Path("plant.toml"), Path("config/plant.toml"))
-"""Where a plant file is looked for when none is named, relative to the working folder."""
+"""Where a plant file is looked for when none is named, in this order, relative to the working folder."""
 
 
 def plant_here() -> Path | None:
-    """The plant file of the working folder, or None where there is none."""
+    """The plant file of the working folder, or None where there is none.
+
+    Never one that was shipped: records and sockets lie beside what a plant file says, and those of a plant do not
+    belong among the files of an installed program.
+    """
     return next((path for path in PLANT_FILES if path.is_file()), None)
+
+
+def find_plant_file() -> Path:
+    """The plant file of the working folder, for a command that cannot do without. Raises ValueError."""
+    if (path := plant_here()) is not None:
+        return path
+    places = " nor ".join(f"./{name}" for name in PLANT_FILES)
+    raise ValueError(
+        f"there is no plant file: neither {places} is there; make one with `decanter init`, or name one with --config"
+    )
+
+
+def config_dir() -> Path:
+    """The shipped folder with an example plant.toml, devices/ and traces/: to be read, never to be worked in."""
+    packaged = Path(__file__).parent.parent / "_config"
+    return packaged if packaged.is_dir() else Path(__file__).parent.parent.parent / "config"
 
 
 def shipped(kind: str, name: str) -> Path:

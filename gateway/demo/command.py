@@ -26,7 +26,7 @@ from sim.sha import encode
 from sim.traces import load_map, write_trace
 
 
-@click.command(short_help="Run the main job end to end on this machine: PLC, gateway, outage, summary, picture.")
+@click.command(short_help="Run the main job on this machine: PLC, gateway, outage, picture.")
 @click.option(
     "--trace",
     "paths",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.named_files import writing
 from gateway.settings import load_device
 from sim.sha import Alphabet, Model, Switch, Trace
 
@@ -156,7 +157,8 @@ def write_device(trace: Trace, alphabet: Alphabet, units: Mapping[str, str], tem
         unit = _toml(units.get(name, ""))
         tags.append(f'[[tags]]\nname = {_toml(name)}\naddress = "holding:{register}"\n{kind}\nunit = {unit}\n')
         register += 1 if two_valued else 2
-    out.write_text(head + "\n".join(tags) + "\n" + tail, encoding="utf-8")
+    with writing(out):
+        out.write_text(head + "\n".join(tags) + "\n" + tail, encoding="utf-8")
     return out
 
 

@@ -1,11 +1,12 @@
 """How a command is entered and left: loaded when it is called, exit codes, Control-C."""
 
-from gateway.entry.exits import Exit, exit_code, fail, sentence, sentences
+from gateway.entry.exits import CallAnswer, Exit, exit_code, fail, print_json, run_answered, sentence, sentences
 from gateway.entry.interrupt import interruptible
 from gateway.entry.lazy import LazyGroup, Table
 from gateway.entry.threads import one_thread
 
 __all__ = [
+    "CallAnswer",
     "Exit",
     "LazyGroup",
     "Table",
@@ -13,6 +14,8 @@ __all__ = [
     "fail",
     "interruptible",
     "one_thread",
+    "print_json",
+    "run_answered",
     "sentence",
     "sentences",
 ]

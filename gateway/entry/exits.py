@@ -3,11 +3,14 @@
 Nothing heavy is imported here: the groups need it before they know which command is wanted.
 """
 
+import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import NoReturn
+from errno import EDQUOT, ENOSPC
+from typing import Any, NoReturn
 
 import click
 
@@ -20,6 +23,8 @@ from drivers.errors import (
     ReplyTimeout,
     WriteForbidden,
 )
+from gateway.entry.plain import write_plainly
+from sim.strict_json import json_text
 
 
 class Exit(IntEnum):
@@ -35,10 +40,61 @@ class Exit(IntEnum):
     INTERRUPTED = 130  # 128 + SIGINT, as a shell counts
 
 
-def fail(sentence: str, code: int = Exit.USAGE) -> NoReturn:
-    """Say one sentence on standard error and leave with the code."""
+@dataclass(slots=True)
+class CallAnswer:
+    """How a call is answered: whether it asked for JSON, and whether its one object was printed already."""
+
+    as_json: bool = False
+    given: bool = False
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """The one JSON object that answers this call, on standard output; escaped where that cannot show every sign."""
+    text = json_text(data)
+    if not (sys.stdout.encoding or "").lower().startswith("utf"):
+        text = json.dumps(json.loads(text))
+    click.echo(text)
+    context = click.get_current_context(silent=True)
+    if context is not None and (answer := context.find_object(CallAnswer)) is not None:
+        answer.given = True
+
+
+def fail(sentence: str, code: int = Exit.USAGE, *, answer: CallAnswer | None = None) -> NoReturn:
+    """Say one sentence on standard error, with --json also as the object that was not printed yet; leave with the code.
+
+    `answer` is that of click's context, where there is one.
+    """
+    context = click.get_current_context(silent=True)
+    if answer is None and context is not None:
+        answer = context.find_object(CallAnswer)
+    if answer is not None and answer.as_json and not answer.given:
+        print_json({"ok": False, "exit": int(code), "reason": sentence})
     click.secho(f"decanter: {sentence}", fg="red", err=True)
     sys.exit(code)
+
+
+def run_answered(run: Callable[..., Any], words: Sequence[str]) -> NoReturn:
+    """Run a click command's `main` with these words; what click has to say is one sentence too, and the exit code.
+
+    `run` takes the words, `standalone_mode` and `obj` as `click.Command.main` does.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        write_plainly(stream)
+    answer = CallAnswer(as_json="--json" in words)
+    try:
+        code = run(list(words), standalone_mode=False, obj=answer)
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        sys.exit(Exit.USAGE)
+    except click.Abort:
+        fail("stopped before the end", Exit.INTERRUPTED, answer=answer)
+    except click.ClickException as error:
+        # Click breaks some of its messages into lines, and ends some with a full stop.
+        said = " ".join(error.format_message().split()).rstrip(".")
+        context = getattr(error, "ctx", None)
+        remedy = f"; see `{context.command_path} --help`" if context is not None else ""
+        fail(said + remedy, error.exit_code, answer=answer)
+    sys.exit(code if isinstance(code, int) else Exit.OK)
 
 
 @contextmanager
@@ -64,6 +120,8 @@ def sentence(error: Exception) -> str:
         return str(error)
     reason = error.strerror[0].lower() + error.strerror[1:]
     file = f"{error.filename}: " if error.filename else ""
+    if error.errno in (ENOSPC, EDQUOT):
+        return f"{file}{reason}; make room there, or give a path on another disk"
     return f"{file}{reason}; give a path that is there and that this user may read or write"
 
 

@@ -1,12 +1,14 @@
 """A group whose commands are modules, imported when one of them is asked for, so that help answers at once."""
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib import import_module
 from typing import Any
 
 import click
 
-from gateway.entry.exits import Exit, fail
+from gateway.entry.exits import Exit, fail, run_answered
 
 Table = Mapping[str, tuple[str, str]]
 """Command name -> ("module:attribute", its line in the help text)."""
@@ -15,29 +17,55 @@ Table = Mapping[str, tuple[str, str]]
 class LazyGroup(click.Group):
     """A click group with a table of commands that are not imported for the help text, in the table's order.
 
+    Groups that are added to it (`add_command`) come after them, with the names of their own commands. `examples` are
+    one command line a command, without the program's name; the command's help ends with it.
     `renamed` are names of the last release with what to type now: they run nothing and say so, with exit code 2.
     """
 
-    def __init__(self, *args: Any, table: Table, renamed: Mapping[str, str] | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        *args: Any,
+        table: Table,
+        examples: Mapping[str, str] | None = None,
+        renamed: Mapping[str, str] | None = None,
+        **kwargs: Any,
+    ) -> None:
         super().__init__(*args, **kwargs)
         self.table = table
+        self.examples = examples or {}
         self.renamed = renamed or {}
 
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """Run the program: every error is one sentence, with --json also one object, and an exit code."""
+        if not standalone_mode:
+            return super().main(args, prog_name, complete_var, False, **extra)
+        run = partial(super().main, prog_name=prog_name, complete_var=complete_var, **extra)
+        return run_answered(run, sys.argv[1:] if args is None else args)
+
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The names in the order of the table."""
-        return list(self.table)
+        """The names in the order of the table, then those of the groups."""
+        return [*self.table, *self.commands]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command, or None for a name that is not in the table."""
         if cmd_name in self.renamed:
             return _renamed(f"{ctx.command_path} {cmd_name}", self.renamed[cmd_name])
         if cmd_name not in self.table:
-            return None
+            return self.commands.get(cmd_name)
         place = self.table[cmd_name][0]
         module, _, attribute = place.partition(":")
         command = getattr(import_module(module), attribute)
         if not isinstance(command, click.Command):
             raise TypeError(f"{place} is no command")
+        if cmd_name in self.examples:
+            command.epilog = f"\b\nExample:\n  decanter {self.examples[cmd_name]}"
         return command
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -52,7 +80,11 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list in the help text, from the table: no command is imported for it."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in self.table.items()])
+            formatter.write_dl([(name, text) for name, (_, text) in self.table.items()], col_max=12)
+        for name, group in self.commands.items():
+            if isinstance(group, LazyGroup):
+                with formatter.section(f"decanter {name}"):
+                    formatter.write_text(f"{group.get_short_help_str(80)} {', '.join(group.table)}")
 
 
 def _renamed(name: str, now: str) -> click.Command:

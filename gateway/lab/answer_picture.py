@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from drivers.named_files import writing
 from sim.checking.query import Always, Expression, Hypothesis, Indicator, Probability, Quantity, Simulation
 from sim.checking.smc import Answer
 from sim.checking.smc.rules import one_or_two_sided
@@ -38,7 +39,8 @@ def draw_answer(answer: Answer, text: str, path: Path, unit: str) -> None:
     title = text if len(text) <= 100 else f"{text[:97]}..."
     figure.suptitle(f"{title}\n{answer.start}\n{answer.runs} runs, seed {answer.seed}", fontsize=9)
     panels[-1].set_xlabel("s since the start")
-    figure.savefig(path, dpi=130)
+    with writing(path):
+        figure.savefig(path, dpi=130)
 
 
 def _figure(rows: int) -> tuple[Figure, list[Axes]]:

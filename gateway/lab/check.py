@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from drivers.named_files import writing
 from gateway.console import emit, finite, json_option, map_option, progress, table
 from gateway.entry import Exit, sentences
 from gateway.lab.answer_picture import draw_answer
@@ -146,7 +147,7 @@ def check(
             if not result.courses:
                 raise ValueError("--csv writes the courses of a simulate query; this query has none")
             labels = result.query.labels if isinstance(result.query, Simulation) else ()
-            with courses.open("w", encoding="utf-8", newline="") as file:
+            with writing(courses), courses.open("w", encoding="utf-8", newline="") as file:
                 writer = csv.writer(file)
                 writer.writerow(["run", "time", *labels])
                 for number, course in enumerate(result.courses):

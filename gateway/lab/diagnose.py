@@ -144,7 +144,7 @@ RECENT = "14d"
 """What of a historian is read where nobody says how much."""
 
 
-@click.command(short_help="Find where a model and traces disagree, name what is missing, add it, prove it.")
+@click.command(short_help="Find where a model and traces disagree; name and add what is missing.")
 @click.argument("more", nargs=-1, metavar="[TRACES]...")
 @click.option("--model", "where", required=True, help="A model directory, a store, a model.json, or DIR/NAME.")
 @click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")

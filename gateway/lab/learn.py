@@ -10,7 +10,7 @@ import click
 from gateway.console import emit, json_option, map_option, progress, seed_option, table
 from gateway.entry import sentences
 from gateway.lab.show import show_model, spread_sentence, summary
-from gateway.lab.traces.load import load
+from gateway.lab.traces.load import load, warned_of
 from sim.artefacts.formats import write_model_directory
 from sim.learning.bins import Learned, learn_bins
 from sim.learning.lsha import FLOW_KINDS, LearnedLsha, LshaSettings, learn_lsha, report_document, report_text
@@ -65,6 +65,7 @@ def learn(
             option = {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
             raise ValueError(f"--{option} belongs to --method lsha; leave it out, or choose that method")
         traces, column_map = load(paths, map_name)
+        warnings = warned_of(traces, column_map.alphabet)
         if method == "lsha":
             words_learned = learn_lsha(
                 traces,
@@ -89,7 +90,7 @@ def learn(
             model, shown, acceptance = learned.model, diagnostics(learned), None
             spread = learned.spread
     data = {"model": str(out), "file": str(written), **summary(model), "diagnostics": shown}
-    data["machines"] = spread and asdict(spread)
+    data |= {"machines": spread and asdict(spread), "warnings": warnings}
 
     def show() -> None:
         show_model(model)

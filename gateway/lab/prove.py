@@ -9,6 +9,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from drivers.named_files import writing
 from gateway.console import emit, finite, json_option, map_option, shipped, table
 from gateway.entry import Exit, sentences
 from gateway.lab.traces.load import load
@@ -138,7 +139,8 @@ def prove(
         )
         worst = _counterexample(result)
         if out is not None and worst is not None:
-            out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
+            with writing(out):
+                out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
     emit(plain(result, found), lambda: _show(result, found, model, out), as_json_line=as_json)
     if not result.deployable:
         sys.exit(Exit.CHECK_FAILED)

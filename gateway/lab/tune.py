@@ -9,7 +9,7 @@ import click
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, table
 from gateway.entry import Exit, interruptible, sentences
-from gateway.lab.traces.load import load
+from gateway.lab.traces.load import load, warned_of
 from sim.artefacts.formats import write_model_directory
 from sim.ranking import Objective, StudyPlan, Tuning, final_model
 from sim.ranking import tune as searched
@@ -69,6 +69,7 @@ def tune(
     """
     with sentences(), progress(f"tuning ({method})") as bar, interruptible(bar) as report:
         traces, column_map = load(paths, map_name)
+        warnings = warned_of(traces, column_map.alphabet)
         if cycles:
             traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
         unit = unit_of(traces, column_map.temperature)
@@ -97,6 +98,7 @@ def tune(
         "method": method,
         "objective": objective,
         "unit": unit,
+        "warnings": warnings,
         "study": str(study),
         **asdict(tuning),
         "model": written and str(written),

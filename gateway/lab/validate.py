@@ -16,6 +16,7 @@ from gateway.console import emit, json_option, map_option, progress, seed_option
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.facts import facts_of
 from gateway.lab.judged_forecasts import judged_forecasts, skill_options
+from gateway.lab.traces.load import warned_of
 from sim.artefacts.formats import write_model_directory
 from sim.engine import Policy
 from sim.ranking import METHODS, Task
@@ -105,7 +106,12 @@ def campaign(request: ValidationRequest, tell: Callable[[str], None], progress: 
             raise ValueError(
                 f"{unlearned[0]}: there is no such model; to learn one by this method give --training TRACES"
             )
-        training = load_traces(list(request.training), column_map)[0] if request.training else None
+        training = None
+        if request.training:
+            training, learned_from = load_traces(list(request.training), column_map)
+            column_map = column_map.model_copy(update={"alphabet": learned_from.alphabet})
+            if unlearned:
+                warned_of(training, column_map.alphabet)
         ready: list[tuple[str, Prepared | None]] = []
         for number, where in enumerate(request.models):
             progress(where, number / len(request.models))

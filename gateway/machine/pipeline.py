@@ -20,6 +20,7 @@ from gateway.machine.records import Keeper, Records
 from gateway.machine.trust import ClockCheck, RecordsWatch
 from gateway.machine.writing import Arming, ArmingError, BlockStage
 from gateway.settings import Config
+from gateway.status import Phase
 from gateway.store import open_historian, saved_state
 
 SAVE_SECONDS = 10.0
@@ -122,7 +123,7 @@ class Machine:
             if isinstance(driver, Redundant):
                 driver.on_switch = self._note_switch_over
             self.last: Scan | None = None
-            self.phase = "starting"
+            self.phase: Phase = "starting"
             self._saved = self._cleaned = now
             if self.model is not None:
                 self.model.restore(now)

@@ -3,9 +3,12 @@
 import asyncio
 import signal
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack, aclosing
+from dataclasses import asdict
 from pathlib import Path
 from random import Random, SystemRandom
+from time import monotonic
 from typing import Any
 
 from structlog.typing import FilteringBoundLogger
@@ -20,6 +23,7 @@ from gateway.plant.log import log_file, open_log
 from gateway.plant.log_file import LogFile
 from gateway.plant.status import snapshot, write_status
 from gateway.settings import Config
+from gateway.status import SAID_BY_CHANGES, ChangeLines, GatewayStatus, opening
 
 STATUS_SECONDS = 0.25
 RESTART_SECONDS = 1.0
@@ -39,13 +43,15 @@ async def run(
     file: LogFile | None = None,
     driver: Driver | None = None,
     rng: Random | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Run until `stop` is set; gives the last status.
 
     It starts without a PLC and without a model, and outlives the loss of the PLC. When it stops, it writes validity 0
     if it is armed and permitted, saves its state and commits all records. `status_path` is rewritten four times a
     second with one line of JSON. `clock` and `driver` are the configured ones unless given, as is the `log`, with its
-    `file`; `rng` draws this start's number as a writer, by default from the system's randomness.
+    `file`; `rng` draws this start's number as a writer, by default from the system's randomness. `say` takes the lines
+    for a person: three to begin with, then one for each change of state.
 
     Raises ConfigError or HistorianError, before anything runs, for what cannot be opened.
     """
@@ -63,7 +69,7 @@ async def run(
             rng=rng or SystemRandom(),
             log_failure=(lambda: "") if file is None else file.complaint,
         )
-        reporter = machine.supervisor.task("status", lambda: _report(machine, status_path))
+        reporter = machine.supervisor.task("status", lambda: _report(machine, status_path, say))
         opened.enter_context(machine.supervisor.hearing_all())
         control = Control(machine, config.control_socket, snapshot)
         serving = machine.supervisor.task("control", control.serve)
@@ -98,8 +104,8 @@ async def run(
             reporter.cancel()
             await asyncio.gather(reporter, return_exceptions=True)
             machine.phase = "stopped"
-            _say(machine, status_path)
-    return snapshot(machine)
+            _write(machine, status_path, snapshot(machine))
+    return asdict(snapshot(machine))
 
 
 def _log_file(config: Config) -> LogFile | None:
@@ -155,10 +161,18 @@ async def _withdrawn(machine: Machine, why: str) -> None:
 # -------------------------------------------------------------------- status
 
 
-async def _report(machine: Machine, path: Path | None) -> None:
-    warned, complaint = False, ""
+async def _report(machine: Machine, path: Path | None, say: Callable[[str], None] | None) -> None:
+    warned, complaint, lines = False, "", ChangeLines()
+    if say is not None:
+        for line in opening(snapshot(machine)):
+            say(line)
     while True:
-        complaint = _say(machine, path, complaint)
+        if path is not None or say is not None:
+            status = snapshot(machine)
+            complaint = _write(machine, path, status, complaint)
+            if say is not None:
+                for line in lines.take(status, monotonic()):
+                    say(line)
         offset = machine.clock.wall_offset() if isinstance(machine.clock, PlantClock) else 0.0
         if abs(offset) > CLOCK_TOLERANCE and not warned:
             machine.log.warning("the wall clock was changed; times keep to the old one until a restart", offset=offset)
@@ -166,12 +180,12 @@ async def _report(machine: Machine, path: Path | None) -> None:
         await asyncio.sleep(STATUS_SECONDS)
 
 
-def _say(machine: Machine, path: Path | None, before: str = "") -> str:
+def _write(machine: Machine, path: Path | None, status: GatewayStatus, before: str = "") -> str:
     """Write the status file; what stands in its way is logged when it is not what it was `before`, and returned."""
     if path is None:
         return ""
     try:
-        write_status(path, snapshot(machine))
+        write_status(path, status)
     except OSError as error:
         reason = error.strerror or str(error)
         if reason != before:
@@ -184,9 +198,16 @@ def _say(machine: Machine, path: Path | None, before: str = "") -> str:
 
 
 def serve(
-    config: Config, *, clock: Clock | None = None, status_path: Path | None = None, console: bool = True
+    config: Config,
+    *,
+    clock: Clock | None = None,
+    status_path: Path | None = None,
+    console: bool = True,
+    say: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Run until SIGTERM or SIGINT, with logs to the configured file and, if asked, to standard error.
+
+    With `say` (see `run`), the console gets only warnings that no line says.
 
     The interpreter is told to change threads more often than it would, so that the forecast's thread delays no scan.
     """
@@ -196,10 +217,12 @@ def serve(
         stop = asyncio.Event()
         for number in (signal.SIGTERM, signal.SIGINT):
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
-        return await run(config, clock=clock, stop=stop, status_path=status_path, log=log, file=file)
+        return await run(config, clock=clock, stop=stop, status_path=status_path, log=log, file=file, say=say)
 
     file = _log_file(config)
-    with open_log(file, config.log.level, sys.stderr if console else None) as log:
+    shown = sys.stderr if console else None
+    unless = SAID_BY_CHANGES if say is not None else frozenset[str]()
+    with open_log(file, config.log.level, shown, console_without=unless) as log:
         if file is not None and (reason := file.complaint()):
             log.error("the gateway runs without its log", reason=reason)
         return asyncio.run(main(log))

@@ -9,8 +9,7 @@ import asyncio
 import os
 import socket
 import struct
-from collections.abc import Awaitable, Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -19,13 +18,13 @@ from pydantic import Field, ValidationError
 
 from drivers import json_lines
 from drivers.device_file import TagTable
-from drivers.errors import OneLineError
 from drivers.json_lines import NoObject
 from drivers.settings import Line, Section, sentences
 from drivers.tag import Sample
 from gateway.machine import Machine
 from gateway.machine.reading import Redundant
 from gateway.machine.writing import ArmingError
+from gateway.status import ControlError, GatewayStatus, short
 from sim.strict_json import strict
 
 MODE = 0o600
@@ -36,26 +35,8 @@ LOOK_SECONDS, RETRY_SECONDS = 1.0, 5.0
 _CREDENTIALS = struct.Struct("3i")
 
 
-class ControlError(OneLineError, ValueError):
-    """A request that cannot be carried out; the sentence goes into the reply."""
-
-
-Snapshot = Callable[[Machine], dict[str, Any]]
+Snapshot = Callable[[Machine], GatewayStatus]
 Command = Callable[[Machine, Mapping[str, Any], Snapshot], Awaitable[dict[str, Any]]]
-
-
-@contextmanager
-def short(path: Path) -> Iterator[str]:
-    """The path as a Unix socket may be called: by way of its folder's descriptor, since its length is limited.
-
-    Raises OSError where the folder is not there.
-    """
-    # A socket's path has 108 bytes at most (unix(7)); this one is short wherever the folder lies.
-    folder = os.open(path.parent, os.O_PATH | os.O_DIRECTORY)
-    try:
-        yield f"/proc/self/fd/{folder}/{path.name}"
-    finally:
-        os.close(folder)
 
 
 def listening_socket(path: Path) -> socket.socket:
@@ -293,42 +274,3 @@ async def _disarm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> 
 
 COMMANDS: dict[str, Command] = {"status": _status, "read": _read, "arm": _arm, "disarm": _disarm}
 """Everything that can be asked of a running gateway; a new one is a row here."""
-
-
-# ---------------------------------------------------------------- the other side
-
-
-class GatewayLine:
-    """A client's connection to a running gateway (blocking); see `connect`."""
-
-    def __init__(self, sock: socket.socket) -> None:
-        self._sock = sock
-        self._file = sock.makefile("rb")
-
-    def ask(self, command: str, **keys: Any) -> dict[str, Any]:
-        """One request; gives the reply. Raises ControlError with the gateway's reason, OSError if it is gone."""
-        self._sock.sendall(json_lines.packed({"command": command, **keys}))
-        line = self._file.readline()
-        if not line:
-            raise ConnectionResetError("the gateway has closed its control socket")
-        reply = json_lines.parsed(line)
-        if not reply.pop("ok", False):
-            raise ControlError(str(reply.get("reason", "the gateway refused without a reason")))
-        return reply
-
-    def close(self) -> None:
-        """Let it go."""
-        self._file.close()
-        self._sock.close()
-
-
-def connect(path: Path, timeout: float = 5.0) -> GatewayLine | None:
-    """The running gateway at `path`; None where none runs, or not for this user."""
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    sock.settimeout(timeout)
-    with suppress(OSError):
-        with short(path) as name:
-            sock.connect(name)
-        return GatewayLine(sock)
-    sock.close()
-    return None

@@ -20,7 +20,8 @@ from sim.strict_json import escaped, strict
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 _STAMP = structlog.processors.TimeStamper(fmt="iso", utc=True)
 
-_Sink = tuple[Processor, Callable[[str], None]]
+_Sink = tuple[Processor, Callable[[str], None], frozenset[str]]
+"""How an event becomes a text, where that goes, and the events that do not go there."""
 
 
 class _Tee:
@@ -64,7 +65,9 @@ class _Tee:
             self._write(event)
 
     def _write(self, event: Mapping[str, Any]) -> None:
-        for render, write in self.sinks:
+        for render, write, without in self.sinks:
+            if event.get("event") in without:
+                continue
             try:
                 write(str(render(None, "msg", _STAMP(None, "msg", dict(event)))))
             except (OSError, ValueError):
@@ -95,10 +98,12 @@ def open_log(
     *,
     rotation: LogSection | None = None,
     fold_seconds: float = WINDOW_SECONDS,
+    console_without: frozenset[str] = frozenset(),
 ) -> Iterator[FilteringBoundLogger]:
     """A logger that writes to `path`, or an open file, as JSON lines, and to `console` for people until the block ends.
 
-    With neither, it writes to standard error. `rotation` says how large and how old the file becomes. Lines that
+    With neither, it writes to standard error. The console does not get the events `console_without`, of which people
+    hear by another way. `rotation` says how large and how old the file becomes. Lines that
     differ in numbers only are folded over `fold_seconds` (real). Raises OSError for a path that cannot be written.
     """
     sinks: list[_Sink] = []
@@ -106,7 +111,7 @@ def open_log(
         if path is not None:
             file = path if isinstance(path, LogFile) else log_file(path, rotation or LogSection())
             opened.callback(file.close)
-            sinks.append((structlog.processors.JSONRenderer(ensure_ascii=False), file.write))
+            sinks.append((structlog.processors.JSONRenderer(ensure_ascii=False), file.write, frozenset()))
         if console is not None or path is None:
             stream = console or sys.stderr
 
@@ -114,7 +119,7 @@ def open_log(
                 stream.write(line + "\n")
                 stream.flush()
 
-            sinks.append((structlog.dev.ConsoleRenderer(colors=stream.isatty()), show))
+            sinks.append((structlog.dev.ConsoleRenderer(colors=stream.isatty()), show, console_without))
         tee = _Tee(sinks, Folding(fold_seconds))
         opened.callback(tee.close)
         yield _logger(tee, level)

@@ -1,19 +1,30 @@
-"""What a running machine shows of itself: one snapshot, rewritten as one JSON line that a reader never sees half."""
+"""The picture of a running machine, taken from its parts, and rewritten as one JSON line that nobody sees half."""
 
 import os
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from gateway.machine import Machine
-from gateway.machine.model import block_values
-from gateway.machine.reading import Redundant
+from gateway.machine.alarms import AlarmBoard, AlarmState
+from gateway.machine.model import ScanPrediction, block_values
+from gateway.machine.reading import STALE_PERIODS, Redundant, unread
+from gateway.status import (
+    AlarmStatus,
+    ForecastStatus,
+    GatewayStatus,
+    HistorianStatus,
+    LinkStatus,
+    ModelStatus,
+    PredictionStatus,
+    ScanStatus,
+    TagStatus,
+)
 from gateway.store import percentile
 from sim.strict_json import json_text
 
 
-def write_status(path: Path, status: Mapping[str, Any]) -> None:
+def write_status(path: Path, status: GatewayStatus) -> None:
     """Replace the file by one JSON line, in one step. Raises OSError."""
     # A draft beside it and then a rename, which POSIX does in one step: a reader has the old line or the new one.
     draft = path.with_name(f".{path.name}.{os.getpid()}")
@@ -21,55 +32,98 @@ def write_status(path: Path, status: Mapping[str, Any]) -> None:
     draft.replace(path)
 
 
-def snapshot(machine: Machine) -> dict[str, Any]:
-    """Everything worth showing, as plain values; times are plant seconds UTC, what ends in _s real seconds."""
-    speed, counters, link = machine.clock.speed, machine.counters, machine.link
+def snapshot(machine: Machine) -> GatewayStatus:
+    """The machine at this moment; what it has not read for too long is no longer good, as no scan says so any more."""
+    config, counters, link, historian = machine.config, machine.counters, machine.link, machine.historian
+    now, speed, last = machine.clock.now(), machine.clock.speed, machine.last
+    # A device that takes several ticks to answer is late only by as many of its own scans.
+    silence, interval = (now - last.time, (1 + last.missed) * config.scan.period) if last else (0.0, config.scan.period)
+    tags, samples = config.map.by_name, last.samples if last else {}
     prediction = machine.model.prediction if machine.model else None
-    return {
-        "time": machine.clock.now(),
-        "phase": machine.phase,
-        "link": {
-            "alive": link.alive,
-            "connected": machine.driver.connected,
-            "reason": link.reason,
-            "last_good": link.last_good,
-            "outages": [outage.plain(speed) for outage in link.outages],
-            "outage_count": link.count,
+    return GatewayStatus(
+        time=now,
+        phase=machine.phase,
+        speed=speed,
+        place=f"{config.links[0].place} ({config.map.name})",
+        temperature=config.model.temperature,
+        unit=tags[config.model.temperature].unit,
+        limit=config.alarms.limit,
+        link=LinkStatus(
+            alive=link.alive,
+            connected=machine.driver.connected,
+            reason=link.reason,
+            last_good=link.last_good,
+            outages=[outage.plain(speed) for outage in link.outages],
+            outage_count=link.count,
+        ),
+        links=_links(machine),
+        scan=ScanStatus(
+            count=counters.scans,
+            early=counters.early,
+            missed=counters.missed,
+            period=config.scan.period,
+            age=max(silence, 0.0) if last else None,
+            late=silence > STALE_PERIODS * interval,
+        ),
+        values={
+            name: TagStatus(
+                value=s.value,
+                quality=s.quality.name,
+                time=s.time,
+                age=max(now - s.time, 0.0),
+                reason=s.reason,
+                unit=tags[name].unit,
+            )
+            for name, s in ((name, unread(sample, silence, interval)) for name, sample in samples.items())
         },
-        "links": _links(machine),
-        "scan": {
-            "count": counters.scans,
-            "early": counters.early,
-            "missed": counters.missed,
-            "period": machine.config.scan.period,
-        },
-        "values": {
-            name: {"value": s.value, "quality": s.quality.name, "time": s.time, "reason": s.reason}
-            for name, s in (machine.last.samples if machine.last else {}).items()
-        },
-        "prediction": None
-        if prediction is None
-        else {key: value for key, value in asdict(prediction).items() if key != "events"},
-        "forecast": _forecast(machine),
-        "model": machine.model.report() if machine.model else None,
-        "guards": machine.model.guard_report() if machine.model else None,
-        "events": counters.events,
-        "recent_events": [list(event) for event in counters.recent],
-        "alarms": {name: alarm.state.value for name, alarm in machine.alarms.alarms.items()},
-        "writeback": _writeback(machine),
-        "historian": {
-            "dropped": machine.historian.dropped,
-            "refused": machine.historian.refused,
-            "failure": machine.historian.failure,
-            "complaint": machine.historian.complaint,
-        },
-        "parts": machine.supervisor.report(),
-        "clock": {"believed": not machine.clock_complaint, "complaint": machine.clock_complaint},
-        "driver": dict(machine.driver.statistics()),
-        "complaints": list(machine.complaints()),
-        "failures": counters.failures,
-        "last_failure": counters.last_failure,
-    }
+        prediction=None if prediction is None else _prediction(prediction),
+        forecast=_forecast(machine, now),
+        model=ModelStatus(**machine.model.report()) if machine.model else None,
+        guards=machine.model.guard_report() if machine.model else None,
+        events=counters.events,
+        recent_events=list(counters.recent),
+        alarms={name: alarm.state.value for name, alarm in machine.alarms.alarms.items()},
+        alarm_summary=_alarm_summary(machine.alarms),
+        writeback=_writeback(machine),
+        historian=HistorianStatus(
+            path=str(historian.path.absolute()),
+            dropped=historian.dropped,
+            refused=historian.refused,
+            failure=historian.failure,
+            complaint=historian.complaint,
+        ),
+        parts=machine.supervisor.report(),
+        clock={"believed": not machine.clock_complaint, "complaint": machine.clock_complaint},
+        driver=dict(machine.driver.statistics()),
+        complaints=list(machine.complaints()),
+        failures=counters.failures,
+        last_failure=counters.last_failure,
+    )
+
+
+def _alarm_summary(board: AlarmBoard) -> list[AlarmStatus]:
+    """The alarms that are not normal, the most urgent first."""
+    rows = [
+        AlarmStatus(
+            name=name,
+            tag=alarm.tag,
+            priority=alarm.priority,
+            state=alarm.state.value,
+            active=alarm.active,
+            since=alarm.since,
+            acknowledged_by=alarm.acknowledged_by,
+            response=board.conditions[name].response,
+        )
+        for name, alarm in board.alarms.items()
+        if alarm.state is not AlarmState.NORMAL and name in board.conditions
+    ]
+    return sorted(rows, key=lambda row: (row.priority, row.since))
+
+
+def _prediction(prediction: ScanPrediction) -> PredictionStatus:
+    plain = asdict(prediction)
+    del plain["events"]
+    return PredictionStatus(**plain)
 
 
 def _links(machine: Machine) -> list[dict[str, Any]]:
@@ -82,20 +136,24 @@ def _links(machine: Machine) -> list[dict[str, Any]]:
     return [{"name": link.name, **alone, **places[link.name]} for link in links[:1]]
 
 
-def _forecast(machine: Machine) -> dict[str, Any] | None:
-    forecast = machine.model.outlook.latest if machine.model else None
-    if forecast is None:
+def _forecast(machine: Machine, now: float) -> ForecastStatus | None:
+    model = machine.model
+    forecast = model.outlook.latest if model else None
+    if model is None or forecast is None:
         return None
-    now = machine.last.time if machine.last else forecast.time
-    return {
-        "time": forecast.time,
-        "levels": list(forecast.levels),
-        "horizons": forecast.horizons.tolist(),
-        "quantiles": forecast.quantiles.T.tolist(),
-        "p_limit": [estimate.probability for estimate in forecast.exceedance],
-        "factors": forecast.factors.tolist(),
-        "block": block_values(forecast, machine.config.block_horizon, now),
-    }
+    known = model.prediction is not None and model.prediction.known
+    values = block_values(forecast, machine.config.block_horizon, machine.last.time if machine.last else forecast.time)
+    return ForecastStatus(
+        time=forecast.time,
+        age=max(now - forecast.time, 0.0),
+        usable=known and model.outlook.fresh(now) is not None,
+        levels=list(forecast.levels),
+        horizons=forecast.horizons.tolist(),
+        quantiles=forecast.quantiles.T.tolist(),
+        p_limit=[estimate.probability for estimate in forecast.exceedance],
+        factors=forecast.factors.tolist(),
+        block=values,
+    )
 
 
 def _writeback(machine: Machine) -> dict[str, Any]:

@@ -10,8 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+import scipy
 
 from sim.discrepancy.fitting import (
     CatalogueEntry,
@@ -64,8 +63,8 @@ class Projector:
         weighed = self._whitener.weigh(stacked)
         prior = np.maximum(fitted.prior, 1e-12)
         self._weighed = weighed[:, 1:]
-        self._factor = cho_factor(fitted.columns.T @ self._weighed + np.diag(prior))
-        best = cho_solve(self._factor, fitted.columns.T @ weighed[:, 0] - fitted.prior * fitted.off)
+        self._factor = scipy.linalg.cho_factor(fitted.columns.T @ self._weighed + np.diag(prior))
+        best = scipy.linalg.cho_solve(self._factor, fitted.columns.T @ weighed[:, 0] - fitted.prior * fitted.off)
         self.residual = fitted.residual - fitted.columns @ best
         self.weighed_residual = weighed[:, 0] - self._weighed @ best
 
@@ -73,12 +72,12 @@ class Projector:
         """(p + r + e,) how the fit's parameters move when `column` (m,) degC is added to its course."""
         fitted = self.fitted
         score = self._weighed.T @ (fitted.residual - column) - fitted.prior * fitted.off
-        return np.asarray(cho_solve(self._factor, score))
+        return np.asarray(scipy.linalg.cho_solve(self._factor, score))
 
     def clean(self, columns: Array) -> tuple[Array, Array, Array]:
         """(columns without what the fit's parameters imitate, the same weighed, V^-1-size of the columns before)."""
         weighed = self._whitener.weigh(columns)
-        part = cho_solve(self._factor, self._weighed.T @ columns)
+        part = scipy.linalg.cho_solve(self._factor, self._weighed.T @ columns)
         before = np.einsum("ij,ij->j", columns, weighed)
         return columns - self.fitted.columns @ part, weighed - self._weighed @ part, before
 
@@ -250,7 +249,7 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
     # Nelder and Mead (1965), without derivatives: bounds and switching points leave kinks in the gain. The best point
     # that was ever tried is kept, not the last simplex, since the search may be cut off by its evaluations.
     simplex = np.vstack([begin, begin + np.diag(np.full(begin.size, 0.3))])
-    minimize(
+    scipy.optimize.minimize(
         loss,
         begin,
         method="Nelder-Mead",

@@ -1,8 +1,8 @@
 """The recursion x[k] = a[k] * x[k-1] + b[k], over millions of steps at compiled speed."""
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dtbtrs
 
 from sim.sha import Array
 
@@ -54,7 +54,7 @@ def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
             for j in range(d):
                 bands[d + i - j, j : (count - 1) * d : d] = -factors[1:, i, j]
         right[0] += factors[0] @ x0
-        solution, _ = dtbtrs(bands, right.reshape(-1), uplo="L", diag="U")
+        solution, _ = scipy.linalg.lapack.dtbtrs(bands, right.reshape(-1), uplo="L", diag="U")
         x[first : first + piece] = np.asarray(solution, dtype=float).reshape(count, d)
         x0 = x[first + count - 1]
     return x
@@ -70,5 +70,5 @@ def _solve(a: Array, b: Array, x0: float) -> Array:
     np.negative(a[1:], out=bands[1, :-1])
     right = np.array(b, dtype=float)
     right[0] += a[0] * x0
-    x, _ = dtbtrs(bands, right, uplo="L", diag="U", overwrite_b=True)
+    x, _ = scipy.linalg.lapack.dtbtrs(bands, right, uplo="L", diag="U", overwrite_b=True)
     return np.asarray(x, dtype=float).reshape(-1)

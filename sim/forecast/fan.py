@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from math import ceil, inf, isfinite, sqrt
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from sim.effects import VaryingLaw, kind_of
 from sim.engine import (
@@ -245,7 +245,7 @@ def _known_future(
     """The stays (seconds from now, location index) that `events` lead through, and the exact quantiles (L, H)."""
     index = {location.name: row for row, location in enumerate(tracker.model.sha.locations)}
     stays = [(0.0, index[belief.location])]
-    spread = np.asarray(ndtri(levels))
+    spread = np.asarray(scipy.special.ndtri(levels))
     # The belief itself is carried forward, event by event and horizon by horizon: with the events known it stays a
     # Gaussian, and its quantiles are exact where runs would only sample them.
     columns, coming, ahead = [], sorted(events, key=lambda event: event.time), belief

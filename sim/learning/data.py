@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import median_filter
+import scipy
 
 from sim.sha import Array, Trace, content_hash, joint_hash
 
@@ -48,7 +48,7 @@ def without_spikes(readings: Array, step: float) -> Array:
     if finite.size < SPIKE_WINDOW:
         return readings
     values = readings[finite]
-    off = np.abs(values - median_filter(values, size=SPIKE_WINDOW, mode="nearest"))
+    off = np.abs(values - scipy.ndimage.median_filter(values, size=SPIKE_WINDOW, mode="nearest"))
     scale = max(1.4826 * float(np.median(off)), float(np.median(np.abs(np.diff(values)))), step, 1e-3)
     cleaned = readings.copy()
     cleaned[finite[off > SPIKE_LIMIT * scale]] = np.nan

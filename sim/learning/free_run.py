@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import least_squares
 
 from sim.engine import linear_recursion
 from sim.learning.runs import FreeRuns, Indices
@@ -204,8 +203,8 @@ def _solve(problem: _Problem, log_rates: Array) -> _Linear:
     columns, reading = both[:, :-1], both[:, -1]
     prior = problem.noise / shape.spread**2
     weighted = columns * problem.weight[:, None]
-    factor = cho_factor(columns.T @ weighted + np.diag(prior))
-    linear = cho_solve(factor, weighted.T @ reading + prior * shape.centre)
+    factor = scipy.linalg.cho_factor(columns.T @ weighted + np.diag(prior))
+    linear = scipy.linalg.cho_solve(factor, weighted.T @ reading + prior * shape.centre)
     starts = part[:, -1] - part[:, :-1] @ linear
     mean = full @ linear + begun * starts[np.cumsum(runs.first) - 1]
     return _Linear(
@@ -213,7 +212,7 @@ def _solve(problem: _Problem, log_rates: Array) -> _Linear:
         start=start,
         residual=reading - columns @ linear,
         linear=linear,
-        inverse=lambda right: cho_solve(factor, right),
+        inverse=lambda right: scipy.linalg.cho_solve(factor, right),
         mean=mean,
         decay=decay,
     )
@@ -284,7 +283,7 @@ def _best_rates(problem: _Problem, begin: Array) -> Array:
     def slopes(log_rates: Array) -> Array:
         return _jacobian(problem, log_rates, solved(log_rates))
 
-    search = least_squares(
+    search = scipy.optimize.least_squares(
         residuals,
         np.clip(begin, low + 1e-6, high - 1e-6),
         jac=slopes,

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+import scipy
 
 from sim.engine import linear_recursion
 from sim.learning.free_run import FitShape, FreeRunFit, steps
@@ -65,7 +65,7 @@ def small_sample(count: int) -> float:
     """
     if count < 1:
         return small_sample(1)
-    return float(student.ppf(0.95, count)) / _Z95 * float(np.sqrt(1.0 + 1.0 / count))
+    return float(scipy.stats.t.ppf(0.95, count)) / _Z95 * float(np.sqrt(1.0 + 1.0 / count))
 
 
 def machine_spread(

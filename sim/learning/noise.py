@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 from math import inf, log, sqrt
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from sim.effects import DisturbanceStep, disturbance_step
 from sim.engine import repeat_factor
@@ -427,7 +427,7 @@ class _Task:
         theta = self.start() if begin is None else begin
         free = np.ones(theta.size, dtype=np.bool_) if free is None else free
         bounds = [each for each, moves in zip(self.bounds(), free.tolist(), strict=True) if moves]
-        search = minimize(
+        search = scipy.optimize.minimize(
             _value_and_slope,
             theta[free],
             args=(self, weight, theta, free),

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 from math import exp, inf, log
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.special import log_ndtr
+import scipy
 
 from sim.effects import signals_of
 from sim.engine import Tracker, compiled, next_location
@@ -111,7 +110,7 @@ def _fit_weibull(times: Array, seen: Mask) -> tuple[Distribution, float]:
         shape = exp(float(point[0]))
         return count * (scaled(shape) - log(shape) + 1.0 + centre)
 
-    search = minimize(loss, [0.0], method="L-BFGS-B", bounds=[(log(0.2), log(20.0))])
+    search = scipy.optimize.minimize(loss, [0.0], method="L-BFGS-B", bounds=[(log(0.2), log(20.0))])
     shape = exp(float(search.x[0]))
     scale = exp(centre + scaled(shape) / shape)
     return Distribution("weibull", {"shape": shape, "scale": scale}), float(search.fun)
@@ -126,10 +125,10 @@ def _fit_lognormal(times: Array, seen: Mask) -> tuple[Distribution, float]:
         mu, sigma = float(point[0]), exp(float(point[1]))
         density = 0.5 * ((done - mu) / sigma) ** 2 + log(sigma) + 0.5 * log(2.0 * np.pi) + done
         # A stay that was cut off counts with its survival; log_ndtr keeps that finite however long it was.
-        return float(density.sum() - log_ndtr(-(cut - mu) / sigma).sum())
+        return float(density.sum() - scipy.special.log_ndtr(-(cut - mu) / sigma).sum())
 
     first = [float(done.mean()), log(min(max(float(done.std()), 0.05), 5.0))]
-    search = minimize(loss, first, method="L-BFGS-B", bounds=[(None, None), (log(0.05), log(5.0))])
+    search = scipy.optimize.minimize(loss, first, method="L-BFGS-B", bounds=[(None, None), (log(0.05), log(5.0))])
     law = Distribution("lognormal", {"mu": float(search.x[0]), "sigma": exp(float(search.x[1]))})
     return law, float(search.fun)
 

@@ -10,7 +10,7 @@ import numpy as np
 from sim.paired import Paired, holm, paired
 from sim.sha import DEGREES
 from sim.skill import ForecastSkill
-from sim.validation import TRAINED_ON, Facts, Finding, Fitness, FitnessLimits, Seen, TraceResult, fitness, judge
+from sim.validation import TRAINED_ON, Facts, Finding, Fitness, FitnessLimits, Seen, TraceResult, fitness_of, judge
 
 LEVEL = 0.05
 
@@ -59,7 +59,7 @@ class Standing:
     @property
     def fitness(self) -> Fitness:
         """Whether it may be used."""
-        return fitness(self.findings)
+        return fitness_of(self.findings)
 
     @property
     def in_sample(self) -> str:

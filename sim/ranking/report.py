@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from drivers.named_files import writing
 from sim.pages import page_environment
 from sim.pictures import check_picture, save_picture
 from sim.ranking.ranking import Ranking, entrants
@@ -141,7 +142,8 @@ def draw_ranking(ranking: Ranking, results: Sequence[TraceResult], path: Path) -
 def write_page(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> Path:
     """Write one HTML file that needs no other, and return its path. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page(ranking, results), encoding="utf-8")
+    with writing(path):
+        path.write_text(page(ranking, results), encoding="utf-8")
     return path
 
 

@@ -8,8 +8,7 @@ import warnings
 from itertools import product
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.signal import lfilter
+import scipy
 from statsmodels.tsa.arima.estimators.hannan_rissanen import hannan_rissanen
 from statsmodels.tsa.exponential_smoothing.ets import ETSModel, ETSResults
 from statsmodels.tsa.statespace.sarimax import SARIMAX
@@ -94,7 +93,7 @@ def _arma_aicc(series: Array, p: int, q: int, constant: bool) -> float:
         return float("inf")
     if fitted is not None and not (fitted.is_stationary and fitted.is_invertible):
         return float("inf")
-    residuals = centred if fitted is None else lfilter(fitted.ar_poly.coef, fitted.ma_poly.coef, centred)
+    residuals = centred if fitted is None else scipy.signal.lfilter(fitted.ar_poly.coef, fitted.ma_poly.coef, centred)
     n, parameters = centred.size, p + q + constant + 1
     squares = max(float(np.mean(residuals**2)), np.finfo(float).tiny)
     return float(n * np.log(squares) + 2.0 * parameters * n / (n - parameters - 1))
@@ -112,7 +111,7 @@ def auto_theta(series: Array, steps: int) -> tuple[Array, Array]:
     def ahead(parameters: Array) -> tuple[Array, Array]:
         """One-step forecasts (n,) and the levels after each reading (n,)."""
         smoothing, theta, start = parameters
-        levels = lfilter([smoothing], [1.0, smoothing - 1.0], series, zi=[(1.0 - smoothing) * start])[0]
+        levels = scipy.signal.lfilter([smoothing], [1.0, smoothing - 1.0], series, zi=[(1.0 - smoothing) * start])[0]
         before = np.concatenate(([start], levels[:-1]))
         left = (1.0 - smoothing) ** (times - 1)
         trend = (1.0 - 1.0 / theta) * (left * intercept + (1.0 - left * (1.0 - smoothing)) / smoothing * slope)
@@ -121,7 +120,7 @@ def auto_theta(series: Array, steps: int) -> tuple[Array, Array]:
     def squares(parameters: Array) -> float:
         return float(np.mean((series - ahead(parameters)[0]) ** 2))
 
-    found = minimize(
+    found = scipy.optimize.minimize(
         squares,
         x0=np.array([0.5, 2.0, series[0] / 2.0]),
         bounds=[(0.05, 0.999), (1.0, 10.0), (-np.inf, np.inf)],

@@ -8,7 +8,7 @@ from math import gcd
 from typing import cast
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 from threadpoolctl import ThreadpoolController
 
 from sim.rivals.band import equal_shares
@@ -98,7 +98,7 @@ class FittedUnivariate:
         # All trained horizons, whichever are asked for: they make the grid on which the factors were measured.
         with self.threads.limit(limits=1):
             means, deviations = _ahead(self.model, past, self.horizons)
-        quantiles = means + self.factors * deviations * ndtri(np.asarray(levels))[:, None]
+        quantiles = means + self.factors * deviations * scipy.special.ndtri(np.asarray(levels))[:, None]
         return np.asarray(quantiles[:, columns])
 
 

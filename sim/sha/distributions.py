@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from math import exp, gamma, inf, isfinite
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.special import log_ndtr, ndtri_exp
 
 from sim.sha.automaton import Distribution
 from sim.sha.trace import Array
@@ -35,16 +35,16 @@ def _log_survival_normal(p: Params, t: Array) -> Array:
         return np.where(t < p["mu"], 0.0, -np.inf)
     # P(T > t) = Phi(-(t - mu) / sigma). log_ndtr keeps it far out, where 1 - Phi is 0 in floating point and a stay that
     # has lasted longer than it should would have no law left; ndtri_exp is its inverse, for the same reason.
-    return log_ndtr(-(t - p["mu"]) / p["sigma"])
+    return scipy.special.log_ndtr(-(t - p["mu"]) / p["sigma"])
 
 
 def _exceeded_normal(p: Params, s: Array) -> Array:
-    return p["mu"] - p["sigma"] * ndtri_exp(s) if p["sigma"] else np.full_like(s, p["mu"])
+    return p["mu"] - p["sigma"] * scipy.special.ndtri_exp(s) if p["sigma"] else np.full_like(s, p["mu"])
 
 
 def _log_survival_lognormal(p: Params, t: Array) -> Array:
     with np.errstate(divide="ignore"):  # the logarithm of 0 s is -inf, where the survival is 1: as it should be
-        return log_ndtr(-(np.log(np.maximum(t, 0.0)) - p["mu"]) / p["sigma"])
+        return scipy.special.log_ndtr(-(np.log(np.maximum(t, 0.0)) - p["mu"]) / p["sigma"])
 
 
 LAWS: dict[str, Law] = {
@@ -78,7 +78,7 @@ LAWS: dict[str, Law] = {
         mean=lambda p: exp(p["mu"] + p["sigma"] ** 2 / 2),
         variance=lambda p: (exp(p["sigma"] ** 2) - 1) * exp(2 * p["mu"] + p["sigma"] ** 2),
         log_survival=_log_survival_lognormal,
-        exceeded=lambda p, s: np.exp(p["mu"] - p["sigma"] * ndtri_exp(s)),
+        exceeded=lambda p, s: np.exp(p["mu"] - p["sigma"] * scipy.special.ndtri_exp(s)),
     ),
 }
 

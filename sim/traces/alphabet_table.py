@@ -5,8 +5,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from drivers.settings import sentences
+from drivers.settings import first_sentence
 from sim.sha import DECANTER, Alphabet, Bins, Switch, check_alphabet
+from sim.traces.auto_thresholds import AutoBins
 
 
 class _AlphabetPart(BaseModel):
@@ -39,9 +40,9 @@ class _SwitchTable(_AlphabetPart):
 class _BinsTable(_AlphabetPart):
     kind: Literal["bins"]
     signal: str
-    thresholds: tuple[float, ...] | _Steps
-    symbols: tuple[str, ...] | _Numbered
-    hysteresis: float = 0.0
+    thresholds: tuple[float, ...] | _Steps | Literal["auto"] = "auto"
+    symbols: tuple[str, ...] | _Numbered | None = None
+    hysteresis: float | None = None
     on_change: bool = False
 
 
@@ -52,10 +53,27 @@ class _AlphabetTable(_AlphabetPart):
     uppaal: dict[str, str] = {}
 
 
-def _channel(table: _SwitchTable | _BinsTable) -> Switch | Bins:
+def _channel(table: _SwitchTable | _BinsTable, prefix: str) -> Switch | Bins:
     if isinstance(table, _SwitchTable):
         return Switch(table.signal, table.rising, table.falling, table.on_change)
-    thresholds, symbols = table.thresholds, table.symbols
+    thresholds, symbols, hysteresis = table.thresholds, table.symbols, table.hysteresis or 0.0
+    if thresholds == "auto":
+        if isinstance(symbols, tuple):
+            raise ValueError(
+                f"the channel {table.signal!r} has thresholds = 'auto', so nobody knows how many symbols it needs; "
+                "give them as {lowest, prefix} or leave them out"
+            )
+        lowest, prefix = ("", prefix) if symbols is None else (symbols.lowest, symbols.prefix)
+        return AutoBins(
+            table.signal,
+            (),
+            (lowest or f"{prefix}0",),
+            hysteresis,
+            table.on_change,
+            prefix=prefix,
+            lowest=lowest,
+            own_hysteresis=table.hysteresis is not None,
+        )
     if isinstance(thresholds, _Steps):
         first, last, step = thresholds.first, thresholds.last, thresholds.step
         count = (last - first) / step
@@ -63,30 +81,43 @@ def _channel(table: _SwitchTable | _BinsTable) -> Switch | Bins:
         if not 0 <= count <= 100_000 or abs(count - round(count)) > 1e-9:
             raise ValueError(f"thresholds from {first:g} to {last:g} are no whole steps of {step:g}")
         thresholds = tuple(first + index * step for index in range(round(count) + 1))
-    if isinstance(symbols, _Numbered):
+    if symbols is None:
+        symbols = tuple(f"{prefix}{index}" for index in range(len(thresholds) + 1))
+    elif isinstance(symbols, _Numbered):
         symbols = (symbols.lowest, *(f"{symbols.prefix}{index}" for index in range(len(thresholds))))
-    return Bins(table.signal, thresholds, symbols, table.hysteresis, table.on_change)
+    return Bins(table.signal, thresholds, symbols, hysteresis, table.on_change)
+
+
+DECANTER_AUTO = Alphabet(
+    channels=(DECANTER.channels[0], AutoBins("Assorbimento", (), ("A_0",), prefix="A_")), gap=DECANTER.gap
+)
+"""The alphabet of a map that names none: the decanter's signals, with the levels of whatever motor it is."""
 
 
 def alphabet_from_table(table: Mapping[str, object], where: str) -> Alphabet:
     """The alphabet that a TOML table describes.
 
     `channels` is a list of tables: `{kind = "switch", signal, rising, falling, on_change}` or `{kind = "bins", signal,
-    thresholds, symbols, hysteresis, on_change}`, where thresholds may be `{first, last, step}` and symbols
-    `{lowest, prefix}`; then `gap` and `debounce` in seconds and `uppaal`, symbol = channel name. Raises ValueError with
-    one sentence that begins with `where` (the file and key).
+    thresholds, symbols, hysteresis, on_change}`, where thresholds may be `{first, last, step}` or "auto" (the readings
+    decide when traces are loaded, which is what happens without any) and symbols `{lowest, prefix}` (without any: A_0,
+    A_1 ... for the first such channel, B_0 ... for the second); then `gap` and `debounce` in seconds and `uppaal`,
+    symbol = channel name. Raises ValueError with one sentence that begins with `where` (the file and key).
     """
     try:
         parsed = _AlphabetTable.model_validate(dict(table))
+        channels: list[Switch | Bins] = []
+        for part in parsed.channels:
+            before = sum(isinstance(channel, Bins) for channel in channels)
+            channels.append(_channel(part, f"{chr(ord('A') + before)}_"))
         alphabet = Alphabet(
-            channels=tuple(_channel(channel) for channel in parsed.channels),
+            channels=tuple(channels),
             gap=parsed.gap,
             debounce=parsed.debounce,
             uppaal=tuple(parsed.uppaal.items()),
         )
         check_alphabet(alphabet)
     except ValidationError as error:
-        raise ValueError(sentences(_AlphabetTable, error, where)[0]) from None
+        raise ValueError(first_sentence(_AlphabetTable, error, where)) from None
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
     return alphabet
@@ -98,6 +129,10 @@ def alphabet_to_table(alphabet: Alphabet) -> dict[str, object]:
     for channel in alphabet.channels:
         if isinstance(channel, Switch):
             table: dict[str, object] = {"kind": "switch", "rising": channel.rising, "falling": channel.falling}
+        elif isinstance(channel, AutoBins):
+            table = {"kind": "bins", "thresholds": "auto"}
+            table |= {"symbols": {"lowest": channel.symbols[0], "prefix": channel.prefix}} if channel.lowest else {}
+            table |= {"hysteresis": channel.hysteresis} if channel.own_hysteresis else {}
         else:
             table = {"kind": "bins", "thresholds": list(channel.thresholds), "symbols": list(channel.symbols)}
             table["hysteresis"] = channel.hysteresis

@@ -9,9 +9,17 @@ from sim.sha import Array, Mask
 
 Decimal = Literal["auto", ".", ","]
 
+SWITCH_WORDS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
+    (("true", "t", "vero", "wahr", "vrai", "verdadero"), ("false", "f", "falso", "falsch", "faux")),
+    (("on", "ein", "an", "acceso", "encendido"), ("off", "aus", "spento", "apagado")),
+    (("yes", "y", "ja", "si", "sì", "sí", "oui"), ("no", "n", "nein", "non")),
+    (("run", "running", "marcia", "marche", "marcha"), ("stop", "stopped", "fermo", "arrêt", "arret", "paro")),
+    (("1", "-1"), ("0",)),
+)
+"""Words of two-valued signals that need no declaring, (on, off) by kind: English, Italian, German, French, Spanish."""
+
 _BOOLEANS = {
-    **dict.fromkeys(("true", "vero", "on", "yes", "si", "sì", "t", "y", "1", "-1"), 1.0),
-    **dict.fromkeys(("false", "falso", "off", "no", "f", "n", "0"), 0.0),
+    word: value for pair in SWITCH_WORDS for words, value in zip(pair, (1.0, 0.0), strict=True) for word in words
 }
 
 
@@ -53,16 +61,14 @@ def numbers(cells: Sequence[str], decimal: Decimal = "auto") -> tuple[Array, Mas
     return values, np.isnan(values) & np.array([bool(cell) for cell in stripped], dtype=bool)
 
 
-def _boolean(cell: str) -> float:
-    known = _BOOLEANS.get(cell.casefold())
-    if known is not None:
-        return known
-    return {0.0: 0.0, 1.0: 1.0, -1.0: 1.0}.get(_number(cell.replace(",", "."), "."), np.nan)
-
-
-def booleans(cells: Sequence[str]) -> tuple[Array, Mask]:
-    """As `numbers`, for two-valued signals: 0.0 and 1.0 from True, 1, VERO, on, yes, si ... and their opposites."""
+def booleans(cells: Sequence[str], on: Sequence[str] = (), off: Sequence[str] = ()) -> tuple[Array, Mask]:
+    """As `numbers`, for two-valued signals: 1.0 and 0.0 from the words `on` and `off`, then from SWITCH_WORDS."""
+    words = {**_BOOLEANS, **{word.casefold(): 1.0 for word in on}, **{word.casefold(): 0.0 for word in off}}
+    table: dict[str, float] = {}
     # A two-valued column has few different cells, however many rows.
-    table = {cell: _boolean(cell.strip()) for cell in set(cells)}
+    for cell in set(cells):
+        word = cell.strip().casefold()
+        as_number = _number(word.replace(",", "."), ".")
+        table[cell] = words[word] if word in words else {0.0: 0.0, 1.0: 1.0, -1.0: 1.0}.get(as_number, np.nan)
     values = np.array([table[cell] for cell in cells], dtype=float)
     return values, np.isnan(values) & np.array([bool(cell.strip()) for cell in cells], dtype=bool)

@@ -13,7 +13,7 @@ import numpy as np
 
 from sim.sha import Array, Mask
 from sim.traces.cells import Decimal, numbers
-from sim.traces.column_map import ClockColumns, Names, TimeOfDay
+from sim.traces.column_map import SECONDS, ClockColumns, Names, TimeOfDay
 
 if TYPE_CHECKING:
     from pandas import DatetimeIndex
@@ -26,7 +26,7 @@ def clock_columns(clock: ClockColumns) -> tuple[Names, ...]:
     """The columns that the clock needs, in the order in which `read_clock` wants their cells."""
     day = clock.time_of_day
     if day is None:
-        return (clock.column,)
+        return (clock.column, *([clock.date] if clock.date else []))
     return (day.hour, day.minute, day.second, *((day.fraction,) if day.fraction else ()))
 
 
@@ -36,14 +36,16 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
         seconds = _time_of_day(clock.time_of_day, columns, decimal)
         return seconds, np.zeros(seconds.shape, dtype=bool)
     cells = [cell.strip() for cell in columns[0]]
+    if clock.date:
+        cells = [f"{day.strip()} {cell}" for day, cell in zip(columns[1], cells, strict=True)]
     seconds, local = np.full(len(cells), np.nan), np.zeros(len(cells), dtype=bool)
     for format_ in clock.formats:
         left = np.flatnonzero(np.isnan(seconds))
         if not left.size:
             break
         texts = [cells[index] for index in left] if left.size < len(cells) else cells
-        if format_ in ("seconds", "milliseconds"):
-            seconds[left] = numbers(texts, decimal)[0] / (1.0 if format_ == "seconds" else 1000.0)
+        if format_ in SECONDS:
+            seconds[left] = numbers(texts, decimal)[0] / SECONDS[format_]
         else:
             seconds[left], local[left] = _dates(texts, format_)
     return seconds, local

@@ -1,16 +1,17 @@
 """Column maps: which column of somebody's CSV is which signal, which is the clock, and what is done about faults."""
 
 import tomllib
+from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+from typing import Annotated, Literal, Self
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
-from drivers.settings import sentences
-from sim.sha import DECANTER, Alphabet
-from sim.traces.alphabet_table import alphabet_from_table
+from drivers.settings import did_you_mean, first_sentence
+from sim.sha import Alphabet
+from sim.traces.alphabet_table import DECANTER_AUTO, alphabet_from_table
 from sim.traces.load_report import TraceError
 
 
@@ -20,6 +21,10 @@ def _listed(value: object) -> object:
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 """One name or several: the first that the file has is taken."""
+
+
+SECONDS = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+"""Formats of a clock that counts, and how many of their units a second has."""
 
 
 class _MapPart(BaseModel):
@@ -39,11 +44,14 @@ class TimeOfDay(_MapPart):
 class ClockColumns(_MapPart):
     """One `column`, in one of the `formats`, or a `time_of_day` that rolls over at midnight.
 
-    Formats, tried in order: `seconds` and `milliseconds` (elapsed or since 1970), `ISO8601`, or a strptime pattern. A
-    time without an offset is read in `timezone`. A time of day becomes seconds since midnight of the first row's day.
+    Formats, tried in order: `seconds`, `milliseconds`, `microseconds` and `nanoseconds` (elapsed or since 1970),
+    `ISO8601`, or a strptime pattern. Where the day stands in a column `date` of its own, its cell, a blank and that of
+    `column` are what the formats read. A time without an offset is read in `timezone`. A time of day becomes seconds
+    since midnight of the first row's day.
     """
 
     column: Names = ()
+    date: Names = ()
     formats: Names = ("ISO8601",)
     timezone: str = "UTC"
     time_of_day: TimeOfDay | None = None
@@ -54,15 +62,16 @@ class ClockColumns(_MapPart):
         try:
             ZoneInfo(zone)
         except (ZoneInfoNotFoundError, ValueError):
-            raise ValueError(f"there is no time zone {zone!r}; give a name like 'UTC' or 'Europe/Rome'") from None
+            meant = did_you_mean(zone, available_timezones()) or "give a name like 'UTC' or 'Europe/Rome'"
+            raise ValueError(f"there is no time zone {zone!r}; {meant}") from None
         return zone
 
     @field_validator("formats")
     @classmethod
     def _formats_are_known(cls, formats: tuple[str, ...]) -> tuple[str, ...]:
         for format_ in formats:
-            if format_ not in ("seconds", "milliseconds", "ISO8601") and "%" not in format_:
-                known = "'seconds', 'milliseconds', 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
+            if format_ not in (*SECONDS, "ISO8601") and "%" not in format_:
+                known = f"{', '.join(map(repr, SECONDS))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
                 raise ValueError(f"{format_!r} is no format; give {known}")
         return formats
 
@@ -70,6 +79,8 @@ class ClockColumns(_MapPart):
     def _one_kind(self) -> Self:
         if bool(self.column) == (self.time_of_day is not None):
             raise ValueError("give either column or time_of_day")
+        if self.date and self.time_of_day is not None:
+            raise ValueError("date belongs to column; a time_of_day has none")
         return self
 
 
@@ -78,7 +89,8 @@ class SignalColumn(_MapPart):
 
     `column` is the header's name (in a long file, the name in the column of names); the signal's own name if not given.
     Cells in `missing` (before scaling) and values outside `low`..`high` are of bad quality. `hold`: sent on change, the
-    last value holds until the next reading, a bad one or a gap.
+    last value holds until the next reading, a bad one or a gap. `on` and `off` are words of a two-valued signal, in any
+    case of their letters, besides those that are known anyway; where they are given, `boolean` need not be.
     """
 
     column: Names = ()
@@ -86,10 +98,28 @@ class SignalColumn(_MapPart):
     scale: float = 1.0
     offset: float = 0.0
     boolean: bool = False
+    on: Names = ()
+    off: Names = ()
     hold: bool = False
     low: float | None = None
     high: float | None = None
     missing: tuple[float, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _words_make_a_switch(cls, table: object) -> object:
+        if isinstance(table, dict) and (table.get("on") or table.get("off")):
+            return {"boolean": True, **table}
+        return table
+
+    @model_validator(mode="after")
+    def _words_are_opposites(self) -> Self:
+        both = {word.casefold() for word in self.on} & {word.casefold() for word in self.off}
+        if both:
+            raise ValueError(f"{sorted(both)[0]!r} stands in both on and off; leave it in the one that it means")
+        if (self.on or self.off) and not self.boolean:
+            raise ValueError("on and off are words of a two-valued signal; leave out boolean = false")
+        return self
 
 
 class Derived(_MapPart):
@@ -152,6 +182,10 @@ class Long(_MapPart):
     objects: tuple[str, ...] = ()
 
 
+def _one_of(word: str, known: Collection[str]) -> str:
+    return f"it must be one of {', '.join(known)}; {did_you_mean(word, known)}".rstrip("; ")
+
+
 class ColumnMap(_MapPart):
     """How to read one kind of CSV.
 
@@ -183,7 +217,7 @@ class ColumnMap(_MapPart):
     synthetic: bool = False
     machine: Annotated[str, Field(min_length=1)] = "folder"
     effects: Effects | None = None
-    alphabet: Alphabet = DECANTER
+    alphabet: Alphabet = DECANTER_AUTO
 
     @field_validator("alphabet", mode="before")
     @classmethod
@@ -213,11 +247,11 @@ class ColumnMap(_MapPart):
         if self.format == "long" and (self.clock_back != "sort" or self.duplicates == "keep" or self.extra):
             raise ValueError("a long map needs clock_back = 'sort', duplicates 'last' or 'average', and no extra")
         if self.temperature not in self.signals:
-            raise ValueError(f"temperature names {self.temperature!r}; it must be one of {', '.join(self.signals)}")
+            raise ValueError(f"temperature names {self.temperature!r}; {_one_of(self.temperature, self.signals)}")
         for name, derived in self.derived.items():
             strange = [source for source in derived.sources if source not in self.signals]
             if strange:
-                raise ValueError(f"derived.{name} needs {strange[0]!r}; it must be one of {', '.join(self.signals)}")
+                raise ValueError(f"derived.{name} needs {strange[0]!r}; {_one_of(strange[0], self.signals)}")
         self._check_roles()
         return self
 
@@ -225,7 +259,7 @@ class ColumnMap(_MapPart):
         known = (*self.signals, *self.derived)
         for role, signal in ({} if self.effects is None else self.effects.roles).items():
             if signal not in known and not self.extra:
-                raise ValueError(f"effects.{role} names {signal!r}; it must be one of {', '.join(known)}")
+                raise ValueError(f"effects.{role} names {signal!r}; {_one_of(signal, known)}")
 
     def names_of(self, signal: str) -> tuple[str, ...]:
         """The column names under which a signal may come."""
@@ -235,14 +269,23 @@ class ColumnMap(_MapPart):
 def load_map(path: str | Path) -> ColumnMap:
     """The column map in a TOML file. Raises TraceError: file, key, reason and what would be right in one sentence."""
     try:
-        table: dict[str, Any] = parse_toml(contents(Path(path), MOST_TOML_BYTES).decode())
+        text = contents(Path(path), MOST_TOML_BYTES).decode()
     except FileNotFoundError:
-        raise TraceError(f"{path}: there is no such column map; the project's own are in config/traces") from None
+        beside = sorted(file.stem for file in Path(path).parent.glob("*.toml"))
+        meant = did_you_mean(Path(path).stem, beside) or "the project's own are in config/traces"
+        raise TraceError(f"{path}: there is no such column map; {meant}") from None
     except OSError as error:
         raise TraceError(f"{path}: this column map cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise TraceError(f"{path}: this is not TOML: {error}") from None
+    return parse_map(text, str(path))
+
+
+def parse_map(text: str, where: str) -> ColumnMap:
+    """The column map in a TOML text. Raises TraceError: one sentence that begins with `where`."""
     try:
-        return ColumnMap.model_validate(table)
+        return ColumnMap.model_validate(parse_toml(text))
+    except tomllib.TOMLDecodeError as error:
+        raise TraceError(f"{where}: this is not TOML: {error}") from None
     except ValidationError as error:
-        raise TraceError(sentences(ColumnMap, error, str(path))[0]) from None
+        raise TraceError(first_sentence(ColumnMap, error, where)) from None

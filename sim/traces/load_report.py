@@ -7,6 +7,7 @@ from operator import attrgetter
 from pathlib import Path
 
 from drivers.errors import OneLineError
+from sim.sha import DECANTER, Alphabet
 
 DETAILS = 20
 """So many refused rows or cells are named one by one for each file; the rest are only counted."""
@@ -34,7 +35,8 @@ class FileReport:
 
     `aside` rows belong to objects or signals that the map does not name, `merged` of the used ones share their time
     with another, `bad_cells` are cells of used rows whose value cannot be used: they are of bad quality in the trace.
-    `reasons` counts refused rows and bad cells by reason. `error` says why nothing of the file was used.
+    `reasons` counts refused rows and bad cells by reason. `warnings` are notes on what was understood otherwise than
+    the file says it, though no row was lost. `error` says why nothing of the file was used.
     """
 
     path: Path
@@ -46,6 +48,7 @@ class FileReport:
     reasons: Counter[str] = field(default_factory=Counter)
     details: list[RefusedRow] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     error: str = ""
 
     @property
@@ -62,6 +65,11 @@ class FileReport:
         """Count cells that cannot be used, in rows that can."""
         self.bad_cells += len(lines)
         self._count(lines, reason, details)
+
+    def warn(self, sentence: str) -> None:
+        """Say something once, though several chunks of the file give occasion to it."""
+        if sentence not in self.warnings:
+            self.warnings.append(sentence)
 
     def _count(self, lines: Sequence[int], reason: str, details: Sequence[str]) -> None:
         if not lines:
@@ -87,16 +95,23 @@ class FileReport:
         ]
         lines = [", ".join([head, *parts])]
         lines += [f"{self.path}: {count} x {reason}" for reason, count in self.reasons.most_common()]
-        details = sorted(self.details, key=attrgetter("line"))
-        lines += [f"{self.path}: line {refused.line}: {refused.reason}" for refused in details]
-        return lines + [f"{self.path}: {note}" for note in self.notes]
+        # What was refused for the same words stands in one line, however many rows it is.
+        alike: dict[str, list[int]] = {}
+        for refused in sorted(self.details, key=attrgetter("line")):
+            alike.setdefault(refused.reason, []).append(refused.line)
+        for reason, at in alike.items():
+            more = max(self.reasons[reason] - len(at), 0)
+            where = f"line {at[0]}" if len(at) == 1 and not more else f"lines {listed(map(str, at), 8, more)}"
+            lines.append(f"{self.path}: {where}: {reason}")
+        return lines + [f"{self.path}: {note}" for note in (*self.warnings, *self.notes)]
 
 
 @dataclass(frozen=True, slots=True)
 class LoadReport:
-    """All files of one load, in the order in which they were read."""
+    """All files of one load, in the order in which they were read; `alphabet` is the map's with all its thresholds."""
 
     files: tuple[FileReport, ...]
+    alphabet: Alphabet = DECANTER
 
     @property
     def rows(self) -> int:
@@ -112,6 +127,11 @@ class LoadReport:
     def refused(self) -> int:
         """Rows that could not be used, in files that otherwise could."""
         return sum(file.refused for file in self.files if not file.error)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence for each thing that was understood otherwise than its file says it."""
+        return tuple(f"{file.path}: {warning}" for file in self.files if not file.error for warning in file.warnings)
 
     @property
     def errors(self) -> tuple[str, ...]:
@@ -130,14 +150,15 @@ class LoadReport:
                 **{name: getattr(file, name) for name in ("rows", "used", "aside", "refused", "merged", "bad_cells")},
                 "reasons": dict(file.reasons),
                 "details": [{"line": refused.line, "reason": refused.reason} for refused in file.details],
-                "notes": list(file.notes),
+                "notes": [*file.warnings, *file.notes],
                 "error": file.error,
             }
             for file in self.files
         ]
 
 
-def listed(names: Iterable[str], limit: int = 30) -> str:
-    """Names for a sentence, the first `limit` of them."""
+def listed(names: Iterable[str], limit: int = 30, more: int = 0) -> str:
+    """Names for a sentence, the first `limit` of them; `more` are counted that nobody has listed."""
     all_names = list(names)
-    return ", ".join(all_names[:limit]) + (f" and {len(all_names) - limit} more" if len(all_names) > limit else "")
+    more += max(len(all_names) - limit, 0)
+    return ", ".join(all_names[:limit]) + (f" and {more} more" if more else "")

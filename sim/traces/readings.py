@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.sha import Array, Mask
-from sim.traces.cells import booleans, numbers
+from sim.traces.cells import SWITCH_WORDS, booleans, numbers
 from sim.traces.clock import clock_columns, read_clock, to_utc
 from sim.traces.column_map import ColumnMap, Long, Names, SignalColumn
 from sim.traces.load_report import FileReport, TraceError, listed
@@ -82,9 +82,19 @@ def _needed(layout: TextLayout, names: Names) -> int:
     return place
 
 
-def _convert(name: str, signal: SignalColumn, cells: list[str], column_map: ColumnMap) -> tuple[Array, dict[str, Mask]]:
+def _convert(
+    name: str, signal: SignalColumn, cells: list[str], column_map: ColumnMap, report: FileReport
+) -> tuple[Array, dict[str, Mask]]:
     """Values in the signal's unit, and by reason the cells that cannot be used (their value is NaN)."""
-    values, wrong = booleans(cells) if signal.boolean else numbers(cells, column_map.decimal)
+    if signal.boolean:
+        values, wrong = booleans(cells, signal.on, signal.off)
+        if wrong.any():
+            pairs = ([(signal.on, signal.off)] if signal.on or signal.off else []) + list(SWITCH_WORDS)
+            known = ", ".join(f"{'/'.join(on)} and {'/'.join(off)}" for on, off in pairs)
+            own = f'{name} = {{ on = ["..."], off = ["..."] }}'
+            report.warn(f"words of {name} that are accepted are {known}; the column map can name others: {own}")
+    else:
+        values, wrong = numbers(cells, column_map.decimal)
     kind = "neither true nor false" if signal.boolean else "no number"
     absent = np.isin(values, signal.missing) if signal.missing else np.zeros(values.shape, dtype=bool)
     values = values * signal.scale + signal.offset if (signal.scale, signal.offset) != (1.0, 0.0) else values
@@ -131,7 +141,7 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
         clock.append((lines, seconds, local))
         for name, (place, signal) in places.items():
             cells = [row[place] for row in rows]
-            column, faults = _convert(name, signal, cells, column_map)
+            column, faults = _convert(name, signal, cells, column_map, report)
             values[name].append(column)
             bad[name].append(_count_faults(report, lines, cells, faults))
     series = {}
@@ -163,7 +173,7 @@ def _read_long(path: Path, layout: TextLayout, column_map: ColumnMap, long: Long
                 unmapped[field or "another object"] += len(where)
                 continue
             name, cells = names[field], [rows[index][value_at] for index in where]
-            values, faults = _convert(name, column_map.signals[name], cells, column_map)
+            values, faults = _convert(name, column_map.signals[name], cells, column_map, report)
             # A row of a long file is there to say something: a blank value says that there was none to be had.
             blank = np.array([not cell.strip() for cell in cells], dtype=bool)
             if blank.any():
@@ -198,7 +208,20 @@ def _finished(
         return FileReadings(np.empty(0), empty, empty, {}, layout.comments)
     lines = np.concatenate([np.array(chunk[0], dtype=np.intp) for chunk in clock])
     seconds = np.concatenate([chunk[1] for chunk in clock])
-    times = to_utc(seconds, np.concatenate([chunk[2] for chunk in clock]), column_map.clock.timezone)
+    local = np.concatenate([chunk[2] for chunk in clock])
+    if local.any() and not local.all():
+        report.warn(
+            f"{int(local.sum())} of its times have no time zone (the first on line {lines[local][0]}) and "
+            f"{int((~local).sum())} have one: those without are read in {column_map.clock.timezone}; "
+            "if they are not, give clock.timezone"
+        )
+    newest_first = _newest_first(seconds)
+    if newest_first:
+        report.warn("its newest row comes first; it is read from its end")
+        lines, seconds, local = lines[::-1], seconds[::-1], local[::-1]
+        last = lines.size - 1
+        series = {name: Series(last - s.rows[::-1], s.values[::-1], s.bad[::-1]) for name, s in series.items()}
+    times = to_utc(seconds, local, column_map.clock.timezone)
     mentioned = np.ones(times.shape, dtype=bool)
     if column_map.format == "long":
         mentioned[:] = False
@@ -208,6 +231,16 @@ def _finished(
     report.refuse(lines[never & mentioned].tolist(), f"its local time never was in {column_map.clock.timezone}")
     everything = FileReadings(times, lines, np.zeros_like(lines), series, layout.comments)
     return select(everything, np.flatnonzero(~never & mentioned))
+
+
+def _newest_first(seconds: Array) -> bool:
+    """Whether a clock goes back far more often than forward, and in all; a clock that was set back once does not.
+
+    Before time zones and midnights are worked out: both need the rows in the order in which they were measured.
+    """
+    steps = np.diff(seconds)
+    back, forward = int((steps < 0).sum()), int((steps > 0).sum())
+    return back >= 2 and back > 4 * forward
 
 
 def select(readings: FileReadings, order: Rows) -> FileReadings:

@@ -15,6 +15,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from drivers.named_files import regular
+from drivers.settings import did_you_mean
 from sim.traces.cells import numbers
 from sim.traces.column_map import ColumnMap, Names
 from sim.traces.load_report import FileReport, TraceError, listed
@@ -26,6 +27,8 @@ _BLOCK = 500
 """Lines that are split in one call where none of them has a quotation mark. One mark costs its block the short way."""
 MOST_LINES = 50
 """Lines that one row may take. A quotation mark that stays open for longer is a fault of its line."""
+MOST_BEFORE = 60
+"""Lines among which a header is looked for, comments not counted."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -57,7 +60,8 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
         head = stream.read(_HEAD)
     if not head:
         raise TraceError(f"{path}: the file is empty; give one with a header and rows")
-    encoding, text = _decode(path, head, column_map.encoding, report)
+    encoding, text, note = decode_head(path, head, column_map.encoding)
+    report.notes += [note] if note else []
     lines = list(io.StringIO(text, newline=None))
     comments: list[str] = []
     first = 0
@@ -74,8 +78,17 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
     # The map's own separator first; of the others any under which the header's names fit.
     own = SEPARATORS.get(column_map.separator)
     marks = sorted(SEPARATORS.values(), key=lambda mark: mark != own)
-    headers = {mark: _header(lines[first : first + MOST_LINES], mark) for mark in marks}
-    fits = [mark for mark, (names, _) in headers.items() if all(place_of(names, group) is not None for group in needed)]
+    # An export may begin with a title, its query or a list of columns: the header is the first row that has the names.
+    at, fits = first, list[str]()
+    for at in range(first, min(first + MOST_BEFORE, len(lines))):
+        headers = {mark: _header(lines[at : at + MOST_LINES], mark) for mark in marks}
+        fits = [mark for mark in marks if all(place_of(headers[mark][0], group) is not None for group in needed)]
+        if fits:
+            break
+    if fits and at > first:
+        report.notes.append(f"lines {first + 1} to {at} come before its header")
+    if not fits:
+        headers = {mark: _header(lines[first : first + MOST_LINES], mark) for mark in marks}
     # Without a header: only where the map names the columns and the first line has one number for each.
     bare: list[str] = []
     for mark, (cells, _) in headers.items():
@@ -85,7 +98,7 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
                 bare.append(mark)
     if fits:
         separator, (header, span) = fits[0], headers[fits[0]]
-        skip = first + span
+        skip = at + span
     elif len(bare) == 1:
         separator, header, skip = bare[0], column_map.columns, first
     else:
@@ -97,10 +110,13 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
     return TextLayout(encoding, separator, header, skip, tuple(comments))
 
 
-def _decode(path: Path, head: bytes, encoding: str, report: FileReport) -> tuple[str, str]:
-    """(encoding, text of the head). A byte order mark says more than the map; raises TraceError for what is no text."""
+def decode_head(path: Path, head: bytes, encoding: str) -> tuple[str, str, str]:
+    """(encoding, text of the head, a note if it is not what `encoding` says).
+
+    A byte order mark says more than the map. Raises TraceError for what is no text.
+    """
     bom = next((name for mark, name in _BOMS if head.startswith(mark)), None)
-    chosen = bom or (encoding if encoding != "auto" else "utf-8")
+    chosen, note = bom or (encoding if encoding != "auto" else "utf-8"), ""
     try:
         # Incrementally: the head may end in the middle of a character, which is no fault.
         text = codecs.getincrementaldecoder(chosen)("strict").decode(head, False)
@@ -108,11 +124,11 @@ def _decode(path: Path, head: bytes, encoding: str, report: FileReport) -> tuple
         # cp1252 has a character for nearly every byte: umlauts and degree signs of old Windows files come out right.
         chosen = "cp1252" if encoding == "auto" and bom is None else chosen
         text = head.decode(chosen, "replace")
-        report.notes.append(f"it is not clean {encoding if bom is None else bom} text; read as {chosen}")
+        note = f"it is not clean {encoding if bom is None else bom} text; read as {chosen}"
     strange = sum(char < " " and char not in "\t\r\n\f" for char in text[:4096])
     if "\x00" in text[:4096] or strange * 20 > len(text[:4096]):
         raise TraceError(f"{path}: this is not a text file; give the CSV, unpacked")
-    return chosen, text
+    return chosen, text, note
 
 
 def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]:
@@ -136,10 +152,13 @@ def _no_header(
         present = f"its columns are {listed(names)}"
     else:
         present = f"its only column is {repr(names[0][:60]) if names else 'blank'}"
+    # The nearest name of what is lacking, if there is one: most often a letter or a blank is the whole difference.
+    questions = (did_you_mean(name, names) for group in needed if place_of(names, group) is None for name in group)
+    meant = next(filter(None, questions), "")
     bare = f", and it is no row of {len(column_map.columns)} numbers without header" if column_map.columns else ""
     return (
         f"{path}: line {number}: there is no column {', '.join(lacking)}; {present}{bare}; "
-        "give the file for which the column map was written, or correct the map"
+        f"{meant}{' ' if meant else ''}give the file for which the column map was written, or correct the map"
     )
 
 

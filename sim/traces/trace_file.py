@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.named_files import writing
 from sim.sha import Trace
 from sim.traces.traces import SYNTHETIC
 
@@ -26,7 +27,7 @@ def write_trace(trace: Trace, path: str | Path) -> None:
             cells[row] = "nan"
         columns.append(cells)
     rows = zip(map(repr, trace.times.tolist()), *columns, strict=True)
-    with Path(path).open("w", encoding="utf-8", newline="\n") as stream:
+    with writing(path), Path(path).open("w", encoding="utf-8", newline="\n") as stream:
         stream.write(f"# origin: {' '.join((trace.origin or trace.name).split())}\n")
         if trace.synthetic:
             stream.write(f"# {SYNTHETIC}: not measured on a plant\n")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.sha import Array, Mask, Trace, encode
+from sim.traces.auto_thresholds import with_thresholds
 from sim.traces.clock import longest_rising, unroll_midnight
 from sim.traces.column_map import ColumnMap
 from sim.traces.load_report import FileReport, LoadReport, TraceError
@@ -19,7 +20,7 @@ SYNTHETIC = "SYNTHETIC"
 
 
 def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], LoadReport]:
-    """The traces of files, folders or patterns (`runs/*.csv`), with what became of every row.
+    """The encoded traces of files, folders or patterns (`runs/*.csv`), with what became of every row.
 
     A folder stands for its CSV files, or those that match the map's `parts`, or else those in the folders below. Each
     file is a trace, or each folder's `parts` are one. A file of which nothing can be used has its reason in the report,
@@ -40,7 +41,10 @@ def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], Loa
         name = _name(group, taken)
         taken.add(name)
         traces += [replace(trace, name=f"{name}-{n}" if n > 1 else name) for n, trace in enumerate(loaded, 1)]
-    report = LoadReport(tuple(reports))
+    # One alphabet for all traces, whose readings may decide its thresholds: known when all are there.
+    alphabet = with_thresholds(column_map.alphabet, traces)
+    traces = [replace(trace, events=encode(trace, alphabet)) for trace in traces]
+    report = LoadReport(tuple(reports), alphabet)
     if not traces:
         where = source if isinstance(source, str | Path) else ", ".join(map(str, source))
         errors = report.errors or (f"{where}: there is no CSV file there; give a file, a folder or a pattern",)
@@ -165,6 +169,13 @@ def _in_order(readings: FileReadings, column_map: ColumnMap, files: Sequence[Fil
             files[index].notes.append(f"its clock goes back {count} times; its rows are sorted by time")
         return [select(readings, np.argsort(readings.times, kind="stable"))]
     keep = longest_rising(readings.times)
+    if keep.size > 4 and 2 * int(keep.sum()) <= keep.size:
+        lost = int((~keep).sum())
+        raise TraceError(
+            f"{files[0].path}: its clock goes back {back.size} times, so {lost} of its {keep.size} rows would be lost; "
+            'write clock_back = "sort" in the column map if the rows are only out of order, "split" if the clock '
+            "starts anew, or give each its own file"
+        )
     for index, file in enumerate(files):
         lines = readings.lines[~keep & (readings.files == index)]
         file.refuse(lines.tolist(), "its clock is before that of the rows around it")
@@ -206,7 +217,7 @@ def _average(series: Series, group: Rows, size: int) -> tuple[Array, Mask]:
 
 
 def _completed(trace: Trace, column_map: ColumnMap) -> Trace:
-    """With held and derived signals, and the events of the map's alphabet."""
+    """With held and derived signals."""
     signals, bad = dict(trace.signals), dict(trace.bad)
     times, gap = trace.times, column_map.alphabet.gap
     for name, signal in column_map.signals.items():
@@ -233,8 +244,7 @@ def _completed(trace: Trace, column_map: ColumnMap) -> Trace:
             if faults:
                 bad[name] = np.any(faults, axis=0)
                 signals[name][bad[name]] = np.nan
-    completed = replace(trace, signals=signals, bad=bad)
-    return replace(completed, events=encode(completed, column_map.alphabet))
+    return replace(trace, signals=signals, bad=bad)
 
 
 def _held(times: Array, values: Array, bad: Mask | None, gap: float) -> Array:

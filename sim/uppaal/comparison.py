@@ -6,7 +6,7 @@ from itertools import pairwise
 from math import nan, sqrt
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from sim.checking.language import QueryError, parse_query
 from sim.checking.query import tree as q
@@ -160,7 +160,7 @@ def _mean_interval(values: Array) -> tuple[float, tuple[float, float]]:
     mean = float(np.mean(values))
     if values.size < 2:
         return mean, (nan, nan)
-    half = float(stats.t.ppf((1 + LEVEL) / 2, values.size - 1) * np.std(values, ddof=1) / sqrt(values.size))
+    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, values.size - 1) * np.std(values, ddof=1) / sqrt(values.size))
     return mean, (mean - half, mean + half)
 
 
@@ -180,7 +180,7 @@ def _expectation(question: ExportedQuery, answer: VerifytaAnswer, native: Native
             middles = bins.low + bins.width * (np.arange(counts.size) + 0.5)
             deviations = middles - np.average(middles, weights=counts)
             spread = float(np.sqrt(np.sum(counts * deviations**2) / (total - 1)))
-            half = float(stats.t.ppf((1 + LEVEL) / 2, total - 1)) * spread / sqrt(total)
+            half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, total - 1)) * spread / sqrt(total)
     theirs = (answer.mean - half, answer.mean + half)
     return _row(question.formula, mean, own, answer.mean, theirs)
 
@@ -201,7 +201,7 @@ def _seen(path: q.Eventually | q.Always, native: Native) -> int | None:
 
 def _probability(question: ExportedQuery, answer: VerifytaAnswer, seen: int) -> ComparisonRow:
     """The share of runs; UPPAAL's own is successes / runs where it says so, else the middle of its interval."""
-    share = stats.binomtest(seen, NATIVE_RUNS).proportion_ci(LEVEL, method="exact")
+    share = scipy.stats.binomtest(seen, NATIVE_RUNS).proportion_ci(LEVEL, method="exact")
     own = (float(share.low), float(share.high))
     if answer.low is None or answer.high is None:
         return _row(question.formula, seen / NATIVE_RUNS, own, note="no interval was printed")

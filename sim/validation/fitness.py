@@ -115,7 +115,7 @@ def findings_of(results: Sequence[TraceResult], facts: Mapping[str, Facts]) -> d
     return {name: judge(own, facts.get(name, unknown), FitnessLimits()) for name, own in by_semantics.items()}
 
 
-def fitness(findings: Iterable[Finding]) -> Fitness:
+def fitness_of(findings: Iterable[Finding]) -> Fitness:
     """ "unfit" when one criterion is not kept, "limited" when one could not be looked at, else "fit"."""
     kept = {finding.kept for finding in findings}
     return "unfit" if False in kept else "limited" if None in kept else "fit"
@@ -123,7 +123,7 @@ def fitness(findings: Iterable[Finding]) -> Fitness:
 
 def why(findings: Sequence[Finding]) -> str:
     """Why a model is limited or unfit and what to do next, of the gravest criteria alone; "" for one that is fit."""
-    word = fitness(findings)
+    word = fitness_of(findings)
     worst = [finding for finding in findings if finding.kept is (False if word == "unfit" else None)]
     where = "; ".join(finding.sentence for finding in worst)
     return f"{where}; next: {'; '.join(finding.next_step for finding in worst)}" if worst else ""
@@ -132,7 +132,7 @@ def why(findings: Sequence[Finding]) -> str:
 def fitness_sentence(findings: Sequence[Finding]) -> str:
     """The word with its reasons."""
     reasons = why(findings)
-    return f"{fitness(findings)}{': ' if reasons else ''}{reasons}"
+    return f"{fitness_of(findings)}{': ' if reasons else ''}{reasons}"
 
 
 Said = tuple[bool | None, str]

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from drivers.named_files import writing
 from sim.pictures import check_picture
 from sim.sha import DEGREES, UNKNOWN, Array, Event, shown_unit
 
@@ -109,7 +110,8 @@ def _save(figure: Figure, file: Path) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.name}.part")
     try:
-        figure.savefig(part, dpi=110, format=file.suffix[1:].lower())
+        with writing(file):
+            figure.savefig(part, dpi=110, format=file.suffix[1:].lower())
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)

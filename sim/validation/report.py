@@ -13,7 +13,7 @@ from jinja2 import Environment
 from sim.pages import page_environment
 from sim.sha import shown_unit
 from sim.skill import ForecastSkill
-from sim.validation.fitness import Finding, Fitness, fitness, why
+from sim.validation.fitness import Finding, Fitness, fitness_of, why
 from sim.validation.metrics import QUANTILES
 from sim.validation.results import Interval, TraceResult
 from sim.validation.seen import Seen
@@ -89,7 +89,7 @@ class ModelReport:
     @property
     def fitness(self) -> list[tuple[str, Fitness, str]]:
         """(semantics, word, why and what to do next) of each."""
-        return [(name, fitness(found), why(found)) for name, found in self.findings.items()]
+        return [(name, fitness_of(found), why(found)) for name, found in self.findings.items()]
 
     @property
     def unit(self) -> str:

@@ -17,6 +17,7 @@ from gateway.demo.summary import outage
 from gateway.settings.devices import load_device
 from sim.sha.events import DECANTER
 from sim.sha.trace import Trace
+from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import MAP, TEMPERATURE
 
 
@@ -177,27 +178,12 @@ def test_the_last_words_of_a_process_are_its_last_line(tmp_path: Path) -> None:
     assert last_words(log).startswith("plc: the reason")
 
 
-STATUS: dict[str, Any] = {
-    "values": {"T [red]": {"value": 45.678, "quality": "GOOD"}},
-    "prediction": {
-        "mean": 45.6,
-        "low": 45.1,
-        "high": 46.1,
-        "free_run": 44.0,
-        "location": "ON/100-200",
-        "zone": "green",
-    },
-    "forecast": {
-        "horizons": [60.0, 300.0, 900.0],
-        "quantiles": [[45.0, 45.5, 46.0, 46.5, 47.0]] * 3,
-        "p_limit": [0.0, 0.1, 0.25],
-    },
-    "events": 12,
-    "recent_events": [[1.0, "A_1", "x"]] * 9,
-    "alarms": {"inputs bad": "normal", "over limit T": "unacknowledged"},
-    "link": {"alive": True, "outage_count": 1},
-    "scan": {"count": 1000, "missed": 3},
-}
+STATUS = picture(
+    temperature="T [red]",
+    values={"T [red]": tag(45.678)},
+    alarms={"inputs bad": "normal", "over limit T": "unacknowledged"},
+    alarm_summary=[alarm("over limit T")],
+)
 PLC = {"position": 100.0, "duration": 3780.0, "speed": 99.5, "accepted": 900, "refused": 1, "usable": True}
 PLC["block"] = {"temperature_now": 45.6, "sequence": 901}
 
@@ -217,7 +203,14 @@ def test_the_live_table_fits_its_terminal_and_shows_names_as_they_are(width: int
 
 
 def test_the_live_table_shows_a_gateway_that_knows_nothing_yet() -> None:
-    status = STATUS | {"values": {}, "prediction": None, "forecast": None, "recent_events": [], "alarms": {}}
+    status = STATUS | {
+        "values": {},
+        "prediction": None,
+        "forecast": None,
+        "recent_events": [],
+        "alarms": {},
+        "alarm_summary": [],
+    }
     console = Console(width=80)
     with console.capture() as captured:
         console.print(live_table(status, {}, "T", DemoPhase.OUTAGE))

@@ -14,8 +14,9 @@ import pytest
 from gateway.commission.session.gateway_line import running_gateway
 from gateway.commission.session.target import make_target
 from gateway.plant.app import run
-from gateway.plant.control import ControlError, connect, listening_socket
+from gateway.plant.control import listening_socket
 from gateway.settings.config import load_config
+from gateway.status import ControlError, connect
 from tests.commission.bench import force, plc
 from tests.gateway.support import MAP
 from tests.plc.bench import running
@@ -112,9 +113,9 @@ async def test_what_is_no_request_does_not_stop_the_gateway(gateway: Path) -> No
         line = connect(load_config(gateway).control_socket)
         assert line is not None
         line._sock.sendall(b"not JSON\n")
-        reply: dict[str, Any] = json.loads(line._file.readline())
+        reply: dict[str, Any] = json.loads(line._sock.makefile("rb").readline())
         line._sock.sendall(b"[1, 2]\n")
-        assert not json.loads(line._file.readline())["ok"]
+        assert not json.loads(line._sock.makefile("rb").readline())["ok"]
         with suppress(OSError):  # the gateway hangs up on a line without end
             line._sock.sendall(b"x" * 3_000_000)
         line.close()

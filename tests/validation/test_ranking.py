@@ -15,7 +15,7 @@ from sim.engine.open_loop_run import Score
 from sim.paired import holm, paired
 from sim.ranking.ranking import Ranking, Weights, rank, score
 from sim.ranking.report import as_plain, draw_ranking, page, spreads, win_matrix
-from sim.validation.fitness import CRITERIA, Facts, FitnessLimits, fitness, fitness_sentence, judge, limits_of
+from sim.validation.fitness import CRITERIA, Facts, FitnessLimits, fitness_of, fitness_sentence, judge, limits_of
 from sim.validation.results import TraceResult
 from sim.validation.seen import Seen
 
@@ -211,9 +211,9 @@ def test_unseen_traces_are_those_that_are_known_to_be(seen: tuple[Seen, Seen], k
 
 def test_fit_limited_and_unfit_follow_from_the_findings() -> None:
     results = [result("m", "t0")]
-    assert fitness(judge(results, KNOWN, FitnessLimits())) == "fit"
-    assert fitness(judge(results, Facts(), FitnessLimits())) == "limited"
-    assert fitness(judge(results, replace(KNOWN, verified=False), FitnessLimits())) == "unfit"
+    assert fitness_of(judge(results, KNOWN, FitnessLimits())) == "fit"
+    assert fitness_of(judge(results, Facts(), FitnessLimits())) == "limited"
+    assert fitness_of(judge(results, replace(KNOWN, verified=False), FitnessLimits())) == "unfit"
     assert [one.criterion for one in judge(results, KNOWN, FitnessLimits())] == list(CRITERIA)
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from sim.sha.events import DECANTER, Bins, Switch, alphabet_symbols
 from sim.traces.alphabet_table import alphabet_from_table, alphabet_to_table
+from sim.traces.auto_thresholds import AutoBins
 from sim.traces.column_map import load_map
 from sim.traces.traces import load_traces
 from tests.validation.places import MAPS
@@ -80,9 +81,12 @@ def test_an_unusable_alphabet_table_is_named_with_its_place(text: str, sentence:
         alphabet_from_table(tomllib.loads(text), "x")
 
 
-def test_a_map_without_an_alphabet_has_the_decanters(tmp_path: Path) -> None:
+def test_a_map_without_an_alphabet_has_the_decanters_signals_and_its_own_levels(tmp_path: Path) -> None:
     (tmp_path / "m.toml").write_text(GOOD)
-    assert load_map(tmp_path / "m.toml").alphabet is DECANTER
+    switch, bins = load_map(tmp_path / "m.toml").alphabet.channels
+    assert switch == DECANTER.channels[0] and bins.signal == "Assorbimento" and isinstance(bins, AutoBins)
+    for name in ("decanter", "decanter_scada"):
+        assert load_map(MAPS / f"{name}.toml").alphabet == DECANTER
     own = GOOD + "[alphabet]\nchannels = [{kind = 'switch', signal = 'r', rising = 'a', falling = 'b'}]\n"
     (tmp_path / "m.toml").write_text(own)
     assert load_map(tmp_path / "m.toml").alphabet.channels == (Switch("r", "a", "b"),)

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from drivers.named_files import writing
 from gateway.commission.acceptance.blocks import blocks
 from gateway.commission.acceptance.page import page
 from gateway.commission.acceptance.paper import paper
@@ -37,10 +38,12 @@ def write(folder: Path, data: Mapping[str, Any], records: bytes) -> str:
         RECORDS: records,
     }
     for name, bytes_ in files.items():
-        (folder / name).write_bytes(bytes_)
+        with writing(folder / name):
+            (folder / name).write_bytes(bytes_)
     lines = "".join(f"{hash_of(bytes_)}  {name}\n" for name, bytes_ in files.items())
     seal = hash_of(lines.encode())
-    (folder / LIST).write_text(f"{lines}# seal {seal}\n", encoding="utf-8")
+    with writing(folder / LIST):
+        (folder / LIST).write_text(f"{lines}# seal {seal}\n", encoding="utf-8")
     return seal
 
 

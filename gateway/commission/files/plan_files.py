@@ -7,7 +7,7 @@ from typing import Any
 
 import tomlkit
 
-from drivers.driver import DRIVERS, capabilities
+from drivers.driver import DRIVERS, LINKS, capabilities
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
 from gateway.commission.files.toml_edit import Edit, commit, edited, put
@@ -70,19 +70,24 @@ def find_files(plant: Path | None, device: Path | None, link: str | None, given:
     if plant is not None and plant.exists():
         if device is not None:
             raise TargetError(f"--config and --device exclude each other: {plant} names its device file itself")
-        path = _device_of(plant, link)
+        row: Mapping[str, Any] = _row_of(plant, link)
+        path = plant.parent / row["file"]
     else:
+        row = {}
         path = device or (plant or Path()).parent / "devices" / f"{(plant or Path()).stem}.toml"
-    driver, all_settings = _driver_of(path, plant, link, given)
+    driver, all_settings = _driver_of(path, plant, link, given, row)
     place = {key: value for key, value in all_settings.items() if key in PLACE_KEYS}
     settings = {key: value for key, value in all_settings.items() if key not in PLACE_KEYS}
     return Files(plant=plant, device=path, driver=driver, link=link, place=place, settings=settings)
 
 
 def _driver_of(
-    path: Path, plant: Path | None, link: str | None, given: Mapping[str, Any]
+    path: Path, plant: Path | None, link: str | None, given: Mapping[str, Any], row: Mapping[str, Any]
 ) -> tuple[str, Mapping[str, Any]]:
-    """(driver, settings): of the device file that is there, else by the link that is given."""
+    """(driver, settings): of the device file that is there, else by the link that is given, else as `row` has it.
+
+    `row` is the plant file's own table of the device, which says where the device is though its file is not there yet.
+    """
     if path.exists():
         driver = read_toml(path).get("device", {}).get("driver")
         if not isinstance(driver, str):
@@ -91,23 +96,29 @@ def _driver_of(
             known = ", ".join(sorted(DRIVERS))
             raise ConfigError([f"{path}: device.driver: {driver!r} is no driver; give one of {known}"])
         return driver, given
-    if plant is None and link is None and not set(given) & {"host", "serial", "channel"}:
+    there = {key: row[key] for key in PLACE_KEYS if key in row}
+    kind = link if link in LINKS or not row else None  # of a plant file's rows a link is the name
+    if (plant is None or row) and kind is None and not {*there, *given} & {"host", "serial", "channel"}:
         return DEFAULT_DRIVER, given
-    target: Target = make_target(None, None, link, given)
+    target: Target = make_target(None, None, kind, {**there, **given})
     ours = {"transport": "tcp", "connect_timeout": CONNECT_S}  # what the commands fill in is no setting of the plant
-    plain = {key: value for key, value in target.settings.items() if key in given or ours.get(key) != value}
+    plain = {
+        key: value
+        for key, value in target.settings.items()
+        if key in given or (key not in there and ours.get(key) != value)
+    }
     return target.driver, plain
 
 
-def _device_of(plant: Path, link: str | None) -> Path:
-    """The device file that a plant file names, of its first link or of the one called `link`."""
+def _row_of(plant: Path, link: str | None) -> Mapping[str, Any]:
+    """The table of a plant file that names a device `file`, of its first link or of the one called `link`."""
     table = read_toml(plant).get("device", {})
     links = table.get("links")
     if links is None and isinstance(table.get("file"), str):
-        return plant.parent / str(table["file"])
+        return dict(table)
     for row in links if isinstance(links, list) else ():
         if isinstance(row, dict) and link in (None, row.get("name")) and isinstance(row.get("file"), str):
-            return plant.parent / str(row["file"])
+            return row
     wanted = f"a link {link!r}" if link else "device.file or a [[device.links]] table with a file"
     raise ConfigError([f"{plant}: has no {wanted}; add it, or give --device FILE"])
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.csv_rows import CsvRowError, numbered_rows
-from drivers.named_files import regular
+from drivers.named_files import regular, writing
 from drivers.tag import Sample, Tag
 from gateway.commission.files.cells import ListError
 from gateway.store import to_trace
@@ -116,7 +116,7 @@ class ScanRecorder:
 
     def __init__(self, path: Path, tags: Sequence[Tag]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._stream = path.open("w", encoding="utf-8", newline="")
+        self._path, self._stream = path, path.open("w", encoding="utf-8", newline="")
         self._writer = csv.writer(self._stream, lineterminator="\n")
         self._names = [tag.name for tag in tags]
         self._writer.writerow(["time", *self._names])
@@ -134,7 +134,8 @@ class ScanRecorder:
                 cells.append(str(int(value)) if isinstance(value, bool) else repr(value))
         self._writer.writerow([f"{time:.3f}", *cells])
         # What was read stands in the file even when the program is killed.
-        self._stream.flush()
+        with writing(self._path):
+            self._stream.flush()
 
     def close(self) -> None:
         """Close the file."""

@@ -14,6 +14,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
+from drivers.named_files import writing
 from drivers.settings import ConfigError, read_toml
 
 _CROWDED = re.compile(r"^([^\n#\[ \t][^\n]*|[\])}][^\n]*)\n(?=\[)", re.MULTILINE)
@@ -112,7 +113,7 @@ def commit(
 
 
 def _write(path: Path, text: str) -> None:
-    with path.open("wb") as stream:
+    with writing(path), path.open("wb") as stream:
         stream.write(text.encode("utf-8"))
         stream.flush()
         os.fsync(stream.fileno())

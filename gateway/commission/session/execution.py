@@ -18,8 +18,8 @@ from gateway.commission.session.options import SharedOptions
 from gateway.commission.session.records import CommandRecord, append, check_writable, file_hashes, versions
 from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.session.target import Target, make_target
+from gateway.console import emit
 from gateway.entry import Exit, exit_code, fail, sentence, sentences
-from sim.strict_json import json_text
 
 Work = Callable[[Site], Awaitable[CommandResult]]
 Show = Callable[[Mapping[str, Any]], None]
@@ -100,7 +100,10 @@ def login() -> str:
 def _show(site: Site, given: SharedOptions, outcome: CommandResult, show: Show) -> None:
     if given.as_json:
         extra = {"exchanges": site.exchanges.plain(), "frames": site.evidence.plain(), "notes": site.notes}
-        click.echo(json_text({"ok": not outcome.code, "exit": int(outcome.code), **outcome.data, **extra}))
+        data = {"ok": not outcome.code, "exit": int(outcome.code), **outcome.data, **extra}
+        if outcome.complaint:
+            data |= {"reason": outcome.complaint}
+        emit(data, lambda: None, as_json_line=True)
         return
     if set(outcome.data) - {"reason"}:
         if site.target.place:

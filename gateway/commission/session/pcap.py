@@ -9,6 +9,7 @@ import struct
 from pathlib import Path
 from typing import BinaryIO
 
+from drivers.named_files import writing
 from drivers.tap import Medium, TapFrame
 
 LINK_TYPES: dict[Medium, int] = {"tcp": 101, "serial": 147, "can": 227}
@@ -40,8 +41,9 @@ class PcapWriter:
         data = self._packet(frame) if frame.medium == "tcp" else frame.data
         seconds, rest = divmod(frame.time, 1.0)
         head = struct.pack(">IIII", int(seconds), int(rest * 1e6), len(data), len(data))
-        self._file.write(head + data)
-        self._file.flush()
+        with writing(self.path):
+            self._file.write(head + data)
+            self._file.flush()
 
     def close(self) -> None:
         """Close the file."""

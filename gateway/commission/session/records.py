@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import OneLineError
+from drivers.named_files import writing
 from gateway.store import first_break, hash_of
 from sim.strict_json import json_text
 
@@ -55,7 +56,7 @@ def append(path: Path, record: CommandRecord) -> str:
     Two commands at a time take their turns.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a+b") as file:
+    with writing(path), path.open("a+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         # The last line is read backwards in blocks: a file of records grows for years, and an append must not.
         start, tail = os.lseek(file.fileno(), 0, os.SEEK_END), b""

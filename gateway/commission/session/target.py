@@ -92,6 +92,9 @@ def make_target(
     `given` are settings that win over those of the files. Raises TargetError or ConfigError.
     """
     settings = dict(given or {})
+    if "certificates" in settings and link is None:
+        # Said by what no other link has: it wins over the transport of a file.
+        settings = {**LINKS["modbus-tls"].settings, **settings}
     if plant is not None and device is not None:
         raise TargetError("--config and --device exclude each other: a plant file names its device files itself")
     if plant is not None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from drivers.named_files import writing
 from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.vectors import plain, vectors
 from gateway.console import config_dir, emit
@@ -49,7 +50,8 @@ def codegen(
         text = generate(device_map, name, Program(location, permit_at, cycle) if program else None)
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)
-            out.write_text(text, encoding="ascii")
+            with writing(out):
+                out.write_text(text, encoding="ascii")
         if suite is not None:
             write_suite(device, suite)
     files = {"text": str(out) if out else None, "suite": str(suite) if suite else None}
@@ -66,7 +68,8 @@ def write_suite(device: Path, out: Path) -> None:
     steps = ",\n  ".join(json.dumps(step) for step in content.pop("steps"))
     head = json.dumps(content, indent=1)[:-2]
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(f'{head},\n "steps": [\n  {steps}\n ]\n}}\n', encoding="utf-8")
+    with writing(out):
+        out.write_text(f'{head},\n "steps": [\n  {steps}\n ]\n}}\n', encoding="utf-8")
 
 
 def _show(text: str, out: Path | None, suite: Path | None) -> None:

@@ -9,6 +9,7 @@ from typing import Any, TextIO
 import click
 
 from drivers.driver import open_recording
+from drivers.named_files import writing
 from drivers.tag import Sample
 from gateway.console import emit, json_option, make_folder, progress, shipped, table
 from gateway.entry import sentences
@@ -71,7 +72,7 @@ def _written(out: Path | None) -> Iterator[Any]:
     make_folder(out.parent)
     unfinished = out.with_name(out.name + ".part")
     try:
-        with unfinished.open("w", encoding="utf-8", newline="") as stream:
+        with writing(out), unfinished.open("w", encoding="utf-8", newline="") as stream:
             yield lambda samples: _rows(stream, samples)
         unfinished.replace(out)
     finally:

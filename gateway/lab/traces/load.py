@@ -5,15 +5,28 @@ from collections.abc import Sequence
 import click
 
 from gateway.console import shipped
-from sim.sha import Trace
-from sim.traces import ColumnMap, load_map, load_traces
+from sim.sha import Alphabet, Trace
+from sim.traces import ColumnMap, channel_uses, load_map, load_traces
 
 
 def load(paths: Sequence[str], map_name: str) -> tuple[list[Trace], ColumnMap]:
-    """Encoded traces by a column map; what was refused goes to standard error. Raises ValueError."""
+    """Encoded traces by a column map, and the map with the thresholds that they decided. Raises ValueError.
+
+    What was refused of them, or understood otherwise than it stands there, goes to standard error.
+    """
     column_map = load_map(shipped("traces", map_name))
     traces, report = load_traces(paths[0] if len(paths) == 1 else list(paths), column_map)
-    if report.refused or report.errors:
-        for sentence in report.sentences():
-            click.secho(sentence, fg="yellow", err=True)
-    return traces, column_map
+    for sentence in report.sentences() if report.refused or report.errors else report.warnings:
+        click.secho(sentence, fg="yellow", err=True)
+    return traces, column_map.model_copy(update={"alphabet": report.alphabet})
+
+
+def warned_of(traces: Sequence[Trace], alphabet: Alphabet) -> list[str]:
+    """What of the alphabet these traces cannot teach, one sentence a channel, also said on standard error.
+
+    Raises ValueError where they have none of its signals.
+    """
+    warnings = [use.sentence for use in channel_uses(traces, alphabet) if use.sentence]
+    for warning in warnings:
+        click.secho(f"warning: {warning}", fg="yellow", err=True)
+    return warnings

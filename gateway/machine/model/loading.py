@@ -6,7 +6,16 @@ from pathlib import Path
 from drivers.settings import ConfigError
 from gateway.machine.model.predict import Predictor
 from gateway.settings import Config
-from sim.artefacts import current, forced, is_store, load, model_hash, read_model
+from sim.artefacts import (
+    MODEL_FILE,
+    current,
+    forced,
+    is_store,
+    load,
+    model_hash,
+    read_model,
+    version_directory,
+)
 from sim.checking.proof import verify
 from sim.sha import Model
 
@@ -15,13 +24,14 @@ from sim.sha import Model
 class LoadedModel:
     """A model, the SHA-256 of its content, and a sentence where it runs although it does not verify.
 
-    `version` is the store's that it was, "" for a model that comes from no store.
+    `version` is the store's that it was, "" for a model that comes from no store; `written` when its file was (s UTC).
     """
 
     model: Model
     hash: str
     warning: str = ""
     version: str = ""
+    written: float | None = None
 
 
 def load_model(config: Config) -> LoadedModel | None:
@@ -54,6 +64,8 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
     try:
         version = current(path) if is_store(path) else ""
         model = load(path, version) if version else read_model(path)
+        home = version_directory(path, version) if version else path
+        written = (home / MODEL_FILE if home.is_dir() else home).stat().st_mtime
         predictor = Predictor(model, config.model.temperature)
         problem, warning = _unverified(config, model, path, key, version)
     except (OSError, ValueError) as error:
@@ -71,7 +83,7 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
     ]
     if problems:
         raise ConfigError([f"{config.path}: {problem}" for problem in problems])
-    return LoadedModel(model, model_hash(model), warning, version)
+    return LoadedModel(model, model_hash(model), warning, version, written)
 
 
 def _unverified(config: Config, model: Model, path: Path, key: str, version: str) -> tuple[str, str]:

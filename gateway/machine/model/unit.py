@@ -171,6 +171,7 @@ class ModelUnit:
             "name": model.model.sha.name,
             "hash": model.hash,
             "version": model.version,
+            "written": model.written,
             "refused": self.pickup.refused,
         }
 

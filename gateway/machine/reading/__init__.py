@@ -2,7 +2,7 @@
 
 from gateway.machine.reading.clock import Clock, PlantClock, plant_clock
 from gateway.machine.reading.link_health import LinkHealth
-from gateway.machine.reading.quality import STALE_PERIODS, QualityRules
+from gateway.machine.reading.quality import STALE_PERIODS, QualityRules, unread
 from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath, SwitchOver
 from gateway.machine.reading.scan import Scan, scans
 
@@ -19,4 +19,5 @@ __all__ = [
     "SwitchOver",
     "plant_clock",
     "scans",
+    "unread",
 ]

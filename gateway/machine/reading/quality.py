@@ -145,6 +145,20 @@ def _held(sample: Sample, known: TagHistory | None, now: float, period: float) -
     return replace(known.good, quality=Quality.LAST_USABLE, reason=reason)
 
 
+def unread(sample: Sample, silence: float, interval: float) -> Sample:
+    """What a sample of the newest scan is worth `silence` seconds after it, where a scan is due every `interval`.
+
+    By the same limits as within a scan: without a next scan nothing says any more that the value is what it was.
+    """
+    overdue = silence / interval
+    if overdue <= STALE_PERIODS or sample.quality.is_bad:
+        return sample
+    reason = f"the device has not been read for {silence:.1f} s"
+    if overdue > DEAD_PERIODS:
+        return Sample(sample.tag, None, Quality.NO_DATA, sample.time, sent=sample.sent, reason=reason)
+    return replace(sample, quality=Quality.LAST_USABLE, reason=reason) if sample.quality.is_good else sample
+
+
 def _too_fast(tag: Tag, sample: Sample, before: Sample, period: float) -> str:
     if tag.max_rate is None or isinstance(sample.value, str) or isinstance(before.value, str):
         return ""

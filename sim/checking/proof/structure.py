@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from sim.engine import Policy, resync_targets
 from sim.sha import SHA, UNKNOWN, Event
@@ -107,8 +106,8 @@ def components(sha: SHA) -> tuple[tuple[str, ...], ...]:
     index = {name: place for place, name in enumerate(names)}
     rows = [index[edge.source] for edge in sha.edges]
     columns = [index[edge.target] for edge in sha.edges]
-    graph = csr_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(index), len(index)))
-    _, labels = connected_components(graph, directed=True, connection="strong")
+    graph = scipy.sparse.csr_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(index), len(index)))
+    _, labels = scipy.sparse.csgraph.connected_components(graph, directed=True, connection="strong")
     numbers = [int(label) for label in labels]
     groups = [
         tuple(name for name, label in zip(names, numbers, strict=True) if label == number) for number in set(numbers)

@@ -10,7 +10,7 @@ from math import ceil, log, sqrt
 from typing import Literal
 
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 from sim.checking.proof import decide
 from sim.checking.query import tree as q
@@ -294,7 +294,7 @@ def _expectation(query: q.Expectation, start: Start, settings: QuerySettings, re
     if runs > 1:
         deviation = sqrt(statistics.squares / (runs - 1))
         # Student's t: the extremes are not normal, but their mean nearly is for the runs that anybody asks for.
-        half = float(stdtrit(runs - 1, 1.0 - settings.alpha / 2.0)) * deviation / sqrt(runs)
+        half = float(scipy.special.stdtrit(runs - 1, 1.0 - settings.alpha / 2.0)) * deviation / sqrt(runs)
         numbers |= {"low": mean - half, "high": mean + half, "sigma": deviation}
         sentence = f"E({query.extreme}) = {_interval(mean, numbers['low'], numbers['high'], settings)}"
         sentence += f"; over the runs sigma {deviation:.4g}, from {statistics.least:.4g} to {statistics.greatest:.4g}"

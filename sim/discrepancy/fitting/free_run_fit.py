@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+import scipy
 
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
@@ -221,7 +221,7 @@ def _newton_steps(
         whitener = Whitener(point.grid, noise)
         both = whitener.weigh(np.column_stack([point.residual, point.columns]))
         normal = point.columns.T @ both[:, 1:] + np.diag(np.maximum(prior, 1e-12))
-        step = cho_solve(cho_factor(normal), point.columns.T @ both[:, 0] - prior * point.off)
+        step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal), point.columns.T @ both[:, 0] - prior * point.off)
         # The whole step is shortened, not single parts of it: it must stay a descent direction.
         strengths = [max(LARGEST_SHARE * abs(named.strength), 1e-15) for named in state.named]
         longest = np.concatenate([LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior), strengths])
@@ -264,7 +264,7 @@ def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array
     both = whitener.weigh(np.column_stack([residual, columns]))
     normal = columns.T @ both[:, 1:] + np.diag(prior)
     score = columns.T @ both[:, 0] - prior * off
-    factor = cho_factor(normal)
-    misfit = float(residual @ both[:, 0] + off @ (prior * off) - score @ cho_solve(factor, score))
+    factor = scipy.linalg.cho_factor(normal)
+    misfit = float(residual @ both[:, 0] + off @ (prior * off) - score @ scipy.linalg.cho_solve(factor, score))
     determinant = 2.0 * float(np.log(np.diag(factor[0])).sum()) - float(np.log(prior).sum())
     return -0.5 * (whitener.logdet + determinant + misfit)

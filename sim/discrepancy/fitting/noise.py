@@ -15,8 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_solve, cho_solve_banded, cholesky, cholesky_banded
-from scipy.optimize import minimize
+import scipy
 
 from sim.effects import DisturbanceStep, disturbance_step
 from sim.learning import Indices
@@ -86,16 +85,16 @@ class Whitener:
         posterior, self._prior_logdet = _precision(grid, noise)
         # Each window is one reading of its x: the sensor's precision comes to every other diagonal entry.
         posterior[0, ::2] += 1.0 / noise.sensor**2
-        self._factor = cholesky_banded(posterior, lower=True, overwrite_ab=True, check_finite=False)
+        self._factor = scipy.linalg.cholesky_banded(posterior, lower=True, overwrite_ab=True, check_finite=False)
         self._heats = grid.heats * noise.cycle
         self._weighed_heats = self._within(self._heats)
         gram = np.eye(self._heats.shape[1]) + self._heats.T @ self._weighed_heats
-        self._root = cholesky(gram, lower=True, check_finite=False)
+        self._root = scipy.linalg.cholesky(gram, lower=True, check_finite=False)
 
     def weigh(self, columns: Array) -> Array:
         """V^-1 times the columns (m, c)."""
         inner = self._within(columns)
-        part = cho_solve((self._root, True), self._heats.T @ inner, check_finite=False)
+        part = scipy.linalg.cho_solve((self._root, True), self._heats.T @ inner, check_finite=False)
         return np.asarray(inner - self._weighed_heats @ part)
 
     @property
@@ -137,7 +136,7 @@ class Whitener:
         precision = 1.0 / self.noise.sensor**2
         pushed = np.zeros((2 * self.grid.dt.size, columns.shape[1]), order="F")
         pushed[::2] = columns * precision
-        solved = cho_solve_banded((self._factor, True), pushed, overwrite_b=True, check_finite=False)
+        solved = scipy.linalg.cho_solve_banded((self._factor, True), pushed, overwrite_b=True, check_finite=False)
         return np.asarray(columns * precision - solved[::2] * precision)
 
 
@@ -228,7 +227,7 @@ def fit_noise(
     bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
     bounds[3] = bounds[3][0], MOST_SCATTER
     bounds[4] = SHORTEST, max(LONGEST, centre[4])
-    optimum = minimize(
+    optimum = scipy.optimize.minimize(
         cost,
         np.clip(start, [low for low, _ in bounds], [high for _, high in bounds]),
         method="L-BFGS-B",

@@ -13,6 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Rectangle
 
+from drivers.named_files import writing
 from sim.discrepancy import Diagnosis, DiagnosisCourse, HeatMap, HeldOutProof, heat_map
 from sim.sha import DEGREES, Array, shown_unit
 
@@ -53,7 +54,8 @@ def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
         for name, figure in jobs:
-            figure.savefig(folder / name, dpi=DPI)
+            with writing(folder / name):
+                figure.savefig(folder / name, dpi=DPI)
     return {name: folder / name for name, _ in jobs}
 
 

@@ -13,7 +13,7 @@ from math import inf, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtr
+import scipy
 
 from sim.learning import Indices, huber_scale
 from sim.learning.lsha.segments import TraceSegments
@@ -110,7 +110,7 @@ def same_distribution(first: PooledEvidence, second: PooledEvidence, delta: floa
     whole = first.variance + second.variance
     statistic = beyond / sqrt(whole)
     freedom = whole * whole / (first.variance**2 / first.freedom + second.variance**2 / second.freedom)
-    return WelchTest(statistic, freedom, 2.0 * float(stdtr(freedom, -statistic)), difference)
+    return WelchTest(statistic, freedom, 2.0 * float(scipy.special.stdtr(freedom, -statistic)), difference)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from scipy.special import stdtr
+import scipy
 
 from sim.learning import RATES, FreeRuns, Indices
 from sim.learning.lsha.segments import Motion, stay_fits
@@ -112,7 +112,7 @@ def _compared(gain: Array, kind: str) -> tuple[float, float, str]:
     mean, error = float(clipped.mean()), float(clipped.std(ddof=1)) / sqrt(clipped.size)
     if error == 0:
         return (0.0 if mean > 0 else 1.0), -mean, kind
-    return float(stdtr(clipped.size - 1, -mean / error)), -mean, kind
+    return float(scipy.special.stdtr(clipped.size - 1, -mean / error)), -mean, kind
 
 
 def _uniform(runs: FreeRuns, flow: Flow) -> Motion:

@@ -10,7 +10,7 @@ stay being a cluster.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import stdtr
+import scipy
 
 from sim.learning import FreeRuns, Indices
 from sim.learning.lsha.segments import stays_after
@@ -47,7 +47,7 @@ class TransientLaw:
         squares = np.bincount(place[shown], score[shown] ** 2, size) * stays / freedom
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.sqrt(squares) / product
-            p = 2.0 * stdtr(freedom, -np.abs(amplitude / error))
+            p = 2.0 * scipy.special.stdtr(freedom, -np.abs(amplitude / error))
         asked = (stays >= self.n_min) & (product > 0.0)
         # Bonferroni over the locations that were asked.
         supported = asked & (p < self.alpha / max(int(asked.sum()), 1))

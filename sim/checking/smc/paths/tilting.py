@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from sim.checking.smc.paths.plan import World
 from sim.sha import Array, Distribution, distributions, drawn_parameter, mode_parameter
@@ -72,7 +72,7 @@ def balance(tilts: Tilts, drawn: Array, spent: Array, least: float) -> float:
 
     if excess(least) >= 0.0:
         return least
-    return 1.0 if excess(1.0) <= 0.0 else float(brentq(excess, least, 1.0, xtol=1e-3))
+    return 1.0 if excess(1.0) <= 0.0 else float(scipy.optimize.brentq(excess, least, 1.0, xtol=1e-3))
 
 
 def moved(before: Tilts, after: Tilts) -> float:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from math import log
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import betaincinv, betaln, xlog1py, xlogy
 
 from sim.scores import Estimate, clopper_pearson
 from sim.sha import Array, Mask
@@ -121,11 +121,11 @@ def mixture_interval(successes: Array, runs: NDArray[np.int_], level: float) -> 
     """
     # In logarithms: the wealth itself leaves the floats after some hundred runs.
     rich = np.log(1.0 / (1.0 - level))
-    wealth = betaln(successes + 0.5, runs - successes + 0.5) - betaln(0.5, 0.5) - rich
+    wealth = scipy.special.betaln(successes + 0.5, runs - successes + 0.5) - scipy.special.betaln(0.5, 0.5) - rich
     middle = successes / runs
 
     def kept(p: Array) -> Mask:
-        return np.asarray(wealth <= xlogy(successes, p) + xlog1py(runs - successes, -p))
+        return np.asarray(wealth <= scipy.special.xlogy(successes, p) + scipy.special.xlog1py(runs - successes, -p))
 
     # The wealth against p falls from p = 0 to s/n and rises beyond, so that one bisection on either side is enough.
     low = np.where(successes > 0, _edge(kept, np.zeros_like(middle), middle), 0.0)
@@ -148,8 +148,8 @@ def one_or_two_sided(successes: Array, runs: NDArray[np.int_], level: float) -> 
     tail = np.where(extreme, 1.0 - level, (1.0 - level) / 2.0)
     failures = runs - successes
     # Quantiles of the beta law; 1e-9 only keeps its parameter positive where the result is not used.
-    low = np.where(successes > 0, betaincinv(np.maximum(successes, 1e-9), failures + 1, tail), 0.0)
-    high = np.where(failures > 0, betaincinv(successes + 1, np.maximum(failures, 1e-9), 1.0 - tail), 1.0)
+    low = np.where(successes > 0, scipy.special.betaincinv(np.maximum(successes, 1e-9), failures + 1, tail), 0.0)
+    high = np.where(failures > 0, scipy.special.betaincinv(successes + 1, np.maximum(failures, 1e-9), 1.0 - tail), 1.0)
     return low, high
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import betaln
 
 from sim.checking.smc.rules.estimation import BATCH, MOST_RUNS, Progress, checked, mixture_interval, show_progress
 from sim.scores import Estimate
@@ -122,7 +122,7 @@ def compare(
 def _is_sided(wins: NDArray[np.int_], alone: NDArray[np.int_], level: float) -> Mask:
     """Whether a fair coin is outside the interval of q: the gambler against it is 2 / (1 - level) times richer."""
     # The wealth of `estimation.mixture_interval` at p = 1/2, in logarithms, where p^s (1-p)^(n-s) is 2^-n.
-    wealth = betaln(wins + 0.5, alone - wins + 0.5) - betaln(0.5, 0.5) + alone * np.log(2.0)
+    wealth = scipy.special.betaln(wins + 0.5, alone - wins + 0.5) - scipy.special.betaln(0.5, 0.5) + alone * np.log(2.0)
     return np.asarray(wealth > np.log(2.0 / (1.0 - level)))
 
 

@@ -5,7 +5,7 @@ from math import exp, expm1, inf, log
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from sim.checking.smc.rules.estimation import (
     BATCH,
@@ -160,7 +160,7 @@ def _conjugate(p: float, success: float, failure: float) -> float:
     near = far = 0.01 * first
     while excess(far) <= 0.0:
         near, far = far, far * 2.0
-    return float(brentq(excess, min(near, far), max(near, far)))
+    return float(scipy.optimize.brentq(excess, min(near, far), max(near, far)))
 
 
 def _moments(p: float, success: float, failure: float) -> tuple[float, float]:

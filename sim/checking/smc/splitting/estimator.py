@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 from sim.checking.query import Always, Eventually
 from sim.checking.smc.monitors import PreparedPath
@@ -118,7 +118,7 @@ def skewed_interval(values: Array, confidence: float) -> tuple[float, float]:
     if abs(skewness) < LEAST_SKEWNESS:  # the cubic is the straight line then, and the quotient 0 / 0
         skewness = LEAST_SKEWNESS
     # The cubic in the studentised mean has one real root, in closed form: the cube root in `place`.
-    reach = float(stdtrit(values.size - 1, 0.5 + confidence / 2.0)) / root
+    reach = float(scipy.special.stdtrit(values.size - 1, 0.5 + confidence / 2.0)) / root
 
     def place(x: float) -> float:
         bent = float(np.cbrt(1.0 + skewness * (x - skewness / (6.0 * values.size))))

@@ -1,0 +1,65 @@
+"""What a running gateway says of itself: the picture, how well that is, what changed in it, and who asks for it.
+
+It needs neither numpy nor a model, so that a command that only looks begins at once.
+"""
+
+from gateway.status.changes import (
+    SAID_BY_CHANGES,
+    ChangeLines,
+    arming_text,
+    clock_text,
+    date_text,
+    model_text,
+    opening,
+)
+from gateway.status.client import ControlError, GatewayLine, connect, short
+from gateway.status.health import Health, HealthFinding, findings, health_of, link_sentence, records_sentence
+from gateway.status.picture import (
+    AlarmStatus,
+    ForecastStatus,
+    GatewayStatus,
+    HistorianStatus,
+    LinkStatus,
+    ModelStatus,
+    Phase,
+    PredictionStatus,
+    ScanStatus,
+    StatusError,
+    TagStatus,
+    read_status,
+)
+from gateway.status.watch import GatewayWatch, Sighting
+
+__all__ = [
+    "SAID_BY_CHANGES",
+    "AlarmStatus",
+    "ChangeLines",
+    "ControlError",
+    "ForecastStatus",
+    "GatewayLine",
+    "GatewayStatus",
+    "GatewayWatch",
+    "Health",
+    "HealthFinding",
+    "HistorianStatus",
+    "LinkStatus",
+    "ModelStatus",
+    "Phase",
+    "PredictionStatus",
+    "ScanStatus",
+    "Sighting",
+    "StatusError",
+    "TagStatus",
+    "arming_text",
+    "clock_text",
+    "connect",
+    "date_text",
+    "findings",
+    "health_of",
+    "link_sentence",
+    "model_text",
+    "opening",
+    "read_status",
+    "records_sentence",
+    "short",
+]

@@ -1,0 +1,192 @@
+"""The picture of a running gateway: one dataclass, for the status file, the control socket and all that shows it.
+
+As JSON it is `dataclasses.asdict` by `sim.strict_json`: keys are fields, and what is not known or infinite is null.
+Times are plant seconds UTC, ages and periods plant seconds; a key that ends in _s counts real seconds.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from sim.strict_json import escaped
+
+Phase = Literal["starting", "running", "stopping", "stopped"]
+
+
+class StatusError(ValueError):
+    """A status that this program cannot read; the message says why and what to do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TagStatus:
+    """One tag: the newest reading, what it is worth at the status' time, and how old (`age`) it is by then."""
+
+    value: bool | int | float | str | None
+    quality: str
+    time: float
+    age: float
+    reason: str
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkStatus:
+    """Whether good readings arrive; `last_good` is the time of the newest scan with one, `outages` the newest ones."""
+
+    alive: bool
+    connected: bool
+    reason: str
+    last_good: float | None
+    outages: Sequence[Mapping[str, float | None]]
+    outage_count: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanStatus:
+    """The scans so far; `age` of the newest, None before the first. `late`: the next one is overdue."""
+
+    count: int
+    early: int
+    missed: int
+    period: float
+    age: float | None
+    late: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictionStatus:
+    """What the model expected of the newest scan: the fields of `gateway.machine.model.ScanPrediction`."""
+
+    time: float
+    location: str
+    location_index: int
+    known: bool
+    inputs_good: bool
+    worst: int
+    age: float | None
+    measured: float | None
+    mean: float | None
+    low: float | None
+    high: float | None
+    free_run: float | None
+    anomaly: float | None
+    zone: str
+    reset: bool
+    free_sigma: float | None
+    borrowed: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForecastStatus:
+    """The newest forecast: `quantiles` holds one fan a horizon (degC, by `levels`), `p_limit` one probability each.
+
+    `usable`: it is fresh, and the state that it began from is still known. `block` are the fields of the write-back
+    block that it fills, brought to the newest scan; of these, minutes without a value lie beyond the horizons.
+    """
+
+    time: float
+    age: float
+    usable: bool
+    levels: Sequence[float]
+    horizons: Sequence[float]
+    quantiles: Sequence[Sequence[float | None]]
+    p_limit: Sequence[float | None]
+    factors: Sequence[float | None]
+    block: Mapping[str, float | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelStatus:
+    """The model that runs: its store's version ("" for none), when its file was written, why a promotion is refused."""
+
+    name: str
+    hash: str
+    version: str
+    written: float | None
+    refused: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlarmStatus:
+    """An alarm that is not normal, by ISA-18.2: its state and since when, what an operator shall do."""
+
+    name: str
+    tag: str
+    priority: int
+    state: str
+    active: bool
+    since: float
+    acknowledged_by: str
+    response: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class HistorianStatus:
+    """Where the records lie, how many rows were lost, and why they cannot be relied on ("": they can)."""
+
+    path: str
+    dropped: int
+    refused: int
+    failure: str
+    complaint: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class GatewayStatus:
+    """Everything worth showing of one machine at `time`.
+
+    `place` is where its device is, `temperature` the tag that is predicted, `limit` (in `unit`) its alarm limit,
+    `speed` plant seconds per real second. `alarms` is every alarm's state by name, `alarm_summary` those that are not
+    normal. `prediction`, `forecast`, `model` and `guards` are None without a model, or before the first.
+    `writeback` has `mode`, and where blocks are computed `armed_by`, `armed_until`, the writer's counters, and
+    `last_verdict` with `last_reason`. `parts` are the supervised threads and tasks.
+    """
+
+    time: float
+    phase: Phase
+    speed: float
+    place: str
+    temperature: str
+    unit: str
+    limit: float
+    link: LinkStatus
+    links: Sequence[Mapping[str, Any]]
+    scan: ScanStatus
+    values: Mapping[str, TagStatus]
+    prediction: PredictionStatus | None
+    forecast: ForecastStatus | None
+    model: ModelStatus | None
+    guards: Mapping[str, Any] | None
+    events: int
+    recent_events: Sequence[tuple[float, str, str]]
+    alarms: Mapping[str, str]
+    alarm_summary: Sequence[AlarmStatus]
+    writeback: Mapping[str, Any]
+    historian: HistorianStatus
+    parts: Mapping[str, Mapping[str, Any]]
+    clock: Mapping[str, Any]
+    driver: Mapping[str, Any]
+    complaints: Sequence[str]
+    failures: int
+    last_failure: str
+
+
+_READER = TypeAdapter(GatewayStatus)
+
+
+def read_status(plain: object) -> GatewayStatus:
+    """The status as a gateway wrote it (JSON's values); texts come out printable, keys that are not known are left out.
+
+    Raises StatusError for what is no status of this program's version.
+    """
+    try:
+        return _READER.validate_python(escaped(plain))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"])) or "the status"
+        raise StatusError(
+            f"the gateway's status cannot be read ({key}: {first['msg'].lower()}): it runs another version of this "
+            "program; stop it and start it anew"
+        ) from None

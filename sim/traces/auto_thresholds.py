@@ -1,0 +1,140 @@
+"""Thresholds from the readings: levels at which a signal dwells, told apart only where its noise and the data allow.
+
+The levels are the clusters of least squares (Fisher 1958, by dynamic programming; Otsu's thresholds are the same on a
+histogram), which for one hump are the Lloyd-Max quantiser and for several lie in the valleys between them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from sim.sha import Alphabet, Array, Bins, Trace
+
+MOST_LEVELS = 4
+"""Bins at most: as many as the plant's own engineers cut. More only share the same data out among more locations."""
+_POINTS = 256
+"""Quantiles that stand for a distribution: a few wild readings are none of them."""
+_LEAST_SHARE = 0.03
+_LEAST_NOISES = 3.0
+"""Distance of two levels in standard deviations of the noise, below which a threshold would count noise as events."""
+_MOST_MOVE = 0.2
+"""How far a threshold may move when a tenth of the record is left out, as a share of the distance of its levels."""
+_PARTS, _STRETCHES = 10, 50
+
+
+@dataclass(frozen=True, slots=True)
+class AutoBins(Bins):
+    """A level signal whose thresholds its readings decide when traces are loaded; until then it is one bin.
+
+    The bins are called `lowest`, then `prefix` + 0, 1, 2 ...; without `lowest` the first is `prefix` + 0. The
+    hysteresis follows the noise unless `own_hysteresis`.
+    """
+
+    prefix: str = ""
+    lowest: str = ""
+    own_hysteresis: bool = False
+
+    def cut(self, levels: "Levels") -> Bins:
+        """The bins that these levels make."""
+        first = self.lowest or f"{self.prefix}0"
+        start = 0 if self.lowest else 1
+        more = (f"{self.prefix}{start + index}" for index in range(len(levels.thresholds)))
+        hysteresis = self.hysteresis if self.own_hysteresis else levels.hysteresis
+        return Bins(self.signal, levels.thresholds, (first, *more), hysteresis, self.on_change)
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """Thresholds between a signal's levels and a hysteresis above its noise, both in its unit and in round figures.
+
+    No thresholds: it has one level, or its readings scatter as much from one to the next as they do in all.
+    """
+
+    thresholds: tuple[float, ...] = ()
+    hysteresis: float = 0.0
+
+
+def with_thresholds(alphabet: Alphabet, traces: Sequence[Trace]) -> Alphabet:
+    """The alphabet with the thresholds of its AutoBins taken from the traces; itself where it has none."""
+    if not any(isinstance(channel, AutoBins) for channel in alphabet.channels):
+        return alphabet
+    channels = [
+        channel.cut(levels_of(traces, channel.signal, alphabet.gap)) if isinstance(channel, AutoBins) else channel
+        for channel in alphabet.channels
+    ]
+    return replace(alphabet, channels=tuple(channels))
+
+
+def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
+    """The levels of a signal over all traces; `gap` (s) is the time beyond which a reading says nothing of the next.
+
+    The order of the traces does not matter to the levels. A reading counts for the time until the next one, so that a
+    signal which is sent on change counts as one that is polled.
+    """
+    values, weights, jumps = [np.empty(0)], [np.empty(0)], [np.empty(0)]
+    for trace in traces:
+        if signal not in trace.signals:
+            continue
+        known = np.isfinite(trace.signals[signal])
+        readings, steps = trace.signals[signal][known], np.diff(trace.times[known])
+        usual = float(np.median(steps)) if steps.size else 1.0
+        # The last reading, and one before a gap, stand for no more than a usual step.
+        values.append(readings)
+        weights.append(np.append(np.where(steps > gap, usual, steps), usual))
+        jumps.append(np.abs(np.diff(readings))[steps <= gap])
+    readings, times = np.concatenate(values), np.concatenate(weights)
+    if np.unique(readings).size < 2 or not times.sum() > 0:
+        return Levels()
+    moved = np.concatenate(jumps)
+    # Of steps between readings, most are noise and few are moves: the median knows only the former. 1.4826 makes it a
+    # standard deviation; two readings err, hence the root.
+    noise = 1.4826 * float(np.median(moved)) / np.sqrt(2.0) if moved.size else 0.0
+    parts = np.arange(readings.size) * _STRETCHES // readings.size % _PARTS
+    for count in range(MOST_LEVELS, 1, -1):
+        cuts, centres = _clusters(readings, times, count)
+        apart = np.diff(centres)
+        shares = np.bincount(np.searchsorted(cuts, readings, side="right"), times, count) / times.sum()
+        if cuts.size != count - 1 or shares.min() < _LEAST_SHARE or apart.min() < _LEAST_NOISES * noise:
+            continue
+        others = (_clusters(readings[parts != part], times[parts != part], count)[0] for part in range(_PARTS))
+        if all(other.size == cuts.size and np.all(np.abs(other - cuts) <= _MOST_MOVE * apart) for other in others):
+            thresholds = tuple(dict.fromkeys(round_to(float(c), float(apart.min()) / 10) for c in cuts))
+            quarter = float(apart.min()) / 4
+            return Levels(thresholds, round_to(min(3.0 * noise, quarter), quarter / 10))
+    return Levels()
+
+
+def _clusters(readings: Array, times: Array, count: int) -> tuple[Array, Array]:
+    """(count - 1 thresholds, count centres) of the clusters of least squares, fewer if there are fewer values."""
+    order = np.argsort(readings, kind="stable")
+    reached = np.cumsum(times[order]) / times.sum()
+    points = readings[order][np.searchsorted(reached, (np.arange(_POINTS) + 0.5) / _POINTS).clip(max=order.size - 1)]
+    sums, squares = (np.concatenate(([0.0], np.cumsum(points**power))) for power in (1, 2))
+    size = np.arange(_POINTS + 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # cost[i, j]: the squared distances of points i..j-1 from their mean.
+        cost = (squares - squares[:, None]) - (sums - sums[:, None]) ** 2 / (size - size[:, None])
+    cost = np.where(size > size[:, None], np.maximum(cost, 0.0), np.inf)
+    best, starts = cost[0], list[Array]()
+    for _ in range(count - 1):
+        total = best[:, None] + cost
+        starts.append(np.argmin(total, axis=0))
+        best = np.min(total, axis=0)
+    end, edges = _POINTS, [_POINTS]
+    for start in reversed(starts):
+        end = int(start[end])
+        edges.append(end)
+    edges = [0, *edges[::-1]]
+    centres = np.array([points[low:high].mean() for low, high in pairwise(edges) if high > low])
+    return np.unique((centres[1:] + centres[:-1]) / 2), centres
+
+
+def round_to(value: float, grain: float) -> float:
+    """The value to the next 1, 2 or 5 times a power of ten that is no coarser than `grain`: 97.3 by 6 is 95."""
+    if not grain > 0:
+        return value
+    power = 10.0 ** np.floor(np.log10(grain))
+    step = next(factor for factor in (5.0, 2.0, 1.0) if factor * power <= grain * (1 + 1e-9)) * power
+    return float(f"{np.round(value / step) * step:.12g}")
