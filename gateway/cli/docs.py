@@ -69,7 +69,7 @@ def _page(wanted: str) -> str:
 
 
 def _copy_examples(folder: Path) -> list[str]:
-    """Copy config/examples; gives the new files. Raises ValueError where one is there already, before any is written."""
+    """Copy config/examples; gives the new files. Raises ValueError where one is there, before any is written."""
     sources = sorted((config_dir() / "examples").iterdir())
     targets = [folder / source.name for source in sources]
     if there := [str(path) for path in targets if path.exists()]:
