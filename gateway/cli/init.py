@@ -45,6 +45,7 @@ _HEARTBEAT = re.compile("heart ?beat|life ?(bit|counter|word)|watchdog|contatore
     "--order", type=click.Choice(ORDERS), default="ABCD", show_default=True, help="Of the list's wide values."
 )
 @click.option("--shift", type=int, default=0, help="Add this to every address of the list, such as -1 or 1.")
+@click.option("--without", multiple=True, metavar="TAG", help="Leave this tag of the list out; may be given again.")
 @click.option("--skip-bad", is_flag=True, help="Leave out rows of the list that cannot be used.")
 @click.option("--temperature", default="", help="The tag that is predicted and watched.")
 @click.option("--trace", type=_PATH, help="A recorded CSV, for which a column map is drafted.")
@@ -65,6 +66,7 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
         asked = _Asked(sys.stdin.isatty() and sys.stdout.isatty())
         how = Reading(order=options["order"], shift=options["shift"])
         described = _described(given.device, options["list_path"], how, asked, skip=options["skip_bad"])
+        described = _without(described, options["without"])
         device, io_list, known = described.device, described.io_list, described.names
         given = _placed(given, described.device, asked)
         files = find_files(folder / ".init" / "plant.toml", device, given.link, given.settings)
@@ -178,6 +180,20 @@ def _described(device: Path | None, list_path: Path | None, how: Reading, asked:
         raise ConfigError([*io_list.problems, f"{list_path}: correct these {count} rows, or give --skip-bad"])
     numbers = {tag.name: str(tag.keys["unit"] or "") for tag in io_list.tags if tag.keys["dtype"] not in _NO_NUMBERS}
     return _Described(None, io_list, [tag.name for tag in io_list.tags], numbers)
+
+
+def _without(described: _Described, names: Sequence[str]) -> _Described:
+    """The tags but for these. Raises ConfigError for one that no list has."""
+    listed = described.io_list
+    if strange := [name for name in names if listed is None or name not in described.names]:
+        known = ", ".join(described.names)
+        raise ConfigError([f"--without {strange[0]}: is no tag of the list" + (f"; it has {known}" if listed else "")])
+    return replace(
+        described,
+        io_list=listed and replace(listed, tags=tuple(tag for tag in listed.tags if tag.name not in names)),
+        names=[name for name in described.names if name not in names],
+        numbers={name: unit for name, unit in described.numbers.items() if name not in names},
+    )
 
 
 def _temperature(numbers: Mapping[str, str], wanted: str, asked: _Asked) -> str:
