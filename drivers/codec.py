@@ -2,12 +2,18 @@
 
 A reading never raises: what the device sent is data, and data that means nothing has a quality and a reason. A value
 to be written that does not fit raises EncodingError before anything is sent.
+
+Bytes in a wrong order are numbers too, mostly such as nobody measures. What tells them apart is here, once, for
+readings and for `plc guess`: a float beyond MEASURABLE is never believed; a rarer one (_RARE) is not as long as another
+order makes a usual number of the same registers.
 """
 
 import math
 import struct
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 
 from drivers.errors import AddressError, EncodingError
 from drivers.tag import DType, Order, Quality, Tag, Value
@@ -36,6 +42,15 @@ _BIT_HOLDERS = frozenset({DType.BOOL, DType.UINT16, DType.INT16})
 # A limit is met by the value nearest to it: float32 rounds by up to 2**-24 of the value, scaling by less.
 _LIMIT_SLACK = 2.0**-23
 _LARGEST = sys.float_info.max
+MEASURABLE = (1e-30, 1e30)
+"""The magnitudes of measured numbers, in whatever unit, beside 0 itself: the radius of an electron in km is 3e-18, the
+mass of the sun in kg 2e30. A float that is smaller (subnormal ones are) or larger is bytes in another order."""
+_RARE = (1e-6, 1e12)
+"""Magnitudes of a float beyond which another order is asked, and _USUAL, those that it must have to be believed."""
+_USUAL = (1e-3, 1e6)
+# The commonest first.
+_SEVERAL_REGISTERS = (Order.ABCD, Order.CDAB, Order.BADC, Order.DCBA)
+_ONE_REGISTER = (Order.ABCD, Order.BADC)
 
 
 def registers_needed(tag: Tag) -> int:
@@ -54,12 +69,14 @@ def registers_needed(tag: Tag) -> int:
     return _REGISTERS[tag.dtype]
 
 
-def decode(tag: Tag, registers: Sequence[int]) -> Reading:
+def decode(tag: Tag, registers: Sequence[int], *, one_order: bool = False) -> Reading:
     """Give the tag's engineering value, its quality and, unless good, the reason.
 
     `registers` are exactly the tag's own (0..65535 each; a coil or discrete input is one of 0 or 1). An integer type
-    with scale 1 and offset 0 gives int, any other number float. OUT_OF_RANGE keeps the value; NO_DATA (sentinel),
-    SENSOR_FAILURE (NaN, infinite) and DECODING_ERROR (not a code of this type) give None.
+    with scale 1 and offset 0 gives int, any other number float. OUT_OF_RANGE keeps the value, as does
+    UNCERTAIN (an integer that looks swapped); NO_DATA (sentinel), SENSOR_FAILURE (NaN, infinite), DECODING_ERROR (not a
+    code of this type) and DATA_ENCODING_INVALID (a float that nobody measures, or that looks swapped) give None.
+    `one_order`: the bytes come from where no other order is possible, so that none is suspected.
     """
     needed = registers_needed(tag)
     if len(registers) != needed:
@@ -82,13 +99,27 @@ def decode(tag: Tag, registers: Sequence[int]) -> Reading:
     # The sentinel is a raw number: it is looked for before scale and offset.
     if _is_sentinel(tag, raw):
         return None, Quality.NO_DATA, _not_available(tag)
+    # Other orders are looked at for what cannot be, not for each of the many readings that can.
+    looks = partial(_looks_swapped, tag, () if one_order else registers)
     if not math.isfinite(raw):
-        return None, Quality.SENSOR_FAILURE, f"the device sent {raw}"
+        # What a device sends on purpose has nothing but zeros behind its first register.
+        return None, Quality.SENSOR_FAILURE, f"the device sent {raw}{looks() if any(payload[2:]) else ''}"
+    if tag.dtype in _FLOATS:
+        if reason := _unmeasurable(raw):
+            return None, Quality.DATA_ENCODING_INVALID, f"the device sent {reason}{looks()}"
+        if _is_rare(tag, raw) and (reason := looks()):
+            remedy = "; a tag that can have such values says so by low and high"
+            return None, Quality.DATA_ENCODING_INVALID, f"the device sent {_short(raw)}{reason}{remedy}"
     # A plain integer stays an int: times 1.0 it would be a float, exact only up to 2**53.
     value = raw if tag.scale == 1.0 and tag.offset == 0.0 else raw * tag.scale + tag.offset
     if not math.isfinite(value):
         return None, Quality.DECODING_ERROR, f"{raw} times scale {tag.scale} is beyond any number"
-    return value, *judge(tag, value)
+    quality, reason = judge(tag, value)
+    if quality is Quality.OUT_OF_RANGE and tag.low is not None and tag.high is not None:
+        reason += looks()
+    elif quality is Quality.GOOD and _has_empty_end(tag, payload) and (swapped := looks()):
+        quality, reason = Quality.UNCERTAIN, f"of {_short(value)} only the highest register is in use{swapped}"
+    return value, quality, reason
 
 
 def judge(tag: Tag, value: Value) -> tuple[Quality, str]:
@@ -135,6 +166,76 @@ def _swaps_words(tag: Tag) -> bool:
     return tag.order in _SWAPPED_WORDS and tag.dtype is not DType.STRING
 
 
+# ---------------------------------------------------------------- numbers that nobody measures
+
+
+def _unmeasurable(number: float) -> str:
+    """The number and why nobody measures it; "" for one that may be measured. Both zeros may."""
+    low, high = MEASURABLE
+    if number == 0 or low <= abs(number) <= high:
+        return ""
+    return f"{_short(number)}, {'smaller' if abs(number) < low else 'larger'} than anything measured"
+
+
+def _is_rare(tag: Tag, raw: float) -> bool:
+    """True for a float so small or large that another order is to be suspected first, and the tag does not expect it.
+
+    A lowest plausible value above 0 is the word of somebody who expects small ones; a highest one that is large, large.
+    """
+    if abs(raw) < _RARE[0]:
+        return raw != 0 and not (tag.low is not None and tag.low > 0)
+    return abs(raw) > _RARE[1] and not (tag.high is not None and tag.high > _RARE[1])
+
+
+def _has_empty_end(tag: Tag, payload: bytes) -> bool:
+    """True for a measured integer of several registers of which only the highest says anything.
+
+    The rest is 0, or all ones under a sign: of what moves one reading in 65536, of a small number with swapped words
+    each. Bits and codes, which have no unit and no scale, may stand at such a number.
+    """
+    if tag.dtype in _FLOATS or len(payload) < 4 or tag.labels or not (tag.unit or tag.scale != 1.0):
+        return False
+    top, rest = payload[:2], payload[2:]
+    return (not any(rest) and any(top)) or (set(rest) == {0xFF} and top[0] >= 0x80 and top != b"\xff\xff")
+
+
+def other_order(tag: Tag, registers: Sequence[int], believed: Callable[[float], bool]) -> str:
+    """Say which other order makes a `believed` engineering value of the registers; "" if none.
+
+    As "the words look swapped: as CDAB it reads 40.8". Of several a number with one decimal wins, which no wrong order
+    makes by chance, then the commonest order.
+    """
+    found: list[tuple[bool, Order, float]] = []
+    for order in _SEVERAL_REGISTERS if len(registers) > 1 else _ONE_REGISTER:
+        other = replace(tag, order=order)
+        words = reversed(registers) if _swaps_words(other) else registers
+        raw, _ = _RAW[tag.dtype](other, struct.pack(f"{_endian(other)}{len(registers)}H", *words))
+        value = math.nan if raw is None or order is tag.order else raw * tag.scale + tag.offset
+        if math.isfinite(value) and believed(value):
+            found.append((abs(value - round(value, 1)) > 1e-6 * abs(value), order, value))
+    if not found:
+        return ""
+    _, order, value = min(found, key=lambda one: one[0])
+    moved = {"words": _SWAPPED_WORDS, "bytes": _SWAPPED_BYTES}
+    swapped = " and ".join(name for name, orders in moved.items() if (tag.order in orders) != (order in orders))
+    return f"the {swapped} look swapped: as {order} it reads {_short(value)}"
+
+
+def _looks_swapped(tag: Tag, registers: Sequence[int]) -> str:
+    """What `other_order` says of usual numbers in the tag's range, to be added to a reason; "" if none."""
+    if not registers:
+        return ""
+    reason = other_order(
+        tag, registers, lambda value: _USUAL[0] <= abs(value) <= _USUAL[1] and _broken_limit(tag, value) is None
+    )
+    return reason and f"; {reason}"
+
+
+def _short(number: float) -> str:
+    """Four digits with a decimal point or an exponent, by which a log knows what changes from reading to reading."""
+    return f"{float(f'{number:.4g}')}"
+
+
 # ---------------------------------------------------------------- values to bytes, bytes to raw numbers
 
 
@@ -171,10 +272,14 @@ def _number_bytes(tag: Tag, value: Value) -> bytes:
     if abs(raw) > _LARGEST:
         raise EncodingError(f"{tag.name}: {value!r} is beyond any number that a device holds")
     if tag.dtype in _FLOATS:
+        # What is smaller than anything measured is a remainder of somebody's arithmetic, and would not be believed.
+        raw = math.copysign(0.0, raw) if abs(raw) < MEASURABLE[0] else float(raw)
         try:
-            payload = struct.pack(_FLOATS[tag.dtype], float(raw))
+            payload = struct.pack(_FLOATS[tag.dtype], raw)
         except OverflowError:
-            raise EncodingError(f"{tag.name}: {float(raw):.6g} is beyond a {tag.dtype}") from None
+            raise EncodingError(f"{tag.name}: {raw:.6g} is beyond a {tag.dtype}") from None
+        if reason := _unmeasurable(raw):
+            raise EncodingError(f"{tag.name}: it would be stored as {reason}")
     else:
         count = round(raw)
         if tag.dtype in _BCD_DIGITS:

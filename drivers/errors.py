@@ -29,6 +29,10 @@ class LinkFault(Enum):
     OTHER = "other"
 
 
+LONGEST = 1000
+"""Characters of a sentence."""
+
+
 def one_line(text: str) -> str:
     """The text with every character that is not printable as its escape (`\\n`, `\\x1b`)."""
     # As `sim.strict_json.escaped` does, which the arithmetic of sim takes: that imports nothing of this floor.
@@ -38,10 +42,16 @@ def one_line(text: str) -> str:
 
 
 class OneLineError(Exception):
-    """An error whose sentence is one line and steers no terminal, whatever it quotes of a file, a peer or a request."""
+    """An error whose sentence is one line and steers no terminal, whatever it quotes of a file, a peer or a request.
+
+    Of a quotation without end the middle is left out: what is wrong stands before it, what would be right behind.
+    """
 
     def __init__(self, sentence: str = "") -> None:
-        super().__init__(one_line(sentence))
+        line = one_line(sentence)
+        if len(line) > LONGEST:
+            line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+        super().__init__(line)
 
 
 class DriverError(OneLineError):

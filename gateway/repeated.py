@@ -2,12 +2,15 @@
 
 import re
 
-_MEASURED = re.compile(r"\d+\.\d+")
+_MEASURED = re.compile(r"-?\d+(\.\d+(e[+-]?\d+)?|e[+-]?\d+)")
 _NUMBER = re.compile(r"(?<![\w.])(?<![A-Za-z_]:)[-+]?\d+(?:[.,:]\d+)*(?:[eE][-+]?\d+)?")
 
 
 def without_measured(text: str) -> str:
-    """The text without what is measured anew each time (seconds waited); codes and addresses, whole numbers, stay."""
+    """The text without what is measured anew each time: seconds waited, a value that cannot be.
+
+    Codes and addresses, whole numbers, stay.
+    """
     return _MEASURED.sub("#", text)
 
 

@@ -164,7 +164,7 @@ def value_of(tag: Tag, field: Field, data: bytes) -> Reading:
     # As registers, so that scale, range, sentinel and labels are judged by the one codec; a negative number fills all
     # of them with its sign.
     count = registers_needed(tag)
-    return decode(tag, [raw >> 16 * place & 0xFFFF for place in reversed(range(count))])
+    return decode(tag, [raw >> 16 * place & 0xFFFF for place in reversed(range(count))], one_order=True)
 
 
 def raw_of(tag: Tag, field: Field, value: Value) -> int:

@@ -56,7 +56,9 @@ def from_bytes(tag: Tag, payload: bytes) -> Reading:
         return None, Quality.DECODING_ERROR, f"{len(payload)} bytes for a {tag.dtype}, which has {needed or '1 or 2'}"
     # The codec takes registers, most significant first; an odd byte fills the low half of one.
     words = payload[::-1].rjust((len(payload) + 1) // 2 * 2, b"\0")
-    return decode(_straight(tag), [int.from_bytes(words[at : at + 2], "big") for at in range(0, len(words), 2)])
+    return decode(
+        _straight(tag), [int.from_bytes(words[at : at + 2], "big") for at in range(0, len(words), 2)], one_order=True
+    )
 
 
 def to_bytes(tag: Tag, value: Value, size: int | None) -> bytes:

@@ -174,7 +174,7 @@ class SoftDriver:
             if tag not in self._write_map:
                 raise WriteForbidden(f"{tag.name} ({tag.address}) is not in the write map; nothing was sent")
         # Through the registers and back, so that a value is rounded as a real device would round it.
-        stored = [(tag, decode(tag, encode(tag, value))[0]) for tag, value in values]
+        stored = [(tag, decode(tag, encode(tag, value), one_order=True)[0]) for tag, value in values]
         fault = self._failure() or self._active_fault()
         if fault is not None:
             raise fault.error(fault.reason)

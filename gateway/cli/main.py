@@ -37,6 +37,8 @@ EXAMPLES = {
     "init": "init plant2 --host 192.168.1.10 --list io_list.csv --temperature TCuscinettiRiduttore --trace export.csv",
     "demo": "demo --seconds 40 --out out/demo",
     "run": "run --config plant.toml",
+    "top": "top --config plant.toml",
+    "status": "status --json",
     "emulate": "emulate --device config/devices/decanter_plc.toml --trace out/traces/cd8.csv --port 15020",
     "backup": "backup /media/usb/gateway-2026-05-04 --config plant.toml",
     "restore": "restore /media/usb/gateway-2026-05-04 --by 'A. Rossi'",

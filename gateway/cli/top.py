@@ -50,8 +50,6 @@ def top(path: Path, every: float) -> None:
 
     On a terminal a panel, elsewhere three lines and then one for each change. An old number is never shown as a
     present one: without an answer the panel says so, and for how long. Several may watch one gateway.
-
-    Example: decanter top --config plant.toml
     """
     with sentences(), closing(GatewayWatch(load_config(path).control_socket)) as watch:
         sighting = watch.look(ANSWER_S)
@@ -69,10 +67,7 @@ def top(path: Path, every: float) -> None:
 @config_option
 @json_option
 def status(path: Path, as_json: bool) -> None:
-    """Show once how a running gateway is; the exit code says how well.
-
-    Example: decanter status --json
-    """
+    """Show once how a running gateway is; the exit code says how well."""
     with sentences(), closing(GatewayWatch(load_config(path).control_socket)) as watch:
         sighting = watch.look(ANSWER_S)
         if sighting.silence or sighting.status is None:

@@ -20,6 +20,7 @@ COMMANDS: Table = {
 
 EXAMPLES = {
     "can": "trace can trip.asc --device obd2 --out out/trip.csv",
+    "map": "trace map export.csv --out my_map.toml",
     "show": "trace show out/traces/cd8.csv",
     "synth": "trace synth cd8 --out out/traces",
 }

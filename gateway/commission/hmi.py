@@ -9,8 +9,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from drivers.codec import encode, other_order, registers_needed
+from drivers.errors import EncodingError
 from drivers.tag import DType, Tag, Value
-from gateway.commission.encodings import ReadingError, parse_shown
+from gateway.commission.encodings import ReadingError, ShownNumber, parse_shown
 from gateway.commission.files import COLUMNS, ListError, flag_of, key_of, read_sheet
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
@@ -49,7 +53,10 @@ class HmiReading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
-    """One comparison. `tolerance` is by how much the two may differ; `definition` says which place the tag had."""
+    """One comparison. `tolerance` is by how much the two may differ; `definition` says which place the tag had.
+
+    `exact`: rounding or cutting digits off explains what was shown; else the value must have moved meanwhile.
+    """
 
     tag: str
     shown: str
@@ -59,6 +66,7 @@ class Point:
     tolerance: float
     definition: str
     time: float
+    exact: bool = True
 
     @property
     def number(self) -> float | None:
@@ -140,14 +148,27 @@ def _time(where: str, text: str, now: float) -> float | None:
 # ---------------------------------------------------------------- comparing
 
 
-def compare(tag: Tag, shown: HmiReading, values: Sequence[Value], now: float, slack: float = 0.0) -> Point:
+def compare(
+    tag: Tag, shown: HmiReading, values: Sequence[Value], now: float, slack: float = 0.0, *, missing: str = ""
+) -> Point:
     """Whether the HMI's reading agrees with one of the PLC's, or lies between them while the value moves.
 
     A number may be off by one step of its last digit (an HMI rounds, or cuts), half a step of the raw value, and
-    `slack` in engineering units. Raises ListError for a text that is nothing such a tag shows.
+    `slack` in engineering units. `missing` is why there are no values, if it is known. Raises ListError for a text that
+    is nothing such a tag shows.
     """
-    wanted, tolerance = _meaning(tag, shown, slack)
+    wanted, tolerance, step = _meaning(tag, shown, slack)
     ok, read, reason = _agreement(wanted, values, tolerance, tag)
+    if not values and missing:
+        reason = f"{reason}: {missing}"
+    numbers = [float(value) for value in values if not isinstance(value, str)]
+    exact = True
+    if step and numbers:
+        # Between two looks the value passed through all between; it may be off by `slack` besides.
+        number = float(wanted)
+        passed = min(max(number, min(numbers) - slack), max(numbers) + slack)
+        display, at = ShownNumber(number, step), np.array([passed])
+        exact = bool(display.rounded_from(at)[0] or display.cut_from(at)[0])
     return Point(
         tag=tag.name,
         shown=shown.text,
@@ -157,22 +178,23 @@ def compare(tag: Tag, shown: HmiReading, values: Sequence[Value], now: float, sl
         tolerance=tolerance,
         definition=definition_of(tag),
         time=now,
+        exact=exact,
     )
 
 
-def _meaning(tag: Tag, shown: HmiReading, slack: float) -> tuple[Value, float]:
-    """What the text says, and the tolerance."""
+def _meaning(tag: Tag, shown: HmiReading, slack: float) -> tuple[Value, float, float]:
+    """What the text says, the tolerance, and what its last digit counts (0 for what is no number)."""
     key = key_of(shown.text)
     if tag.dtype is DType.STRING:
-        return shown.text, 0.0
+        return shown.text, 0.0, 0.0
     for number, label in tag.labels.items():
         if key_of(label) == key:
-            return number, 0.0
+            return number, 0.0, 0.0
     if tag.dtype is DType.BOOL or tag.bit is not None:
         flag = flag_of(key)
         if flag is None:
             raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no state; give 1 or 0, on or off")
-        return flag, 0.0
+        return flag, 0.0, 0.0
     try:
         reading = parse_shown(shown.text)
     except ReadingError as error:
@@ -181,7 +203,7 @@ def _meaning(tag: Tag, shown: HmiReading, slack: float) -> tuple[Value, float]:
         raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no number; give it as the HMI shows it")
     # The last digit may be cut off, wrong by up to a whole step of it; the little more is for binary fractions.
     raw = abs(reading.value) * _FLOAT_STEP[tag.dtype] if tag.dtype in _FLOAT_STEP else abs(tag.scale) / 2
-    return reading.value, reading.step * 1.000001 + raw + slack
+    return reading.value, reading.step * 1.000001 + raw + slack, reading.step
 
 
 def _agreement(wanted: Value, values: Sequence[Value], tolerance: float, tag: Tag) -> tuple[bool, Value | None, str]:
@@ -194,28 +216,55 @@ def _agreement(wanted: Value, values: Sequence[Value], tolerance: float, tag: Ta
     nearest = min(numbers, key=lambda value: abs(value - wanted))
     # Between two looks the value passed through what the HMI showed: anything between them agrees.
     ok = min(numbers) - tolerance <= wanted <= max(numbers) + tolerance
+    if ok:
+        return True, nearest, ""
     off = f"the PLC has {nearest:.6g} {tag.unit}".rstrip()
-    return ok, nearest, "" if ok else f"{off}, {nearest - wanted:+.4g} off; may be {tolerance:.2g}"
+    reason = f"{off}, {nearest - wanted:+.4g} off; may be {tolerance:.2g}"
+    # What the HMI shows is the best evidence of the order: the same registers in another one may be just that.
+    with suppress(EncodingError):
+        swapped = other_order(tag, encode(tag, nearest), lambda value: abs(value - wanted) <= tolerance)
+        reason += swapped and f"; {swapped}"
+    return False, nearest, reason
 
 
 # ---------------------------------------------------------------- proof
 
 
 def left_to_do(tag: Tag, points: Sequence[Point]) -> str:
-    """What is missing until the tag is proved ("": nothing): two distinct values of a number, both states of a flag."""
-    own = [point for point in points if point.tag == tag.name and point.ok and point.definition == definition_of(tag)]
-    if tag.dtype is DType.STRING:
-        return "" if own else "not compared yet"
+    """What is missing until the tag is proved ("": nothing): two distinct values of a number, both states of a flag.
+
+    A number needs a third one where a register may be a neighbour's: it held the same word at each, or a reading agreed
+    within the tolerance only.
+    """
+    here = [point for point in points if point.tag == tag.name and point.definition == definition_of(tag)]
+    own = [point for point in here if point.ok]
     if not own:
-        return "not compared yet"
+        return f"compared and did not agree: {here[-1].reason}" if here else "not compared yet"
+    if tag.dtype is DType.STRING:
+        return ""
     if tag.dtype is DType.BOOL or tag.bit is not None:
         states = {bool(point.read) for point in own}
         return "" if len(states) == 2 else f"seen {'on' if True in states else 'off'} only"
-    numbers = sorted((point.number or 0.0, point.tolerance) for point in own)
-    low, high = numbers[0], numbers[-1]
-    if high[0] - low[0] > low[1] + high[1]:
+    distinct: list[Point] = []
+    for point in sorted((point for point in own if point.exact), key=_number):
+        if not distinct or _number(point) - _number(distinct[-1]) > point.tolerance + distinct[-1].tolerance:
+            distinct.append(point)
+    if len(distinct) > 2:
         return ""
-    return f"compared at {low[0]:.6g} only"
+    at = " and ".join(f"{_number(point):.6g}" for point in distinct)
+    if inexact := [point for point in own if not point.exact]:
+        off = f"{inexact[0].shown} was shown where it reads {_number(inexact[0]):.6g}"
+        return f"{off}: it moved, or a register is a neighbour's: compare {3 - len(distinct)} more values at rest"
+    if len(distinct) < 2:
+        return f"compared at {at} only"
+    words = [encode(tag, _number(point)) for point in distinct] if registers_needed(tag) > 1 else []
+    if any(len(set(word)) == 1 for word in zip(*words, strict=True)):
+        return f"compared at {at} only: a register held the same both times and may be a neighbour's: compare a third"
+    return ""
+
+
+def _number(point: Point) -> float:
+    return point.number or 0.0
 
 
 def points_of(result: Mapping[str, Any]) -> list[Point]:
@@ -223,7 +272,7 @@ def points_of(result: Mapping[str, Any]) -> list[Point]:
     points = []
     for plain in result.get("points", ()):
         try:
-            points.append(Point(**{key: plain[key] for key in Point.__dataclass_fields__}))
+            points.append(Point(**{key: plain[key] for key in Point.__dataclass_fields__ if key in plain}))
         except (KeyError, TypeError):
             continue
     return points

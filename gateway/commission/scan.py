@@ -90,7 +90,8 @@ KINDS: dict[str, ScanKind] = {
 def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -> None:
     """Look for what is there: units, nodes, frames or registers, within RANGE. Nothing is written.
 
-    units: which Modbus units answer behind this connection (1-247); each is asked for one register, twice at most.
+    units: which Modbus units answer behind this connection (1-247, without RANGE until twenty in a row are silent);
+    each is asked for one register, twice at most.
     nodes: which CANopen nodes are on this bus (1-127), by their heartbeats and by their answers to SDO requests.
     frames: which frames are on this CAN bus, how often, and what they may be; nothing is sent.
     registers: which of holding:0-999, or 40001-41000, can be read, and how many at once. Blocks are asked first,
@@ -106,7 +107,7 @@ def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -
     with sentences():
         arguments: dict[str, Any]
         if what == "units":
-            arguments = {"units": numbers(stretch or "1-247", 0, 255)}
+            arguments = {"units": numbers(stretch, 0, 255) if stretch else None}
         elif what == "nodes":
             arguments = {"nodes": numbers(stretch or "1-127", 1, 127), "listen_only": bool(options.get("listen_only"))}
         elif what == "frames":

@@ -29,6 +29,7 @@ from gateway.commission.session import (
     words_of,
 )
 from gateway.console import progress, table
+from gateway.repeated import without_measured
 from gateway.store import percentile
 
 Progress = Callable[[str, float], None]
@@ -51,6 +52,7 @@ class SoakTally:
     missed: int = 0
     bad: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
+    kinds: dict[str, str] = field(default_factory=dict)
 
     def take(self, samples: Sequence[Sample], begun: float, seconds: float) -> None:
         """One scan, begun at `begun` (s UTC)."""
@@ -59,7 +61,8 @@ class SoakTally:
         self.with_bad += bool(bad)
         self.all_bad += len(bad) == len(samples)
         self.bad.update(sample.tag for sample in bad)
-        self.reasons.update({sample.reason for sample in bad})
+        # A reason with a value in it is another one in each scan: the first of its kind stands for all.
+        self.reasons.update({self.kinds.setdefault(without_measured(sample.reason), sample.reason) for sample in bad})
         self.ages += [max(0.0, begun + seconds - sample.time) for sample in samples if sample.quality.is_good]
 
 

@@ -76,7 +76,7 @@ async def against(
     if not shown:
         raise ListError(f"{path}: has no reading of a tag that is to be verified; give rows of tag and value")
     present = dict.fromkeys(reading.tag for reading in shown if reading.time is None)
-    live = await _window(site, [known[name] for name in present]) if present else {}
+    live, missing = await _window(site, [known[name] for name in present]) if present else ({}, {})
     times = [reading.time for reading in shown if reading.time is not None]
     config, past = site.target.config, SiteRecording(path, (), {})
     if times and readings is not None:
@@ -101,20 +101,27 @@ async def against(
             near = range(min(first, held), last) if first < last else range(0)
             # NaN, a gap in the recording, does not equal itself.
             values = [column[at] for at in near if column[at] == column[at]] if column is not None else []
-        points.append(compare(known[reading.tag], reading, values, now, slack))
+        why = missing.get(reading.tag, "") if reading.time is None else ""
+        points.append(compare(known[reading.tag], reading, values, now, slack, missing=why))
     return outcome(tags, points, before, complete=complete)
 
 
-async def _window(site: Site, tags: Sequence[Tag]) -> dict[str, list[Value]]:
-    """Two good looks at each tag, a moment apart: a value that moves passes through what the HMI showed."""
+async def _window(site: Site, tags: Sequence[Tag]) -> tuple[dict[str, list[Value]], dict[str, str]]:
+    """Two good looks at each tag, a moment apart: a value that moves passes through what the HMI showed.
+
+    With them the reason of the last look that was not good, by tag.
+    """
     values: dict[str, list[Value]] = {tag.name: [] for tag in tags}
+    reasons: dict[str, str] = {}
     for look in range(2):
         if look:
             await asyncio.sleep(LOOK_S)
         for raw in await read_raw(site, tags):
             if raw.sample.quality.is_good and raw.sample.value is not None:
                 values[raw.tag.name].append(raw.sample.value)
-    return values
+            else:
+                reasons[raw.tag.name] = raw.sample.reason
+    return values, reasons
 
 
 # ---------------------------------------------------------------- by questions
@@ -137,9 +144,10 @@ async def by_questions(
                 return outcome(tags, points, before, complete=complete)
             if not answer:
                 continue
-            values = (await _window(site, [tag]))[tag.name]
+            values, reasons = await _window(site, [tag])
             try:
-                point = compare(tag, HmiReading(tag.name, answer), values, time.time(), slack)
+                reading, why = HmiReading(tag.name, answer), reasons.get(tag.name, "")
+                point = compare(tag, reading, values[tag.name], time.time(), slack, missing=why)
             except ListError as error:
                 tell(f"  {error}")
                 continue
@@ -204,6 +212,8 @@ def verify(
     anew: bool,
 ) -> None:
     """Compare with the HMI until each number was right at two distinct values, each flag in both states.
+
+    A third value is asked for where a register may be a neighbour's: it held the same word at both.
 
     With --against the readings come from a list: one row a reading, or one column a tag. Without it each tag is asked
     for, round by round. What was proved before counts as long as the tag lies where it lay (see --anew).

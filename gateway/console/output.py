@@ -39,7 +39,7 @@ def _cell(value: object) -> str:
         return f"{value:.4g}" if isfinite(value) else "–"
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_cell(inner)}" for key, inner in value.items())
-    return {True: "yes", False: ""}[value] if isinstance(value, bool) else str(value)
+    return ("yes" if value else "no") if isinstance(value, bool) else str(value)
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:

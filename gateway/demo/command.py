@@ -14,14 +14,16 @@ from rich.console import Console
 from gateway.console import config_dir, emit, finite, map_option, progress, seed_option, shipped, table
 from gateway.demo.child import DemoError
 from gateway.demo.folder import clear, held
+from gateway.demo.heat import alarm_rows, headline
+from gateway.demo.lead_time import AHEAD_S
 from gateway.demo.links import DEFAULT_LINK, LINKS
 from gateway.demo.play import play
-from gateway.demo.prepare import DemoRun, limit_for, pace, split, suits, write_device
-from gateway.demo.summary import draw_result, findings, result
+from gateway.demo.prepare import MOST_SPEED, PLANT_LIMIT, DemoRun, limit_for, pace, split, suits, write_device
+from gateway.demo.summary import findings, result
 from gateway.entry import Exit, fail, sentences
 from gateway.lab.learn import learn_from, write
 from gateway.lab.traces.load import load
-from sim.plant import history_and_day
+from sim.plant import heat_day_uncontrolled, heat_history
 from sim.sha import encode
 from sim.traces import load_map, write_trace
 
@@ -67,9 +69,11 @@ def demo(
 ) -> None:
     """Run the main job end to end: PLC over Modbus or another link, events, prediction, registers written back.
 
-    A software PLC replays a trace and the gateway reads it over a real link, as two processes. The model is learned
-    before: from three synthetic days for 56 minutes of another one, or from the first 60 % of a trace of yours for
-    the rest. Half way the PLC refuses its connections for two seconds.
+    A software PLC and the gateway are two processes over a real link. The PLC runs a simulated decanter whose bearing
+    goes to 80 °C on its own: the forecast warns before, the PLC feeds less and the temperature turns; the same day
+    without the gateway is shown beside it. The model is learned before, from three other days. On the way the PLC
+    refuses its connections for two seconds. With --trace a trace of yours is replayed: the model is learned from its
+    first 60 %, and predicts the rest.
 
     With --discrepancy: a model is learned, then something in its (simulated) plant changes that it knows nothing of.
     Where they disagree is found, the missing effect named and added, and the error on new days shown before and after.
@@ -125,7 +129,7 @@ def perform(setting: DemoRun, console: Console, *, as_json: bool) -> dict[str, A
         console.print(note, style="yellow", markup=False, highlight=False)
     try:
         recording, historian = play(setting, console, quiet=as_json)
-        return result(setting, recording, historian, draw_result(setting, historian, setting.folder / "demo.png"))
+        return result(setting, recording, historian, setting.folder / "demo.png")
     except DemoError as error:
         fail(str(error), Exit.CHECK_FAILED)
 
@@ -142,14 +146,18 @@ def prepare(
             training, rest = split(traces)
         else:
             column_map = load_map(shipped("traces", map_name))
-            history, day = history_and_day(seed)
-            days = [replace(trace, events=encode(trace, column_map.alphabet)) for trace in (*history, day)]
-            training, rest = days[:-1], days[-1]
+            trip = PLANT_LIMIT if limit is None else limit
+            training = [replace(day, events=encode(day, column_map.alphabet)) for day in heat_history(seed, limit=trip)]
+            rest = heat_day_uncontrolled(seed, limit=trip)
         learned = learn_from(training, column_map, name="demo", seed=seed, report=report)
     clear(out)
     write(out / "model", learned)
     replayed, speed, period = pace(rest, seconds)
-    bound, note = limit_for(training, column_map.temperature, limit)
+    if not paths and replayed.times.size < rest.times.size:
+        least = np.ptp(rest.times) / MOST_SPEED
+        raise ValueError(f"--seconds {seconds:g}: the bearing needs {least:.0f} s to run hot; give {least:.0f} or more")
+    # The live plant's history reaches the limit and is tripped there: it is no reason for another one.
+    bound, note = limit_for(training if paths else [], column_map.temperature, limit)
     write_trace(replayed, out / "replay.csv")
     device, addresses = template, config_dir() / "devices" / LINKS[link].device if LINKS[link].device else None
     if not suits(template, replayed):
@@ -162,7 +170,10 @@ def prepare(
     cut = f" (of {rest.times.size}: --seconds ends it)" if replayed.times.size < rest.times.size else ""
     learned_from = f"learned from {len(training)} traces with {sum(trace.times.size for trace in training)} rows"
     origin = f"{caveat}{learned_from}, replaying {replayed.times.size} rows{cut} of {replayed.name}"
-    lasts = f"the replay takes {np.ptp(replayed.times) / speed:.0f} s over {link}"
+    if not paths:
+        minutes = np.ptp(replayed.times) / 60
+        origin = f"{caveat}{learned_from}; {minutes:.0f} min of another day run live, and the plant reacts to the PLC"
+    lasts = f"it takes {np.ptp(replayed.times) / speed:.0f} s over {link}"
     notes = tuple(filter(None, (f"{origin}; {lasts}", note)))
     return DemoRun(
         folder=out,
@@ -177,6 +188,8 @@ def prepare(
         notes=notes,
         link=link,
         addresses=addresses,
+        live=not paths,
+        seed=seed,
     )
 
 
@@ -196,6 +209,10 @@ def show(data: dict[str, Any]) -> None:
         ["wrong values held for good", f"{data['wrong_good']} of {data['judged']} judged by the PLC"],
     ]
     caveat = "SYNTHETIC data, " if data["synthetic"] else ""
+    if (heat := data["heat"]) is not None:
+        click.echo(headline(heat))
+        ahead = f"alarm: the limit within {AHEAD_S / 60:.0f} min"
+        table("of the same readings", (ahead, "lead time", "false alarms"), alarm_rows(heat))
     title = f"summary: {caveat}{data['trace']}, {data['rows']} rows, {data['speed']:.0f} times real time"
     table(title, ("what", "figure"), rows)
     for sentence in findings(data):

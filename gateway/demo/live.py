@@ -1,4 +1,4 @@
-"""The live table of the demonstration: the gateway's panel from its status file, and the PLC's own account beneath."""
+"""The live panel: rows of a running gateway from its status, rows of the software PLC from its account."""
 
 import json
 from collections.abc import Mapping
@@ -19,7 +19,23 @@ class DemoPhase(Enum):
     RUNNING = "running"
     OUTAGE = "OUTAGE: the PLC refuses its connections"
     RECOVERING = "recovering"
+    LOST = "NO GOOD READING"
     ENDED = "end of the trace"
+
+
+def phase_of(status: Mapping[str, Any], plc: Mapping[str, Any], before: DemoPhase) -> DemoPhase:
+    """Where it is by what the gateway itself says: an outage begins when it is noticed, and not before.
+
+    So a title never says something else than the rows under it. The PLC's faults and the phase `before` only tell an
+    outage that was ordered from a loss that nobody ordered.
+    """
+    if plc["ended"]:
+        return DemoPhase.ENDED
+    if status["link"]["alive"]:
+        return DemoPhase.RUNNING
+    if any(fault["in_force"] for fault in plc["faults"]):
+        return DemoPhase.OUTAGE
+    return DemoPhase.RECOVERING if before in (DemoPhase.OUTAGE, DemoPhase.RECOVERING) else DemoPhase.LOST
 
 
 def read_status(path: Path) -> dict[str, Any] | None:
@@ -31,19 +47,30 @@ def read_status(path: Path) -> dict[str, Any] | None:
     return status
 
 
-def live_table(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str, phase: DemoPhase) -> RenderableType:
-    """Measured, predicted with band, location, events, alarms, and what the PLC has received; 80 columns suffice."""
-    place = f"{number(plc.get('position'), 0)} of {number(plc.get('duration'), 0)} s"
-    # What an operator sees on the PLC's side.
+def plc_rows(plc: Mapping[str, Any]) -> dict[str, Text]:
+    """What an operator sees on the software PLC's side: its account, whether it uses the prediction and why not."""
     block = plc.get("block") or {}
     held = f"{number(block.get('temperature_now'))} °C, block {number(block.get('sequence'), 0)}, usable"
+    refusal = Text(f"not usable, own logic in force: {plc.get('unusable') or 'no block yet'}", style="red")
     rows = {
-        "replay": Text(f"{place}, {number(plc.get('speed'), 0)} times real time"),
-        **status_rows(status_of(status)),
         "PLC's account": Text(f"{plc.get('accepted', 0)} blocks accepted, {plc.get('refused', 0)} refused"),
-        "PLC shows": Text(held)
-        if plc.get("usable")
-        else Text("prediction not usable, own logic in force", style="red"),
+        "PLC shows": Text(held) if plc.get("usable") else refusal,
     }
-    style = "bold red" if phase is DemoPhase.OUTAGE else "bold"
+    if plant := plc.get("plant"):
+        feed = f"{100 * plant['feed']:.0f} % of the feed"
+        if plant["tripped"]:
+            rows["PLC acts"] = Text("the drum has TRIPPED", style="bold red")
+        else:
+            reduced = plant["feed"] < 1
+            words = f"{feed}: the limit is predicted" if reduced else feed
+            rows["PLC acts"] = Text(words, style="bold yellow" if reduced else "")
+    return rows
+
+
+def demo_table(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str, phase: DemoPhase) -> RenderableType:
+    """The panel of a demonstration: where the replay is, the gateway's rows, the PLC's."""
+    place = f"{number(plc.get('position'), 0)} of {number(plc.get('duration'), 0)} s"
+    replay = Text(f"{place}, {number(plc.get('speed'), 0)} times real time")
+    rows = {"replay": replay, **status_rows(status_of(status)), **plc_rows(plc)}
+    style = "bold red" if phase in (DemoPhase.OUTAGE, DemoPhase.LOST) else "bold"
     return framed(Text(f"decanter demo, {temperature}: {phase.value}", style=style), rows)

@@ -11,12 +11,10 @@ from rich.live import Live
 
 from gateway.demo.child import DemoError, last_words
 from gateway.demo.links import LINKS
-from gateway.demo.live import DemoPhase, live_table, read_status
+from gateway.demo.live import DemoPhase, demo_table, phase_of, read_status
 from gateway.demo.prepare import DemoRun, write_plant
 from gateway.demo.processes import READY_S, PlcProcess, gateway, software_plc
 
-OUTAGE_AT = 0.45
-"""Where in the replay the PLC refuses its connections, as a share of its duration."""
 OUTAGE_S = 2.0
 REFRESH_S = 0.25
 
@@ -41,7 +39,7 @@ def play(setting: DemoRun, console: Console, *, quiet: bool) -> tuple[Path, Path
                 raise DemoError(f"the gateway did not get a good reading: {last_words(folder / 'gateway.out')}")
             time.sleep(0.02)
         plc.command("start")
-        plc.command("fault", fault={"kind": "refuse", "start": OUTAGE_AT * setting.seconds, "duration": OUTAGE_S})
+        plc.command("fault", fault={"kind": "refuse", "start": setting.outage_at, "duration": OUTAGE_S})
         states = _states(setting, plc, process, status)
         if console.is_terminal and not quiet:
             with Live(console=console, refresh_per_second=8) as screen:
@@ -63,7 +61,7 @@ def _states(
     setting: DemoRun, plc: PlcProcess, process: subprocess.Popen[bytes], status: Path
 ) -> Iterator[tuple[DemoPhase, RenderableType]]:
     """(phase, table) four times a second, the last at the end of the trace. Raises DemoError."""
-    ended = False
+    ended, phase = False, DemoPhase.RUNNING
     while not ended:
         if process.poll() is not None:
             words = last_words(setting.folder / "gateway.out")
@@ -71,12 +69,6 @@ def _states(
         account, seen = plc.command("status"), read_status(status)
         ended = bool(account["ended"])
         if seen is not None and seen["prediction"]:
-            # A fault outranks what the gateway says, which learns of it a scan later.
-            if ended:
-                phase = DemoPhase.ENDED
-            elif any(fault["in_force"] for fault in account["faults"]):
-                phase = DemoPhase.OUTAGE
-            else:
-                phase = DemoPhase.RUNNING if seen["link"]["alive"] else DemoPhase.RECOVERING
-            yield phase, live_table(seen, account, setting.model.temperature, phase)
+            phase = phase_of(seen, account, phase)
+            yield phase, demo_table(seen, account, setting.model.temperature, phase)
         time.sleep(0.0 if ended else REFRESH_S)

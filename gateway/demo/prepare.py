@@ -27,6 +27,12 @@ FIRST_REGISTER = 1000
 """Where the signals of a foreign trace begin: above the service registers and the block of the decanter's map."""
 PLANT_LIMIT = 80.0
 """degC: the alarm limit of the plant's bearings."""
+P_LIMIT = 0.5
+"""The chance of reaching the limit that is worth an alarm."""
+LEAST_FORECAST_S = 0.3
+"""Real seconds between two forecasts at least: one must be made, and used, on a machine that has other work too."""
+OUTAGE_AT, HEAT_OUTAGE_AT = 0.45, 0.2
+"""Where the PLC refuses its connections, as a share of the duration: of a replay, and of the live plant's day."""
 
 Report = Callable[[str, float], None]
 
@@ -37,6 +43,9 @@ class DemoRun:
 
     `device` is the register map; `addresses` is the link's own device file where that is another one. `limit` (degC) is
     the alarm limit, `speed` plant seconds per real second, `period` the scan's in plant seconds.
+
+    With a live plant (`live`, of the draws `seed`) nothing is replayed: `trace` is what the plant does on its own, with
+    nobody who acts on the prediction, and `replay` holds that.
     """
 
     folder: Path
@@ -51,11 +60,23 @@ class DemoRun:
     notes: tuple[str, ...]
     link: str = "modbus"
     addresses: Path | None = None
+    live: bool = False
+    seed: int = 0
 
     @property
     def seconds(self) -> float:
         """Real seconds that the replay takes."""
         return float(self.trace.times[-1] - self.trace.times[0]) / self.speed
+
+    @property
+    def forecast_period(self) -> float:
+        """Plant seconds between two forecasts."""
+        return max(10.0, 5 * self.period, LEAST_FORECAST_S * self.speed)
+
+    @property
+    def outage_at(self) -> float:
+        """Real seconds from the start to the outage."""
+        return (HEAT_OUTAGE_AT if self.live else OUTAGE_AT) * self.seconds
 
 
 def split(traces: Sequence[Trace], share: float = LEARN_SHARE) -> tuple[list[Trace], Trace]:
@@ -195,6 +216,7 @@ minutes = 480
 
 [alarms]
 limit = {setting.limit:g}
+p_limit = {P_LIMIT:g}
 
 [historian]
 path = "historian.sqlite"
@@ -204,7 +226,7 @@ path = "gateway.log.jsonl"
 
 [forecast]
 horizons = [60, 300, 900]
-period = {max(10.0, 5 * setting.period):g}
+period = {setting.forecast_period:g}
 """,
         encoding="utf-8",
     )

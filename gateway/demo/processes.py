@@ -57,18 +57,23 @@ class PlcProcess:
 
 @contextmanager
 def software_plc(setting: DemoRun, recording: Path) -> Iterator[PlcProcess]:
-    """Start the PLC with its replay held; terminated on leaving. Raises DemoError when it does not come up."""
+    """Start the PLC with its replay, or its live plant, held; terminated on leaving.
+
+    Raises DemoError when it does not come up.
+    """
     epoch = float(setting.trace.times[0])
     arguments: list[object] = [
         "--device",
         setting.device,
-        "--trace",
-        setting.replay,
         "--record",
         recording,
         "--stdin",
         "--hold",
     ]
+    if setting.live:
+        arguments += ["--plant", "heat", "--seed", setting.seed, "--trip", setting.limit]
+    else:
+        arguments += ["--trace", setting.replay]
     arguments += ["--speed", repr(setting.speed), "--epoch", repr(epoch)]
     arguments += LINKS[setting.link].arguments(setting.folder)
     log = setting.folder / "plc.log"

@@ -12,6 +12,8 @@ import numpy as np
 
 from drivers.tag import Quality
 from gateway.demo.child import DemoError
+from gateway.demo.heat import heat_result
+from gateway.demo.heat_picture import draw_heat
 from gateway.demo.prepare import DemoRun
 from gateway.machine.reading import STALE_PERIODS
 from gateway.settings import load_device
@@ -95,7 +97,7 @@ def _first(times: Array, after: float) -> float:
 
 
 def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) -> dict[str, Any]:
-    """The demonstration's figures as one object; errors in degC."""
+    """The demonstration's figures as one object, and its picture in the file `picture`; errors in degC."""
     card = scorecard(historian)
     # By horizon in seconds. Persistence's CRPS is its `persistence_mae` (a single value's CRPS is its absolute error);
     # `crps` is the model's, from five quantiles, which comes out 3 % too low for a Gaussian and so favours the model by
@@ -111,7 +113,13 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
         for forecast in card.forecasts
     }
     account, seen = judge(setting, recording, historian), history(historian)
+    heat = heat_result(setting, setting.trace, historian, account["events"]) if setting.live else None
+    if heat is None:
+        draw_result(setting, historian, picture)
+    else:
+        draw_heat(setting, heat, historian, account["events"], picture)
     return {
+        "heat": heat,
         "synthetic": setting.trace.synthetic,
         "trace": setting.trace.name,
         "model": setting.model.sha.name,
@@ -191,7 +199,7 @@ def draw_result(setting: DemoRun, historian: Path, path: Path) -> Path:
         ahead=None
         if ahead is None
         else Curve(
-            "forecast 5 min before, 90 % band",
+            "forecast issued 5 minutes before, 90 % band",
             ahead.times + AHEAD_S,
             ahead.quantiles[:, ahead.levels.index(0.5)],
             ahead.quantiles[:, ahead.levels.index(0.05)],

@@ -7,8 +7,8 @@ bearings; no constant was fitted to a real machine.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import cos, exp, pi, sqrt
+from dataclasses import dataclass, replace
+from math import cos, exp, inf, pi, sqrt
 
 import numpy as np
 
@@ -168,9 +168,16 @@ def _reading(value: float, noise: float, step: float, rng: np.random.Generator) 
 
 
 def _row(
-    plant: DecanterPlant, state: _PlantState, *, phase: Phase, hall: float, slurry: float, rng: np.random.Generator
+    plant: DecanterPlant,
+    state: _PlantState,
+    *,
+    phase: Phase,
+    share: float,
+    hall: float,
+    slurry: float,
+    rng: np.random.Generator,
 ) -> list[float]:
-    """One row of readings in the order of SIGNALS."""
+    """One row of readings in the order of SIGNALS; `share` of the feed that the phase asks for is given."""
     feeding = phase.pump and phase.running
     current = min(350.0, max(0.0, _reading(state.current, 0.6 if state.current > 1 else 0.0, 0.1, rng)))
     torque = max(0.0, _reading(0.28 * max(state.current - 45.0, 0.0) * state.speed, 0.15, 0.1, rng))
@@ -192,32 +199,77 @@ def _row(
         gearbox,
         feed,
         _reading(slurry, 0.05, 0.1, rng),
-        _reading(70.0 if feeding else 0.0, 0.3 if feeding else 0.0, 0.1, rng),
+        _reading(70.0 * share if feeding else 0.0, 0.3 if feeding else 0.0, 0.1, rng),
         _reading(hall, 0.05, 0.1, rng),
     ]
 
 
-def _run(
-    plant: DecanterPlant,
-    weather: Weather,
-    *,
-    state: _PlantState,
-    phases: Sequence[Phase],
-    times: Array,
-    start: float,
-    step: float,
-    rng: np.random.Generator,
-) -> Array:
-    """(n, signals) the readings at `times` (s from the start); `state` is moved on."""
-    ends = np.cumsum([phase.seconds for phase in phases]).tolist()
-    rows, now, current = np.empty((times.size, len(SIGNALS))), 0.0, 0
-    for index, target in enumerate(times.tolist()):
+class LiveDecanter:
+    """The machine moved on row by row, so that whoever controls it can act between two rows.
+
+    `times` (n,) are the rows' in s since `start` (s UTC), `bearing` the bearings' temperature (degC) at 0. Where the
+    gearbox bearing's sensor reaches `trip_at` (degC), the drum stops for `trip_rest` seconds; `trips` are the times
+    (s since `start`) at which it did. All that is drawn is drawn step by step whatever is asked of the machine, so that
+    of two runs with the same draws one stays the other until they are controlled differently.
+    """
+
+    signals = SIGNALS
+
+    def __init__(
+        self,
+        phases: Sequence[Phase],
+        *,
+        times: Array,
+        start: float,
+        bearing: float,
+        weather: Weather,
+        plant: DecanterPlant,
+        rng: np.random.Generator,
+        step: float = 0.5,
+        trip_at: float = inf,
+        trip_rest: float = inf,
+    ) -> None:
+        self.times, self.start, self.trip_at, self.trip_rest = times, start, trip_at, trip_rest
+        self.trips: list[float] = []
+        self._phases, self._weather, self._plant, self._rng, self._step = phases, weather, plant, rng, step
+        self._ends = np.cumsum([phase.seconds for phase in phases]).tolist()
+        self._now, self._phase, self._rows = 0.0, 0, 0
+        hall = weather.ambient(start % 86400)
+        self._state = _PlantState(
+            gearbox=bearing,
+            feed=bearing - 0.3,
+            oil=bearing,
+            housing=0.6 * bearing + 0.4 * hall,
+            gearbox_sensor=bearing,
+            feed_sensor=bearing - 0.3,
+        )
+
+    def after(self, begin: float) -> "LiveDecanter":
+        """The machine moved on to `begin` (s since `start`) with a full feed; the rows before are left out."""
+        while self.times[self._rows] < begin:
+            self.row()
+        self.times, self._rows = self.times[self._rows :], 0
+        return self
+
+    def row(self, feed: float = 1.0) -> list[float]:
+        """The next row's readings in the order of `signals`, with the feed at this share (0..1) since the one before.
+
+        Raises IndexError after the last row.
+        """
+        target = float(self.times[self._rows])
+        plant, weather, state, rng = self._plant, self._weather, self._state, self._rng
         while True:
-            while current < len(ends) - 1 and now >= ends[current]:
-                current += 1
-            phase, hall = phases[current], weather.ambient((start + now) % 86400)
+            while self._phase < len(self._ends) - 1 and self._now >= self._ends[self._phase]:
+                self._phase += 1
+            phase = self._phases[self._phase]
+            if self.trips and self._now < self.trips[-1] + self.trip_rest:
+                phase = replace(phase, running=False, load=0.0, pump=False)
+            elif feed != 1.0:
+                load = plant.idle_current + feed * (phase.load - plant.idle_current)
+                phase = replace(phase, load=load if phase.load else 0.0)
+            hall = weather.ambient((self.start + self._now) % 86400)
             slurry = weather.slurry + 0.1 * (hall - weather.mean)
-            dt = min(step, target - now)
+            dt = min(self._step, target - self._now)
             if dt <= 0:
                 break
             _mechanical_step(plant, state, phase, dt, rng)
@@ -226,9 +278,11 @@ def _run(
             keep = exp(-dt / plant.sensor_lag)
             state.gearbox_sensor = state.gearbox + (state.gearbox_sensor - state.gearbox) * keep
             state.feed_sensor = state.feed + (state.feed_sensor - state.feed) * keep
-            now += dt
-        rows[index] = _row(plant, state, phase=phase, hall=hall, slurry=slurry, rng=rng)
-    return rows
+            self._now += dt
+            if phase.running and state.gearbox_sensor >= self.trip_at:
+                self.trips.append(self._now)
+        self._rows += 1
+        return _row(plant, state, phase=phase, share=feed, hall=hall, slurry=slurry, rng=rng)
 
 
 def simulate_decanter(
@@ -259,17 +313,17 @@ def simulate_decanter(
     steps = period * np.exp(jitter * rng.normal(size=int(duration / period * 1.5) + 10) - jitter**2 / 2)
     times = np.round(np.concatenate([[0.0], np.cumsum(steps)]), 3)
     times = times[times <= duration]
-    hall = weather.ambient(start % 86400)
-    warm = hall if bearing is None else bearing
-    state = _PlantState(
-        gearbox=warm,
-        feed=warm - 0.3,
-        oil=warm,
-        housing=0.6 * warm + 0.4 * hall,
-        gearbox_sensor=warm,
-        feed_sensor=warm - 0.3,
+    decanter = LiveDecanter(
+        phases,
+        times=times,
+        start=start,
+        bearing=weather.ambient(start % 86400) if bearing is None else bearing,
+        weather=weather,
+        plant=plant,
+        rng=rng,
+        step=step,
     )
-    rows = _run(plant, weather, state=state, phases=phases, times=times, start=start, step=step, rng=rng)
+    rows = np.array([decanter.row() for _ in times])
     return Trace(
         name=name,
         times=start + times,

@@ -18,6 +18,7 @@ from sim.plc.control import listen_on_loopback, listen_to_stdin, say
 from sim.plc.faces import Face, face_options, make_faces, with_faces
 from sim.plc.modbus import ModbusServer
 from sim.plc.program import (
+    LIVE_PLANTS,
     EmulatorClock,
     InputError,
     OrderedFault,
@@ -25,6 +26,7 @@ from sim.plc.program import (
     Plc,
     PlcSettings,
     TraceReplay,
+    live_plant,
     parse_address,
     parse_fault,
     read_map,
@@ -46,6 +48,9 @@ class EmulatorOptions:
 
     map_path: Path
     trace: Path | None
+    plant: str | None
+    trip: float
+    reduced_feed: float
     host: str
     port: int
     speed: float
@@ -92,6 +97,11 @@ def _renamed(_: click.Context, __: click.Parameter, given: str | None) -> None:
 @click.option("--device", "map_path", type=click.Path(path_type=Path), required=True, help="Register map (TOML).")
 @click.option("--map", hidden=True, expose_value=False, callback=_renamed)
 @click.option("--trace", type=click.Path(path_type=Path), help="Trace to replay (wide CSV, first column time).")
+@click.option("--plant", type=click.Choice(tuple(LIVE_PLANTS)), help="A live plant instead: it reacts to what is fed.")
+@click.option("--trip", type=float, default=80.0, help="Where the drum of --plant trips (degC).")
+@click.option(
+    "--reduced-feed", type=click.FloatRange(0, 1), default=0.5, help="Share of the feed once the limit is predicted."
+)
 @click.option("--host", default="127.0.0.1", help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="TCP port; 0 takes a free one.")
 @click.option("--speed", type=float, default=1.0, help="Plant seconds per second.")
@@ -140,10 +150,18 @@ def run(options: EmulatorOptions) -> int:
     epoch = time.time() if options.epoch is None else options.epoch
     clock = EmulatorClock(epoch, origin, options.speed)
     registers = read_map(options.map_path)
+    table = plant = None
+    if options.plant is not None:
+        if options.trace is not None or options.loop:
+            raise InputError("--plant: a live plant has no trace and no loop; leave --trace and --loop out")
+        plant = live_plant(options.plant, options.seed, options.trip)
+        table = plant.table
+    elif options.trace is not None:
+        table = read_trace(options.trace)
     replay = None
-    if options.trace is not None:
+    if table is not None:
         now = clock.monotonic()
-        replay = TraceReplay(read_trace(options.trace), now, rate=options.speed, held=True, loop=options.loop)
+        replay = TraceReplay(table, now, rate=options.speed, held=True, loop=options.loop)
         replay = replay.sought(now, options.offset)
     faults = read_faults(options.faults) if options.faults else ()
     settings = PlcSettings(
@@ -154,9 +172,19 @@ def run(options: EmulatorOptions) -> int:
         seed=options.seed,
         # In quarters of a second: a run that begins later begins with a challenge that no earlier one has reached.
         challenge=options.challenge or int(4 * time.time()) % 0xFFFF + 1,
+        reduced_feed=options.reduced_feed,
     )
     recorder = PlcRecorder(options.record, complain) if options.record else None
-    plc = Plc(registers, clock, replay, settings, faults=faults, record=recorder or record_nothing, complain=complain)
+    plc = Plc(
+        registers,
+        clock,
+        replay,
+        settings,
+        plant=plant,
+        faults=faults,
+        record=recorder or record_nothing,
+        complain=complain,
+    )
     try:
         return asyncio.run(_live(plc, options, recorder))
     finally:

@@ -15,7 +15,17 @@ from collections.abc import Callable, Mapping
 
 from drivers import json_lines
 from drivers.json_lines import NoObject
-from sim.plc.program import InputError, Plc, TraceReplay, checked_arguments, listed, parse_fault, signature_of
+from sim.plc.program import (
+    InputError,
+    Plc,
+    TraceReplay,
+    checked_arguments,
+    listed,
+    parse_fault,
+    plant_status,
+    signature_of,
+    unusable,
+)
 
 Outcome = dict[str, object]
 _LONGEST = 65536
@@ -53,7 +63,9 @@ def _resume(plc: Plc, now: float) -> Outcome:
 
 
 def _seek(plc: Plc, now: float, *, position: float) -> Outcome:
-    """Go to a position, in seconds from the trace's first row."""
+    """Go to a position, in seconds from the trace's first row; a live plant goes nowhere but on."""
+    if plc.plant is not None:
+        raise InputError("a live plant only goes on; start another one, or replay a trace")
     plc.replay = _replay(plc).sought(now, position)
     plc.ended = False
     return _where(plc, now)
@@ -69,6 +81,8 @@ def _speed(plc: Plc, now: float, *, speed: float) -> Outcome:
 
 def _loop(plc: Plc, now: float, *, on: bool) -> Outcome:
     """Begin again at the end of the trace, or stay there."""
+    if on and plc.plant is not None:
+        raise InputError("a live plant does not begin again; start another one, or replay a trace")
     plc.replay = _replay(plc).changed(now, loop=on)
     plc.ended = False
     return _where(plc, now)
@@ -111,14 +125,27 @@ def _release(plc: Plc, now: float, *, tag: str | None = None) -> Outcome:
     return {"tags": plc.release(tag, now)}
 
 
+def _feed(plc: Plc, now: float, *, share: float) -> Outcome:
+    """Give a live plant this share (0 to 1) of its feed, as an operator would; a reduced one stays until then."""
+    if plc.plant is None:
+        raise InputError("there is no live plant; start with --plant NAME")
+    if not 0 <= share <= 1:
+        raise InputError(f"key 'share': {share:g} is no share; give 0 to 1")
+    plc.plant.feed = share
+    return {"feed": share}
+
+
 def _status(plc: Plc, now: float) -> Outcome:
     """Where the replay is, what the PLC makes of the gateway, which faults are ordered."""
     intake = plc.intake
     blocks = {"accepted": intake.accepted, "refused": intake.refused, "last_refusal": intake.last_refusal}
     session = intake.session
     writers = {"session": session.writer if session else 0, "refused": intake.refused_writer}
+    layout = plc.registers.block
+    why = "" if layout is None else unusable(layout, intake, now, plc.permit)
     verdict = {
         "usable": plc.usable,
+        "unusable": "" if plc.usable else why,
         "permit": plc.permit,
         "acknowledged": plc.acknowledged,
         "block": dict(intake.block),
@@ -130,7 +157,13 @@ def _status(plc: Plc, now: float) -> Outcome:
         for entry in plc.schedule.entries
     ]
     program = {"running": plc.running, "heartbeat": plc.heartbeat, "version": plc.image.version}
-    own = {**program, "connections": plc.connections, "forced": dict(plc.forced), "faults": faults}
+    own = {
+        **program,
+        "connections": plc.connections,
+        "forced": dict(plc.forced),
+        "faults": faults,
+        "plant": plant_status(plc.plant),
+    }
     return {**(_where(plc, now) if plc.replay else {"plant_time": plc.clock.at(now)}), **own, **blocks, **verdict}
 
 
@@ -158,6 +191,7 @@ COMMANDS: dict[str, Callable[..., Outcome]] = {
     "acknowledge": _acknowledge,
     "force": _force,
     "release": _release,
+    "feed": _feed,
     "status": _status,
     "values": _values,
     "stop": _stop,

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from gateway.demo.child import last_words, stop
 from gateway.demo.folder import MARKER, WRITTEN, clear, held
-from gateway.demo.live import DemoPhase, live_table
+from gateway.demo.live import DemoPhase, demo_table
 from gateway.demo.prepare import limit_for, pace, split, suits, write_device
 from gateway.demo.summary import outage
 from gateway.settings.devices import load_device
@@ -189,10 +189,10 @@ PLC["block"] = {"temperature_now": 45.6, "sequence": 901}
 
 
 @pytest.mark.parametrize("width", [80, 140])
-def test_the_live_table_fits_its_terminal_and_shows_names_as_they_are(width: int) -> None:
+def test_the_demo_table_fits_its_terminal_and_shows_names_as_they_are(width: int) -> None:
     console = Console(width=width)
     with console.capture() as captured:
-        console.print(live_table(STATUS, PLC, "T [red]", DemoPhase.RUNNING))
+        console.print(demo_table(STATUS, PLC, "T [red]", DemoPhase.RUNNING))
     lines = captured.get().splitlines()
     assert max(map(len, lines)) <= width
     text = " ".join(" ".join(lines).split())
@@ -202,7 +202,7 @@ def test_the_live_table_fits_its_terminal_and_shows_names_as_they_are(width: int
     assert len(lines) <= 18
 
 
-def test_the_live_table_shows_a_gateway_that_knows_nothing_yet() -> None:
+def test_the_demo_table_shows_a_gateway_that_knows_nothing_yet() -> None:
     status = STATUS | {
         "values": {},
         "prediction": None,
@@ -213,5 +213,5 @@ def test_the_live_table_shows_a_gateway_that_knows_nothing_yet() -> None:
     }
     console = Console(width=80)
     with console.capture() as captured:
-        console.print(live_table(status, {}, "T", DemoPhase.OUTAGE))
+        console.print(demo_table(status, {}, "T", DemoPhase.OUTAGE))
     assert "nan" not in captured.get() and "None" not in captured.get()

@@ -165,11 +165,11 @@ def test_a_reading_that_does_not_agree_fails_the_check_and_proves_nothing(
 def test_readings_with_times_are_compared_with_what_was_recorded(tmp_path: Path) -> None:
     recording = tmp_path / "rec.csv"
     recording.write_text(
-        "time,TCuscinettiRiduttore\n1700000000,40.0\n1700000010,50.0\n1700000020,60.0\n", encoding="utf-8"
+        "time,TCuscinettiRiduttore\n1700000000,40.1\n1700000010,50.0\n1700000020,60.3\n", encoding="utf-8"
     )
     shown = tmp_path / "hmi.csv"
     shown.write_text(
-        "Tag,Value,Time\nTCuscinettiRiduttore,40.0,1700000030.5\nTCuscinettiRiduttore,60.0,1700000050\n",
+        "Tag,Value,Time\nTCuscinettiRiduttore,40.1,1700000030.5\nTCuscinettiRiduttore,60.3,1700000050\n",
         encoding="utf-8",
     )
     where = ("--readings", recording, "--device", DECANTER, "--host", "10.0.0.1", "--only", "TCuscinettiRiduttore")
@@ -184,16 +184,16 @@ def test_questions_are_asked_until_everything_is_proved(
     from gateway.commission import verify as module
 
     process = device[0]
-    process.order("force", tag="TCuscinettiRiduttore", value=40.0)
+    process.order("force", tag="TCuscinettiRiduttore", value=40.1)
     asked: list[str] = []
 
     def person(question: str) -> str:
         asked.append(question)
         if "another state" in question:
-            process.order("force", tag="TCuscinettiRiduttore", value=55.5)
-            wait_until(lambda: process.order("values")["values"]["TCuscinettiRiduttore"] == 55.5)
+            process.order("force", tag="TCuscinettiRiduttore", value=55.3)
+            wait_until(lambda: process.order("values")["values"]["TCuscinettiRiduttore"] == pytest.approx(55.3))
             return ""
-        return "40,0" if len(asked) == 1 else "55,5"
+        return "40,1" if len(asked) == 1 else "55,3"
 
     monkeypatch.setattr(module, "_ask", person)
     data = answer(tmp_path, "verify", "--only", "TCuscinettiRiduttore", *links(device)["modbus"])

@@ -36,7 +36,11 @@ def wire(payload: bytes, order: Order) -> list[int]:
 def number_of(dtype: DType) -> st.SearchStrategy[int | float]:
     size = struct.calcsize(STRUCT[dtype])
     if dtype in (DType.FLOAT32, DType.FLOAT64):
-        return st.floats(width=8 * size, allow_nan=False, allow_infinity=False)
+        # Rarer magnitudes are believed by the order of their bytes too: tests/cases/wrong_word_order_was_good.
+        least = struct.unpack(">f", struct.pack(">f", 1e-6 * (1 + 2**-23)))[0]
+        most = struct.unpack(">f", struct.pack(">f", 1e12 * (1 - 2**-23)))[0]
+        usual = st.floats(least, most, width=8 * size)
+        return st.one_of(usual, usual.map(lambda number: -number), st.sampled_from([0.0, -0.0]))
     signed = STRUCT[dtype][1].islower()
     low = -(2 ** (8 * size - 1)) if signed else 0
     return st.integers(low, low + 2 ** (8 * size) - 1)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from drivers.codec import decode, encode, registers_needed
 from drivers.errors import EncodingError
-from drivers.tag import Quality
 from gateway.commission.encodings.scoring import EncodingCandidate, Observation
 
 WORTH = 0.01
@@ -149,4 +148,4 @@ def _differ(best: EncodingCandidate, rival: EncodingCandidate, last: Observation
 def _value(candidate: EncodingCandidate, words: Sequence[int], base: int) -> float | None:
     tag, first = candidate.tag(), candidate.address - base
     value, quality, _ = decode(tag, words[first : first + registers_needed(tag)])
-    return float(value) if quality is Quality.GOOD and isinstance(value, int | float) else None
+    return float(value) if not quality.is_bad and isinstance(value, int | float) else None

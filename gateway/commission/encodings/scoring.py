@@ -6,19 +6,22 @@ For an encoding e, words w and readings r the weight is, in logarithms,
 
 P0 is the chance of a register that has nothing to do with the value. The resolution (engineering units between
 neighbouring raw numbers) is the chance of just these words given the value: a coarse encoding that hits is believed
-sooner than one so fine that it hits somewhere anyway. Words that stand still from one reading to the next count once.
+sooner than one so fine that it hits somewhere anyway. A float that is a round decimal number was most likely rounded
+before it was stored, and has the resolution of that. Words that stand still from one reading to the next count once.
+
+An encoding that explains every reading by rounding or cutting is never below one that needs a value that moved; and as
+long as another one does too, none is believed by more than MOST_BELIEVED.
 """
 
 import math
-import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.codec import decode, registers_needed
+from drivers.codec import MEASURABLE, decode, registers_needed
 from drivers.tag import DType, Order, Quality, Tag
 from gateway.commission.encodings import priors
 from gateway.commission.encodings.reading import ShownNumber
@@ -35,7 +38,9 @@ KEPT, HOPELESS = 60, 25.0
 """Encodings that are given, and nats behind the best of their layout from which on they are not kept."""
 ELSEWHERE = 0.05
 """How often a value lies nowhere near the address that was given, so that what fits there fits by chance."""
-_SLACK, _FAR = 1e-9, 1e30
+MOST_BELIEVED = 0.9
+"""The greatest share of belief as long as another encoding is as exact, or an inexact one would be likelier but for
+that: neighbours are alike in ways not known here."""
 _LOG_MIX = math.log(65536.0)
 
 
@@ -50,7 +55,10 @@ class Observation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EncodingCandidate:
-    """One encoding, its `weight` (log), its share of belief among all (0..1), and its values at the observations."""
+    """One encoding, its `weight` (log), its share of belief among all (0..1), and its values at the observations.
+
+    `exact`: rounding or cutting digits off explains every reading; else the value must have moved meanwhile.
+    """
 
     address: int
     dtype: DType
@@ -59,6 +67,7 @@ class EncodingCandidate:
     offset: float
     weight: float
     share: float
+    exact: bool
     values: tuple[float, ...]
 
     def tag(self, table: str = "holding") -> Tag:
@@ -78,6 +87,18 @@ class _EncodingLayout:
     weight: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _WeighedEncoding:
+    """A layout with a scale and an offset, and what the readings say of it; see EncodingCandidate."""
+
+    layout: _EncodingLayout
+    scale: float
+    offset: float
+    weight: float
+    exact: bool
+    values: tuple[float, ...]
+
+
 def rank(observations: Sequence[Observation], address: int) -> list[EncodingCandidate]:
     """The encodings that explain all observations, best first, at most KEPT; [] where chance explains them better.
 
@@ -86,7 +107,7 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
     if not observations:
         raise ValueError("a guess needs at least one reading of the HMI")
     grids = {False: _grid(floats=False), True: _grid(floats=True)}
-    weighed: list[tuple[float, _EncodingLayout, float, float, tuple[float, ...]]] = []
+    weighed: list[_WeighedEncoding] = []
     # Every type and order at every shift that all observations have the words for.
     for (shift, near), (dtype, common) in product(priors.SHIFTS.items(), priors.TYPES.items()):
         width, at = registers_needed(Tag("", "", dtype)), address + shift
@@ -96,27 +117,38 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
         for order, usual in (priors.ONE_REGISTER if width == 1 else priors.MORE_REGISTERS).items():
             layout = _EncodingLayout(at, dtype, order, math.log(near * common * usual))
             weighed += _weighed(layout, observations, scales, offsets, weights)
-    # A stable sort: of equal weights the one that comes first in the tables of priors stays first.
-    weighed.sort(key=lambda row: row[0], reverse=True)
-    # That the value lies elsewhere has its share of the belief too; where that is the most likely, nothing is given.
+    # That the value lies elsewhere has its share of the belief too; what is less likely than that is not given.
     chance = math.log(ELSEWHERE) + sum(math.log(seen.shown.step) for seen in observations)
-    if not weighed or chance > weighed[0][0]:
+    weighed = [row for row in weighed if row.weight >= chance]
+    if not weighed:
         return []
+    # Exact ones first; every inexact one is believed less than any of them, by how much seldomer a value moves.
+    floor = min((row.weight for row in weighed if row.exact), default=math.inf) + math.log(MOVED / ROUNDED)
+    contested = any(row.weight > floor for row in weighed if not row.exact)
+    weighed = [row if row.exact else replace(row, weight=min(row.weight, floor)) for row in weighed]
+    # A stable sort: of equal weights the one that comes first in the tables of priors stays first.
+    weighed.sort(key=lambda row: (row.exact, row.weight), reverse=True)
     # Relative to the best (log-sum-exp): the weights are sums of many logarithms, and exp of them would be 0.
-    best = weighed[0][0]
-    total = sum(math.exp(row[0] - best) for row in weighed) + math.exp(chance - best)
+    best = weighed[0].weight
+    beliefs = [math.exp(row.weight - best) for row in weighed]
+    others = sum(beliefs[1:]) + math.exp(chance - best)
+    rivalled = len(weighed) > 1 and (contested or weighed[1].exact == weighed[0].exact)
+    if rivalled:
+        beliefs[0] = min(beliefs[0], others * MOST_BELIEVED / (1.0 - MOST_BELIEVED))
+    total = beliefs[0] + others
     return [
         EncodingCandidate(
-            address=layout.address,
-            dtype=layout.dtype,
-            order=layout.order,
-            scale=scale,
-            offset=offset,
-            weight=weight,
-            share=math.exp(weight - best) / total,
-            values=values,
+            address=row.layout.address,
+            dtype=row.layout.dtype,
+            order=row.layout.order,
+            scale=row.scale,
+            offset=row.offset,
+            weight=row.weight,
+            share=min(belief / total, MOST_BELIEVED) if rivalled else belief / total,
+            exact=row.exact,
+            values=row.values,
         )
-        for weight, layout, scale, offset, values in weighed[:KEPT]
+        for row, belief in zip(weighed[:KEPT], beliefs, strict=False)
     ]
 
 
@@ -136,7 +168,7 @@ def _grid(*, floats: bool) -> tuple[Vector, Vector, Vector]:
 
 def _weighed(
     layout: _EncodingLayout, observations: Sequence[Observation], scales: Vector, offsets: Vector, weights: Vector
-) -> list[tuple[float, _EncodingLayout, float, float, tuple[float, ...]]]:
+) -> list[_WeighedEncoding]:
     """The layout with every scale and offset that explains all observations."""
     raws = [_raw(layout, seen) for seen in observations]
     if any(raw is None for raw in raws):
@@ -145,6 +177,7 @@ def _weighed(
     chance, enough = priors.ROOMY.get(layout.dtype, (1.0, 0.0))
     roomy = math.log(chance) if all(abs(raw[0]) <= enough for raw in raws if raw is not None) else 0.0
     total = weights + layout.weight + roomy
+    exact = np.ones(total.shape, dtype=np.bool_)
     # Bayes' rule for all scales and offsets at once: log prior + the log likelihood ratio of each observation against
     # registers that have nothing to do with the value. The likelihood of the words is the density of the value over
     # one raw step; words that were read before are no new evidence.
@@ -152,9 +185,8 @@ def _weighed(
     for raw, seen in zip(raws, observations, strict=True):
         number, resolution = raw or (0.0, 1.0)
         words = _covered(layout, seen)
-        if abs(number) > _FAR:  # a float's garbage, whose products would overflow
-            return []
-        total = total + _log_shown(number * scales + offsets, seen.shown)
+        logs, explained = _log_shown(number * scales + offsets, seen.shown)
+        total, exact = total + logs, exact & explained
         if np.max(total) == -math.inf:  # so it stays, whatever is added
             return []
         if words not in before:
@@ -162,13 +194,16 @@ def _weighed(
             total = total + np.log(resolution * scales) - _log_background(words, former, layout.dtype)
         before.append(words)
     kept = np.flatnonzero(np.isfinite(total) & (total > np.max(total) - HOPELESS))
-    scales, offsets = scales[kept], offsets[kept]
-    values = [(raw[0] * scales + offsets).tolist() for raw in raws if raw is not None]
     return [
-        (weight, layout, scale, offset, each)
-        for weight, scale, offset, each in zip(
-            total[kept].tolist(), scales.tolist(), offsets.tolist(), zip(*values, strict=True), strict=True
+        _WeighedEncoding(
+            layout=layout,
+            scale=float(scales[at]),
+            offset=float(offsets[at]),
+            weight=float(total[at]),
+            exact=bool(exact[at]),
+            values=tuple(float(raw[0] * scales[at] + offsets[at]) for raw in raws if raw is not None),
         )
+        for at in kept
     ]
 
 
@@ -181,10 +216,16 @@ def _raw(layout: _EncodingLayout, seen: Observation) -> tuple[float, float] | No
     number = float(value)
     if layout.dtype not in priors.FLOATS:
         return number, 1.0
-    # One unit in the last place of the mantissa (IEEE 754); of a subnormal float32, that of the least normal one.
-    bits = 23 if layout.dtype is DType.FLOAT32 else 52
-    least = struct.unpack(">f", b"\0\x80\0\0")[0]
-    return number, float(2.0 ** (math.floor(math.log2(max(abs(number), least))) - bits))
+    # One unit in the last place of the mantissa (IEEE 754), which no measurable number has below that of 1e-30.
+    single = layout.dtype is DType.FLOAT32
+    last = 2.0 ** (math.floor(math.log2(max(abs(number), MEASURABLE[0]))) - (23 if single else 52))
+    resolution = (1.0 - sum(priors.GRAINS.values())) * last
+    # A number that is the nearest float to a multiple of a grain was most likely rounded to it.
+    for grain, share in priors.GRAINS.items():
+        multiple = round(round(number / grain) * grain, 2)
+        if number == (float(np.float32(multiple)) if single else multiple):
+            resolution += share * max(grain, last)
+    return number, resolution
 
 
 def _covered(layout: _EncodingLayout, seen: Observation) -> tuple[int, ...]:
@@ -192,23 +233,24 @@ def _covered(layout: _EncodingLayout, seen: Observation) -> tuple[int, ...]:
     return seen.words[first : first + registers_needed(Tag("", "", layout.dtype))]
 
 
-def _log_shown(values: Vector, shown: ShownNumber) -> Vector:
-    """log P(the HMI shows this | the value): rounded, cut off, or of a moment earlier; -inf far away."""
-    step, slack = shown.step, _SLACK * max(1.0, abs(shown.value))
-    error = values - shown.value
+def _log_shown(values: Vector, shown: ShownNumber) -> tuple[Vector, NDArray[np.bool_]]:
+    """log P(the HMI shows this | the value): rounded, cut off, or of a moment earlier; -inf far away.
+
+    With it, for each value, whether rounding or cutting alone explains the reading.
+    """
+    step, error = shown.step, values - shown.value
     # The value moved between the HMI's refresh and the read: a Cauchy density, whose tails forgive a wide move.
     width = step + DRIFT * abs(shown.value)
     away = np.maximum(np.abs(error) - 0.5 * step, 0.0) / width
     logs = np.full(values.shape, -math.inf)
     # Few of all values are near, and what is rounded or cut is.
     near = np.flatnonzero(away < FARTHEST)
-    error, away = error[near], away[near]
-    rounded = np.abs(error) <= 0.5 * step + slack
-    towards_zero = error * (1.0 if shown.value >= 0 else -1.0)
-    cut = (towards_zero >= -slack) & (towards_zero < step + slack)
+    away, rounded, cut = away[near], shown.rounded_from(values[near]), shown.cut_from(values[near])
     moved = MOVED * step / (math.pi * width * (1.0 + away**2))
     logs[near] = np.log(ROUNDED * rounded + CUT * cut + moved)
-    return logs
+    explained = np.zeros(values.shape, dtype=np.bool_)
+    explained[near] = rounded | cut
+    return logs, explained
 
 
 def _log_background(words: Sequence[int], former: Sequence[int] | None, dtype: DType) -> float:
@@ -229,10 +271,13 @@ def _log_background(words: Sequence[int], former: Sequence[int] | None, dtype: D
 
 
 def _stranger(word: int) -> float:
-    """Often 0, or 0xFFFF; else as likely any number as any order of magnitude."""
+    """Often 0, or 0xFFFF, or the high word of a float; else as likely any number as any order of magnitude."""
     if word == 0:
         return priors.ZERO
     if word == 0xFFFF:
         return priors.ALL_ONES
     size = min(word, 65536 - word)  # a small negative number is as likely as a small positive one
-    return (1.0 - priors.ZERO - priors.ALL_ONES) * (0.5 / 65536 + 0.25 / (size * (_LOG_MIX - math.log(2.0))))
+    any_number = 0.5 / 65536 + 0.25 / (size * (_LOG_MIX - math.log(2.0)))
+    low, high = priors.FLOAT_TOP
+    top = priors.FLOAT_TOPS / (2 * (high - low)) if low <= word & 0x7FFF < high else 0.0
+    return (1.0 - priors.ZERO - priors.ALL_ONES - priors.FLOAT_TOPS) * any_number + top

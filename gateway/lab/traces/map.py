@@ -30,8 +30,6 @@ def map_command(file: Path, out: Path | None, overwrite: bool, dates: str | None
 
     Finds the clock and its format, separator and decimals, numbers, switches and their words, units, temperature and
     current, and thresholds. Where two columns fit it asks; off a terminal the option decides that it names.
-
-    Example: decanter trace map export.csv -o export.toml
     """
     with sentences():
         if out is not None and out.exists() and not overwrite:

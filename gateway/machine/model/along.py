@@ -13,7 +13,7 @@ import numpy as np
 from drivers.tag import Quality, Sample
 from gateway.machine.model.ensemble import Ensemble
 from gateway.machine.model.outlook import Outlook
-from gateway.machine.model.predict import Predictor
+from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.reading import Scan
 from gateway.settings import EnsembleSection, ForecastSection
 from sim.artefacts import model_hash
@@ -64,12 +64,15 @@ def forecasts_along(
     ensemble: EnsembleSection | None = None,
     scan_period: float = 1.0,
     levels: tuple[float, ...] = DENSE,
+    limit: float = inf,
     progress: Callable[[float], None] | None = None,
+    seen: Callable[[ScanPrediction], None] | None = None,
 ) -> list[Forecast]:
     """Every forecast that the gateway would have made along `trace` with the first of `models`, the others its members.
 
-    The fans are at `levels`, which hold LEVELS. Raises ValueError for a trace without a signal that a model reads, and
-    what a model raises.
+    The fans are at `levels`, which hold LEVELS; `limit` (degC) is the one whose chance they tell, and `seen` is
+    given the prediction of each scan. Raises ValueError for a trace without a signal that a model reads, and what a
+    model raises.
     """
     first = models[0]
     predictor = Predictor(first, first.temperature)
@@ -88,13 +91,15 @@ def forecasts_along(
             forecasts=forecasts,
             scan_period=scan_period,
         )
-    outlook = Outlook(predictor, forecasts, inf, scan_period, members, levels=levels)
+    outlook = Outlook(predictor, forecasts, limit, scan_period, members, levels=levels)
     made: list[Forecast] = []
 
     async def follow() -> None:
         for scan in recorded_scans(trace, scan_period, first.alphabet):
             # The order of `ModelUnit`'s stages, without what the forecast has no part in.
             prediction = predictor.step(scan)
+            if seen is not None:
+                seen(prediction)
             outlook.settle(prediction.time, prediction.measured)
             if prediction.reset:
                 outlook.void()

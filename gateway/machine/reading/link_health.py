@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from structlog.typing import FilteringBoundLogger
 
+from drivers.tag import Quality
 from gateway.machine.reading.scan import Scan
 from gateway.repeated import without_measured
 
@@ -48,6 +49,7 @@ class LinkHealth:
     last_good: float | None = None
     outages: deque[Outage] = field(default_factory=lambda: deque(maxlen=OUTAGES))
     count: int = 0
+    garbled: set[str] = field(default_factory=set)
 
     def take(self, scan: Scan) -> None:
         """Take in whether the scan had a good reading; a change of that is logged."""
@@ -64,4 +66,13 @@ class LinkHealth:
         elif not good and without_measured(self.reason) != without_measured(before):
             # A device that connects and gives nothing has no outage to begin with: it is said at once, and by change.
             self.log.warning("no good reading", time=scan.time, reason=self.reason)
+        for name, sample in scan.samples.items():
+            # Said once, until the tag is good again: a wrong order stays so until somebody corrects it.
+            if sample.quality is Quality.DATA_ENCODING_INVALID and name not in self.garbled:
+                self.garbled.add(name)
+                self.log.warning(
+                    "a tag is not what it is configured as", tag=name, time=scan.time, reason=sample.reason
+                )
+            elif sample.quality.is_good:
+                self.garbled.discard(name)
         self.alive, self.last_good = good, scan.time if good else self.last_good

@@ -15,6 +15,8 @@ thus:
   The limits are drawn half a period early, so that the jitter of a scan cannot add a scan to them.
 - A change faster than the tag's `max_rate` since its last good reading (over one period at least) is
   SENSOR_NOT_ACCURATE; a lasting step is believed once the time that passed makes its rate believable.
+- Words in a wrong order make a believable number now and then: after one that was not (DATA_ENCODING_INVALID) a tag's
+  readings are UNCERTAIN until DEAD_PERIODS have passed without another.
 - A value that has not moved a bit for longer than the tag's `frozen_after` is SENSOR_NOT_ACCURATE.
 """
 
@@ -66,9 +68,13 @@ class TagHistory:
 
 @dataclass(frozen=True, slots=True)
 class DeviceAge:
-    """What is remembered of a device: each tag's history, the heartbeat's last value and when it was seen to change."""
+    """What is remembered of a device: each tag's history, the heartbeat's last value and when it was seen to change.
+
+    `garbled` are the last readings of which the driver said that their bytes are no measurement, by tag.
+    """
 
     tags: Mapping[str, TagHistory] = field(default_factory=dict)
+    garbled: Mapping[str, Sample] = field(default_factory=dict)
     beat: int | None = None
     beat_changed: float | None = None
 
@@ -86,10 +92,18 @@ def judge(
         moved = bool(age.beat) and count != age.beat and count != 0
         age = replace(age, beat=count, beat_changed=now if moved else None if count == 0 else age.beat_changed)
     image = _image(age, now, rules) if rules.heartbeat else None
-    histories = dict(age.tags)
+    histories, garbled = dict(age.tags), dict(age.garbled)
     judged: dict[str, Sample] = {}
     for tag in tags:
-        sample = _on_its_own(tag, by_name[tag.name], histories, now, rules.period)
+        sample = by_name[tag.name]
+        if sample.quality is Quality.DATA_ENCODING_INVALID:
+            garbled[tag.name] = sample
+        last = garbled.get(tag.name)
+        if last is not None and sample.quality.is_good and _periods(last, now, rules.period) <= DEAD_PERIODS:
+            reason = f"{now - last.time:.1f} s ago {last.reason}"
+            sample = replace(sample, quality=Quality.UNCERTAIN, reason=reason)
+        else:
+            sample = _on_its_own(tag, sample, histories, now, rules.period)
         # The heartbeat only ever takes away: it never makes a doubtful reading better, or a bad one less bad.
         if image is not None and not sample.quality.is_bad:
             quality, reason = image
@@ -98,7 +112,7 @@ def judge(
             elif sample.quality.is_good:
                 sample = replace(sample, quality=quality, reason=reason)
         judged[tag.name] = sample
-    return replace(age, tags=histories), judged
+    return replace(age, tags=histories, garbled=garbled), judged
 
 
 def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, str] | None:

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from math import inf
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -46,7 +47,7 @@ class CanFace:
         self._station.open()
 
     async def apply(self, line: CycleFaults) -> None:
-        """Once a cycle: what is due is sent, as the faults in force have it."""
+        """Once a cycle: what has changed or is due is sent, as the faults in force have it."""
         now = self._plc.clock.monotonic()
         self._listens = line.listen
         self._disturbances = [effect.can for _, effect in line.standing if effect.can is not None]
@@ -57,6 +58,7 @@ class CanFace:
             served = self._plc.image.served
             for sender in self._messages.senders:
                 self._send_if_due(sender, sender.payload(served), now)
+            self._wake(now)
 
     async def close(self) -> None:
         """Leave the bus."""
@@ -69,11 +71,26 @@ class CanFace:
 
     # ---------------------------------------------------------------- what the PLC says
 
+    def _wake(self, now: float) -> None:
+        self._station.wake(min((sender.due for sender in self._messages.senders), default=inf), now, self._send_timed)
+
+    def _send_timed(self) -> None:
+        """Between two cycles: the messages whose time has come."""
+        now = self._plc.clock.monotonic()
+        if not self._listens or self._station.off or not self._station.on_bus(now):
+            return  # the next cycle goes on with it
+        for sender in self._messages.senders:
+            if now >= sender.due:
+                self._send_if_due(sender, sender.payload(self._plc.image.served), now)
+        self._wake(now)
+
     def _send_if_due(self, sender: Sender, content: bytes, now: float) -> None:
         """Send the message if it is due or has changed; a fault may keep it from the bus or change it."""
         if content == sender.content and now < sender.due:
             return
-        sender.content, sender.due = content, now + sender.cycle
+        # What is sent by the clock is due on a grid, so that being late now and then makes no period longer.
+        timed = content == sender.content and sender.due + sender.cycle > now
+        sender.content, sender.due = content, (sender.due if timed else now) + sender.cycle
         number = sender.message.frame_id
         data = content
         if sender.data_id is not None:

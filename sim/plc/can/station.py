@@ -1,6 +1,8 @@
 """What both CAN faces share: their place on a bus, its going and coming back, and the faults of the wire itself."""
 
+import asyncio
 from collections.abc import Callable, Sequence
+from math import inf
 from random import Random
 
 import can
@@ -10,6 +12,7 @@ from drivers.errors import DriverError
 from sim.plc.program import BusDisturbance, Plc
 
 _REOPEN_S = 0.1
+_LEAST_WAIT_S = 0.001
 _BUS_OFF_EVERY_S = 0.05
 _BURST = 400
 # linux/can/error.h: classes of error frames.
@@ -30,6 +33,7 @@ class Station:
         self._heard, self._complain, self._rng = heard, complain, rng
         self._pump: Pump | None = None
         self._next_open = self._next_off = self._babbled_to = 0.0
+        self._timer: asyncio.TimerHandle | None = None
 
     def open(self) -> None:
         """Join the bus. Raises OSError with a reason."""
@@ -40,6 +44,8 @@ class Station:
 
     def close(self) -> None:
         """Leave the bus."""
+        if self._timer is not None:
+            self._timer.cancel()
         if self._pump is not None:
             self._pump.close()
             self._pump = None
@@ -54,6 +60,17 @@ class Station:
         except DriverError:
             return False
         return True
+
+    def wake(self, moment: float, now: float, work: Callable[[], None]) -> None:
+        """Have `work` done at a moment (monotonic), in the place of what was to be done before; inf: nothing.
+
+        A controller keeps its messages' periods by a timer of its own: by the program's cycle alone a period would be
+        rounded up to whole cycles.
+        """
+        if self._timer is not None:
+            self._timer.cancel()
+        loop = asyncio.get_running_loop()
+        self._timer = loop.call_later(max(moment - now, _LEAST_WAIT_S), work) if moment < inf else None
 
     def put(self, message: can.Message) -> None:
         """Send one frame; without a bus it is lost."""

@@ -71,7 +71,15 @@ class CanopenFace:
         if not self._booted:
             self._booted = True
             self._put_all(self.node.boot(now))
+        self._cycle()
+
+    def _cycle(self) -> None:
+        """What the node has to say now, and a timer for what it has to say before the program's next cycle."""
+        now = self._plc.clock.monotonic()
+        if self._down or not self._booted or not self._station.on_bus(now):
+            return
         self._put_all(self.node.cycle(now, self._own_disturbance))
+        self._station.wake(self.node.next_due(), now, self._cycle)
 
     async def close(self) -> None:
         """Leave the bus."""

@@ -6,6 +6,7 @@ PDOs by the NMT state, and no SDO block server. Everything gets the moment (s, m
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf
 
 from sim.plc.canopen.eds import Address
 from sim.plc.canopen.objects import NodeLayout, Objects
@@ -65,7 +66,8 @@ class CanopenNode:
         """What the node says in this cycle: emergencies, its heartbeat, the TPDOs that are due."""
         out = self._emergencies(disturbance.emergency)
         if self._beat_time and now >= self._beat_due:
-            self._beat_due = max(self._beat_due + self._beat_time, now)
+            late = now - self._beat_due >= self._beat_time
+            self._beat_due = (now if late else self._beat_due) + self._beat_time
             if not disturbance.no_heartbeat:
                 out.append((HEARTBEAT + self.id, bytes([self.state])))
         if self.state == OPERATIONAL:
@@ -73,6 +75,16 @@ class CanopenNode:
                 if pdo.on_event and self._due(pdo, now):
                     out.append(self._frame(pdo, now, disturbance))
         return out
+
+    def next_due(self) -> float:
+        """When a timer of the node's runs out next (s, monotonic): heartbeat or event timers; inf where none runs."""
+        moments = [self._beat_due] if self._beat_time else []
+        if self.state == OPERATIONAL:
+            for pdo in self.objects.pdos(TPDO):
+                if pdo.on_event and pdo.event_timer > 0.0 and pdo.number in self._sent:
+                    sent = self._sent[pdo.number]
+                    moments.append(max(sent.due, sent.free))
+        return min(moments, default=inf)
 
     def _due(self, pdo: ActivePdo, now: float) -> bool:
         sent = self._sent.setdefault(pdo.number, _Sent())
@@ -87,7 +99,11 @@ class CanopenNode:
 
     def _frame(self, pdo: ActivePdo, now: float, disturbance: NodeDisturbance) -> Out:
         sent = self._sent.setdefault(pdo.number, _Sent())
-        sent.content, sent.due, sent.free = self._content(pdo), now + pdo.event_timer, now + pdo.inhibit
+        content = self._content(pdo)
+        # On a grid where the event timer ran out, so that being late now and then makes no period longer.
+        timed = content == sent.content and 0.0 <= now - sent.due < pdo.event_timer
+        sent.due = (sent.due if timed else now) + pdo.event_timer
+        sent.content, sent.free = content, now + pdo.inhibit
         self.counts["tpdos"] += 1
         data = b"".join(self.objects.read(place)[:size].ljust(size, b"\0") for place, size in pdo.objects)
         return pdo.cob_id, disturbance.payload(pdo.number, data)

@@ -16,15 +16,19 @@ from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance, disturb
 from sim.plc.program.encoding import Unrepresentable, encode, encode_absent, is_bool
 from sim.plc.program.faults import FaultEffect, OrderedFault, describe, merged, parse_fault, shown_at
 from sim.plc.program.image import Undefined
+from sim.plc.program.live import LIVE_PLANTS, LivePlant, live_plant
+from sim.plc.program.live import status as plant_status
 from sim.plc.program.pdu import HEADER, ILLEGAL_FUNCTION, MAX_PDU, ModbusReply, ModbusRequest, crc
 from sim.plc.program.plc import Plc, PlcSettings, record_nothing
 from sim.plc.program.registers import Place, parse_address, read_map
 from sim.plc.program.replay import TraceReplay, read_trace
 from sim.plc.program.schedule import CycleFaults, Scheduled
+from sim.plc.program.writeback import unusable
 
 __all__ = [
     "HEADER",
     "ILLEGAL_FUNCTION",
+    "LIVE_PLANTS",
     "MAX_PDU",
     "BusDisturbance",
     "CycleFaults",
@@ -32,6 +36,7 @@ __all__ = [
     "FaultEffect",
     "FileTable",
     "InputError",
+    "LivePlant",
     "ModbusReply",
     "ModbusRequest",
     "NodeDisturbance",
@@ -51,9 +56,11 @@ __all__ = [
     "encode_absent",
     "is_bool",
     "listed",
+    "live_plant",
     "merged",
     "parse_address",
     "parse_fault",
+    "plant_status",
     "read_device",
     "read_map",
     "read_text",
@@ -63,5 +70,6 @@ __all__ = [
     "shown_at",
     "signature_of",
     "together",
+    "unusable",
     "validated",
 ]

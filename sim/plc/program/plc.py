@@ -17,6 +17,7 @@ from sim.plc.program.clock import EmulatorClock
 from sim.plc.program.encoding import Unrepresentable, encode, is_bool, resolution, value_at_rest
 from sim.plc.program.faults import ALL_TAGS, FaultEffect, OrderedFault, merged, refusal
 from sim.plc.program.image import ProcessImage, Undefined
+from sim.plc.program.live import LivePlant
 from sim.plc.program.pdu import ModbusRefusal, ModbusReply, ModbusRequest
 from sim.plc.program.registers import Place, RegisterMap
 from sim.plc.program.replay import TraceReplay
@@ -39,6 +40,7 @@ class PlcSettings:
     """What is fixed when the process starts. `unknown_unit` True answers a strange unit with exception 11.
 
     `challenge` (1..65535) is the first one of the write-back's sessions: one that no earlier run has used.
+    `reduced_feed` (0..1) is the share of the feed that is left once the limit is predicted (a live plant only).
     """
 
     permit: bool = True
@@ -47,10 +49,15 @@ class PlcSettings:
     writable: Sequence[Place] = ()
     seed: int = 0
     challenge: int = 1
+    reduced_feed: float = 0.5
 
 
 class Plc:
-    """The state of the PLC, moved on by `cycle` and by the requests that `exchange` answers."""
+    """The state of the PLC, moved on by `cycle` and by the requests that `exchange` answers.
+
+    With a live `plant`, whose table `replay` runs over, the program also acts: it feeds less once a usable block says
+    that the limit will be reached, and keeps to that until an operator gives the feed back.
+    """
 
     def __init__(
         self,
@@ -59,12 +66,14 @@ class Plc:
         replay: TraceReplay | None = None,
         settings: PlcSettings | None = None,
         *,
+        plant: LivePlant | None = None,
         faults: Sequence[OrderedFault] = (),
         record: RecordRow = record_nothing,
         complain: Callable[[str], None] = lambda _: None,
     ) -> None:
         settings = settings or PlcSettings()
         self.registers, self.clock, self.replay, self.settings = registers, clock, replay, settings
+        self.plant, self._trips = plant, 0
         self.image = ProcessImage(registers, settings.writable, complain)
         self.schedule = FaultSchedule(settings.seed)
         self.intake = Intake(challenge=settings.challenge, permitted=settings.permit)
@@ -120,8 +129,22 @@ class Plc:
             self.heartbeat = self.heartbeat % 0xFFFF + 1
             self._follow(now)
             self._learn(self._values(now), now)
+            self._control(now)
             self.image.serve(lambda name: name in effect.frozen or ALL_TAGS in effect.frozen)
         return self.schedule.line(begun, now)
+
+    def _control(self, now: float) -> None:
+        """Feed less when the limit is predicted, by a block that may be used and by no other; say when it tripped."""
+        plant = self.plant
+        if plant is None:
+            return
+        if self.usable and plant.feed > self.settings.reduced_feed and writeback.predicts_limit(self.intake):
+            plant.feed = self.settings.reduced_feed
+            minutes = self.intake.block["minutes_median"]
+            self.event("feed reduced", now, {"feed": plant.feed, "minutes_median": minutes})
+        if plant.trips > self._trips:
+            self._trips = plant.trips
+            self.event("drum tripped", now)
 
     def _switch(self, run: bool, now: float) -> None:
         """The program stops (memory to 0, nothing is true any more but the heartbeat's 0) or begins anew."""
@@ -151,7 +174,9 @@ class Plc:
         usable = bool(own.get("PredictionUsable", False))
         if usable != self.usable:
             self.usable = usable
-            self.event("prediction usable" if usable else "prediction not usable", now)
+            layout = self.registers.block
+            why = "" if usable or layout is None else writeback.unusable(layout, self.intake, now, self.permit)
+            self.event("prediction usable" if usable else "prediction not usable", now, {"reason": why} if why else {})
         if self.registers.heartbeat is not None:
             own[self.registers.heartbeat] = self.heartbeat
         return {**self._signals(now), **own, **self.forced}
@@ -160,6 +185,8 @@ class Plc:
         if self.replay is None:
             return {}
         row = self.replay.row(now)
+        if self.plant is not None:
+            self.plant.move(row)
         # A row lasts for many cycles, and its values are checked against the registers once.
         if row != self._row[0]:
             known = {name: value for name, value in self.replay.values(now).items() if self.serves(name)}

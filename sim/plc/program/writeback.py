@@ -46,6 +46,9 @@ STATUS_TAGS = (
     "RefusedWriter",
 )
 _ALL_USABLE = 1  # bit 0 of the validity word
+_PARTS = {2: "its inputs are not good", 4: "it does not know the location", 8: "no fresh forecast", 16: "no model"}
+"""What lacks where another bit of the validity word is not set."""
+_PREDICTED_OVER_LIMIT = 2  # bit 1 of the alarm word
 _MOST_AHEAD = 100  # so many blocks may be lost within a session
 
 
@@ -151,11 +154,33 @@ def taken(layout: BlockLayout, intake: Intake, address: int, words: Sequence[int
     return after if words[layout.index("validity")] else ended(after)
 
 
+def unusable(layout: BlockLayout, intake: Intake, now: float, permit: bool) -> str:
+    """Why the program keeps to its own logic, for whoever looks at the PLC; "" while the prediction may be used."""
+    if not permit:
+        return "no write permit is given"
+    if intake.accepted_at is None:
+        return "no block has been accepted yet"
+    if _late(layout, intake.accepted_at, now):
+        return f"no block has been accepted for {now - intake.accepted_at:.1f} s"
+    validity = int(intake.block["validity"])
+    if validity == 0:
+        return "the gateway has taken its prediction back"
+    if intake.session is None:
+        return "no session is open"
+    if validity & _ALL_USABLE:
+        return ""
+    lacking = [what for bit, what in _PARTS.items() if not validity & bit]
+    return f"the gateway says: {', '.join(lacking) or 'its model does not fit what it reads (zone red)'}"
+
+
 def usable(layout: BlockLayout, intake: Intake, now: float, permit: bool) -> bool:
     """The PLC's verdict: writes permitted, a session open, its newest block "all usable", and the timer still runs."""
-    if not permit or intake.session is None or intake.accepted_at is None or _late(layout, intake.accepted_at, now):
-        return False
-    return bool(int(intake.block["validity"]) & _ALL_USABLE)
+    return not unusable(layout, intake, now, permit)
+
+
+def predicts_limit(intake: Intake) -> bool:
+    """True if the newest accepted block says that the limit will be reached."""
+    return bool(int(intake.block["alarms"]) & _PREDICTED_OVER_LIMIT) if intake.block else False
 
 
 def status(

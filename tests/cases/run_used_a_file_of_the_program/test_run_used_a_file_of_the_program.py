@@ -1,5 +1,6 @@
 """From a wheel, `decanter run` without `--config` took a file inside site-packages and put its historian there."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,9 @@ def test_without_a_plant_file_a_command_says_one_sentence_and_touches_nothing(
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 2, result.output
-    (sentence,) = result.output.splitlines()
+    (sentence,) = result.stderr.splitlines()
+    if "--json" in words:
+        assert json.loads(result.stdout)["reason"] in sentence
     assert "decanter init" in sentence and "./plant.toml" in sentence and "./config/plant.toml" in sentence
     assert not list(tmp_path.iterdir()) and sorted(config_dir().parent.iterdir()) == shipped
 
