@@ -56,7 +56,7 @@ durations: $(STAMP)
 
 # docs/ as a searchable site in out/site; a dead link or a page that the navigation lacks is an error.
 docs: $(STAMP)
-	$(BIN)/mkdocs build --quiet --strict
+	$(BIN)/mkdocs build --strict
 
 # The locks are made anew by hand, when a dependency is raised on purpose.
 lock: $(STAMP)

@@ -25,7 +25,7 @@ from gateway.commission.files import (
 from gateway.commission.import_list import bindings
 from gateway.commission.read import ORDERS
 from gateway.commission.session import SharedOptions, link_options
-from gateway.console import emit, shipped
+from gateway.console import emit, make_folder, shipped
 from gateway.entry import sentences
 from gateway.lab.traces.map import asked_map
 from gateway.settings import load_device
@@ -63,7 +63,7 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
     PLC is not asked, and nothing is written where something is wrong: what is made is checked as `decanter run` does.
     """
     with sentences():
-        asked = _Asked(sys.stdin.isatty() and sys.stdout.isatty())
+        asked = _Asked(terminal())
         how = Reading(order=options["order"], shift=options["shift"])
         described = _described(given.device, options["list_path"], how, asked, skip=options["skip_bad"])
         described = _without(described, options["without"])
@@ -97,6 +97,7 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
         if wanted.in_the_way and not options["overwrite"]:
             there = ", ".join(map(str, wanted.in_the_way))
             raise ValueError(f"{there}: is there already; give another folder, or --overwrite")
+        make_folder(folder)
         made = wanted.write()
     warnings = [
         f"{name!r} of the trace is no tag of the device: a model learned with it cannot run here; "
@@ -117,6 +118,11 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
 
     data = {"files": list(map(str, made)), "tags": len(known), "temperature": temperature, "heartbeat": heartbeat}
     emit({**data, "warnings": warnings, "next": following}, show, as_json_line=given.as_json)
+
+
+def terminal() -> bool:
+    """Whether a person is there to be asked."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 class _Asked:
@@ -177,7 +183,12 @@ def _described(device: Path | None, list_path: Path | None, how: Reading, asked:
     io_list = read_io_list(list_path, how)
     if io_list.problems and not skip:
         count = len(io_list.problems)
-        raise ConfigError([*io_list.problems, f"{list_path}: correct these {count} rows, or give --skip-bad"])
+        raise ConfigError(
+            [
+                *io_list.problems,
+                f"{list_path}: {count} to be corrected, or left out with --skip-bad; nothing was written",
+            ]
+        )
     numbers = {tag.name: str(tag.keys["unit"] or "") for tag in io_list.tags if tag.keys["dtype"] not in _NO_NUMBERS}
     return _Described(None, io_list, [tag.name for tag in io_list.tags], numbers)
 
