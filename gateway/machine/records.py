@@ -14,7 +14,11 @@ from sim.strict_json import json_text
 
 @dataclass(slots=True)
 class Keeper:
-    """Which samples to keep: changed by more than the tag's deadband, changed in quality, or `max_interval` s old."""
+    """Which samples to keep: changed by more than the tag's deadband, changed in quality, or `max_interval` s old.
+
+    The change is that from the sample kept last, so that no drift adds up: at each scan the newest kept sample differs
+    from what was read by the deadband at most, and has its quality.
+    """
 
     tags: Mapping[str, Tag]
     numbers: Mapping[str, int]
@@ -45,7 +49,8 @@ class Keeper:
             return True
         if sample.value is None or before.value is None:
             return True
-        return abs(sample.value - before.value) > self.tags[name].deadband
+        # A NaN compares with nothing: it is kept, and so is what follows it.
+        return not abs(sample.value - before.value) <= self.tags[name].deadband
 
 
 @dataclass(frozen=True, slots=True)

@@ -227,6 +227,7 @@ class Historian:
             packer = packer or Packer(self._normal)
             for table in PACKED:
                 self._tended(table, partial(packer.step, table))
+            self._tended("tiers", packer.tiers)
             if moment is not None:
                 for table in (*MEASURED, "writes"):
                     self._tended(table, partial(deleted_before, self._normal, table, moment))

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.tag import Quality, Sample
 from gateway.store.columns import Cell, PackedError, unpack
 from gateway.store.files import HistorianError
-from gateway.store.retention import TIERS, means
+from gateway.store.retention import TIERS, means, merged, tier_kind
 from gateway.store.schema import APPLICATION_ID, NAMES, VERSION, number, restored
 from sim.sha import Array, Event, Mask, Trace
 
@@ -315,9 +315,12 @@ def trend(path: Path, tag: str, start: float, end: float, *, width: int | None =
         if found is None:
             raise ValueError(f"{path}: has no tag {tag!r}")
         begin = floor(start / width) * width if isfinite(start) else start
+        packed = _chunks(connection, tier_kind(width), found[0], begin, end)
+        parts = [np.array(columns, dtype=float) for _, columns in packed]
         query = "SELECT start, count, low, mean, high FROM tiers "
-        query += "WHERE tag = ? AND width = ? AND start >= ? AND start < ? ORDER BY start"
+        query += "WHERE tag = ? AND width = ? AND start >= ? AND start < ?"
         tiers = connection.execute(query, (found[0], width, begin, end)).fetchall()
+        parts.append(np.array(tiers, dtype=float).reshape(len(tiers), 5).T)
         # What is not packed yet is in no tier: the newest half hour or so at a scan a second.
         told = connection.execute(
             "SELECT last FROM chunks WHERE kind = 'stamps' ORDER BY batch DESC LIMIT 1"
@@ -329,15 +332,9 @@ def trend(path: Path, tag: str, start: float, end: float, *, width: int | None =
         scans = np.sort(np.array([row[0] for row in stored_rows(connection, "scans", ("time",), since, until)]))
         rows = _SampleReader(connection).rows(found[0], since - 3600.0, until)
         good = np.array([number(row[1]) if Quality(row[2]).is_good else nan for row in rows])
-        newest = means(scans, np.array([row[0] for row in rows]), good, width)
-    first = newest[0][0] if newest else inf
-    merged = {row[0]: row for row in tiers if row[0] >= first}
-    for at, more, least, middle, most in newest:
-        _, count, low, mean, high = merged.get(at, (at, 0, inf, 0.0, -inf))
-        whole = (mean * count + middle * more) / (count + more)
-        merged[at] = (at, count + more, min(low, least), whole, max(high, most))
-    tiers = [*(row for row in tiers if row[0] < first), *(merged[at] for at in sorted(merged))]
-    columns = np.array(tiers, dtype=float).reshape(len(tiers), 5).T
+        parts.append(means(scans, np.array([row[0] for row in rows]), good, width))
+    columns = np.hstack(parts)
+    columns = merged(columns[:, (columns[0] >= begin) & (columns[0] < end)])
     return Trend(width=width, **dict(zip(("starts", "count", "low", "mean", "high"), columns, strict=True)))
 
 

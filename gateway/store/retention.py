@@ -19,6 +19,8 @@ from sim.sha import Array
 
 TIERS = (60, 3600)
 """The widths (s) of the tiers."""
+STRETCHES = 1440
+"""Stretches of a tier that are packed together: of the minutes a day, of the hours sixty."""
 STEP = 5_000
 """Rows that are deleted in one transaction."""
 ROUNDED: Mapping[str, Mapping[str, int]] = {
@@ -30,7 +32,8 @@ ROUNDED: Mapping[str, Mapping[str, int]] = {
 room. What was measured is kept to the last bit."""
 
 _UPSERT = """INSERT INTO tiers VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET
-    mean = (mean * count + excluded.mean * excluded.count) / (count + excluded.count),
+    mean = mean * (1.0 * count / (count + excluded.count))
+        + excluded.mean * (1.0 * excluded.count / (count + excluded.count)),
     count = count + excluded.count, low = min(low, excluded.low), high = max(high, excluded.high)"""
 
 
@@ -73,6 +76,20 @@ def row_count(connection: sqlite3.Connection, table: str) -> int:
     return 0 if first is None else int(last) - int(first) + 1
 
 
+def _next_batch(connection: sqlite3.Connection) -> int:
+    return 1 + int(connection.execute("SELECT coalesce(max(batch), 0) FROM chunks").fetchone()[0])
+
+
+def _put_chunk(
+    connection: sqlite3.Connection, key: tuple[str, int, int], times: Sequence[float], columns: Sequence[Sequence[Cell]]
+) -> None:
+    """Store columns as the chunk of a (kind, tag, batch)."""
+    connection.execute(
+        "INSERT INTO chunks (kind, tag, batch, first, last, rows, data) VALUES (?, ?, ?, ?, ?, ?, ?)",
+        (*key, min(times), max(times), len(times), pack(columns)),
+    )
+
+
 class Packer:
     """Packs the oldest rows of tables; remembers of each tag what stood when the last batch ended."""
 
@@ -80,6 +97,8 @@ class Packer:
         self._connection = connection
         self._standing: dict[int, tuple[float, float]] = {}
         self._told: float | None = None
+        self._begun: list[float] = []
+        self._ended: list[tuple[int, int, float]] = []
 
     def step(self, table: str) -> bool:
         """Pack one batch of a table if it has enough rows for one; True if it had."""
@@ -89,7 +108,7 @@ class Packer:
         names = NAMES[table]
         (last,) = connection.execute(f"SELECT rowid FROM {table} ORDER BY rowid LIMIT 1 OFFSET {most - 1}").fetchone()  # noqa: S608
         with transaction(connection):
-            batch = 1 + int(connection.execute("SELECT coalesce(max(batch), 0) FROM chunks").fetchone()[0])
+            batch = _next_batch(connection)
             if table == "samples":
                 self._samples(batch, last)
             else:
@@ -98,15 +117,19 @@ class Packer:
                 columns = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
                 for name, decimals in ROUNDED.get(table, {}).items():
                     columns[name] = [None if value is None else round(value, decimals) for value in columns[name]]
-                self._put(table, 0, batch, columns["time"], list(columns.values()))
+                _put_chunk(connection, (table, 0, batch), columns["time"], list(columns.values()))
             connection.execute(f"DELETE FROM {table} WHERE rowid <= ?", (last,))  # noqa: S608
         return True
 
-    def _put(self, kind: str, tag: int, batch: int, times: Sequence[float], columns: Sequence[Sequence[Cell]]) -> None:
-        self._connection.execute(
-            "INSERT INTO chunks (kind, tag, batch, first, last, rows, data) VALUES (?, ?, ?, ?, ?, ?, ?)",
-            (kind, tag, batch, min(times), max(times), len(times), pack(columns)),
-        )
+    def tiers(self) -> bool:
+        """Pack one stretch of a tier that is over. False: the next one waits for the next batch of measurements.
+
+        At midnight there is one for each tag, in a file that has none packed one for each tag and day.
+        """
+        if self._ended:
+            pack_tier(self._connection, *self._ended[-1])
+            self._ended.pop()
+        return False
 
     def _samples(self, batch: int, until: int) -> None:
         """Pack the samples up to the row `until`, one tag after the other: all at once are several MB of objects."""
@@ -117,7 +140,7 @@ class Packer:
             places.setdefault(moment, len(places))
         moments = [list(column) for column in zip(*places, strict=True)]
         times: list[float] = [float(time) for time in moments[0]]
-        self._put("stamps", 0, batch, times, moments)
+        _put_chunk(self._connection, ("stamps", 0, batch), times, moments)
         # A scan bears the moment of its last reply, later than its samples: it may lie between two batches.
         first, last = min(times), max(times)
         if self._told is not None and self._told < first:
@@ -128,8 +151,12 @@ class Packer:
             query = "SELECT time, sent, value, quality FROM samples WHERE rowid <= ? AND tag = ? ORDER BY rowid"
             rows = self._connection.execute(query, (until, tag)).fetchall()
             own, _, values, qualities = (list(column) for column in zip(*rows, strict=True))
-            self._put("samples", tag, batch, own, [[places[row[:2]] for row in rows], values, qualities])
+            columns = [[places[row[:2]] for row in rows], values, qualities]
+            _put_chunk(self._connection, ("samples", tag, batch), own, columns)
             self._tell(tag, scans, np.array(own), values, qualities)
+        begun = [last // (width * STRETCHES) for width in TIERS]
+        if begun != self._begun:
+            self._begun, self._ended = begun, ended_tiers(self._connection, last)
 
     def _scan_times(self, first: float, last: float) -> Array:
         """The times of the scans between two moments, ascending."""
@@ -152,12 +179,47 @@ class Packer:
         if before is not None and before[0] <= own[0]:
             own, numbers = np.append(before[0], own), np.append(before[1], numbers)
         for width in TIERS:
-            rows = means(scans, own, numbers, width)
+            rows = means(scans, own, numbers, width).T.tolist()
             self._connection.executemany(_UPSERT, [(tag, width, *row) for row in rows])
 
 
-def means(scans: Array, times: Array, values: Array, width: float) -> Sequence[tuple[float, int, float, float, float]]:
-    """(start, count, least, mean, greatest) of every `width` s with a good reading.
+def tier_kind(width: int) -> str:
+    """The kind of the chunks that hold a tier's rows: columns start, count, low, mean, high."""
+    return f"tier {width}"
+
+
+def ended_tiers(connection: sqlite3.Connection, now: float) -> list[tuple[int, int, float]]:
+    """(tag, width, start) of every STRETCHES that have rows in `tiers` and were over at `now` (s UTC)."""
+    ended = []
+    query = "SELECT min(start) FROM tiers WHERE tag = ? AND width = ? AND start >= ? AND start < ?"
+    for (tag,) in connection.execute("SELECT id FROM tags").fetchall():
+        for width in TIERS:
+            span, start = width * STRETCHES, -inf
+            over = now // span * span
+            while (first := connection.execute(query, (tag, width, start, over)).fetchone()[0]) is not None:
+                ended.append((tag, width, first // span * span))
+                start = max(ended[-1][2] + span, nextafter(first, inf))
+    return ended
+
+
+def pack_tier(connection: sqlite3.Connection, tag: int, width: int, start: float) -> None:
+    """Put the rows of a tier from `start` on, STRETCHES at most, into a chunk.
+
+    Where a clock that was set back tells of that time once more, its rows become another chunk: `merged` joins them.
+    """
+    where = "FROM tiers WHERE tag = ? AND width = ? AND start >= ? AND start < ?"
+    values = (tag, width, start, start + width * STRETCHES)
+    with transaction(connection):
+        query = f"SELECT start, count, low, mean, high {where} ORDER BY start"
+        columns = [list(column) for column in zip(*connection.execute(query, values), strict=True)]
+        if columns:
+            # First, for its room: a file at its largest size has none for both.
+            connection.execute(f"DELETE {where}", values)
+            _put_chunk(connection, (tier_kind(width), tag, _next_batch(connection)), columns[0], columns)
+
+
+def means(scans: Array, times: Array, values: Array, width: float) -> Array:
+    """(5, k): start, count, least, mean, greatest of every `width` s with a good reading, ascending.
 
     Counted are the n `scans` (n,), ascending; what stands at each of them is the newest of the samples, `values` (m,)
     at `times` (m,), NaN where there was no good one.
@@ -166,15 +228,22 @@ def means(scans: Array, times: Array, values: Array, width: float) -> Sequence[t
     place = np.searchsorted(times[order], scans, side="right") - 1
     standing = np.where(place < 0, np.nan, values[order][place]) if times.size else np.full(scans.size, np.nan)
     known = np.isfinite(standing)
-    scans, standing = scans[known], standing[known]
-    if not scans.size:
-        return []
-    starts, begins = np.unique(np.floor(scans / width) * width, return_index=True)
-    counts = np.diff(np.append(begins, scans.size))
-    low, high = np.minimum.reduceat(standing, begins), np.maximum.reduceat(standing, begins)
-    mean = np.add.reduceat(standing, begins) / counts
-    columns = (starts, counts, low, mean, high)
-    return list(zip(*(column.tolist() for column in columns), strict=True))
+    starts, standing = np.floor(scans[known] / width) * width, standing[known]
+    return merged(np.array([starts, np.ones(starts.size), standing, standing, standing]))
+
+
+def merged(rows: Array) -> Array:
+    """Rows (5, n) of start, count, least, mean, greatest, those of one start made one: (5, k), ascending."""
+    starts, count, low, mean, high = rows[:, np.argsort(rows[0], kind="stable")]
+    alone, begins = np.unique(starts, return_index=True)
+    if alone.size == starts.size:
+        return np.array([starts, count, low, mean, high])
+    counts = np.add.reduceat(count, begins)
+    least, most = np.minimum.reduceat(low, begins), np.maximum.reduceat(high, begins)
+    # Weights and not a sum: sixty of the largest floats have a mean too. Rounding takes no mean out of its range.
+    weights = count / np.repeat(counts, np.diff(np.append(begins, starts.size)))
+    mean = np.clip(np.add.reduceat(mean * weights, begins), least, most)
+    return np.array([alone, counts, least, mean, most])
 
 
 def deleted_before(connection: sqlite3.Connection, table: str, moment: float) -> bool:
@@ -217,26 +286,26 @@ def make_room(connection: sqlite3.Connection, wanted: int) -> bool:
     Measurements go first, then the tiers, the narrow ones before the wide, last the writes. Alarms, audit record and
     runs stay.
     """
-    measured = (*MEASURED, "stamps")
-    _delete_chunks(connection, measured, wanted)
-    steps = [
-        *(
-            f"DELETE FROM {table} WHERE rowid IN (SELECT rowid FROM {table} ORDER BY rowid LIMIT {STEP // 10})"  # noqa: S608
-            for table in MEASURED
-        ),
-        *(
-            f"DELETE FROM tiers WHERE width = {width} AND start < (SELECT min(start) + {500 * width} FROM tiers "  # noqa: S608
-            f"WHERE width = {width})"
-            for width in TIERS
-        ),
+    measurements = [
+        f"DELETE FROM {table} WHERE rowid IN (SELECT rowid FROM {table} ORDER BY rowid LIMIT {STEP // 10})"  # noqa: S608
+        for table in (*MEASURED, "writes")
     ]
-    for statement in steps:
-        while pages(connection)[1] < wanted and _deleted(connection, statement):
-            pass
-    _delete_chunks(connection, ("writes",), wanted)
-    statement = f"DELETE FROM writes WHERE rowid IN (SELECT rowid FROM writes ORDER BY rowid LIMIT {STEP // 10})"  # noqa: S608
-    while pages(connection)[1] < wanted and _deleted(connection, statement):
-        pass
+    tiers = [
+        f"DELETE FROM tiers WHERE width = {width} AND start < (SELECT min(start) + {500 * width} FROM tiers "  # noqa: S608
+        f"WHERE width = {width})"
+        for width in TIERS
+    ]
+    # What is packed of each is older than its rows.
+    order = [
+        ((*MEASURED, "stamps"), measurements[:-1]),
+        *(((tier_kind(width),), [statement]) for width, statement in zip(TIERS, tiers, strict=True)),
+        (("writes",), measurements[-1:]),
+    ]
+    for kinds, statements in order:
+        _delete_chunks(connection, kinds, wanted)
+        for statement in statements:
+            while pages(connection)[1] < wanted and _deleted(connection, statement):
+                pass
     return pages(connection)[1] >= wanted
 
 

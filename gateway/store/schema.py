@@ -3,7 +3,8 @@
 A row is stored twice in its life. It is born in a table that is named after what it holds (`samples`, `scans`, ...) and
 only ever appended to: its key (`rowid`, by the name `id` in some) is the order of arrival and never its time, so that a
 clock that was set back overwrites and hides nothing. Once there are enough of them, the oldest are packed as columns
-into `chunks` (`columns`), and their means go into `tiers`. Readers go through `read_back`, which knows both places.
+into `chunks` (`columns`), and their means go into `tiers`, which are packed as well when their day is over. Readers go
+through `read_back`, which knows all places.
 """
 
 from collections.abc import Mapping
@@ -44,7 +45,8 @@ where there was none, and a BLOB of decimal digits for a whole number beyond SQL
 
 A row of `chunks` holds `rows` rows of the table `kind`, or of `samples` of one `tag`, between the times `first` and
 `last`; the samples' moments are a chunk `stamps` of the same `batch`. A row of `tiers` tells of the good readings of a
-`tag` at the scans within `width` s from `start`: their count, least, mean and greatest value."""
+`tag` at the scans within `width` s from `start`: their count, least, mean and greatest value. Packed, these are chunks
+`tier 60` and `tier 3600`; rows of one start, packed or not, are parts of one whole (a clock was set back)."""
 
 WITHOUT_ROWID = frozenset({"state", "tiers"})
 

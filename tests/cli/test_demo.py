@@ -18,7 +18,7 @@ from gateway.store.read_back import samples
 from tests.cli.support import DATA, decanter, only_object, refused
 
 GATEWAY = (sys.executable, "-m", "gateway.cli.main")
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 
 
 def performed(folder: Path, *arguments: object) -> dict[str, Any]:

@@ -84,6 +84,32 @@ def test_repeats_are_stored_once_in_an_interval_and_a_deadband_is_only_for_the_h
     assert [s.value for s in kept if s.tag == "A"] == pytest.approx([100.0, 100.6, 101.2, 101.8])
 
 
+numbers = st.one_of(
+    st.floats(-3.0, 3.0), st.sampled_from([np.nan, np.inf, -np.inf]), st.floats(), st.integers(-(1 << 64), 1 << 64)
+)
+moments = st.lists(st.sampled_from([1.0, 4.0, 5.0, 3600.0]), min_size=40, max_size=40)
+qualities = st.sampled_from([Quality.GOOD, Quality.GOOD, Quality.GOOD, Quality.LAST_USABLE, Quality.TIMEOUT])
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.tuples(numbers, qualities), min_size=1, max_size=40), moments, st.sampled_from([0.0, 0.5, 2.0]))
+def test_what_a_deadband_drops_lies_within_it_of_what_is_kept(
+    readings: list[tuple[float, Quality]], gaps: list[float], deadband: float
+) -> None:
+    """At each scan: the quality that was read, NaN where NaN was read, and nothing older than the interval."""
+    keeper = Keeper({"A": Tag("A", "holding:2", deadband=deadband)}, {"A": 1}, 5.0)
+    kept, now = (0.0, 0.0, -1), EPOCH
+    for number, ((value, quality), gap) in enumerate(zip(readings, gaps, strict=False)):
+        now += gap
+        sample = Sample("A", value, quality, now, now if quality is Quality.GOOD else None)
+        for _, at, stored, code, _ in keeper.rows(Scan(number, now, {"A": sample}, 0, 0.01)):
+            kept = (at, int(stored) if isinstance(stored, bytes) else stored, code)
+            assert repr(kept[1]) == repr(value), "what is kept is what was read"
+        at, stored, code = kept
+        assert code == quality and now - at < 5.0
+        assert stored == value or abs(stored - value) <= deadband or (np.isnan(stored) and np.isnan(value))
+
+
 def test_a_stale_value_does_not_overwrite_the_good_reading_that_it_repeats(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
     good = Sample("T", 20.0, Quality.GOOD, EPOCH, EPOCH)
