@@ -96,9 +96,8 @@ def given(folder: Path) -> float:
             writer.writerow(((begin + timedelta(seconds=float(at))).strftime("%d/%m/%Y %H:%M:%S"), *texts))
     other = production(1, seed=5)
     times = other.times - other.times[0]
-    kept = times < 4 * 3600
-    signals = {name: np.asarray(values)[kept].round(2) for name, values in other.signals.items()}
-    write_trace(Trace("plant", times[kept], signals, origin="of another day", synthetic=True), folder / "plant.csv")
+    signals = {name: np.asarray(values).round(2) for name, values in other.signals.items()}
+    write_trace(Trace("plant", times, signals, origin="of another day", synthetic=True), folder / "plant.csv")
     return float(times[np.argmax(signals[TEMPERATURE])])
 
 
@@ -185,7 +184,11 @@ def page(hour: Hour) -> str:
     ]
     total = sum(typed.seconds for typed in hour.typed)
     last = f"| | {len(hour.typed)} commands, 0 files written by hand | {total:.1f} | |"
-    text = "\n".join(["| | typed | seconds | its last line |", "|---|---|---|---|", *rows, last])
+    head = (
+        "# A newcomer's hour\n\nFrom an empty environment and the wheel to a prediction and a shadow block, as "
+        "`python -m benchmarks.first_hour --record docs/first_hour.md`\ntyped it. The plant is moved and its HMI is read by the benchmark.\n"
+    )
+    text = "\n".join([head, "| | typed | seconds | its last line |", "|---|---|---|---|", *rows, last])
     return text.replace(str(hour.folder), ".") + "\n"
 
 

@@ -184,6 +184,9 @@ def prepare(folder: Path) -> None:
 
 @click.command(help=__doc__)
 def main() -> None:
+    click.echo(
+        "# Mistakes, and what they are answered\n\nPrinted by `python -m benchmarks.mistakes`; each is a test.\n"
+    )
     click.echo("| typed after `decanter` | answer | exit code |\n|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         prepare(Path(name))

@@ -38,7 +38,7 @@ _NO_NUMBERS = ("bool", "string")
 _HEARTBEAT = re.compile("heart ?beat|life ?(bit|counter|word)|watchdog|contatore ?vita|lebens", re.IGNORECASE)
 
 
-@click.command(short_help="Make a folder that runs: plant file, device file, column map, models, README.")
+@click.command(short_help="Make a folder that runs, from an address and an I/O list.")
 @click.argument("folder", type=_PATH, default=".")
 @click.option("--list", "list_path", type=_PATH, help="The PLC's I/O list (CSV, XLSX).")
 @click.option(
