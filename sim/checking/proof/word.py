@@ -113,13 +113,16 @@ def _number(text: str, item: str) -> float:
 
 
 def word_text(word: TimedWord) -> str:
-    """The word in one line, which `parse_word` reads back; numbers have 12 digits."""
+    """The word in one line, which `parse_word` reads back.
+
+    Times have 15 digits, since a stay is the difference of two of them; other numbers have 12.
+    """
     items = [_item(step) for step in word.steps]
-    return " ".join((*items, f"@{word.end:.12g}"))
+    return " ".join((*items, f"@{word.end:.15g}"))
 
 
 def _item(step: WordStep) -> str:
-    parts = [f"{step.symbol}@{step.time:.12g}"]
+    parts = [f"{step.symbol}@{step.time:.15g}"]
     parts += [f"{TEMPERATURE}={step.temperature:.12g}"] if step.temperature is not None else []
     parts += [f"{CLOCK}={step.clock:.12g}"] if step.clock is not None else []
     parts += [f"{MODE}={step.m:.12g}"] if step.m is not None else []
