@@ -176,6 +176,14 @@ def _watched(hour: Hour) -> dict[str, Any]:
     return status
 
 
+_HEAD = """\
+# A newcomer's hour
+
+From an empty environment and the wheel to a prediction and a shadow block, as typed by
+`python -m benchmarks.first_hour --record docs/first_hour.md`. It moves the plant itself, and reads its HMI.
+"""
+
+
 def page(hour: Hour) -> str:
     """The hour as a table."""
     rows = [
@@ -184,11 +192,7 @@ def page(hour: Hour) -> str:
     ]
     total = sum(typed.seconds for typed in hour.typed)
     last = f"| | {len(hour.typed)} commands, 0 files written by hand | {total:.1f} | |"
-    head = (
-        "# A newcomer's hour\n\nFrom an empty environment and the wheel to a prediction and a shadow block, as "
-        "`python -m benchmarks.first_hour --record docs/first_hour.md`\ntyped it. The plant is moved and its HMI is read by the benchmark.\n"
-    )
-    text = "\n".join([head, "| | typed | seconds | its last line |", "|---|---|---|---|", *rows, last])
+    text = "\n".join([_HEAD, "| | typed | seconds | its last line |", "|---|---|---|---|", *rows, last])
     return text.replace(str(hour.folder), ".") + "\n"
 
 
