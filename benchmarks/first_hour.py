@@ -78,7 +78,7 @@ class Hour:
         )
         if done.returncode != 0:
             raise HourError(f"{line}: exit code {done.returncode}; it said:\n{done.stdout}{done.stderr}")
-        spoken = [text for text in (done.stdout + done.stderr).splitlines() if text.strip()]
+        spoken = [text for text in done.stdout.splitlines() if text.strip()]
         self.typed.append(Typed(line, time.monotonic() - begun, spoken[-1].strip() if spoken else ""))
         return done.stdout
 
@@ -184,10 +184,15 @@ From an empty environment and the wheel to a prediction and a shadow block, as t
 """
 
 
+def _code(text: str) -> str:
+    plain = text.replace("`", "'")
+    return f"`{plain}`" if plain else ""
+
+
 def page(hour: Hour) -> str:
     """The hour as a table."""
     rows = [
-        f"| {number} | `{typed.line}` | {typed.seconds:.1f} | {typed.answer} |"
+        f"| {number} | `{typed.line}` | {typed.seconds:.1f} | {_code(typed.answer)} |"
         for number, typed in enumerate(hour.typed, 1)
     ]
     total = sum(typed.seconds for typed in hour.typed)

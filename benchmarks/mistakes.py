@@ -192,8 +192,14 @@ def main() -> None:
         prepare(Path(name))
         for words, _, _ in MISTAKES:
             result = answered(words, Path(name))
-            said = result.stderr.strip().removeprefix("decanter: ").replace(name + os.sep, "").replace("|", "\\|")
-            click.echo(f"| `{words}` | {said} | {result.exit_code} |".replace("\n", " "))
+            said = (
+                result.stderr.strip()
+                .removeprefix("decanter: ")
+                .replace(name + os.sep, "")
+                .replace("|", "\\|")
+                .replace("`", "'")
+            )
+            click.echo(f"| `{words}` | `{said}` | {result.exit_code} |".replace("\n", " "))
 
 
 if __name__ == "__main__":
