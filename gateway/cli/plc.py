@@ -77,7 +77,7 @@ EXAMPLES = {
     "plan": "plc plan --write",
     "verify": "plc verify --against hmi.csv",
     "soak": "plc soak --seconds 60",
-    "codegen": "plc codegen --device devices/decanter_plc.toml --out decanter.st",
+    "codegen": "plc codegen --target openplc --permit-at %IX0.0 --out block.st",
     "arm": "plc arm --by 'A. Rossi' --reason 'loop test' --minutes 30",
     "disarm": "plc disarm --reason 'tests are done'",
     "test": "plc test alarms --ask",

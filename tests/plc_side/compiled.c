@@ -1,5 +1,6 @@
 /* The function block as matiec has compiled it, on a clock of the test's own: commands on stdin, an account on stdout.
-   p N: the permit; w OFFSET COUNT WORDS...: words of the block's area; c COUNT: so many cycles; a: the PLC's account. */
+   p N: the permit; w OFFSET COUNT WORDS...: words of the block's area; c COUNT: so many cycles; a: the PLC's account.
+   MAIN is the program's instance; BLOCK and ACCOUNT are where the gateway writes and where the PLC answers. */
 #include <stdio.h>
 #include <string.h>
 #include "accessor.h"
@@ -7,16 +8,16 @@
 #include "POUS.h"
 
 TIME __CURRENT_TIME;
-extern GATEWAY_BLOCK_MAIN MAINRESOURCE__MAININSTANCE;
+extern GATEWAY_BLOCK_MAIN MAIN;
 void config_init__(void);
 void config_run__(unsigned long tick);
 
-static WORD registers[65536];
-#define __LOCATED_VAR(type, name, area, size, index) type *name = (type *)&registers[index];
+static WORD I_words[65536], Q_words[65536], M_words[65536];
+#define __LOCATED_VAR(type, name, area, size, index, ...) type *name = (type *)&area##_words[index];
 #include "LOCATED_VARIABLES.h"
 #undef __LOCATED_VAR
 
-enum { BLOCK = 400, ACCOUNT = 115, ACCOUNT_WORDS = 7, CYCLE_MS = 20 };
+enum { ACCOUNT_WORDS = 7, CYCLE_MS = 20 };
 
 int main(void) {
     unsigned long tick = 0;
@@ -25,10 +26,10 @@ int main(void) {
     while (scanf(" %c", &command) == 1) {
         int first = 0, count = 0, word = 0;
         if (command == 'p' && scanf("%d", &count) == 1) {
-            MAINRESOURCE__MAININSTANCE.PERMITSWITCH.value = count != 0;
+            MAIN.PERMITSWITCH.value = count != 0;
         } else if (command == 'w' && scanf("%d %d", &first, &count) == 2) {
             for (int place = 0; place < count && scanf("%d", &word) == 1; place++)
-                registers[BLOCK + first + place] = (WORD)word;
+                BLOCK[first + place] = (WORD)word;
         } else if (command == 'c' && scanf("%d", &count) == 1) {
             while (count-- > 0) {
                 unsigned long ms = ++tick * CYCLE_MS;
@@ -38,7 +39,7 @@ int main(void) {
             }
         } else if (command == 'a') {
             for (int place = 0; place < ACCOUNT_WORDS; place++)
-                printf("%d ", registers[ACCOUNT + place]);
+                printf("%d ", ACCOUNT[place]);
             printf("\n");
             fflush(stdout);
         }

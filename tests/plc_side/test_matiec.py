@@ -1,19 +1,23 @@
 """The generated text compiled by matiec and run: a compiler that is not ours, and the whole conformance suite."""
 
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from gateway.commission.writeback.structured_text import Program, generate
-from gateway.commission.writeback.suite import Account, put_through
+from gateway.commission.writeback.suite import Account, Result, put_through
+from gateway.commission.writeback.targets import TARGETS
 from gateway.commission.writeback.vectors import vectors
 from gateway.settings.devices import BLOCK_FIELDS, load_device
 from tests.plc_side.sides import CYCLE_MS
+from tests.plc_side.test_conformance import MUTANTS
 from tests.plc_side.test_structured_text import PLC
 
 HARNESS = Path(__file__).parent / "compiled.c"
@@ -46,24 +50,75 @@ class CompiledByMatiec:
         return Account(accepted, refused, code, bool(usable & 1), *session)
 
 
-@contextmanager
-def compiled(folder: Path) -> Iterator[CompiledByMatiec]:
-    """The shipped map's text, compiled to C by iec2c and by the machine's own compiler."""
-    iec2c, gcc = os.environ.get("IEC2C") or shutil.which("iec2c"), shutil.which("gcc")
-    if iec2c is None or gcc is None:
+@dataclass(frozen=True)
+class Layout:
+    """Where a target's text has what the harness reaches for: the configuration, the instance, two areas of words."""
+
+    configuration: str
+    resource: str
+    block: str
+    account: str
+
+
+LAYOUTS = {
+    "plain": Layout("GATEWAY_BLOCK_CONFIGURATION", "MainResource", "&M_words[400]", "&M_words[115]"),
+    "openplc": Layout("Config0", "Res0", "&Q_words[400]", "&Q_words[115]"),
+    "codesys": Layout(
+        "GATEWAY_BLOCK_CONFIGURATION", "MainResource", "MAIN.AREA.value.table", "MAIN.ANSWERS.value.table + 3"
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def iec2c() -> str:
+    found = os.environ.get("IEC2C") or shutil.which("iec2c")
+    if found is None or shutil.which("gcc") is None:
         pytest.skip("matiec (iec2c by PATH or by the variable IEC2C) or gcc is not installed on this machine")
+    return found
+
+
+def text_of(target: str) -> str:
+    device = load_device(PLC)
+    content = generate(device, "GATEWAY_BLOCK", Program(), TARGETS[target])
+    if target == "codesys":
+        # CODESYS keeps its tasks in the project, and locates whole arrays, which matiec does not: the harness finds
+        # the arrays in the program's instance, and the configuration is that of the plain text.
+        content = (
+            re.sub(r" AT %[IQ]W0", "", content)
+            + generate(device, "GATEWAY_BLOCK", Program()).partition("END_PROGRAM\n")[2]
+        )
+    return content
+
+
+def translated(iec2c: str, folder: Path, content: str) -> subprocess.CompletedProcess[bytes]:
+    """iec2c over a text. Its library lies beside the program itself, also where PATH has but a link to it."""
+    (folder / "block.st").write_text(content, encoding="ascii")
     library = Path(iec2c).resolve().parent / "lib"
-    (folder / "block.st").write_text(generate(load_device(PLC), "GATEWAY_BLOCK", Program()), encoding="ascii")
-    for command in (
-        [iec2c, "-I", str(library), "block.st"],
-        [gcc, "-w", "-I", str(library / "C"), "-I.", "-o", "plc", str(HARNESS), "Config0.c", "Resource0.c"],
-    ):
-        names = [
-            {"Config0.c": "GATEWAY_BLOCK_CONFIGURATION.c", "Resource0.c": "MainResource.c"}.get(word, word)
-            for word in command
-        ]
-        done = subprocess.run(names, cwd=folder, capture_output=True, check=False, timeout=60)
-        assert done.returncode == 0, done.stderr.decode()
+    return subprocess.run(
+        [iec2c, "-I", str(library), "block.st"], cwd=folder, capture_output=True, check=False, timeout=60
+    )
+
+
+@contextmanager
+def compiled(iec2c: str, folder: Path, content: str, layout: Layout) -> Iterator[CompiledByMatiec]:
+    """A text compiled to C by iec2c and by the machine's own compiler, running."""
+    done = translated(iec2c, folder, content)
+    assert done.returncode == 0, done.stderr.decode()
+    includes = [f"-I{Path(iec2c).resolve().parent / 'lib' / 'C'}", "-I."]
+    names = [
+        f"-DMAIN={layout.resource.upper()}__MAININSTANCE",
+        f"-DBLOCK=({layout.block})",
+        f"-DACCOUNT=({layout.account})",
+    ]
+    sources = [str(HARNESS), f"{layout.configuration}.c", f"{layout.resource}.c"]
+    done = subprocess.run(
+        ["gcc", "-w", *includes, *names, "-o", "plc", *sources],
+        cwd=folder,
+        capture_output=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr.decode()
     with subprocess.Popen([str(folder / "plc")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             yield CompiledByMatiec(process)
@@ -71,11 +126,39 @@ def compiled(folder: Path) -> Iterator[CompiledByMatiec]:
             process.kill()
 
 
-async def test_the_text_that_matiec_has_compiled_passes_the_whole_suite(tmp_path: Path) -> None:
+async def results_of(iec2c: str, folder: Path, target: str, change: tuple[str, str] = ("", "")) -> list[Result]:
     device = load_device(PLC)
     assert device.writeback is not None
-    with compiled(tmp_path) as side:
-        steps = vectors(device.writeback)
-        results = await put_through(steps, side, device.refusals, BLOCK_FIELDS)
-    print(f"{sum(result.passed for result in results)} of {len(results)} steps of the conformance suite")
+    content = text_of(target)
+    assert change[0] in content
+    with compiled(iec2c, folder, content.replace(*change) if change[0] else content, LAYOUTS[target]) as side:
+        return await put_through(vectors(device.writeback), side, device.refusals, BLOCK_FIELDS)
+
+
+@pytest.mark.parametrize("target", LAYOUTS)
+async def test_the_text_that_matiec_has_compiled_passes_the_whole_suite(
+    iec2c: str, tmp_path: Path, target: str
+) -> None:
+    results = await results_of(iec2c, tmp_path, target)
+    print(f"{target}: {sum(result.passed for result in results)} of {len(results)} steps of the conformance suite")
     assert [result for result in results if not result.passed] == []
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+async def test_a_compiled_text_that_leaves_a_check_out_fails_the_suite(iec2c: str, tmp_path: Path, name: str) -> None:
+    results = await results_of(iec2c, tmp_path, "plain", MUTANTS[name])
+    print(f"{name}: {sum(bool(result.wrong) for result in results)} steps notice")
+    assert any(result.wrong for result in results)
+
+
+@pytest.mark.parametrize("name", ["decanter_can.toml", "decanter_canopen.toml"])
+def test_the_maps_of_the_can_links_compile_too(iec2c: str, tmp_path: Path, name: str) -> None:
+    done = translated(iec2c, tmp_path, generate(load_device(PLC.parent / name), "", Program()))
+    assert done.returncode == 0, done.stderr.decode()
+
+
+def test_an_iec2c_that_is_but_a_link_finds_its_library(iec2c: str, tmp_path: Path) -> None:
+    link = tmp_path / "iec2c"
+    link.symlink_to(Path(iec2c).resolve())
+    done = translated(str(link), tmp_path, text_of("plain"))
+    assert done.returncode == 0, done.stderr.decode()

@@ -20,7 +20,7 @@ _STATES = {
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """A heading of level 1 or 2."""
+    """A heading of level 1 (the report), 2 (a part of it) or 3 (within a part)."""
 
     text: str
     level: int = 1
@@ -141,7 +141,7 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
         Text(f"{records['path']}: {count} records, chain {chain}, SHA-256 {records['sha256']}"),
     ]
     for record in records["rows"]:
-        report += [Heading(f"{record['number']}. {record['command']}", 2), *_record(record)]
+        report += [Heading(f"{record['number']}. {record['command']}", 3), *_record(record)]
     return report
 
 
@@ -159,7 +159,7 @@ def _record(record: Mapping[str, Any]) -> Iterator[Block]:
             f"{frames.get('sent', 0)} sent, {frames.get('received', 0)} received, {frames.get('bytes', 0)} bytes",
         ),
         ("raw frames", f"SHA-256 {frames.get('sha256', '')}"),
-        *((f"file {path}", f"SHA-256 {digest}") for path, digest in record["configuration"].items()),
+        *(("file", f"{path}, SHA-256 {digest}") for path, digest in record["configuration"].items()),
     ]
     # Of the result a list of objects is a table of its own, everything else a row of the facts.
     tables: dict[str, list[Mapping[str, Any]]] = {}
@@ -173,7 +173,7 @@ def _record(record: Mapping[str, Any]) -> Iterator[Block]:
     for name, rows in tables.items():
         yield Text(f"{name} ({len(rows)})")
         columns = tuple(dict.fromkeys(key for row in rows for key in row))
-        cells = tuple(tuple(_cell(row.get(column)) for column in columns) for row in rows[:MOST_ROWS])
+        cells = tuple(tuple(_cell(_moment(column, row.get(column))) for column in columns) for row in rows[:MOST_ROWS])
         states = []
         for row in rows[:MOST_ROWS]:
             state = {"ok": "good", "failed": "bad", "warning": "open"}.get(str(row.get("state")), "")
@@ -189,6 +189,11 @@ def _record(record: Mapping[str, Any]) -> Iterator[Block]:
         yield ReportTable(columns, cells, tuple(states), widths)
         if len(rows) > MOST_ROWS:
             yield Text(f"The first {MOST_ROWS} of {len(rows)} are shown; report.json has them all.")
+
+
+def _moment(name: str, value: object) -> object:
+    """A time (s UTC) as a date for a person; any other value as it is."""
+    return at(value) if name == "time" and isinstance(value, float) and isfinite(value) else value
 
 
 def _cell(value: object) -> str:

@@ -14,7 +14,8 @@ _FILL = {"good": (227, 243, 230), "bad": (251, 224, 222), "open": (253, 241, 211
 _HEAD, _PLAIN = (238, 242, 245), (255, 255, 255)
 _BLUE = (39, 80, 111)
 _FONT, _MONO = "DejaVu", "DejaVuMono"
-_SMALL, _BODY, _LARGE = 7.5, 9.5, 17.0
+_SMALL, _BODY = 7.5, 9.5
+_HEADING = {1: 17.0, 2: 12.0, 3: 10.0}
 
 
 def paper(blocks: Sequence[Block], title: str, footer: str, moment: float) -> bytes:
@@ -25,7 +26,7 @@ def paper(blocks: Sequence[Block], title: str, footer: str, moment: float) -> by
             sheet.ln(1 if block.level == 1 else 4)
             if sheet.will_page_break(24):  # a heading does not stand alone at the foot of a page
                 sheet.add_page()
-            sheet.set_font(_FONT, "B", _LARGE if block.level == 1 else 11)
+            sheet.set_font(_FONT, "B", _HEADING[block.level])
             sheet.set_text_color(*_BLUE)
             sheet.multi_cell(0, None, block.text, new_x="LMARGIN", new_y="NEXT")
             sheet.set_text_color(0)
@@ -50,6 +51,9 @@ def paper(blocks: Sequence[Block], title: str, footer: str, moment: float) -> by
                 sheet.line(left, top, left + width - 14, top)
                 sheet.set_xy(left, top + 1)
                 sheet.cell(width - 14, 5, f"{role}: name, date, signature")
+            sheet.set_xy(
+                sheet.l_margin, top + 8
+            )  # a cell leaves the position beside it, and the next block lay over it
     return bytes(sheet.output())
 
 

@@ -7,6 +7,7 @@ import click
 
 from drivers.named_files import writing
 from gateway.commission.writeback.structured_text import Program, generate
+from gateway.commission.writeback.targets import TARGETS
 from gateway.commission.writeback.vectors import plain, vectors
 from gateway.console import config_dir, emit
 from gateway.entry import sentences
@@ -21,16 +22,26 @@ from gateway.settings import load_device
     show_default="config/devices/decanter_plc.toml",
     help="The device file (register map) with the [writeback] table.",
 )
+@click.option(
+    "--target",
+    type=click.Choice(list(TARGETS)),
+    default="plain",
+    show_default=True,
+    help="The tool that the text goes into: its names, its places of registers, its spelling.",
+)
 @click.option("--out", type=click.Path(path_type=Path), help="File of the Structured Text.  [default: the screen]")
 @click.option("--name", default="", help="Name of the function block.  [default: made from the device's name]")
 @click.option("--program/--no-program", default=True, show_default=True, help="Also an example program that calls it.")
-@click.option("--location", default="%MW", show_default=True, help="Where registers lie in the PLC: %MW, %QW or %IW.")
-@click.option("--permit-at", default="", metavar="LOCATION", help="Where the permit's switch lies, such as %IX0.0.")
+@click.option(
+    "--location", default="", help="Where registers lie in the PLC: %MW, %QW or %IW.  [default: the target's]"
+)
+@click.option("--permit-at", default="", metavar="LOCATION", help="The bit of the permit's switch, such as %IX0.0.")
 @click.option("--cycle", type=click.IntRange(1, 10_000), default=20, show_default=True, help="The task's cycle in ms.")
 @click.option("--suite", type=click.Path(path_type=Path), help="Also write the conformance suite here (JSON).")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
 def codegen(
     device: Path,
+    target: str,
     out: Path | None,
     name: str,
     program: bool,
@@ -43,11 +54,14 @@ def codegen(
     """Generate the function block that checks the gateway's blocks: plain IEC 61131-3, 2nd edition, from the map.
 
     It checks layout version, sequence copy, CRC, session and heartbeat, keeps a timer, and falls back to the PLC's own
-    logic.
+    logic. What to paste where in OpenPLC, CODESYS and TIA Portal is in docs/plc_side.md.
     """
     with sentences():
         device_map = load_device(device)
-        text = generate(device_map, name, Program(location, permit_at, cycle) if program else None)
+        tool = TARGETS[target]
+        if out is not None and tool.ending and out.suffix.lower() != tool.ending:
+            raise ValueError(f"{out}: {tool.tool} imports files that end in {tool.ending}; give the file that ending")
+        text = generate(device_map, name, Program(location, permit_at, cycle) if program else None, tool)
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)
             with writing(out):
@@ -55,7 +69,14 @@ def codegen(
         if suite is not None:
             write_suite(device, suite)
     files = {"text": str(out) if out else None, "suite": str(suite) if suite else None}
-    data = {"ok": True, "device": str(device), **files, "lines": text.count("\n"), **({} if out else {"source": text})}
+    data = {
+        "ok": True,
+        "device": str(device),
+        "target": target,
+        **files,
+        "lines": text.count("\n"),
+        **({} if out else {"source": text}),
+    }
     emit(data, lambda: _show(text, out, suite), as_json_line=as_json)
 
 

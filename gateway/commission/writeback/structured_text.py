@@ -2,6 +2,7 @@
 
 The text holds nothing that a vendor has added: no object, no reference, no comment of two slashes, every conversion by
 a standard function. It is matched to the block's layout, so that the PLC's program has no number of its own to keep.
+What single tools want of names, places and spelling is in `targets`.
 """
 
 import hashlib
@@ -14,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from drivers.tag import DType, Order, Tag
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, FRAME, described, unknown_word
+from gateway.commission.writeback.targets import TARGETS, PlcTool
 from gateway.settings import DeviceMap, WritebackLayout
 
 _KEYS: Mapping[str, str] = {
@@ -29,10 +31,22 @@ _KEYS: Mapping[str, str] = {
 }
 """The template's names of the reasons; a block that looks at its memory knows no length and no start."""
 _SWAPPED = (Order.BADC, Order.DCBA)
-_REGISTER = re.compile(r"^holding:(\d+)$")
-_LOCATION = re.compile(r"^%[IQM][XW]?\d+(\.\d+)*$")
-_PREFIX = re.compile(r"^%[IQM]W?$")
-_RESERVED = frozenset({"PROGRAM", "TYPE", "VAR", "TASK", "ON", "OR", "AND", "NOT", "MOD", "XOR", "TIME", "WORD"})
+_REGISTER = re.compile(r"^(holding|input):(\d+)$")
+# What the language and its library have taken, by the annexes of IEC 61131-3; further forms are in `_FORMS`.
+_RESERVED = frozenset(
+    """
+    ABS ACOS ACTION ADD AND ANDN ANY ARRAY ASIN AT ATAN BOOL BY BYTE CAL CALC CALCN CASE CD CLK CONCAT
+    CONFIGURATION CONSTANT COS CTD CTU CTUD CU DATE DATE_AND_TIME DELETE DINT DIV DO DT DWORD ELSE ELSIF EN ENO
+    EQ ET EXIT EXP EXPT FALSE FIND FOR FROM FUNCTION FUNCTION_BLOCK F_EDGE F_TRIG GE GT IF IN INITIAL_STEP
+    INSERT INT INTERVAL JMP JMPC JMPCN LD LDN LE LEFT LEN LIMIT LINT LN LOG LREAL LT LWORD MAX MID MIN MOD MOVE
+    MUL MUX NE NON_RETAIN NOT OF ON OR ORN PRIORITY PROGRAM PT PV Q QD QU R READ_ONLY READ_WRITE REAL REPEAT
+    REPLACE RESOURCE RET RETAIN RETC RETCN RETURN RIGHT ROL ROR RS RTC R_EDGE R_TRIG S SEL SEMA SHL SHR SIN
+    SINGLE SINT SQRT SR ST STEP STN STRING STRUCT SUB TAN TASK THEN TIME TIME_OF_DAY TO TOD TOF TON TP
+    TRANSITION TRUE TRUNC TYPE UDINT UINT ULINT UNTIL USINT VAR WHILE WITH WORD WSTRING XOR XORN
+    """.split()  # noqa: SIM905 - a list of so many words is read as a text
+)
+_FORMS = re.compile(r"^(END|VAR)_\w+$|_TO_|_TRUNC_")
+_VARIABLE = re.compile(r"^ +(\w+)(?: AT \S+)?(?: \{[^}]*\})? : ", re.MULTILINE)
 # What the program may answer in the PLC's own area, by tag: a truth value, or a number.
 _TRUTHS = {"WritePermit": "PermitSwitch", "PredictionUsable": "Gateway.Usable"}
 _NUMBERS = {
@@ -47,34 +61,43 @@ _NUMBERS = {
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """What the example program needs to know: where registers lie, the permit's place, the cycle (ms)."""
+    """What the example program needs to know: where registers lie ("": the target's own), the permit's place, the cycle
+    (ms)."""
 
-    prefix: str = "%MW"
+    prefix: str = ""
     permit_at: str = ""
     cycle: int = 20
 
 
-def generate(device: DeviceMap, name: str = "", program: Program | None = None) -> str:
+def generate(
+    device: DeviceMap, name: str = "", program: Program | None = None, target: PlcTool = TARGETS["plain"]
+) -> str:
     """The function block for a device's write-back area; with `program` also an example that calls it.
 
     `name` is the block's identifier, made from the device's name by default. Raises ValueError for a device file
-    without [writeback], for a name that is no identifier, and for a location that is none of IEC 61131-3.
+    without [writeback], for a name that is no identifier or one of the text's own, and for a location that the target
+    does not have.
     """
     layout = device.writeback
     if layout is None:
         raise ValueError(f"{device.path}: has no [writeback] table; there is no block to check")
     name = identifier(name or f"{device.name}_writeback")
-    text = _template("function_block.st.j2").render(_block(device, layout, name))
+    block = {**_block(device, layout, name), "dialect": target.dialect}
+    text = _template("function_block.st.j2").render(block)
     if program is not None:
-        text += _template("program.st.j2").render(_program(device, layout, name, program))
-    return text
+        text += _template(target.template).render(_program(device, layout, name, program, target))
+    if name in {own.upper() for own in _VARIABLE.findall(text)}:
+        raise ValueError(f"{name!r} is a variable within the text; give the block another name")
+    return target.spelling(text)
 
 
 def identifier(text: str) -> str:
     """The text as an identifier in capitals. Raises ValueError if nothing of it can be one."""
     plain = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9]", "_", text)).strip("_").upper()
-    if not plain or plain in _RESERVED:
+    if not plain:
         raise ValueError(f"{text!r} makes no identifier; give letters, digits and single underscores")
+    if plain in _RESERVED or _FORMS.search(plain):
+        raise ValueError(f"{text!r} makes no identifier: {plain} is a word of IEC 61131-3; give another name")
     return plain if plain[0].isalpha() else f"B_{plain}"
 
 
@@ -153,38 +176,67 @@ def _real(value: float) -> str:
 # ---------------------------------------------------------------- the example program
 
 
-def _program(device: DeviceMap, layout: WritebackLayout, name: str, program: Program) -> dict[str, Any]:
-    if not _PREFIX.match(program.prefix):
-        raise ValueError(f"{program.prefix!r} is no prefix of a location; give one such as %MW, %QW or %IW")
-    if program.permit_at and not _LOCATION.match(program.permit_at):
-        raise ValueError(f"{program.permit_at!r} is no location; give one such as %IX0.0 or %MX10.0")
-    words = [
-        {
-            "variable": f"Word{place:02d}",
-            "field": field.name,
-            "address": _said(tag.address),
-            "place": _place(tag, program),
-        }
+def _program(
+    device: DeviceMap, layout: WritebackLayout, name: str, program: Program, target: PlcTool
+) -> dict[str, Any]:
+    """All that an example program's template asks for. `declared` rows are variables of their own in the program."""
+    prefix = target.prefix(program.prefix)
+    configuration, resource = target.names or (f"{name}_CONFIGURATION", "MainResource")
+    words: list[dict[str, Any]] = [
+        {"variable": f"Word{place:02d}", "field": field.name, "address": _said(tag.address), "tag": tag}
         for place, (field, tag) in enumerate(zip(layout.fields, layout.words, strict=True))
     ]
-    return {
+    answers = list(_answers(device))
+    located = all(_register(word["tag"]) is not None for word in words)
+    content = {
         "name": name,
         "source": _said(device.path.name),
-        "located": all(word["place"] for word in words),
-        "prefix": program.prefix,
-        "permit_at": program.permit_at,
+        "located": located,
+        "permit_at": target.permit(program.permit_at),
         "cycle": program.cycle,
+        "configuration": configuration,
+        "resource": resource,
         "words": words,
-        "registers": list(_registers(device, program)),
+        "answers": answers,
     }
+    for row in (*words, *answers):
+        row |= {"place": "", "declared": True}
+    # What the gateway writes may lie in the PLC's inputs; no program can answer in them, so that answers are outputs.
+    answering = prefix.replace("%I", "%Q")
+    if target.registers == "located":
+        content["where"] = target.where(prefix)
+        for rows, area in ((words, prefix), (answers, answering)):
+            for row in rows:
+                if (register := _register(row["tag"])) is not None:
+                    row["place"] = f" AT {target.place(register, area)}"
+    elif target.registers == "data block":
+        served = [row for row in (*words, *answers) if _register(row["tag"]) is not None]
+        for row in served:
+            row |= {"variable": f'"{name}_REGISTERS".Holding[{_register(row["tag"])}]', "declared": False}
+        content["highest"] = max((_register(row["tag"]) or 0 for row in served), default=0)
+    else:
+        served = [row for row in answers if _register(row["tag"], ("holding", "input")) is not None]
+        numbers = [_register(row["tag"], ("holding", "input")) or 0 for row in served]
+        first = min(numbers, default=0)
+        for row, number in zip(served, numbers, strict=True):
+            row |= {"variable": f"Answers[{number - first}]", "declared": False}
+        content |= {
+            "first": first,
+            "last": max(numbers) - first if numbers else None,
+            "area_at": f" AT {prefix}0" if located else "",
+            "answers_at": f" AT {answering}0",
+            "moved": any(_register(row["tag"]) is not None for row in answers),
+        }
+    return content
 
 
-def _place(tag: Tag, program: Program) -> str:
+def _register(tag: Tag, tables: tuple[str, ...] = ("holding",)) -> int | None:
+    """The PDU address of a tag that is a register of one of the tables."""
     match = _REGISTER.match(tag.address)
-    return f" AT {program.prefix}{int(match[1])}" if match else ""
+    return int(match[2]) if match and match[1] in tables else None
 
 
-def _registers(device: DeviceMap, program: Program) -> Iterator[dict[str, Any]]:
+def _answers(device: DeviceMap) -> Iterator[dict[str, Any]]:
     """The words of the PLC's own area that the program answers in, each with the tags in it."""
     numbers = {**_NUMBERS, **({device.heartbeat: "Gateway.PlcHeartbeat"} if device.heartbeat else {})}
     answered = [tag for tag in device.tags if tag.name in numbers or tag.name in _TRUTHS]
@@ -205,10 +257,10 @@ def _registers(device: DeviceMap, program: Program) -> Iterator[dict[str, Any]]:
                 word = f"UINT_TO_WORD({numbers[tag.name]})"
                 number = f"ROL({word}, 8)" if swapped else word
         yield {
-            "variable": f"Own{identifier(own[0].name).capitalize()}",
+            "variable": f"Own{identifier('Own' + own[0].name)[3:].capitalize()}",
+            "tag": own[0],
             "tags": _said(", ".join(tag.name for tag in own)),
             "address": _said(address),
-            "place": _place(own[0], program),
             "bits": bits,
             "number": number,
         }
