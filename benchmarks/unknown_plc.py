@@ -20,7 +20,7 @@ from gateway.commission.files.device_file import fields_that_fit, set_block, set
 from sim.artefacts.model_json import model_text
 from sim.sha.trace import Trace
 from sim.traces.trace_file import write_trace
-from tests.rig.pair import CYCLE_S, MAP, Plc, known_model, plc_process, restless_trace
+from tests.rig.pair import CYCLE_S, MAP, TEMPERATURE, Plc, known_model, plc_process, restless_trace
 
 LIMIT = 16
 HOLE = 105
@@ -97,7 +97,9 @@ def write_examples(folder: Path) -> None:
     _write_map(folder / "unknown_plc.toml")
     _write_list(folder / "unknown_plc.toml", folder / "io_list.csv")
     moving = restless_trace(120.0, step=1.0)
-    signals = {name: values.round(2) for name, values in moving.signals.items()}
+    # Hundredths in the temperatures: of round numbers a float's second word is 0 at every reading, and proves nothing.
+    odd = {name: moving.signals[name] * 1.01 for name in (TEMPERATURE, "TCuscinettiAlimentazione")}
+    signals = {name: values.round(2) for name, values in (moving.signals | odd).items()}
     signals |= dict.fromkeys(SWITCHES, (moving.times < SEEN_AT[1]).astype(float))
     trace = Trace("unknown", moving.times, signals, origin="made for docs/commissioning.md", synthetic=True)
     write_trace(trace, folder / "unknown_plc.csv")
