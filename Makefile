@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo test check lint types contracts unit fuzz durations lock bench clean
+.PHONY: setup demo test check lint types contracts unit fuzz durations docs lock bench clean
 
 setup: $(STAMP)
 
@@ -53,6 +53,10 @@ fuzz: $(STAMP)
 durations: $(STAMP)
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder --write-durations
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --write-durations --without-processes
+
+# docs/ as a searchable site in out/site; a dead link or a page that the navigation lacks is an error.
+docs: $(STAMP)
+	$(BIN)/mkdocs build --strict
 
 # The locks are made anew by hand, when a dependency is raised on purpose.
 lock: $(STAMP)

@@ -1,10 +1,12 @@
 """An emulated PLC that nobody knows yet, and what a commissioning engineer is given: an I/O list and an HMI.
 
 Words are swapped (CDAB); every address is one higher than its I/O list says; one register in the middle is forbidden;
-a request may have 16 registers; one client is served at a time.
+a request may have 16 registers; one client is served at a time. `python -m benchmarks.unknown_plc config/examples`
+writes the files of such a PLC that docs/commissioning.md uses.
 """
 
 import csv
+import sys
 import time
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -16,8 +18,9 @@ import tomlkit
 
 from gateway.commission.files.device_file import fields_that_fit, set_block, set_device
 from sim.artefacts.model_json import model_text
+from sim.sha.trace import Trace
 from sim.traces.trace_file import write_trace
-from tests.rig.pair import CYCLE_S, MAP, Plc, known_model, plc_process, restless_trace
+from tests.rig.pair import CYCLE_S, MAP, TEMPERATURE, Plc, known_model, plc_process, restless_trace
 
 LIMIT = 16
 HOLE = 105
@@ -62,9 +65,52 @@ def make_unknown(folder: Path) -> Unknown:
     folder.mkdir(parents=True, exist_ok=True)
     _write_map(unknown.map)
     write_trace(restless_trace(SECONDS), unknown.trace)
-    _write_list(unknown)
+    _write_list(unknown.map, unknown.list)
     (folder / "model.json").write_text(model_text(known_model()), encoding="utf-8")
     return unknown
+
+
+SEEN_AT = (12, 44)
+"""Seconds of the examples' trace at which somebody writes down what the HMI shows: two states of the plant."""
+SWITCHES = (
+    "MarciaDecanter",
+    "MarciaPmpFango",
+    "CicloAttivo",
+    "AllarmeVibrazioni",
+    "AllarmeTCuscinetti",
+    "PresenzaAllarme",
+)
+
+
+_PLANT_SH = """\
+# bash plant.sh PORT '{"command": ...}': one command to the control port of the emulated PLC, and its answer.
+exec 3<>"/dev/tcp/127.0.0.1/$1"
+echo "$2" >&3
+head -n 1 <&3
+sleep 0.2   # until the PLC's program and the HMI show it
+"""
+
+
+def write_examples(folder: Path) -> None:
+    """The files of docs/commissioning.md: the PLC's own map, trace and fault; the engineer's list and HMI notes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_map(folder / "unknown_plc.toml")
+    _write_list(folder / "unknown_plc.toml", folder / "io_list.csv")
+    moving = restless_trace(120.0, step=1.0)
+    # Hundredths in the temperatures: of round numbers a float's second word is 0 at every reading, and proves nothing.
+    odd = {name: moving.signals[name] * 1.01 for name in (TEMPERATURE, "TCuscinettiAlimentazione")}
+    signals = {name: values.round(2) for name, values in (moving.signals | odd).items()}
+    signals |= dict.fromkeys(SWITCHES, (moving.times < SEEN_AT[1]).astype(float))
+    trace = Trace("unknown", moving.times, signals, origin="made for docs/commissioning.md", synthetic=True)
+    write_trace(trace, folder / "unknown_plc.csv")
+    fault = f'[[fault]]\nkind = "illegal_register"\nregisters = ["holding:{HOLE}"]\n'
+    (folder / "unknown_plc_faults.toml").write_text(fault, encoding="utf-8")
+    (folder / "plant.sh").write_text(_PLANT_SH, encoding="utf-8")
+    for number, second in enumerate(SEEN_AT, start=1):
+        shown = {name: float(values[second]) for name, values in signals.items()}
+        rows = [(name, f"{shown[name]:.0f}" if name in SWITCHES else _display(shown[name])) for name in shown]
+        with (folder / f"hmi{number}.csv").open("w", encoding="utf-8", newline="") as stream:
+            csv.writer(stream, delimiter=";").writerows((("Tag", "Valore HMI"), *rows))
 
 
 def start(unknown: Unknown) -> Plc:
@@ -92,10 +138,10 @@ def _write_map(path: Path) -> None:
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
 
 
-def _write_list(unknown: Unknown) -> None:
+def _write_list(device: Path, path: Path) -> None:
     """The I/O list: Italian, with semicolons and decimal commas, one address too low, no word about the word order."""
-    tags = tomllib.loads(unknown.map.read_text(encoding="utf-8"))["tags"]
-    with unknown.list.open("w", encoding="cp1252", newline="") as stream:
+    tags = tomllib.loads(device.read_text(encoding="utf-8"))["tags"]
+    with path.open("w", encoding="cp1252", newline="") as stream:
         writer = csv.writer(stream, delimiter=";", lineterminator="\r\n")
         writer.writerows((*TITLES, HEADER))
         for tag in tags:
@@ -168,3 +214,7 @@ def _display(value: Any) -> str:
     if isinstance(value, bool):
         return "1" if value else "0"
     return f"{value:.1f}".replace(".", ",") if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    write_examples(Path(sys.argv[1]))

@@ -3,14 +3,19 @@
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
+from benchmarks.unknown_plc import write_examples
 from sim.traces.column_map import load_map
 from tests.cli.support import decanter
+from tests.commission.bench import free_port
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -18,9 +23,12 @@ DOCS = ROOT / "docs"
 
 PAGES = {
     "tutorial.md": ("cd8.png", "simulated.png", "model/model.json"),
+    "commissioning.md": ("devices/plc.toml", "decanter.st", "acceptance/report.pdf"),
     "laboratory.md": ("lsha/learning_report.md", "campaign/index.html", "ranking.html", "uppaal/decanter_cd1.xml"),
 }
 """The pages that are followed, and what must be there in the end."""
+PORTS = ("15020", "15021")
+"""Of the pages' software PLCs; a test takes free ones."""
 
 
 def commands(page: str) -> list[str]:
@@ -42,19 +50,30 @@ def test_only_what_a_shell_leaves_as_it_is_stays_out_of_one() -> None:
         assert plain_words(command) is None
 
 
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty working folder; a process whose number a page keeps in it does not outlive the test."""
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    for kept in tmp_path.glob("*.pid"):
+        with suppress(ProcessLookupError):
+            os.kill(int(kept.read_text(encoding="ascii")), signal.SIGKILL)
+
+
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("page", PAGES)
-def test_a_tutorial_can_be_followed_literally(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tutorial_can_be_followed_literally(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first command of `decanter` and whatever a shell has a part in run in a shell, as a reader types them.
 
     The other calls of `decanter` are carried out in this process, which has its libraries loaded already.
     """
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CONFIG", str(ROOT / "config"))
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     assert len(commands(page)) >= 8
     known = False
-    for command in commands(page):
+    free = {port: str(free_port()) for port in PORTS}
+    for line in commands(page):
+        command = re.sub("|".join(PORTS), lambda port: free[port[0]], line)
         words = plain_words(command)
         if words is not None and known:
             result = decanter(*words)
@@ -66,7 +85,7 @@ def test_a_tutorial_can_be_followed_literally(page: str, tmp_path: Path, monkeyp
         assert code == 0, f"{command}\n{printed}\n{complaints}"
         assert "Traceback" not in complaints
     for made in PAGES[page]:
-        assert (tmp_path / made).stat().st_size > 1000
+        assert (folder / made).stat().st_size > 1000
 
 
 def test_the_emulators_tables_in_the_documentation_are_those_that_it_prints() -> None:
@@ -99,3 +118,10 @@ def test_the_column_map_in_the_documentation_is_one(tmp_path: Path) -> None:
     path = tmp_path / "example.toml"
     path.write_text(example, encoding="utf-8")
     assert load_map(path).temperature == "MotorTemperature"
+
+
+def test_the_examples_are_those_that_their_command_writes(tmp_path: Path) -> None:
+    write_examples(tmp_path)
+    examples = ROOT / "config" / "examples"
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in examples.iterdir())
+    assert [path.name for path in tmp_path.iterdir() if path.read_bytes() != (examples / path.name).read_bytes()] == []

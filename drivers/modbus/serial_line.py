@@ -6,6 +6,7 @@ the request); what arrives meanwhile is dropped. That holds across reconnections
 """
 
 import asyncio
+import os
 import termios
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -74,7 +75,10 @@ class LineWire:
             reason = f"the port does not take these settings ({error.args[-1]}): check baud, parity and stopbits"
             raise LinkDown(f"{settings.place} cannot be opened: {reason}") from error
         except (OSError, UnicodeError, ValueError) as error:  # pyserial's SerialException is an OSError
-            reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+            # What pyserial says repeats the port and the number; the number's own word is enough.
+            number = error.errno if settings.serial and isinstance(error, OSError) else None
+            said = error.strerror if isinstance(error, OSError) else None
+            reason = os.strerror(number).lower() if number else said or str(error)
             raise LinkDown(f"{settings.place} cannot be opened: {reason}") from error
 
     @property

@@ -8,6 +8,7 @@ from gateway.cli.trace import trace
 from gateway.entry import LazyGroup, Table, one_thread
 
 COMMANDS: Table = {
+    "init": ("gateway.cli.init:init", "Make a folder that runs, from an address and an I/O list."),
     "demo": (
         "gateway.demo.command:demo",
         "Run the main job on this machine: PLC, gateway, outage, picture.",
@@ -29,9 +30,11 @@ COMMANDS: Table = {
         "gateway.lab.diagnose:diagnose",
         "Find where a model and traces disagree; name and add what is missing.",
     ),
+    "docs": ("gateway.cli.docs:docs", "Print a page of the documentation, or the list of pages."),
     "completion": ("gateway.cli.completion:completion", "Print what makes a shell complete, or install it."),
 }
 EXAMPLES = {
+    "init": "init plant2 --host 192.168.1.10 --list io_list.csv --temperature TCuscinettiRiduttore --trace export.csv",
     "demo": "demo --seconds 40 --out out/demo",
     "run": "run --config plant.toml",
     "top": "top --config plant.toml",
@@ -41,6 +44,7 @@ EXAMPLES = {
     "restore": "restore /media/usb/gateway-2026-05-04 --by 'A. Rossi'",
     "certificates": "certificates out/certificates --host 192.168.1.10",
     "diagnose": "diagnose --model out/model --traces out/traces --out out/diagnosis",
+    "docs": "docs commissioning",
     "completion": "completion bash --install",
 }
 

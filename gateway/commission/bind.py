@@ -106,6 +106,8 @@ def guessed(records: Path, rank: int) -> dict[str, Any]:
         )
     result = guesses[-1].result
     candidates = result.get("candidates") or [{**bit, "dtype": "bool"} for bit in result.get("bits", [])]
+    if not candidates:
+        raise ConfigError(["--guess: the last guess found nothing; repeat it, or give the address and --type"])
     if not 1 <= rank <= len(candidates):
         raise ConfigError([f"--guess {rank}: the last guess has {len(candidates)} candidates; give 1 for the best"])
     candidate = candidates[rank - 1]

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -67,6 +68,17 @@ class LazyGroup(click.Group):
         if cmd_name in self.examples:
             command.epilog = f"\b\nExample:\n  decanter {self.examples[cmd_name]}"
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that the words begin with. Raises UsageError, with the name that may have been meant."""
+        name = args[0]
+        if self.get_command(ctx, name) is None and not ctx.resilient_parsing and not name.startswith("-"):
+            near = get_close_matches(name, self.list_commands(ctx), n=1)
+            meant = f"; did you mean {near[0]!r}?" if near else ""
+            ctx.fail(f"No such command {name!r}{meant}")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; Control-C that it has no words of its own for ends it with a sentence and its code."""

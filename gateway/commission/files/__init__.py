@@ -4,9 +4,10 @@ from gateway.commission.files.cells import ListError, ListSheet, key_of, read_sh
 from gateway.commission.files.change import Binding, BlockPlace, FileChange, carry_out
 from gateway.commission.files.device_file import ENCODING
 from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
+from gateway.commission.files.first_folder import FirstFolder
 from gateway.commission.files.io_list import IoList, Reading, read_io_list
 from gateway.commission.files.io_words import COLUMNS, flag_of
-from gateway.commission.files.plan_files import Files, settings_of
+from gateway.commission.files.plan_files import Files, find_files, settings_of
 from gateway.commission.files.recording import ScanRecorder, SiteRecording, read_recording
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "BlockPlace",
     "FileChange",
     "Files",
+    "FirstFolder",
     "IoList",
     "ListError",
     "ListSheet",
@@ -27,6 +29,7 @@ __all__ = [
     "SiteRecording",
     "carry_out",
     "edit_files",
+    "find_files",
     "flag_of",
     "key_of",
     "pairs",

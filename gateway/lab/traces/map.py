@@ -1,6 +1,7 @@
 """`decanter trace map`: a column map drafted from a CSV that nobody has described."""
 
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def map_command(file: Path, out: Path | None, overwrite: bool, dates: str | None
         if out is not None and out.exists() and not overwrite:
             raise ValueError(f"{out}: is there already; give another name, or --overwrite")
         answers = Answers(dates=dates or "", **names)
-        drafted = _asked(file, answers)
+        drafted = asked_map(file, answers)
         if out is not None:
             with writing(out):
                 out.write_text(drafted.text, encoding="utf-8")
@@ -53,11 +54,14 @@ def map_command(file: Path, out: Path | None, overwrite: bool, dates: str | None
     emit(data, show, as_json_line=as_json)
 
 
-def _asked(file: Path, answers: Answers) -> DraftedMap:
-    """The map, a person asked for what the file leaves open, as long as one is there."""
+def asked_map(file: Path, answers: Answers, names: Mapping[str, str] | None = None) -> DraftedMap:
+    """The map, a person asked for what the file leaves open, as long as one is there; `names` as `draft_map` has them.
+
+    Raises Undecided where nobody is there, TraceError where there is no map.
+    """
     while True:
         try:
-            return draft_map(file, answers)
+            return draft_map(file, answers, names)
         except Undecided as open_point:
             if not (sys.stdin.isatty() and sys.stderr.isatty()):
                 raise

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
@@ -19,6 +19,8 @@ from sim.traces.mapping.words import named_name, named_value
 
 LEAST_GAP = 30.0
 _STEPS_IN_GAP = 5
+RUNNING = "Running"
+"""The name of the switch that is derived where no column says whether the machine runs."""
 _SHOWN = 30
 """Columns that are named in a comment because they say nothing usable."""
 
@@ -50,8 +52,12 @@ class _LongForm:
     objects: tuple[str, ...]
 
 
-def draft_map(path: Path, answers: Answers) -> DraftedMap:
-    """The column map that reads a file. Raises Undecided where a person must choose, TraceError where there is none."""
+def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = None) -> DraftedMap:
+    """The column map that reads a file. Raises Undecided where a person must choose, TraceError where there is none.
+
+    `names` are the signals' names by their headers, that of a derived switch by RUNNING; others are made of the header.
+    """
+    names = names or {}
     table = find_table(path)
     clock = clock_of(table, answers)
     long = _long_form(table, clock)
@@ -70,15 +76,19 @@ def draft_map(path: Path, answers: Answers) -> DraftedMap:
         for row in table.rows:
             cells.setdefault(row[long.name], []).append(row[long.value])
         columns = [column_of(name, name, "", own, decimal) for name, own in cells.items() if name]
-    columns = with_words(path, _named_apart(columns), answers)
+    named = [replace(column, name=names.get(column.header, column.name)) for column in columns]
+    columns = with_words(path, _named_apart(named), answers)
     parts = parts_of(path, columns, answers)
     # The current's levels and the usual step are those of all rows, which the map itself reads.
-    bare = _text(table, clock, long, columns, parts, decimal=decimal, answers=answers)
+    derived = names.get(RUNNING, RUNNING)
+    bare = _text(table, clock, long, columns, parts, decimal=decimal, answers=answers, derived=derived)
     traces, _ = load_traces(path, parse_map(bare, str(path)))
     steps = np.concatenate([np.diff(trace.times) for trace in traces])
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
     gap = max(LEAST_GAP, round_to(_STEPS_IN_GAP * usual, usual))
-    text = _text(table, clock, long, columns, parts, decimal=decimal, answers=answers, traces=traces, gap=gap)
+    text = _text(
+        table, clock, long, columns, parts, decimal=decimal, answers=answers, derived=derived, traces=traces, gap=gap
+    )
     traces, report = load_traces(path, parse_map(text, str(path)))
     said = report.sentences() if report.refused else report.warnings
     return DraftedMap(
@@ -142,6 +152,7 @@ def _text(
     *,
     decimal: str,
     answers: Answers,
+    derived: str,
     traces: Sequence[Trace] = (),
     gap: float = LEAST_GAP,
 ) -> str:
@@ -178,10 +189,10 @@ def _text(
     unused = [column.header for column in columns if column.kind not in ("number", "switch")]
     if unused:
         lines.append(f"# neither numbers nor switches: {listed(map(_one_line, unused), _SHOWN)}")
-    lines += _derived(parts)
+    lines += _derived(parts, derived)
     lines += ["", "[effects]    # for `decanter diagnose`"]
     lines += [f"current = {quoted(current.name)}"] if current is not None else []
-    lines += _alphabet(table, parts, traces, gap)
+    lines += _alphabet(table, parts, traces, gap, derived)
     return "\n".join(lines) + "\n"
 
 
@@ -206,27 +217,30 @@ def _signal(column: FoundColumn, parts: Parts) -> str:
     return f"{_quoted(column.name)} = {{ {', '.join(keys)} }}{comment}"
 
 
-def _derived(parts: Parts) -> list[str]:
+def _derived(parts: Parts, name: str) -> list[str]:
     """The signal that says whether the machine runs, where no column does."""
     if parts.running is not None:
         return []
     head = ["", "[derived]    # no column says whether the machine runs"]
     if parts.current is None:
-        return [*head, "Running = { constant = 1.0 }    # nor does a current: it counts as running throughout"]
+        return [
+            *head,
+            f"{_quoted(name)} = {{ constant = 1.0 }}    # nor does a current: it counts as running throughout",
+        ]
     finite = parts.current.values[np.isfinite(parts.current.values)]
     scale = 0.001 if parts.current.unit == "mA" else 1.0
     highest = float(np.quantile(finite, 0.99)) * scale if finite.size else 1.0
     above = round_to(highest / 10, highest / 50)
     return [
         *head,
-        f"Running = {{ signal = {_quoted(parts.current.name)}, above = {above:g} }}    # a tenth of its most",
+        f"{_quoted(name)} = {{ signal = {_quoted(parts.current.name)}, above = {above:g} }}    # a tenth of its most",
     ]
 
 
-def _alphabet(table: FoundTable, parts: Parts, traces: Sequence[Trace], gap: float) -> list[str]:
+def _alphabet(table: FoundTable, parts: Parts, traces: Sequence[Trace], gap: float, derived: str) -> list[str]:
     running, current = parts.running, parts.current
     lines = ["", "[alphabet]    # the events that a model learns from", f"gap = {gap:g}", "channels = ["]
-    name = "Running" if running is None else running.name
+    name = derived if running is None else running.name
     polled = running is None or np.isfinite(running.values).mean() > 0.5
     change = ", on_change = false" if polled else ""
     why = "derived" if running is None else parts.reasons["running"]
