@@ -27,7 +27,6 @@ from gateway.store.backup import (
     read_manifest,
     stage,
 )
-from gateway.store.chain import first_break, hash_of
 from gateway.store.confirming import confirmation
 from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
 from gateway.store.historian import Historian, Row, open_historian, saved_state
@@ -92,9 +91,7 @@ __all__ = [
     "end_of",
     "events",
     "examine",
-    "first_break",
     "given_words",
-    "hash_of",
     "head",
     "heads_file",
     "history",
