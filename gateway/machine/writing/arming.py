@@ -31,7 +31,6 @@ from gateway.store import (
     Audit,
     AuditEntry,
     AuditRow,
-    Historian,
     SigningKeyError,
     Uptime,
     armings,
@@ -47,6 +46,8 @@ from gateway.store import (
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
+
+    from gateway.store import Historian
 
 
 LONGEST = 200

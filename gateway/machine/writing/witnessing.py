@@ -19,7 +19,6 @@ from gateway.store import (
     AuditError,
     AuditRow,
     HeadSink,
-    Historian,
     SignedHead,
     SigningKeyError,
     WitnessPlaces,
@@ -36,6 +35,8 @@ from gateway.store import (
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
+
+    from gateway.store import Historian
 
 
 SIGN_SECONDS = 3600.0
