@@ -1,12 +1,17 @@
 """How pictures are written to files: the endings that there are, and one way to save a figure."""
 
+from __future__ import annotations
+
 import warnings
 from io import StringIO
 from pathlib import Path
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from drivers.named_files import writing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 ENDINGS = (".png", ".pdf", ".svg")
 

@@ -54,6 +54,51 @@ def test_help_imports_nothing_heavy(command: list[str]) -> None:
     assert modules_imported_by(code).isdisjoint(HEAVY)
 
 
+LATE = {
+    "plc": (
+        "pandas",
+        "scipy.stats",
+        "matplotlib",
+        "sklearn",
+        "lark",
+        "jinja2",
+        "fpdf",
+        "openpyxl",
+        "cantools",
+    ),
+    "model": ("pandas", "scipy.stats", "matplotlib", "sklearn", "joblib", "jinja2", "structlog", "cantools", "rich"),
+    "trace": ("pandas", "scipy.stats", "matplotlib", "sklearn", "joblib", "jinja2", "structlog", "rich"),
+    "": (
+        "pandas",
+        "scipy.stats",
+        "matplotlib",
+        "sklearn",
+        "joblib",
+        "jinja2",
+        "fpdf",
+        "openpyxl",
+        "cantools",
+        "pymodbus",
+    ),
+}
+"""What the commands of each group import only when their work needs it."""
+
+
+@pytest.mark.parametrize("group", LATE)
+def test_a_command_begins_without_what_only_its_work_needs(group: str) -> None:
+    script = (
+        "import json, sys, click\n"
+        "from gateway.cli.main import main\n"
+        f"group = main.commands[{group!r}] if {group!r} else main\n"
+        "for name in group.table:\n"
+        "    group.get_command(click.Context(group), name)\n"
+        f"    print(json.dumps([name, [each for each in {LATE[group]!r} if each in sys.modules]]))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    loaded = {name: early for name, early in map(json.loads, done.stdout.splitlines()) if early}
+    assert loaded == {}
+
+
 def test_the_running_gateway_imports_neither_pandas_nor_matplotlib() -> None:
     assert modules_imported_by("import gateway.plant.app").isdisjoint({"pandas", "matplotlib"})
 

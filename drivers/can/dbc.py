@@ -8,21 +8,25 @@ Attributes that are read: `GenMsgCycleTime` (ms), and for protected messages `E2
 `E2EMaxDeltaCounter`.
 """
 
+from __future__ import annotations
+
 import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-
-import cantools
-from cantools.database.can import Database, Message, Signal
+from typing import TYPE_CHECKING
 
 from drivers.can.fields import Bits, Field, LayoutCondition, check_type, frame_key
 from drivers.can.protection import PROFILE, Protection
 from drivers.errors import AddressError, DriverError
 from drivers.named_files import contents, endless_number
 from drivers.tag import DType, Tag
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message, Signal
+
 
 PREFIX = "dbc:"
 _SIZES = ((8, DType.INT8, DType.UINT8), (16, DType.INT16, DType.UINT16), (32, DType.INT32, DType.UINT32))
@@ -41,7 +45,7 @@ _PLACE = re.compile(r":\s*(\d+)\s*\|\s*(\d+)\s*@")
 _SELECTION = re.compile(r"\bSG_MUL_VAL_\b([^;]*)")
 _RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
 _CANTOOLS_RAISES = (
-    cantools.Error, UnicodeError, ValueError, KeyError, IndexError, TypeError, AttributeError,
+    UnicodeError, ValueError, KeyError, IndexError, TypeError, AttributeError,
     ArithmeticError, RecursionError, StopIteration, AssertionError,
 )  # fmt: skip
 """What cantools was seen to raise, or lets through, for text that is no DBC (`make fuzz TARGET=dbc`)."""
@@ -90,6 +94,9 @@ class Dbc:
     """One DBC file. Raises DriverError if it cannot be read."""
 
     def __init__(self, path: Path) -> None:
+        import cantools
+        from cantools.database.can import Database
+
         self.path = path
         try:
             text = contents(path, MOST_BYTES).decode("cp1252")
@@ -99,7 +106,7 @@ class Dbc:
             loaded = cantools.database.load_string(text, database_format="dbc", strict=False)
         except OSError as error:
             raise DriverError(f"{path}: is no DBC file that can be used: {error.strerror or error}") from None
-        except _CANTOOLS_RAISES as error:
+        except (cantools.Error, *_CANTOOLS_RAISES) as error:
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise DriverError(f"{path}: is no DBC file that can be used: {reason}") from None
         if not isinstance(loaded, Database):

@@ -5,17 +5,20 @@ its lines there: a signal `S01PXX_name` under the parameter's number, and its SG
 signals is the last of its data; what is only there to be stepped over is called `_reserved`.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import cast
-
-import cantools
-from cantools.database.can import Database, Signal
+from typing import TYPE_CHECKING, cast
 
 from drivers.can import Bits, LayoutCondition, bits_of, conditions_of
+
+if TYPE_CHECKING:
+    from cantools.database.can import Signal
+
 
 FILE = Path(__file__).with_name("obd.dbc")
 ANSWER_TO_CURRENT = 0x41
@@ -58,6 +61,9 @@ def single_frame(number: int, data: bytes) -> bytes:
 @cache
 def pids() -> Mapping[int, Pid]:
     """Service 01 by parameter number. A number that is not here can be neither bound to a tag nor stepped over."""
+    import cantools
+    from cantools.database.can import Database
+
     (message,) = cast(Database, cantools.database.load_file(FILE, database_format="dbc")).messages
     signals: dict[int, list[tuple[str, Signal]]] = {}
     for signal in message.signals:

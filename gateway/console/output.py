@@ -4,14 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
-from typing import Any
-
-from rich.box import SIMPLE_HEAD
-from rich.cells import cell_len
-from rich.console import Console, JustifyMethod
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
-from rich.text import Text
+from typing import Any, Literal
 
 from gateway.entry import print_json
 
@@ -48,6 +41,12 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) 
     Text is folded between words, numbers never: columns that do not fit follow below as a further table, which begins
     with the first column again. No cell is read as markup: names come from files.
     """
+    from rich.box import SIMPLE_HEAD
+    from rich.cells import cell_len
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     console = Console()
     cells = [[Text(_cell(cell)) for cell in row] for row in rows]
     heads = [Text(column) for column in columns]
@@ -67,7 +66,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) 
             least[index], left = least[index] + more, left - more
         for index in band:
             numeric = all(isinstance(row[index], int | float) for row in rows)
-            justify: JustifyMethod = "right" if numeric else "left"
+            justify: Literal["right", "left"] = "right" if numeric else "left"
             grid.add_column(heads[index], justify=justify, width=least[index], overflow="fold")
         for row in cells:
             grid.add_row(*(row[index] for index in band))
@@ -87,6 +86,9 @@ def bands(least: Sequence[int], width: int) -> list[list[int]]:
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[str, float], None]]:
     """Yield `report(what, share)`: a bar on a terminal, nothing elsewhere; share is 0..1."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:

@@ -1,20 +1,23 @@
 """The picture of the live demonstration: with and without the gateway, the forecast at the alarm, what the PLC did."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from gateway.demo.heat import headline, started
 from gateway.demo.lead_time import TRUE_WITHIN_S
 from gateway.demo.prepare import DemoRun
 from gateway.store import history, matured, to_trace
 from sim.sha import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 MEASURED, WITHOUT, FORECAST, AT_ALARM = "#222222", "#c65d1e", "#1f6fb4", "#2a8c6a"
 LIMIT, OUTAGE = "#b3261e", "#999999"
@@ -28,6 +31,9 @@ def draw_heat(
     setting: DemoRun, heat: Mapping[str, Any], historian: Path, happened: Sequence[Mapping[str, Any]], path: Path
 ) -> Path:
     """Draw the run from its `historian`, its figures `heat` and the PLC's events `happened` into `path`."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     temperature = setting.model.temperature
     begin, without = started(setting.trace, happened)
 

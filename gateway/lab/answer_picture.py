@@ -1,16 +1,21 @@
 """Pictures of answers: the courses of a simulation, or how probable it is that the goal has come by each moment."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from drivers.named_files import writing
 from sim.checking.query import Always, Expression, Hypothesis, Indicator, Probability, Quantity, Simulation
 from sim.checking.smc import Answer
 from sim.checking.smc.rules import one_or_two_sided
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 MOST_DRAWN = 100
 """Courses in one picture; more are a black surface."""
@@ -44,6 +49,9 @@ def draw_answer(answer: Answer, text: str, path: Path, unit: str) -> None:
 
 
 def _figure(rows: int) -> tuple[Figure, list[Axes]]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(10, 1.6 + min(3.2 * rows, 60.0)), layout="constrained")
     FigureCanvasAgg(figure)
     panels = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])

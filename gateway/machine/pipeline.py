@@ -3,13 +3,14 @@
 Several machines may live in one process: everything is an argument or belongs to the object, nothing to the module.
 """
 
+from __future__ import annotations
+
 import asyncio
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from random import Random
-
-from structlog.typing import FilteringBoundLogger
+from typing import TYPE_CHECKING
 
 from drivers.driver import Complains, Driver, Supervised
 from drivers.supervision import Supervisor
@@ -22,6 +23,10 @@ from gateway.machine.writing import Arming, ArmingError, BlockStage
 from gateway.settings import Config
 from gateway.status import Phase
 from gateway.store import open_historian, saved_state
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
 
 SAVE_SECONDS = 10.0
 ORDERS = ("WritePermit", "AcknowledgeBits")

@@ -1,11 +1,16 @@
 """Whether what the machine relies on beside its device can be relied on: its records, and its clock."""
 
-from dataclasses import dataclass
+from __future__ import annotations
 
-from structlog.typing import FilteringBoundLogger
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from drivers.supervision import Supervisor
 from gateway.store import Historian
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
 
 RECORDING = ("historian", "audit", "signing")
 """The supervisor's parts without which what happens is not on record."""

@@ -1,5 +1,7 @@
 """The gateway as a running program: started, supervised, stopped with nothing left standing in the PLC."""
 
+from __future__ import annotations
+
 import asyncio
 import signal
 import sys
@@ -9,9 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from random import Random, SystemRandom
 from time import monotonic
-from typing import Any
-
-from structlog.typing import FilteringBoundLogger
+from typing import TYPE_CHECKING, Any
 
 from drivers.driver import Cautions, Driver
 from drivers.errors import DriverError
@@ -24,6 +24,10 @@ from gateway.plant.log_file import LogFile
 from gateway.plant.status import snapshot, write_status
 from gateway.settings import Config
 from gateway.status import SAID_BY_CHANGES, ChangeLines, GatewayStatus, opening
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
 
 STATUS_SECONDS = 0.25
 RESTART_SECONDS = 1.0

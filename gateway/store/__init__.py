@@ -1,65 +1,71 @@
 """What stays: historian, audit log, chains of hashes, and reading them back."""
 
-from gateway.store.arming_rows import Uptime, armings, cancelling, end_of, given_words, over, standing
-from gateway.store.audit import (
-    ARMED,
-    CANCELLED,
-    CONFIRMED,
-    DISARMED,
-    EXPIRED,
-    Audit,
-    AuditEntry,
-    AuditError,
-    AuditRow,
-    head,
-    open_audit,
-    read,
-    verify,
-)
-from gateway.store.audit_damage import open_or_set_aside
-from gateway.store.backup import (
-    BackupError,
-    Manifest,
-    as_one_file,
-    discard,
-    make_backup,
-    put_in_place,
-    read_manifest,
-    stage,
-)
-from gateway.store.chain import first_break, hash_of
-from gateway.store.confirming import confirmation
-from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
-from gateway.store.historian import Historian, Row, open_historian, saved_state
-from gateway.store.read_back import (
-    events,
-    history,
-    matured,
-    newest_scan,
-    reading,
-    recent,
-    samples,
-    stored_rows,
-    to_trace,
-    trend,
-)
-from gateway.store.schema import storable
-from gateway.store.score import percentile, scorecard
-from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
-from gateway.store.witness import (
-    HEAD_EVENT,
-    HEAD_STATE,
-    AuditVerdict,
-    HeadSink,
-    SignedHead,
-    WitnessPlaces,
-    acknowledgement,
-    examine,
-    heads_file,
-    places_beside,
-    sign_head,
-    trusted_key,
-)
+from typing import TYPE_CHECKING
+
+from gateway.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from gateway.store.arming_rows import Uptime, armings, cancelling, end_of, given_words, over, standing
+    from gateway.store.audit import (
+        ARMED,
+        CANCELLED,
+        CONFIRMED,
+        DISARMED,
+        EXPIRED,
+        Audit,
+        AuditEntry,
+        AuditError,
+        AuditRow,
+        head,
+        open_audit,
+        read,
+        verify,
+    )
+    from gateway.store.audit_damage import open_or_set_aside
+    from gateway.store.backup import (
+        BackupError,
+        Manifest,
+        as_one_file,
+        discard,
+        make_backup,
+        put_in_place,
+        read_manifest,
+        stage,
+    )
+    from gateway.store.confirming import confirmation
+    from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
+    from gateway.store.historian import Historian, Row, open_historian, saved_state
+    from gateway.store.read_back import (
+        events,
+        history,
+        matured,
+        newest_scan,
+        reading,
+        recent,
+        samples,
+        stored_rows,
+        to_trace,
+        trend,
+    )
+    from gateway.store.schema import storable
+    from gateway.store.score import percentile, scorecard
+    from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
+    from gateway.store.witness import (
+        HEAD_EVENT,
+        HEAD_STATE,
+        AuditVerdict,
+        HeadSink,
+        SignedHead,
+        WitnessPlaces,
+        acknowledgement,
+        examine,
+        heads_file,
+        places_beside,
+        sign_head,
+        trusted_key,
+    )
+else:
+    __getattr__ = opened_at_use(__name__, __file__)
 
 __all__ = [
     "ARMED",
@@ -92,9 +98,7 @@ __all__ = [
     "end_of",
     "events",
     "examine",
-    "first_break",
     "given_words",
-    "hash_of",
     "head",
     "heads_file",
     "history",

@@ -12,6 +12,8 @@ no alarm or audit record that was confirmed. Killing the process loses nothing t
 Between two batches the thread packs what has grown old and deletes what is too old or too much (`retention`).
 """
 
+from __future__ import annotations
+
 import fcntl
 import json
 import os
@@ -24,9 +26,7 @@ from functools import partial
 from pathlib import Path
 from shutil import disk_usage
 from time import monotonic
-from typing import Any
-
-from structlog.typing import FilteringBoundLogger
+from typing import TYPE_CHECKING, Any
 
 from drivers.supervision import Supervisor
 from drivers.tag import Tag
@@ -43,6 +43,10 @@ from gateway.store.retention import (
     transaction,
 )
 from gateway.store.schema import AT_ONCE, DURABLE, INDICES, INSERTS, MEASURED, PACKED, definition
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
 
 QUEUE, URGENT = 200_000, 10_000
 BATCH_SECONDS = 1.0
@@ -70,7 +74,7 @@ class Historian:
         path: Path,
         file: HistorianFile | None,
         attach: Callable[[], HistorianFile],
-        lock: "_FileLock",
+        lock: _FileLock,
         *,
         numbers: Mapping[str, int],
         supervisor: Supervisor,

@@ -6,7 +6,6 @@ roughness.
 """
 
 import numpy as np
-from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from sim.discrepancy.diagnosis import Ceiling
@@ -62,6 +61,8 @@ def ceiling(fitted: Fitted, seed: int) -> Ceiling | None:
 
 def _out_of_fold(features: Array, heat: Array, blocks: Blocks, cycles: Indices, seed: int) -> Array:
     """(b,) the trees' prediction of each block's heat, learned on the other folds' cycles."""
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
     # Whole cycles are held out, not blocks: the blocks of one cycle share its scatter, and trees would learn it.
     rng = np.random.default_rng(seed)
     fold = rng.permutation(np.arange(cycles.size) % min(FOLDS, cycles.size))[np.searchsorted(cycles, blocks.cycle)]

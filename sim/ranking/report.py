@@ -1,14 +1,14 @@
 """A ranking as pictures and as a page: pooled error distributions, the matrix of wins, and one self-contained HTML."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from drivers.named_files import writing
 from sim.pages import page_environment
@@ -16,6 +16,10 @@ from sim.pictures import check_picture, save_picture
 from sim.ranking.ranking import Ranking, entrants
 from sim.sha import Array, shown_unit
 from sim.validation import MEASURED, QUANTILES, TraceResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 COLOURS: Mapping[str, str] = {"fit": "#2a8c6a", "limited": "#b08a2e", "unfit": "#b3261e"}
 SHOWN = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -64,6 +68,9 @@ def spreads(ranking: Ranking, results: Sequence[TraceResult]) -> list[Spread]:
 
 def figure(ranking: Ranking, results: Sequence[TraceResult]) -> Figure:
     """Two panels: the errors of each model, and on how many traces each is better than each other one."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     shown = spreads(ranking, results)
     rows = max(len(ranking.standings), 2)
     canvas = Figure(figsize=(13, 2.2 + 0.55 * rows), layout="constrained")

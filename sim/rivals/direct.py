@@ -6,9 +6,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.ensemble import HistGradientBoostingRegressor
-from sklearn.linear_model import Ridge
-from sklearn.preprocessing import StandardScaler
 from threadpoolctl import ThreadpoolController
 
 from sim.rivals.band import equal_shares, weighted_quantiles
@@ -170,6 +167,9 @@ def arx(examples: Examples, horizon: float, seed: int) -> HorizonFit:
 
 
 def _ridge(examples: Examples, penalty: float) -> LinearRegression:
+    from sklearn.linear_model import Ridge
+    from sklearn.preprocessing import StandardScaler
+
     scaler = StandardScaler().fit(examples.features)
     standard = np.nan_to_num(scaler.transform(examples.features), nan=0.0)
     weights = equal_shares(examples.groups)
@@ -192,6 +192,8 @@ def boosted_trees(examples: Examples, horizon: float, seed: int) -> HorizonFit:
 
 
 def _trees(examples: Examples, outcomes: Array, seed: int) -> Regression:
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
     weights = equal_shares(examples.groups)
     trees: Regression = HistGradientBoostingRegressor(
         learning_rate=0.1,

@@ -1,18 +1,23 @@
 """The figures of methods as one picture: errors beside persistence, and coverage by horizon and over time."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from math import nan
 from operator import attrgetter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from sim.learning import PERSISTENCE
 from sim.pictures import check_picture, save_picture
 from sim.skill.rows import NO_SKILL, NOMINAL, STRETCHES, SkillRow, grouped, skill, stretch
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 COLOURS = (
     *("#1f6fb4", "#2a8c6a", "#c65d1e", "#8c5fb0", "#b08a2e", "#b3261e"),
@@ -38,6 +43,9 @@ def draw_skill(rows: Mapping[str, Sequence[SkillRow]], path: Path) -> Path:
 
 def skill_figure(rows: Mapping[str, Sequence[SkillRow]]) -> Figure:
     """CRPS and MAE relative to persistence's and coverage by horizon; coverage by the time since a trace's start."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(16, 1.2 + 3.1 * max(len(rows), 1)), layout="constrained")
     FigureCanvasAgg(figure)
     methods = list(dict.fromkeys(row.method for own in rows.values() for row in own))

@@ -1,11 +1,15 @@
 """A UPPAAL document as plain records, and its XML text by a template with named placeholders."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from functools import cache
 from math import isfinite
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
 
 DOCTYPE = (
     "<!DOCTYPE nta PUBLIC '-//Uppaal Team//DTD Flat System 1.6//EN' "
@@ -72,6 +76,8 @@ class System:
 @cache
 def _engine() -> Environment:
     """The template engine; it keeps the template that it has compiled."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     return Environment(
         loader=PackageLoader("sim.uppaal"),
         autoescape=True,

@@ -15,8 +15,6 @@ from itertools import groupby
 from typing import Any, TypeVar
 from warnings import catch_warnings, simplefilter
 
-from joblib import Parallel, delayed
-
 from sim.effects import signals_of
 from sim.sha import Model, Trace
 from sim.traces import LoadReport
@@ -141,6 +139,8 @@ def parallel(
     When a process is killed, the first item without a result is done again by itself and the rest goes on after it. If
     it is killed then too, `lost` says what stands in its place; without `lost` that raises ValueError.
     """
+    from joblib import Parallel, delayed
+
     done, alone = 0, False
     while done < len(items):
         part = items[done : done + 1] if alone else items[done:]

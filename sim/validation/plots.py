@@ -1,20 +1,25 @@
 """Pictures: measured against predicted with band, events and inputs on one time axis; to a file, never shown."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
 from textwrap import shorten
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from drivers.named_files import writing
 from sim.pictures import check_picture
 from sim.sha import DEGREES, UNKNOWN, Array, Event, shown_unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 MEASURED, PREDICTED, OPEN_LOOP, AHEAD, ALARM = "#555555", "#1f6fb4", "#c65d1e", "#2a8c6a", "#b3261e"
 EVENT_COLOURS = ("#1f6fb4", "#c65d1e", "#2a8c6a", "#8a5fb0", "#b08a2e", "#5f7f8f", "#b35a7a", "#6b6b6b")
@@ -67,6 +72,9 @@ def draw(picture: Picture, path: Path, *also: Path) -> Path:
     for file in (path, *also):
         check_picture(file)
     # Minutes up to three hours, hours up to three days, then days.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     times = picture.measured.times
     origin, span = (float(times[0]), float(times[-1] - times[0])) if times.size else (0.0, 0.0)
     unit, seconds = TIME_UNITS[(span > 3 * 3600) + (span > 3 * 86_400)]

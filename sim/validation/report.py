@@ -1,14 +1,14 @@
 """One self-contained HTML report a model, and the index of a campaign: text and figures in, HTML out."""
 
+from __future__ import annotations
+
 import base64
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil, floor, inf, isfinite, log10
 from pathlib import Path
-from typing import Any
-
-from jinja2 import Environment
+from typing import TYPE_CHECKING, Any
 
 from sim.pages import page_environment
 from sim.sha import shown_unit
@@ -19,6 +19,10 @@ from sim.validation.results import Interval, TraceResult
 from sim.validation.seen import Seen
 from sim.validation.stages import Prepared, Stage, location_row
 from sim.validation.verdicts import SAMPLE, Gain, TraceVerdict, VerdictSummary, gain, summaries, verdict
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
 
 EMBEDDED = 40
 """Pictures that stand in the report itself; of more traces the worst, and the others are in the folder."""

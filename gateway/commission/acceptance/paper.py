@@ -1,14 +1,17 @@
 """The report's blocks as a PDF file, A4 across, with a page number and the data's hash on every page."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-
-from fpdf import FPDF
-from fpdf.fonts import FontFace
-from matplotlib import get_data_path
+from typing import TYPE_CHECKING
 
 from gateway.commission.acceptance.blocks import Block, Heading, ReportTable, Text
+
+if TYPE_CHECKING:
+    from fpdf import FPDF
+
 
 _FILL = {"good": (227, 243, 230), "bad": (251, 224, 222), "open": (253, 241, 211)}
 _HEAD, _PLAIN = (238, 242, 245), (255, 255, 255)
@@ -58,6 +61,9 @@ def paper(blocks: Sequence[Block], title: str, footer: str, moment: float) -> by
 
 
 def _sheet(title: str, footer: str, moment: float) -> FPDF:
+    from fpdf import FPDF
+    from matplotlib import get_data_path
+
     class ReportPdf(FPDF):
         def footer(self) -> None:
             self.set_y(-11)
@@ -82,6 +88,8 @@ def _sheet(title: str, footer: str, moment: float) -> FPDF:
 
 
 def _grid(sheet: FPDF, block: ReportTable) -> None:
+    from fpdf.fonts import FontFace
+
     sheet.set_font(_FONT, size=_SMALL)
     widths = block.widths or tuple(1.0 for _ in block.columns)
     head = FontFace(emphasis="BOLD", fill_color=_HEAD)

@@ -12,9 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from openpyxl import load_workbook
-from openpyxl.utils.exceptions import InvalidFileException
-
 from drivers.errors import OneLineError
 from drivers.named_files import MOST_BYTES, contents
 
@@ -25,7 +22,7 @@ _PLAIN = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d{1,2})?", re.IGNORECA
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:(?P<group>[.,'])\d{3})(?:(?P=group)\d{3})*(?P<rest>[.,]\d*)?")
 MOST_PARTS, MOST_ROWS, MOST_CELLS = 2000, 100_000, 2_000_000
 _XLSX_RAISES = (
-    InvalidFileException, zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, KeyError, IndexError,
+    zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, KeyError, IndexError,
     TypeError, AttributeError, ArithmeticError, RuntimeError, SyntaxError, struct.error, lzma.LZMAError, AssertionError,
 )  # fmt: skip
 """What zipfile, its decompressors, the XML parser and openpyxl raise for an archive that is no workbook."""
@@ -192,6 +189,9 @@ def delimiter_of(text: str) -> str:
 
 
 def _xlsx_rows(path: Path, data: bytes, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
+    from openpyxl import load_workbook
+    from openpyxl.utils.exceptions import InvalidFileException
+
     try:
         _check_archive(path, data)
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
@@ -216,7 +216,7 @@ def _xlsx_rows(path: Path, data: bytes, sheet: str | None) -> Iterator[tuple[int
                 yield number, cells
     except ListError:
         raise
-    except _XLSX_RAISES as error:
+    except (InvalidFileException, *_XLSX_RAISES) as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise ListError(f"{path}: is no XLSX workbook ({reason}); save it as .xlsx or .csv") from None
 

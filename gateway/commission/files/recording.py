@@ -11,7 +11,6 @@ from drivers.csv_rows import CsvRowError, numbered_rows
 from drivers.named_files import regular, writing
 from drivers.tag import Sample, Tag
 from gateway.commission.files.cells import ListError
-from gateway.store import to_trace
 
 _SQLITE = b"SQLite format 3\0"
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
@@ -40,6 +39,8 @@ def read_recording(path: Path, start: float = -1e18, end: float = 1e18) -> SiteR
         with regular(path).open("rb") as stream:
             historian = stream.read(len(_SQLITE)) == _SQLITE
         if historian:
+            from gateway.store import to_trace
+
             trace = to_trace(path, path.stem, start, end)
             columns = {name: column.tolist() for name, column in trace.signals.items()}
             recording = SiteRecording(path, trace.times.tolist(), columns)

@@ -15,7 +15,7 @@ from typing import Any
 
 from drivers.errors import OneLineError
 from drivers.named_files import writing
-from gateway.store import first_break, hash_of
+from gateway.chain import first_break, hash_of
 from sim.strict_json import json_text
 
 LIBRARIES = ("decanter-gateway", "pymodbus", "python-can", "canopen", "cantools", "pyserial")

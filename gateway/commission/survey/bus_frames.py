@@ -8,7 +8,6 @@ from statistics import mean, pstdev
 from typing import Any
 
 from drivers.can import Dbc, frame_key, frame_name
-from drivers.can.bus import frame_bits
 from drivers.errors import ReplyTimeout
 from drivers.survey import BusFrame, open_bus_survey
 from gateway.commission.session import CommandResult, Site
@@ -45,6 +44,8 @@ async def scan_can(site: Site, seconds: float) -> CommandResult:
     rows = rows_of(frames, seconds, names)
     data: dict[str, Any] = {"seconds": seconds, "heard": len(frames), "ids": rows}
     if bitrate := settings.get("bitrate"):
+        from drivers.can.bus import frame_bits
+
         bits = sum(frame_bits(len(frame.data), extended=frame.extended) for frame in frames)
         data["load_percent"] = 100.0 * bits / (bitrate * seconds)
     if not frames:

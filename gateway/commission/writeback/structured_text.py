@@ -5,18 +5,22 @@ a standard function. It is matched to the block's layout, so that the PLC's prog
 What single tools want of names, places and spelling is in `targets`.
 """
 
+from __future__ import annotations
+
 import hashlib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from typing import TYPE_CHECKING, Any
 
 from drivers.tag import DType, Order, Tag
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, FRAME, described, unknown_word
 from gateway.commission.writeback.targets import TARGETS, PlcTool
 from gateway.settings import DeviceMap, WritebackLayout
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
 
 _KEYS: Mapping[str, str] = {
     "accepted": "none",
@@ -102,6 +106,8 @@ def identifier(text: str) -> str:
 
 
 def _template(name: str) -> Template:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     # What is made is Structured Text, no page: nothing is to be escaped.
     world = Environment(  # noqa: S701
         loader=PackageLoader("gateway.commission.writeback"),

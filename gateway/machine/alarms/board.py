@@ -1,8 +1,9 @@
 """The alarms of one machine: what was measured and what the model finds move them, the PLC's bits acknowledge them."""
 
-from collections.abc import Mapping, Sequence
+from __future__ import annotations
 
-from structlog.typing import FilteringBoundLogger
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from gateway.machine.alarms.states import (
     Alarm,
@@ -16,6 +17,9 @@ from gateway.machine.alarms.states import (
 )
 from gateway.machine.reading import Scan
 from gateway.store import Historian, saved_state
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
 
 
 class AlarmBoard:

@@ -1,8 +1,8 @@
 """The model of one machine and all that follows it: prediction, guards, forecast, a newer model that takes over."""
 
-from typing import Any
+from __future__ import annotations
 
-from structlog.typing import FilteringBoundLogger
+from typing import TYPE_CHECKING, Any
 
 from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import Ensemble
@@ -15,6 +15,9 @@ from gateway.machine.reading import Scan
 from gateway.settings import Config
 from gateway.store import Historian, saved_state
 from sim.forecast import Forecast
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
 
 
 class ModelUnit:

@@ -1,13 +1,18 @@
 """Whether good readings arrive at all, why they do not, and the outages so far."""
 
+from __future__ import annotations
+
 from collections import Counter, deque
 from dataclasses import dataclass, field
-
-from structlog.typing import FilteringBoundLogger
+from typing import TYPE_CHECKING
 
 from drivers.tag import Quality
 from gateway.machine.reading.scan import Scan
 from gateway.repeated import without_measured
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
 
 OUTAGES = 50
 

@@ -1,19 +1,34 @@
 """What is written back to the PLC: the block, who may write it and when."""
 
-from gateway.machine.writing.arming import (
-    ArmingError,
-    NextStart,
-    arm_in_log,
-    arming_of,
-    disarm_in_log,
-    next_start,
-    signed,
-    uptime,
-)
-from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, SessionWords, Validity, build, crc, next_heartbeat
-from gateway.machine.writing.block_stage import BlockStage
-from gateway.machine.writing.witnessing import clear_for_arming, countersign, places_for, places_of
-from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
+from typing import TYPE_CHECKING
+
+from gateway.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from gateway.machine.writing.arming import (
+        ArmingError,
+        NextStart,
+        arm_in_log,
+        arming_of,
+        disarm_in_log,
+        next_start,
+        signed,
+        uptime,
+    )
+    from gateway.machine.writing.block import (
+        NO_NUMBER,
+        NO_TEMPERATURE,
+        SessionWords,
+        Validity,
+        build,
+        crc,
+        next_heartbeat,
+    )
+    from gateway.machine.writing.block_stage import BlockStage
+    from gateway.machine.writing.witnessing import clear_for_arming, countersign, places_for, places_of
+    from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
+else:
+    __getattr__ = opened_at_use(__name__, __file__)
 
 __all__ = [
     "FAILED",

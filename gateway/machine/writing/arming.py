@@ -7,16 +7,17 @@ an arming or disarming by command, or the plant file, whose word is given when i
 start makes of all that.
 """
 
+from __future__ import annotations
+
 import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver, Writes
 from drivers.settings import ConfigError
@@ -30,7 +31,6 @@ from gateway.store import (
     Audit,
     AuditEntry,
     AuditRow,
-    Historian,
     SigningKeyError,
     Uptime,
     armings,
@@ -43,6 +43,12 @@ from gateway.store import (
     open_audit,
     over,
 )
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
+    from gateway.store import Historian
+
 
 LONGEST = 200
 CONFIRMED_SECONDS = 2.0

@@ -1,13 +1,14 @@
 """The block of a scan: what goes into its fields, whether the PLC may use them, and what became of it."""
 
+from __future__ import annotations
+
 import asyncio
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from random import Random
 from struct import pack
-
-from structlog.typing import FilteringBoundLogger
+from typing import TYPE_CHECKING
 
 from drivers.driver import Driver
 from drivers.supervision import Supervisor
@@ -20,6 +21,10 @@ from gateway.machine.writing.writeback import Arming, Attempt
 from gateway.settings import Config, WritebackLayout
 from gateway.store import Historian, open_or_set_aside, saved_state
 from sim.forecast import Forecast
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
 
 LATENCIES = 10_000
 STARTS_KEPT = 8

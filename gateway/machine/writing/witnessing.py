@@ -1,12 +1,14 @@
 """The gateway's part in the witness of its audit log: signed heads each hour, at a stop, arming and disarming."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from structlog.typing import FilteringBoundLogger
 
 from gateway.machine.writing.arming import ArmingError
 from gateway.settings import Config
@@ -17,7 +19,6 @@ from gateway.store import (
     AuditError,
     AuditRow,
     HeadSink,
-    Historian,
     SignedHead,
     SigningKeyError,
     WitnessPlaces,
@@ -31,6 +32,12 @@ from gateway.store import (
     sign_head,
     trusted_key,
 )
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
+    from gateway.store import Historian
+
 
 SIGN_SECONDS = 3600.0
 LEAST_DIGITS = 16

@@ -1,21 +1,24 @@
 """The pictures of a diagnosis as PNG: where the heat is, held-out cycles before and after, all of it on one sheet."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from textwrap import wrap
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure, SubFigure
-from matplotlib.patches import Rectangle
 
 from drivers.named_files import writing
 from sim.discrepancy import Diagnosis, DiagnosisCourse, HeatMap, HeldOutProof, heat_map
 from sim.sha import DEGREES, Array, shown_unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+
 
 WHERE, CYCLES, ERRORS, SHEET = "where.png", "held_out_cycles.png", "held_out_errors.png", "diagnosis.png"
 FILES = (WHERE, CYCLES, ERRORS, SHEET)
@@ -94,6 +97,9 @@ def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequen
 
 
 def _figure(width: float, height: float) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -108,6 +114,9 @@ def _map_height(heat: HeatMap) -> float:
 
 def draw_where(figure: Figure | SubFigure, heat: HeatMap, unit: str) -> None:
     """The map before, and beside it the map after, on one scale of colours, in `unit`/h."""
+    from matplotlib.colors import Normalize
+    from matplotlib.patches import Rectangle
+
     maps = [("before: heat that the refitted model leaves", heat.before)]
     if heat.after is not None:
         maps.append(("after: with what was added", heat.after))
