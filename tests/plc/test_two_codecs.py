@@ -22,10 +22,10 @@ def test_a_number_that_the_plc_encodes_is_the_number_that_the_driver_reads(
     dtype: DType, order: Order, data: st.DataObject
 ) -> None:
     tag = Tag("t", "holding:0", dtype, order)
-    numbers = (
-        st.floats(width=32, allow_nan=False, allow_infinity=False) if dtype in FLOATS else st.integers(*limits(dtype))
-    )
-    value = data.draw(numbers)
+    # Of a magnitude that something has which is measured: the driver holds no other for good.
+    usual = st.floats(2.0**-19, 2.0**39, width=32)
+    either = st.one_of(usual, usual.map(lambda number: -number), st.sampled_from([0.0, -0.0]))
+    value = data.draw(either if dtype in FLOATS else st.integers(*limits(dtype)))
     words = encode(tag, value)
     assert len(words) == words_of_type(tag) == codec.registers_needed(tag)
     assert codec.decode(tag, words) == (value, Quality.GOOD, "")

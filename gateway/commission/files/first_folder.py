@@ -10,6 +10,7 @@ from typing import Any
 import tomlkit
 
 from drivers.driver import capabilities
+from drivers.named_files import writing
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.change import FileChange, carry_out
 from gateway.commission.files.plan_files import Files
@@ -58,7 +59,7 @@ class FirstFolder:
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         # In the same folder, so that each file takes its place in one step.
-        with tempfile.TemporaryDirectory(prefix=".init-", dir=self.folder) as name:
+        with writing(self.folder), tempfile.TemporaryDirectory(prefix=".init-", dir=self.folder) as name:
             stage = Path(name)
             if self.device is not None:
                 _take_over(self.device, stage / DEVICE)
@@ -98,4 +99,5 @@ def _take_over(source: Path, target: Path) -> None:
         else:
             shutil.copyfile(path, target.parent / path.name)
             document["device"][key] = path.name
-    target.write_text(tomlkit.dumps(document), encoding="utf-8")
+    with writing(target):
+        target.write_text(tomlkit.dumps(document), encoding="utf-8")

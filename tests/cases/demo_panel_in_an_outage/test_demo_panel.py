@@ -40,8 +40,8 @@ def test_an_outage_is_shown_once_the_gateway_has_noticed_it_and_with_its_own_wor
     phase = phase_of(silent, account(REFUSING), unnoticed)
     assert phase is DemoPhase.OUTAGE
     text = shown(silent, account(REFUSING), phase)
-    assert "OUTAGE" in text and "NO GOOD READING: 127.0.0.1:502 does not connect" in text and "1 outages" in text
-    assert "link good" not in text
+    assert "OUTAGE" in text and "link no good reading for" in text and "127.0.0.1:502 does not connect" in text
+    assert "1 outage " in text and "link good" not in text
 
 
 def test_what_comes_after_an_outage_and_what_nobody_ordered_have_names_of_their_own() -> None:
