@@ -58,6 +58,16 @@ class Identity:
     expires: dt.datetime
 
 
+_UNREADABLE = (
+    x509.InvalidVersion,
+    x509.ExtensionNotFound,
+    x509.DuplicateExtension,
+    x509.UnsupportedGeneralNameType,
+    ValueError,
+)
+"""What the library raises of a certificate that cannot be read; it has no common base of its own."""
+
+
 def load_identity(folder: Path) -> Identity:
     """The client's identity in `folder` (ca.pem, client.pem, client.key). Raises DriverError in one sentence."""
     missing = [name for name in FILES if not (folder / name).is_file()]
@@ -70,7 +80,7 @@ def load_identity(folder: Path) -> Identity:
         # An empty password: a key that has one fails here instead of asking on the terminal.
         context.load_cert_chain(folder / "client.pem", folder / "client.key", password="")
         certificate = x509.load_pem_x509_certificate((folder / "client.pem").read_bytes())
-    except (OSError, ValueError) as error:
+    except (OSError, *_UNREADABLE) as error:
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or str(error)
         raise DriverError(f"modbus: certificates: {folder} cannot be used ({reason}); make them anew") from None
     return Identity(folder, context, role_of(certificate), certificate.not_valid_after_utc)
@@ -80,7 +90,7 @@ def role_of(certificate: x509.Certificate) -> str:
     """The role in a certificate; empty where there is none."""
     try:
         value = certificate.extensions.get_extension_for_oid(ROLE).value
-    except (x509.ExtensionNotFound, ValueError):
+    except _UNREADABLE:
         return ""
     text = value.value if isinstance(value, x509.UnrecognizedExtension) else b""
     return text[2:].decode(errors="replace")  # a short UTF8String: tag, length, text

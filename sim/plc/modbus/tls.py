@@ -57,13 +57,23 @@ def parse_roles(texts: tuple[str, ...]) -> dict[str, str]:
     return roles
 
 
+_UNREADABLE = (
+    x509.InvalidVersion,
+    x509.ExtensionNotFound,
+    x509.DuplicateExtension,
+    x509.UnsupportedGeneralNameType,
+    ValueError,
+)
+"""What the library raises of a certificate that cannot be read; it has no common base of its own."""
+
+
 def role_of(certificate: bytes | None) -> str:
     """The role in a certificate (DER); empty where there is none."""
     if certificate is None:
         return ""
     try:
         extension = x509.load_der_x509_certificate(certificate).extensions.get_extension_for_oid(ROLE)
-    except (x509.ExtensionNotFound, ValueError):
+    except _UNREADABLE:
         return ""
     value = extension.value
     data = value.value if isinstance(value, x509.UnrecognizedExtension) else b""
