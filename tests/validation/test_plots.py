@@ -145,7 +145,7 @@ def test_a_picture_is_there_as_a_whole_or_not_at_all(tmp_path: Path, monkeypatch
         file.write_bytes(b"\x89PNG")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("sim.validation.plots.Figure.savefig", full)
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", full)
     with pytest.raises(OSError, match="No space left"):
         draw(Picture("title", Curve("T", np.arange(3.0), np.arange(3.0))), tmp_path / "a.png")
     assert list(tmp_path.iterdir()) == []

@@ -79,7 +79,7 @@ def parse_query(text: str, model: Model | SHA, temperature: str = "Temp") -> q.Q
             _, bounds, extreme, expression = form.children
             bound, runs = _bounds(cast(Node, bounds))
             if runs is None:
-                raise at(cast(Node, bounds).meta, f"the mean of how many runs? write E[<={bound:g}; 1000](...)")
+                raise at(cast(Node, bounds).meta, f"the mean of how many runs? write `E[<={bound:g}; 1000](...)`")
             value = _expression(cast(Node, expression), scope)
             return q.Expectation(bound, runs, "max" if extreme == "max" else "min", value)
         case "simulation":
@@ -260,7 +260,7 @@ def _expression(tree: Node, scope: Scope) -> q.Expression:
             if scope.symbolic:
                 raise at(
                     token,
-                    f"{token} changes continuously, and over that nothing is decided symbolically; ask Pr[<=T](...), "
+                    f"{token} changes continuously, and over that nothing is decided symbolically; ask `Pr[<=T](...)`, "
                     "or `decanter model prove` for a bound under any events",
                 )
             return q.Quantity(scope.quantities[name])

@@ -84,19 +84,23 @@ async def test_a_run_says_what_it_is_and_each_change_and_several_may_watch_it(tm
             ):
                 await asyncio.sleep(0.02)
 
+    def happen(change: dict[str, Any]) -> None:
+        """At the next two scans: the first of them may have begun."""
+        bench.plan.update({bench.reads + ahead: change for ahead in (1, 2)})
+
     gateway = asyncio.create_task(run(config, stop=stop, driver=as_driver(bench), say=said.append))
     watchers = [asyncio.create_task(asyncio.to_thread(watch, screen)) for screen in screens]
     try:
         await heard("model    two modes", "PLC      ", "records  ", "link: good readings arrive")
-        bench.plan[bench.reads + 1] = {TEMPERATURE: 26.5}
+        happen({TEMPERATURE: 26.5})
         await heard(f"alarm raised: over limit {TEMPERATURE}")
-        bench.plan[bench.reads + 1] = {TEMPERATURE: 23.5, CURRENT: None}
+        happen({TEMPERATURE: 23.5, CURRENT: None})
         await heard(f"alarm over: over limit {TEMPERATURE}", f"{CURRENT} SENSOR_FAILURE")
         status = await asyncio.to_thread(CliRunner().invoke, main, ["status", "--config", str(config.path), "--json"])
         data = json.loads(status.output)
         assert status.exit_code == 1 and data["health"] == "attention" and "readings" in data["findings"]
         assert data["status"]["values"][TEMPERATURE]["value"] == 23.5
-        bench.plan[bench.reads + 1] = {"fault": "silent"}
+        happen({"fault": "silent"})
         await heard("link: no good reading")
     finally:
         stop.set()
