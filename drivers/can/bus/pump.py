@@ -58,15 +58,17 @@ class Pump:
 
     def _readable(self) -> None:
         for _ in range(_BURST):
+            reason = _UNREADABLE
             try:
                 message = self.bus.recv(0.0)
+                reason = ""
             except (can.CanError, OSError) as error:
-                self._lost(str(error))
+                reason = str(error) or _UNREADABLE
                 return
-            except Exception:
-                # The loop says it; a bus that is left as it is would be tried again at once, and again.
-                self._lost(_UNREADABLE)
-                raise
+            finally:
+                # Whatever has ended it, also what the loop says: a bus left as it is would be tried again at once.
+                if reason:
+                    self._lost(reason)
             if message is None:
                 return
             self._take(message)
