@@ -1,7 +1,8 @@
-"""Control-C in long work: it always arrives."""
+"""Control-C: it always arrives, and always as a sentence and the code of a stopped command."""
 
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -9,32 +10,56 @@ from types import FrameType
 Report = Callable[[str, float], None]
 
 
-@contextmanager
-def interruptible(report: Report) -> Iterator[Report]:
-    """A report that raises KeyboardInterrupt when Control-C was pressed and the exception never arrived.
+class Interrupted(KeyboardInterrupt):
+    """Control-C, by a type of our own.
 
-    Python drops an exception that a signal raises inside a destructor or a weak reference's callback, and says so with
-    a traceback: that is kept quiet here, and the work ends at the next report.
+    Where a KeyboardInterrupt itself passes through code that a C extension runs from text (imports of scipy do), Python
+    remembers it as unhandled although it was caught later, and kills its own process at the end whatever the exit code.
+    """
+
+
+@contextmanager
+def control_c() -> Iterator[list[int]]:
+    """Within it Control-C raises Interrupted; gives the list of the times that it was pressed.
+
+    An exception drawn from it by a library (an import that was broken off says "initialization failed") leaves as
+    Interrupted too. Python drops an exception that a signal raises inside a destructor or a weak reference's callback,
+    and says so with a traceback: that is kept quiet. In a thread other than the main one signals are not ours.
     """
     pressed: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield pressed
+        return
 
     def press(number: int, _frame: FrameType | None) -> None:
         pressed.append(number)
-        raise KeyboardInterrupt
-
-    def checked(what: str, share: float) -> None:
-        if pressed:
-            raise KeyboardInterrupt
-        report(what, share)
+        raise Interrupted
 
     def dropped(what: "sys.UnraisableHookArgs") -> None:
-        if what.exc_type is not KeyboardInterrupt:
+        if not issubclass(what.exc_type, KeyboardInterrupt):
             loud(what)
 
     loud, sys.unraisablehook = sys.unraisablehook, dropped
     before = signal.signal(signal.SIGINT, press)
     try:
-        yield checked
+        yield pressed
+    except Exception as error:
+        if pressed:
+            raise Interrupted from error
+        raise
     finally:
         signal.signal(signal.SIGINT, before)
         sys.unraisablehook = loud
+
+
+@contextmanager
+def interruptible(report: Report) -> Iterator[Report]:
+    """A report that raises Interrupted when Control-C was pressed and the exception never arrived."""
+    with control_c() as pressed:
+
+        def checked(what: str, share: float) -> None:
+            if pressed:
+                raise Interrupted
+            report(what, share)
+
+        yield checked

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from gateway.entry.exits import Exit, fail, run_answered
+from gateway.entry.interrupt import control_c
 
 Table = Mapping[str, tuple[str, str]]
 """Command name -> ("module:attribute", its line in the help text)."""
@@ -83,7 +84,8 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; Control-C that it has no words of its own for ends it with a sentence and its code."""
         try:
-            return super().invoke(ctx)
+            with control_c():
+                return super().invoke(ctx)
         except KeyboardInterrupt:
             if ctx.find_root().params.get("traceback"):
                 raise

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.entry.interrupt import interruptible
+from gateway.entry.interrupt import Interrupted, control_c, interruptible
 from sim.artefacts.formats.find import find_model
 from sim.learning.bins import learn as bins
 from sim.learning.calibrate import HeldOutForecasts
@@ -146,13 +146,35 @@ def test_a_control_c_that_a_callback_swallowed_still_stops_the_search() -> None:
     assert signal.getsignal(signal.SIGINT) == before
 
 
+def test_what_a_library_makes_of_a_control_c_is_still_a_control_c() -> None:
+    with pytest.raises(Interrupted), control_c():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("initialization failed") from None
+    with pytest.raises(ImportError), control_c():
+        raise ImportError("no such module")
+
+
+def test_a_control_c_that_passed_through_code_from_text_does_not_kill_the_process_at_its_end() -> None:
+    body = """
+from gateway.entry.interrupt import control_c
+try:
+    with control_c():
+        exec("import signal; signal.raise_signal(signal.SIGINT)")
+except KeyboardInterrupt:
+    raise SystemExit(130)
+"""
+    assert subprocess.run([sys.executable, "-c", body], cwd=ROOT, check=False).returncode == 130
+
+
 def begun(study: Path) -> bool:
-    """Whether the study has its first trial."""
+    """Whether the study's first trial is over: before it ends it loads libraries, which a signal may break off."""
     if not study.exists():
         return False
     with closing(sqlite3.connect(study)) as database:
         try:
-            return bool(database.execute("SELECT COUNT(*) FROM trials").fetchone()[0])
+            return bool(database.execute("SELECT COUNT(*) FROM trials").fetchone()[0] > 1)
         except sqlite3.OperationalError:  # its tables are still being made
             return False
 

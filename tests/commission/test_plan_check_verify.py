@@ -12,7 +12,7 @@ from gateway.commission.files.recording import read_recording
 from gateway.commission.soak import recommended
 from sim.artefacts.model_json import model_text
 from sim.traces.trace_file import write_trace
-from tests.commission.bench import answer, at, free_port, plc
+from tests.commission.bench import answer, at, force, free_port, plc
 from tests.plc.bench import DECANTER, ROOT, Process, running, wait_until
 from tests.rig.pair import known_model, restless_trace
 
@@ -29,7 +29,7 @@ def device(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Process, 
     options = ["--canopen", CANOPEN, "--can", CAN, "--can-interface", "hub", "--can-channel", hub]
     with Hub(hub), running(*options) as process:
         for name in ANALOGUE:
-            process.order("force", tag=name, value=40.0)
+            force(process, name, 40.0)
         yield process, hub
 
 
@@ -106,7 +106,7 @@ def test_a_plant_in_order_passes_over_every_link(device: tuple[Process, Path], t
 
 def test_a_refused_tag_and_a_standing_heartbeat_fail_the_check(tmp_path: Path) -> None:
     with running() as process:
-        process.order("force", tag="Coppia", value=40.0)
+        force(process, "Coppia", 40.0)
         process.fault("illegal_register", registers=["holding:102"])
         process.fault("frozen", tags=["PlcHeartbeat"])
         data = answer(tmp_path, "check", "--device", DECANTER, "--timeout", 2.0, *at(process))
@@ -140,8 +140,8 @@ def test_two_lists_at_two_states_prove_a_number_and_a_flag(
     process, where = device[0], links(device)[link]
     only = ("--only", "TCuscinettiRiduttore", "--only", "MarciaDecanter")
     for temperature, flag in ((41.5, "1"), (63.2, "0")):
-        process.order("force", tag="TCuscinettiRiduttore", value=temperature)
-        process.order("force", tag="MarciaDecanter", value=flag == "1")
+        force(process, "TCuscinettiRiduttore", temperature)
+        force(process, "MarciaDecanter", flag == "1")
         wait_until(lambda wanted=temperature: process.order("values")["values"]["TCuscinettiRiduttore"] == wanted)
         shown = hmi(tmp_path, ("TCuscinettiRiduttore", f"{temperature}".replace(".", ",")), ("MarciaDecanter", flag))
         data = answer(tmp_path, "verify", "--against", shown, *only, *where)
@@ -152,7 +152,7 @@ def test_two_lists_at_two_states_prove_a_number_and_a_flag(
 def test_a_reading_that_does_not_agree_fails_the_check_and_proves_nothing(
     device: tuple[Process, Path], tmp_path: Path
 ) -> None:
-    device[0].order("force", tag="TCuscinettiRiduttore", value=40.0)
+    force(device[0], "TCuscinettiRiduttore", 40.0)
     wait_until(lambda: device[0].order("values")["values"]["TCuscinettiRiduttore"] == 40.0)
     shown = hmi(tmp_path, ("TCuscinettiRiduttore", "44,0"))
     result = plc(tmp_path, "verify", "--against", shown, *links(device)["modbus"])
@@ -184,13 +184,13 @@ def test_questions_are_asked_until_everything_is_proved(
     from gateway.commission import verify as module
 
     process = device[0]
-    process.order("force", tag="TCuscinettiRiduttore", value=40.1)
+    force(process, "TCuscinettiRiduttore", 40.1)
     asked: list[str] = []
 
     def person(question: str) -> str:
         asked.append(question)
         if "another state" in question:
-            process.order("force", tag="TCuscinettiRiduttore", value=55.3)
+            force(process, "TCuscinettiRiduttore", 55.3)
             wait_until(lambda: process.order("values")["values"]["TCuscinettiRiduttore"] == pytest.approx(55.3))
             return ""
         return "40,1" if len(asked) == 1 else "55,3"
@@ -206,7 +206,7 @@ def test_questions_are_asked_until_everything_is_proved(
 
 def test_a_soak_counts_what_was_lost_and_keeps_a_recording(tmp_path: Path) -> None:
     with running() as process:
-        process.order("force", tag="Coppia", value=33.0)
+        force(process, "Coppia", 33.0)
         process.fault("exception", code=6, count=2)
         options = ("--seconds", 1.5, "--period", 0.1, "--record", tmp_path / "soak.csv")
         data = answer(tmp_path, "soak", *options, "--device", DECANTER, *at(process))

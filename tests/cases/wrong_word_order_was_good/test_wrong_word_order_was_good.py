@@ -17,7 +17,7 @@ from gateway.commission.hmi import HmiReading, compare
 from gateway.machine.reading.link_health import LinkHealth
 from gateway.machine.reading.quality import DeviceAge, QualityRules, judge
 from gateway.repeated import without_measured
-from tests.commission.bench import answer, at, plc
+from tests.commission.bench import answer, at, force, plc
 from tests.gateway.support import scan_of
 from tests.plc.bench import DECANTER, Process, running
 
@@ -164,7 +164,7 @@ def test_what_is_written_is_never_what_would_not_be_believed() -> None:
 @pytest.fixture(scope="module")
 def device() -> Iterator[Process]:
     with running() as process:
-        process.order("force", tag=HEAT, value=40.8)
+        force(process, HEAT, 40.8)
         yield process
 
 
