@@ -5,11 +5,13 @@ import json
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from drivers.errors import WriteForbidden
+from gateway.commission.session import CommandResult
 from gateway.commission.session.evidence import FrameEvidence
 from gateway.commission.session.site import Site
 from gateway.commission.session.target import make_target
@@ -19,7 +21,7 @@ from gateway.commission.writeback.codegen import write_suite
 from gateway.commission.writeback.conformance import conform
 from gateway.commission.writeback.loop import alarm_loop, heartbeat_loop
 from gateway.commission.writeback.suite import Result, put_through
-from gateway.commission.writeback.vectors import parse, vectors
+from gateway.commission.writeback.vectors import SuiteStep, parse, vectors
 from gateway.demo.can_bus import can_hub
 from gateway.demo.links import LINKS
 from gateway.machine.writing.arming import arm_in_log, signed
@@ -177,6 +179,21 @@ async def test_the_emulator_passes_over_modbus_and_its_recorder_has_every_block(
     assert written[-1].fields is not None and written[-1].fields["validity"] == 0, "the last word takes all back"
 
 
+async def conformed_in_time(writer: BlockWriter, steps: tuple[SuiteStep, ...]) -> CommandResult:
+    """The suite's result; put anew, twice at most, where it failed and a step took half the PLC's timer too long.
+
+    What comes after the timer has run out is another step than what was meant: that run tells nothing of the PLC.
+    """
+    for _ in range(3):
+        begun: list[float] = []
+        outcome = await conform(writer, lambda _name, _share, begun=begun: begun.append(time.monotonic()), steps)
+        took = [end - begin for begin, end in pairwise([*begun, time.monotonic()])]
+        late = max(spent - step.wait_s for spent, step in zip(took, steps, strict=True))
+        if outcome.code == 0 or late < writer.layout.timeout / 2:
+            break
+    return outcome
+
+
 @pytest.mark.parametrize("link", ["can", "canopen"])
 async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str, monkeypatch: pytest.MonkeyPatch) -> None:
     seconds, cycle = 1.4, 0.02  # CANopen: a refused block waits for an acknowledge that does not come; a SYNC a cycle
@@ -189,7 +206,7 @@ async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str, m
         options = [f"--{link}", path, "--can-interface", "hub", "--can-channel", hub, "--cycle", str(cycle)]
         with running(*options, map_path=plain) as plc:
             async with at_the_wire(tmp_path, link, plc, path) as one:
-                outcome = await conform(one, quiet, vectors(one.layout, flips=2))
+                outcome = await conformed_in_time(one, vectors(one.layout, flips=2))
     assert outcome.code == 0, outcome.complaint
     assert outcome.data["passed"] >= outcome.data["steps"] - 3
     assert outcome.data["passed"] + outcome.data["skipped"] == outcome.data["steps"]
