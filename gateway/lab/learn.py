@@ -11,7 +11,7 @@ from gateway.console import emit, json_option, map_option, progress, seed_option
 from gateway.entry import sentences
 from gateway.lab.show import show_model, spread_sentence, summary
 from gateway.lab.traces.load import load, warned_of
-from sim.artefacts.formats import write_model_directory
+from sim.artefacts.formats import check_free, write_model_directory
 from sim.learning.bins import Learned, learn_bins
 from sim.learning.lsha import FLOW_KINDS, LearnedLsha, LshaSettings, learn_lsha, report_document, report_text
 from sim.sha import Trace, shown_unit
@@ -64,6 +64,7 @@ def learn(
             first = next(iter(settings))
             option = {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
             raise ValueError(f"--{option} belongs to --method lsha; leave it out, or choose that method")
+        check_free(out, name)  # nobody waits for a model that cannot be written
         traces, column_map = load(paths, map_name)
         warnings = warned_of(traces, column_map.alphabet)
         if method == "lsha":

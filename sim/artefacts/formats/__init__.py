@@ -5,7 +5,7 @@ from sim.artefacts.formats.find import FoundModel, artefact_base, find_model
 from sim.artefacts.formats.from_model import reported_laws, to_artefacts
 from sim.artefacts.formats.histogram import PRINTED, Histogram, evidence, fit, read_histogram
 from sim.artefacts.formats.report import Report, read_report
-from sim.artefacts.formats.write_model import save, write_model_directory
+from sim.artefacts.formats.write_model import check_free, save, write_model_directory
 
 __all__ = [
     "PRINTED",
@@ -15,6 +15,7 @@ __all__ = [
     "Histogram",
     "Report",
     "artefact_base",
+    "check_free",
     "evidence",
     "file_names",
     "find_model",

@@ -24,7 +24,7 @@ from sim.artefacts import (
     sha256,
     versions,
 )
-from sim.artefacts.formats.bundle import texts
+from sim.artefacts.formats.bundle import file_names, texts
 from sim.artefacts.formats.from_model import RawValues, to_artefacts
 from sim.files import at, refused, replace_durably, sync_directory, write_durably
 from sim.learning.lsha import ObservationTable
@@ -58,6 +58,27 @@ def write_files(directory: Path, files: Mapping[str, str]) -> None:
     sync_directory(directory)
 
 
+def check_free(out: Path, name: str) -> None:
+    """Raises ArtefactError where a model of that name could not be written into `out`; makes nothing.
+
+    To be asked before a model is learned. `out` may be absent, empty, or a model directory.
+    """
+    file_names(name)
+    try:
+        _present(out)
+    except OSError as error:
+        raise refused(out, error) from None
+
+
+def _present(out: Path) -> set[str]:
+    """The names of what is in `out`; none where it is not there. Raises ArtefactError, OSError."""
+    present = {path.name for path in out.iterdir()} if out.exists() else set[str]()
+    if present.isdisjoint({MANIFEST, MODEL_FILE}) and not all(name.startswith(".") for name in present):
+        some = ", ".join(sorted(present)[:3])
+        raise at(out, None, f"is no model directory (it has {some}); give a new directory or an empty one")
+    return present
+
+
 def write_model_directory(
     out: Path,
     model: Model,
@@ -77,12 +98,7 @@ def write_model_directory(
     manifest = manifest_text(model, files, {})
     try:
         out.mkdir(parents=True, exist_ok=True)
-        present, stale = {path.name for path in out.iterdir()}, set[str]()
-        if MANIFEST in present:
-            stale = set(listed(out / MANIFEST)) - set(files)
-        elif present and MODEL_FILE not in present and not all(name.startswith(".") for name in present):
-            some = ", ".join(sorted(present)[:3])
-            raise at(out, None, f"is no model directory (it has {some}); give a new directory or an empty one")
+        stale = set(listed(out / MANIFEST)) - set(files) if MANIFEST in _present(out) else set[str]()
         # Without a manifest the directory claims nothing of its files: a kill from here on leaves no wrong claim.
         (out / MANIFEST).unlink(missing_ok=True)
         for name, content in (*files.items(), (MANIFEST, manifest)):
