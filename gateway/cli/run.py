@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import threading
-from contextlib import nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from importlib import import_module
 from math import isfinite
 from pathlib import Path
@@ -12,10 +12,9 @@ from pathlib import Path
 import click
 
 from gateway.cli.plant_file import config_option, load
-from gateway.cli.top import watched
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.reading import PlantClock
-from gateway.plant import serve
+from gateway.settings import Config
 
 
 @click.command(short_help="Run the gateway with a configuration file.")
@@ -51,17 +50,20 @@ def run(
     """
     if watch and quiet:
         raise click.UsageError("--watch and --quiet exclude each other: one shows what the other hides")
-    for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
-        import_module(room)
     clock = _clock(clock_text) if clock_text else None
     speed = clock.speed if clock else None
     with sentences():
         config = load(path, host, port, speed)
+        # After the configuration, so that what is wrong with it is said at once.
+        from gateway.plant import serve
+
+        for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
+            import_module(room)
         if stdin:
             threading.Thread(target=_stop_at_end, name="stdin", daemon=True).start()
         drawn = watch and sys.stdout.isatty()
         silent = quiet or drawn
-        with watched(config.control_socket) if drawn else nullcontext():
+        with _panel(config) if drawn else nullcontext():
             last = serve(config, clock=clock, status_path=status, console=not silent, say=None if silent else _say)
     records = last["historian"]
     if records["failure"]:
@@ -71,6 +73,12 @@ def run(
     if failed := {name: part for name, part in last["parts"].items() if part["restarts"]}:
         reasons = "; ".join(f"{name} ({part['restarts']}): {part['failure']}" for name, part in failed.items())
         fail(f"parts of the gateway failed and were begun anew: {reasons}", Exit.CHECK_FAILED)
+
+
+def _panel(config: Config) -> AbstractContextManager[None]:
+    from gateway.cli.top import watched
+
+    return watched(config.control_socket)
 
 
 def _say(line: str) -> None:

@@ -1,9 +1,11 @@
 """`decanter model learn`: a model from traces, written with all its artefacts."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,11 +14,14 @@ from gateway.entry import sentences
 from gateway.lab.show import show_model, spread_sentence, summary
 from gateway.lab.traces.load import load, warned_of
 from sim.artefacts.formats import write_model_directory
-from sim.learning.bins import Learned, learn_bins
-from sim.learning.lsha import FLOW_KINDS, LearnedLsha, LshaSettings, learn_lsha, report_document, report_text
+from sim.learning.lsha import FLOW_KINDS, LshaSettings
 from sim.sha import Trace, shown_unit
 from sim.strict_json import json_text
-from sim.traces import ColumnMap
+
+if TYPE_CHECKING:
+    from sim.learning.bins import Learned
+    from sim.learning.lsha import LearnedLsha
+    from sim.traces import ColumnMap
 
 REPORT = "learning_report"
 
@@ -67,6 +72,8 @@ def learn(
         traces, column_map = load(paths, map_name)
         warnings = warned_of(traces, column_map.alphabet)
         if method == "lsha":
+            from sim.learning.lsha import learn_lsha, report_document, report_text
+
             words_learned = learn_lsha(
                 traces,
                 column_map.alphabet,
@@ -110,6 +117,8 @@ def learn(
 
 def learn_from(traces: Sequence[Trace], column_map: ColumnMap, *, name: str, seed: int, report: Any) -> Learned:
     """A model of the traces by the map's alphabet and temperature."""
+    from sim.learning.bins import learn_bins
+
     return learn_bins(
         traces,
         column_map.alphabet,

@@ -2,11 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from gateway.doors import opened_at_use
+from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
     from gateway.machine.pipeline import ORDERS, Machine
 else:
-    __getattr__ = opened_at_use(__name__, __file__)
+    __getattr__ = opened_at_use(__name__)
 
 __all__ = ["ORDERS", "Machine"]

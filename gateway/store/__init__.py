@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gateway.doors import opened_at_use
+from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
     from gateway.store.arming_rows import Uptime, armings, cancelling, end_of, given_words, over, standing
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
         trusted_key,
     )
 else:
-    __getattr__ = opened_at_use(__name__, __file__)
+    __getattr__ = opened_at_use(__name__)
 
 __all__ = [
     "ARMED",

@@ -15,8 +15,8 @@ from shutil import disk_usage
 
 from drivers.tag import Tag
 from gateway.store.durable import BESIDE, set_aside
-from gateway.store.retention import concerns_file, is_damage, transaction
 from gateway.store.schema import APPLICATION_ID, COLUMNS, INDICES, NAMES, VERSION, WITHOUT_ROWID, definition
+from gateway.store.sqlite_file import concerns_file, is_damage, transaction
 
 PAGE = 1024
 """Bytes of a page of a new file. A commit writes whole pages, mostly of one row or two, and a packed column ends in the

@@ -32,17 +32,9 @@ from drivers.supervision import Supervisor
 from drivers.tag import Tag
 from gateway.store.columns import PackedError
 from gateway.store.files import HistorianError, HistorianFile, UnusableHistorianError, opened
-from gateway.store.retention import (
-    Packer,
-    concerns_file,
-    deleted_before,
-    gave_back,
-    is_damage,
-    make_room,
-    pages,
-    transaction,
-)
+from gateway.store.retention import Packer, deleted_before, gave_back, make_room, pages
 from gateway.store.schema import AT_ONCE, DURABLE, INDICES, INSERTS, MEASURED, PACKED, definition
+from gateway.store.sqlite_file import concerns_file, is_damage, transaction
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger

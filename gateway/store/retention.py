@@ -6,8 +6,7 @@ can turn round; only deletion by age asks for times.
 """
 
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from math import inf, nextafter
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from drivers.tag import Quality
 from gateway.store.columns import Cell, pack, unpack
 from gateway.store.schema import MEASURED, NAMES, PACKED, number
+from gateway.store.sqlite_file import concerns_file, is_damage, transaction
 from sim.sha import Array
 
 TIERS = (60, 3600)
@@ -35,37 +35,6 @@ _UPSERT = """INSERT INTO tiers VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO UPDAT
     mean = mean * (1.0 * count / (count + excluded.count))
         + excluded.mean * (1.0 * excluded.count / (count + excluded.count)),
     count = count + excluded.count, low = min(low, excluded.low), high = max(high, excluded.high)"""
-
-
-def _primary(error: sqlite3.Error) -> int:
-    """SQLite's primary result code, the low byte of the extended one (sqlite.org/rescode.html); 0 for none."""
-    return int(getattr(error, "sqlite_errorcode", 0)) & 0xFF
-
-
-def is_damage(error: sqlite3.Error) -> bool:
-    """Whether the file's content is wrong, as against the disk, a lock or a single row."""
-    return _primary(error) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
-
-
-def concerns_file(error: Exception) -> bool:
-    """Whether the whole file cannot be written now, so that nothing is wrong with the row that was tried."""
-    return isinstance(error, sqlite3.Error) and _primary(error) in (
-        sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_READONLY,
-        sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_PERM,
-        sqlite3.SQLITE_PROTOCOL,
-    )  # fmt: skip
-
-
-@contextmanager
-def transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    """A transaction that has the write lock from its beginning, committed at the end, taken back on an error."""
-    connection.execute("BEGIN IMMEDIATE")
-    try:
-        yield
-        connection.execute("COMMIT")
-    finally:
-        if connection.in_transaction:
-            connection.execute("ROLLBACK")
 
 
 def row_count(connection: sqlite3.Connection, table: str) -> int:

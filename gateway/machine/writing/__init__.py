@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gateway.doors import opened_at_use
+from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
     from gateway.machine.writing.arming import (
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from gateway.machine.writing.witnessing import clear_for_arming, countersign, places_for, places_of
     from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
 else:
-    __getattr__ = opened_at_use(__name__, __file__)
+    __getattr__ = opened_at_use(__name__)
 
 __all__ = [
     "FAILED",

@@ -4,11 +4,13 @@ Apart from reading (`model_directory`, `store`), which the running gateway does 
 formats.
 """
 
+from __future__ import annotations
+
 import json
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sim.artefacts import (
     MANIFEST,
@@ -24,11 +26,12 @@ from sim.artefacts import (
     sha256,
     versions,
 )
-from sim.artefacts.formats.bundle import texts
-from sim.artefacts.formats.from_model import RawValues, to_artefacts
 from sim.files import at, refused, replace_durably, sync_directory, write_durably
-from sim.learning.lsha import ObservationTable
 from sim.sha import Model
+
+if TYPE_CHECKING:
+    from sim.artefacts.formats.from_model import RawValues
+    from sim.learning.lsha import ObservationTable
 
 STORE_TEXT = json.dumps({"format": "decanter-model-store", "version": 1}) + "\n"
 
@@ -40,6 +43,9 @@ def directory_files(
     model: Model, histogram: RawValues | None = None, observations: ObservationTable | None = None
 ) -> dict[str, str]:
     """The content of a model directory by file name, without the manifest. Raises ArtefactError."""
+    from sim.artefacts.formats.bundle import texts
+    from sim.artefacts.formats.from_model import to_artefacts
+
     return {MODEL_FILE: model_text(model)} | texts(to_artefacts(model, histogram, observations))
 
 

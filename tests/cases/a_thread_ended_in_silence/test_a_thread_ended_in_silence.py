@@ -356,6 +356,6 @@ async def test_a_control_socket_that_was_removed_is_made_anew(tmp_path: Path) ->
 def test_the_exit_code_says_that_a_part_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parts = {"device: node": {"running": True, "restarts": 2, "failure": "LookupError('x')"}}
     ended = {"historian": {"failure": "", "dropped": 0, "refused": 0}, "parts": parts}
-    monkeypatch.setattr("gateway.cli.run.serve", lambda *_args, **_keys: ended)
+    monkeypatch.setattr("gateway.plant.serve", lambda *_args, **_keys: ended)
     result = CliRunner().invoke(run_command, ["--config", str(plant_file(tmp_path))])
     assert result.exit_code == 1 and "device: node (2): LookupError('x')" in result.stderr

@@ -119,7 +119,7 @@ def test_a_run_from_the_command_line_begins_with_three_lines(tmp_path: Path, mon
         say("model  x")
         return {"historian": {"failure": "", "dropped": 0, "refused": 0}, "parts": {}}
 
-    monkeypatch.setattr("gateway.cli.run.serve", serve)
+    monkeypatch.setattr("gateway.plant.serve", serve)
     result = CliRunner().invoke(main, ["run", "--config", str(plant_file(tmp_path))])
     assert result.exit_code == 0 and "model  x" in result.output
     result = CliRunner().invoke(main, ["run", "--watch", "--quiet", "--config", str(plant_file(tmp_path))])
