@@ -2,13 +2,13 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
 from typing import Any
 
 import click
 
+from drivers.errors import did_you_mean
 from gateway.entry.exits import Exit, fail, run_answered
 from gateway.entry.interrupt import control_c
 
@@ -76,9 +76,7 @@ class LazyGroup(click.Group):
         """The command that the words begin with. Raises UsageError, with the name that may have been meant."""
         name = args[0]
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing and not name.startswith("-"):
-            near = get_close_matches(name, self.list_commands(ctx), n=1)
-            meant = f"; did you mean {near[0]!r}?" if near else ""
-            ctx.fail(f"No such command {name!r}{meant}")
+            ctx.fail(f"No such command {name!r}; {did_you_mean(name, self.list_commands(ctx))}".rstrip("; "))
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
