@@ -22,6 +22,7 @@ from gateway.status import (
     model_text,
     records_sentence,
 )
+from sim.units import shown_unit
 
 ZONE_COLOURS = {"green": "green", "yellow": "yellow", "red": "red"}
 HEALTH_COLOURS = {Health.WELL: "bold green", Health.ATTENTION: "bold yellow", Health.NO_READINGS: "bold red"}
@@ -47,7 +48,7 @@ def duration(seconds: float) -> str:
 
 def status_rows(status: GatewayStatus) -> dict[str, Text]:
     """The rows of the panel by their labels; the same ones each time, so that the panel keeps its height."""
-    p, unit = status.prediction, f" {_unit(status)}"
+    p, unit = status.prediction, f" {shown_unit(status.unit)}"
     rows = {"link": _link(status), "measured": _measured(status, unit)}
     if p is None or status.scan.late:
         rows["predicted"] = Text(f"{NOTHING} (no model)" if status.model is None else NOTHING)
@@ -65,10 +66,6 @@ def status_rows(status: GatewayStatus) -> dict[str, Text]:
     rows["events"] = Text(f"{status.events}: ... {recent}" if recent else f"{status.events}")
     rows["alarms"] = Text(", ".join(raised) or "none", style="bold red" if urgent else "")
     return rows
-
-
-def _unit(status: GatewayStatus) -> str:
-    return "°C" if status.unit == "degC" else status.unit
 
 
 def _link(status: GatewayStatus) -> Text:
@@ -168,7 +165,7 @@ def _silent(sighting: Sighting) -> RenderableType:
     lines = [Text(shorten(sighting.silence, 300))]
     if (status := sighting.status) is not None:
         tag = status.values.get(status.temperature)
-        value = "" if tag is None else f": {number(tag.value, 2, f' {_unit(status)}')}, {tag.quality}"
+        value = "" if tag is None else f": {number(tag.value, 2, f' {shown_unit(status.unit)}')}, {tag.quality}"
         lines.append(Text(f"The last status is of {clock_text(status.time)}{value}. Nothing is known of now."))
     lines.append(Text("This panel goes on by itself once there is an answer; Ctrl-C ends it."))
     return Group(headline, Text(""), *lines)
