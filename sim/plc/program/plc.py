@@ -130,7 +130,10 @@ class Plc:
             self._follow(now)
             self._learn(self._values(now), now)
             self._control(now)
-            self.image.serve(lambda name: name in effect.frozen or ALL_TAGS in effect.frozen)
+            self.image.serve(
+                lambda name: name in effect.frozen or ALL_TAGS in effect.frozen,
+                lambda name: name in effect.swapped or ALL_TAGS in effect.swapped,
+            )
         return self.schedule.line(begun, now)
 
     def _control(self, now: float) -> None:
@@ -274,8 +277,9 @@ class Plc:
         return [] if self.replay is None else [name for name in self.replay.table.columns if not self.serves(name)]
 
     def check_fault(self, fault: OrderedFault) -> None:
-        """Raises InputError if the fault freezes a tag that is not there."""
-        self._check_tags(fault.effect(0.0).frozen - {ALL_TAGS})
+        """Raises InputError if the fault freezes a tag that is not there, or swaps its words."""
+        effect = fault.effect(0.0)
+        self._check_tags((effect.frozen | effect.swapped) - {ALL_TAGS})
 
     def force(self, name: str, value: Value | None) -> None:
         """Hold a tag at a value (None: not available) whatever the trace says. Raises InputError."""
