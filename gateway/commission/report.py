@@ -27,7 +27,12 @@ from gateway.store import AuditEntry, open_audit
 )
 @click.option("--site", default="", help="Name of the plant.  [default: where the device is]")
 @click.option("--remark", "remarks", multiple=True, help="An open point of your own; may be given several times.")
-@click.option("--config", "plant", type=click.Path(path_type=Path), help="The plant file whose audit log it is.")
+@click.option(
+    "--config",
+    "plant",
+    type=click.Path(path_type=Path),
+    help="The plant file whose audit log it is.  [default: plant.toml, config/plant.toml]",
+)
 @click.option("--verify", "verifies", is_flag=True, help="Check the files of a report instead of making one.")
 @click.option("--seal", default="", metavar="HASH", help="With --verify: the seal that was signed.")
 @audit_option

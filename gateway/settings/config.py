@@ -95,7 +95,7 @@ class AlarmSection(Section):
 class HistorianSection(Section):
     """The embedded historian."""
 
-    path: FilePath = Field(Path("../out/historian.sqlite"), description="the path of the database file")
+    path: FilePath = Field(Path("out/historian.sqlite"), description="the path of the database file")
     retention_days: float = Field(90.0, gt=0, description="the days after which measurements are deleted")
     max_mb: float = Field(4096.0, ge=1, description="the largest size of the file in megabytes, at least 1")
     max_interval: float = Field(5.0, gt=0, description="seconds after which an unchanged value is stored again")
@@ -292,7 +292,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
     problems = _problems(content, links, home)
     if problems:
         raise ConfigError([f"{path}: {problem}" for problem in problems])
-    historian = content.historian.model_copy(update={"path": home / content.historian.path})
+    historian = content.historian.model_copy(update={"path": _historian_file(content.historian, home)})
     log = content.log.model_copy(update={"path": content.log.path and home / content.log.path})
     model = content.model.model_copy(update={"path": content.model.path and home / content.model.path})
     members = tuple(home / member for member in content.ensemble.members)
@@ -317,6 +317,16 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
         clock=content.clock,
         links=links,
     )
+
+
+def _historian_file(section: HistorianSection, home: Path) -> Path:
+    """The database file: the one named, or the default beside the plant file.
+
+    Of a plant file that names none and has its records where the default once was, those (record 0109).
+    """
+    file, former = home / section.path, home / "../out/historian.sqlite"
+    named = "path" in section.model_fields_set
+    return former if not named and not file.exists() and former.exists() else file
 
 
 def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) -> list[str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from drivers.named_files import parse_toml
 from gateway.connection import CONNECTION_OPTIONS, RECORD_OPTIONS
@@ -69,12 +70,20 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with --json, --records and --by alone, for one that speaks to no device; it gets `given` too."""
+    """The command with --json, --records and --by alone, for one that speaks to no device; it gets `given` too.
+
+    Where neither --config, --audit nor --records says whose account is meant, it is the working folder's plant file's.
+    """
 
     @wraps(command)
     def with_given(**options: Any) -> Any:
         filled = {"plant": None, "device": None, "link": None, "others": (), **options}
-        return command(given=_given(filled), **filled)
+        given = _given(filled)
+        default = click.get_current_context().get_parameter_source("records") is ParameterSource.DEFAULT
+        if default and given.plant is None and filled.get("audit") is None:
+            with suppress(ValueError):  # without one the audit log lies beside the records
+                given = replace(given, plant=find_plant_file())
+        return command(given=given, **filled)
 
     wrapped: Callable[..., Any] = with_given
     for option in reversed(RECORD_OPTIONS):

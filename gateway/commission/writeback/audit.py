@@ -21,7 +21,12 @@ _PATH = click.Path(path_type=Path)
 @click.option("--head", default="", metavar="HASH", help="A hash kept from before, which has to be in the log.")
 @click.option("--last", type=click.IntRange(0), default=20, show_default=True, help="So many of the newest rows.")
 @click.option("--kind", "kinds", multiple=True, help="Only rows of this kind, such as 'armed' or 'write refused'.")
-@click.option("--config", "plant", type=_PATH, help="The plant file whose audit log it is.")
+@click.option(
+    "--config",
+    "plant",
+    type=_PATH,
+    help="The plant file whose audit log it is.  [default: plant.toml, config/plant.toml]",
+)
 @click.option("--public-key", type=_PATH, help="The gateway's public key; without it the key beside the log.")
 @click.option("--heads", type=_PATH, help="A file of signed heads.  [default: the plant file's, or beside the log]")
 @click.option("--historian", type=_PATH, help="A historian that holds a signed head.  [default: the plant file's]")
