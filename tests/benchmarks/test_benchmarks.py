@@ -56,6 +56,12 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
     assert figures["peak resident size of the gateway"]["value"] > figures["peak resident size of the gateway"]["other"]
 
 
+def test_a_newcomers_hour_ends_with_a_prediction_and_a_shadow_block(model_folder: Path) -> None:
+    """From `decanter docs --examples` on, with the installed program and without the learning."""
+    figures = by_name(said("first_hour", "--quick", "--model-folder", str(model_folder / "model"))["figures"])
+    assert figures["commands"]["value"] == 9 <= figures["commands"]["other"]
+
+
 def test_the_campaigns_benchmark_times_all_four_models(model_folder: Path) -> None:
     options = ("--quick", "--traces", "1", "--runs", "50", "--model-folder", str(model_folder))
     figures = said("campaign", *options)["figures"]
