@@ -84,13 +84,16 @@ class Machine:
         self.supervisor = Supervisor(self._note_failure)
         if isinstance(driver, Supervised):
             self.supervisor.include("device", driver.supervisor)
-        self.historian, numbers = open_historian(
+        name = config.map.name
+        self.store = open_historian(
             config.historian.path,
-            config.map.tags,
             max_mb=config.historian.max_mb,
             mend=True,
             supervisor=self.supervisor,
+            heir=name,
         )
+        self.historian = self.store.of(name, config.map.tags)
+        followed = self.historian if loaded is None else self.store.of(name, temperature=config.model.temperature)
         self.block: BlockStage | None = None
         opened = False
         try:
@@ -104,7 +107,7 @@ class Machine:
             self.model = (
                 None
                 if loaded is None
-                else ModelUnit(config, loaded, members, historian=store, log=log, supervisor=self.supervisor)
+                else ModelUnit(config, loaded, members, historian=followed, log=log, supervisor=self.supervisor)
             )
             self.link, self.counters = LinkHealth(log), RunCounters()
             inputs = self.model.predictor.inputs if self.model else config.watched
@@ -124,7 +127,8 @@ class Machine:
                     log_failure=log_failure,
                 )
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
-            self.records = Records(store, Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out))
+            keeper = Keeper(config.map.by_name, config.historian.max_interval, left_out)
+            self.records = Records(store, followed, keeper)
             if isinstance(driver, Redundant):
                 driver.on_switch = self._note_switch_over
             self.last: Scan | None = None
@@ -281,9 +285,9 @@ class Machine:
         self.historian.save("clock", now, {})
         if now - self._cleaned >= _HOUR:
             self._cleaned = now
-            self.historian.forget_before(now - self.config.historian.retention_days * 86_400.0)
+            self.store.forget_before(now - self.config.historian.retention_days * 86_400.0)
 
     def close(self) -> bool:
         """Store what waits and close historian and audit log; False if records had to be given up."""
         accounted = self.block is None or self.block.close()
-        return self.historian.close() and accounted
+        return self.store.close() and accounted

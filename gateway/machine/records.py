@@ -8,7 +8,7 @@ from typing import Any
 from drivers.tag import Sample, Tag
 from gateway.machine.model import FinishedForecast, ScanPrediction
 from gateway.machine.reading import Scan
-from gateway.store import Historian, Row, storable
+from gateway.store import HistorianView, Row, storable
 from sim.strict_json import json_text
 
 
@@ -21,7 +21,6 @@ class Keeper:
     """
 
     tags: Mapping[str, Tag]
-    numbers: Mapping[str, int]
     max_interval: float
     left_out: frozenset[str] = frozenset()
     _kept: dict[str, Sample] = field(default_factory=dict)
@@ -36,7 +35,7 @@ class Keeper:
             time = sample.time if good else scan.time
             self._kept[name] = Sample(name, sample.value, sample.quality, time)
             sent = sample.sent if good else None
-            rows.append((self.numbers[name], time, storable(sample.value), int(sample.quality), sent))
+            rows.append((name, time, storable(sample.value), int(sample.quality), sent))
         return rows
 
     def _worth(self, name: str, sample: Sample, now: float) -> bool:
@@ -55,9 +54,13 @@ class Keeper:
 
 @dataclass(frozen=True, slots=True)
 class Records:
-    """The stage that stores measurements and predictions; alarms and writes are on record where they come about."""
+    """The stage that stores measurements and predictions; alarms and writes are on record where they come about.
 
-    historian: Historian
+    `followed` is the historian of the temperature that is predicted.
+    """
+
+    historian: HistorianView
+    followed: HistorianView
     keeper: Keeper
 
     def take(
@@ -68,9 +71,9 @@ class Records:
         guards: Mapping[str, Any] | None = None,
     ) -> None:
         """The rows of one scan, of what was predicted for it, and of the forecast that was finished before it."""
-        put = self.historian.put
-        put("scans", [(scan.time, scan.duration, scan.missed)])
-        put("samples", self.keeper.rows(scan))
+        self.historian.put("scans", [(scan.time, scan.duration, scan.missed)])
+        self.historian.put("samples", self.keeper.rows(scan))
+        put = self.followed.put
         if prediction is not None:
             p = prediction
             row = (p.time, p.location, int(p.known), p.measured, p.mean, p.low, p.high, p.free_run, p.anomaly, p.zone)

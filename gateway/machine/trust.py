@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from drivers.supervision import Supervisor
-from gateway.store import Historian
+from gateway.store import HistorianView
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -25,7 +25,7 @@ class RecordsWatch:
     logged them.
     """
 
-    def __init__(self, historian: Historian, supervisor: Supervisor, log: FilteringBoundLogger) -> None:
+    def __init__(self, historian: HistorianView, supervisor: Supervisor, log: FilteringBoundLogger) -> None:
         self._historian, self._supervisor, self._log = historian, supervisor, log
         self.complaint = self.failed_parts = ""
         self._stuck_since: float | None = None

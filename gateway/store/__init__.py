@@ -34,10 +34,12 @@ if TYPE_CHECKING:
     )
     from gateway.store.confirming import confirmation
     from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
-    from gateway.store.historian import Historian, Row, open_historian, saved_state
+    from gateway.store.historian import Historian, HistorianView, open_historian, saved_state
+    from gateway.store.queues import Row
     from gateway.store.read_back import (
         events,
         history,
+        machines,
         matured,
         newest_scan,
         reading,
@@ -83,6 +85,7 @@ __all__ = [
     "BackupError",
     "HeadSink",
     "Historian",
+    "HistorianView",
     "Manifest",
     "Row",
     "SignedHead",
@@ -105,6 +108,7 @@ __all__ = [
     "key_beside",
     "load_key",
     "load_or_make_key",
+    "machines",
     "make_backup",
     "matured",
     "newest_scan",

@@ -278,7 +278,7 @@ async def test_a_broken_model_file_is_one_sentence(tmp_path: Path) -> None:
 
 async def test_a_second_gateway_on_the_same_historian_does_not_start(tmp_path: Path) -> None:
     config = config_in(tmp_path)
-    holder, _ = open_historian(config.historian.path, config.map.tags)
+    holder = open_historian(config.historian.path)
     with pytest.raises(HistorianError, match="another gateway"):
         await run(config, clock=JumpClock(), driver=Bench(config, JumpClock()))
     holder.close()

@@ -22,7 +22,7 @@ from gateway.machine.writing.block import Validity
 from gateway.machine.writing.block_stage import BlockStage
 from gateway.plant.log import open_log
 from gateway.settings.config import Config
-from gateway.store.historian import Historian, open_historian
+from gateway.store.historian import HistorianView
 from tests.gateway.support import (
     CURRENT,
     EPOCH,
@@ -33,6 +33,7 @@ from tests.gateway.support import (
     at_rest,
     config_in,
     logged,
+    one_machine,
     scan_of,
     two_modes,
 )
@@ -41,14 +42,14 @@ FORECAST = {"forecast__horizons": [10.0], "forecast__runs": 20}
 
 
 @contextmanager
-def stored(config: Config) -> Iterator[tuple[Historian, Any]]:
+def stored(config: Config) -> Iterator[tuple[HistorianView, Any]]:
     """A historian and a log for one stage."""
-    historian, _ = open_historian(config.historian.path, config.map.tags)
+    store, historian = one_machine(config.historian.path, config.map.tags)
     with open_log(config.log.path, "debug") as log:
         try:
             yield historian, log
         finally:
-            historian.close()
+            store.close()
 
 
 def rows(config: Config, query: str) -> list[tuple[Any, ...]]:
@@ -146,8 +147,7 @@ async def test_block_without_a_prediction_nothing_in_it_is_valid_but_the_alarms_
 def test_records_of_a_scan_without_a_model_are_its_readings(tmp_path: Path) -> None:
     config = config_in(tmp_path)
     with stored(config) as (historian, _):
-        numbers = {tag.name: number for number, tag in enumerate(config.map.tags, start=1)}
-        records = Records(historian, Keeper(config.map.by_name, numbers, 5.0))
+        records = Records(historian, historian, Keeper(config.map.by_name, 5.0))
         records.take(scan_of({TEMPERATURE: 25.0}, EPOCH), None)
     assert rows(config, "SELECT time, value FROM samples") == [(EPOCH, 25.0)]
     assert rows(config, "SELECT count(*) FROM predictions") == [(0,)]

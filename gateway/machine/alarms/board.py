@@ -16,7 +16,7 @@ from gateway.machine.alarms.states import (
     word,
 )
 from gateway.machine.reading import Scan
-from gateway.store import Historian, saved_state
+from gateway.store import HistorianView, saved_state
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -34,7 +34,7 @@ class AlarmBoard:
         conditions: Mapping[str, AlarmCondition],
         *,
         watched: Sequence[str],
-        historian: Historian,
+        historian: HistorianView,
         log: FilteringBoundLogger,
         now: float,
     ) -> None:

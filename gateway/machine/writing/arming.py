@@ -47,7 +47,7 @@ from gateway.store import (
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
-    from gateway.store import Historian
+    from gateway.store import HistorianView
 
 
 LONGEST = 200
@@ -222,7 +222,7 @@ def open_writer(
     *,
     clock: Clock,
     driver: Driver,
-    historian: Historian,
+    historian: HistorianView,
     audit: Audit,
     log: FilteringBoundLogger,
     rng: Random,

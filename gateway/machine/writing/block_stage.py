@@ -19,7 +19,7 @@ from gateway.machine.writing.block import Validity, validity
 from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
 from gateway.machine.writing.writeback import Arming, Attempt
 from gateway.settings import Config, WritebackLayout
-from gateway.store import Historian, open_or_set_aside, saved_state
+from gateway.store import HistorianView, open_or_set_aside, saved_state
 from sim.forecast import Forecast
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class BlockStage:
         *,
         clock: Clock,
         driver: Driver,
-        historian: Historian,
+        historian: HistorianView,
         supervisor: Supervisor,
         log: FilteringBoundLogger,
         rng: Random,
