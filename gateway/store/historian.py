@@ -416,7 +416,7 @@ def _inserted(
 ) -> list[Exception]:
     """Insert the rows of a source; gives why some are taken by no table. Raises sqlite3.Error when the file refuses."""
     number = numbers.sources[source]
-    key, step = (numbers.next_key(table, number), 1) if table in PACKED else (number, 0)
+    key, step = (numbers.next_key(connection, table, number), 1) if table in PACKED else (number, 0)
 
     def stored(place: int, row: Row) -> Row:
         if table == "samples":

@@ -9,7 +9,7 @@ import sqlite3
 from collections import defaultdict
 
 from gateway.store.retention import key_range, keys_of
-from gateway.store.schema import PACKED, first_key
+from gateway.store.schema import first_key
 
 Source = tuple[str, str]
 """A machine's name and the temperature that is followed on it ("": the machine itself)."""
@@ -25,9 +25,6 @@ class FileNumbers:
         self.tags: dict[tuple[str, str], int] = {(row[1], row[2]): int(row[0]) for row in connection.execute(query)}
         self._newest: dict[tuple[str, int], int] = {}
         self.waiting: dict[str, dict[int, int]] = defaultdict(dict)
-        for table in PACKED:
-            for source in self.sources.values():
-                self.recount(connection, table, source)
 
     def recount(self, connection: sqlite3.Connection, table: str, source: int) -> None:
         """Count the rows of a source anew: some were packed or deleted."""
@@ -44,8 +41,6 @@ class FileNumbers:
             number = 1 + max(self.sources.values(), default=-1)
             connection.execute("INSERT INTO sources VALUES (?, ?, ?)", (number, *source))
             self.sources[source] = number
-            for table in PACKED:
-                self.recount(connection, table, number)
         return number
 
     def tag(self, connection: sqlite3.Connection, machine: str, name: str, unit: str) -> int:
@@ -57,8 +52,10 @@ class FileNumbers:
             self.tags[machine, name] = number
         return number
 
-    def next_key(self, table: str, source: int) -> int:
+    def next_key(self, connection: sqlite3.Connection, table: str, source: int) -> int:
         """The key of the next row of a source in a PACKED table."""
+        if (table, source) not in self._newest:
+            self.recount(connection, table, source)
         return self._newest[table, source] + 1
 
     def took(self, table: str, source: int, rows: int) -> None:
