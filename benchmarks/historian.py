@@ -36,7 +36,7 @@ from drivers.tag import Quality, Sample, Tag
 from gateway.machine.reading import Scan
 from gateway.machine.records import Keeper
 from gateway.settings import load_device
-from gateway.store import Historian, open_historian, samples, to_trace, trend
+from gateway.store import HistorianView, open_historian, samples, to_trace, trend
 from gateway.store.columns import pack, unpack
 from gateway.store.retention import ended_tiers, pack_tier
 from sim.plant.scenarios import production
@@ -148,23 +148,24 @@ def written() -> int:
 
 def one_day(path: Path, tags: Sequence[Tag], course: Course, former: Path | None) -> tuple[float, float]:
     """Write a course; gives bytes a day of the historian and of layout 1 (0 without `former`)."""
-    historian, numbers = open_historian(path, tags, max_mb=100_000.0)
+    opened = open_historian(path, max_mb=100_000.0)
+    historian = opened.of("decanter", tags)
     left_out = frozenset({"PlcHeartbeat"})
-    keeper = Keeper({tag.name: tag for tag in tags}, numbers, 5.0, left_out)
+    keeper = Keeper({tag.name: tag for tag in tags}, 5.0, left_out)
     store = FormerStore(former, [tag.name for tag in tags]) if former else None
     historian.put("runs", [(course.start, SHOWN, "hash", course.period, 5.0)])
     gathered: Batch = {}
     for number, batch in enumerate(course.batches(keeper), start=1):
         put(historian, batch)
         for table, rows in batch.items() if store else ():
-            gathered.setdefault(table, []).extend(rows)
+            gathered.setdefault(table, []).extend(store.numbered(table, rows) if store else ())
         if number % 2000 == 0 or number == course.scans:
             if store is not None:
                 store.commit(gathered)
                 gathered = {}
             if not historian.flush(60.0):
                 raise click.ClickException(historian.complaint)
-    if not historian.close():
+    if not opened.close():
         raise click.ClickException(historian.complaint)
     share = DAY / (course.scans * course.period)
     if store is not None:
@@ -172,14 +173,14 @@ def one_day(path: Path, tags: Sequence[Tag], course: Course, former: Path | None
     return size(path) * share, size(former) * share if former else 0.0
 
 
-def put(historian: Historian, batch: Batch) -> None:
+def put(historian: HistorianView, batch: Batch) -> None:
     for table, rows in batch.items():
         historian.put(table, rows)
 
 
-def multiplied(path: Path, tags: Sequence[Tag], days: int) -> None:
+def multiplied(path: Path, days: int) -> None:
     """Make `days` days of a file with one: its chunks and tiers with their times moved, the tiers packed."""
-    historian, _ = open_historian(path, tags, max_mb=100_000.0)
+    historian = open_historian(path, max_mb=100_000.0)
     connection = historian._normal  # noqa: SLF001 - the benchmark fills what would take 90 days to fill
     chunks = connection.execute(
         "SELECT kind, tag, batch, first, last, rows, data FROM chunks ORDER BY rowid"
@@ -195,7 +196,7 @@ def multiplied(path: Path, tags: Sequence[Tag], days: int) -> None:
         )
     connection.execute("COMMIT")
     # First, so that the room of their rows is used again, as it is when they come day by day.
-    for ended in ended_tiers(connection, max(row[4] for row in chunks)):
+    for ended in ended_tiers(connection, max(row[4] for row in chunks), 0):
         pack_tier(connection, *ended)
     # Before the day that is there already, which stays the newest, by its batches as by its times.
     top = max(row[2] for row in chunks)
@@ -219,20 +220,21 @@ def amplification(folder: Path, tags: Sequence[Tag], seconds: float) -> tuple[fl
     """Bytes written to disk for a block at 10 Hz in real time, by the historian and by layout 1; bytes of its rows."""
     course = Course(tags, 10.0, seconds)
     path = folder / "ten.sqlite"
-    historian, numbers = open_historian(path, tags)
-    keeper = Keeper({tag.name: tag for tag in tags}, numbers, 5.0, frozenset({"PlcHeartbeat"}))
+    opened = open_historian(path)
+    historian = opened.of("decanter", tags)
+    keeper = Keeper({tag.name: tag for tag in tags}, 5.0, frozenset({"PlcHeartbeat"}))
     batches = list(course.batches(keeper))
     historian.flush()
     before, begin = written(), monotonic()
     for number, batch in enumerate(batches):
         sleep(max(0.0, begin + number * course.period - monotonic()))
         put(historian, batch)
-    historian.close()  # with its last checkpoint
+    opened.close()  # with its last checkpoint
     ours = written() - before
     store = FormerStore(folder / "former.sqlite", [tag.name for tag in tags])
     before = written()
     for batch in batches:
-        store.commit(batch)
+        store.commit({table: store.numbered(table, rows) for table, rows in batch.items()})
     store.close()
     theirs = written() - before
     return ours / len(batches), theirs / len(batches), sum(map(payload, batches)) / len(batches)
@@ -262,7 +264,7 @@ def measure(days: int, hours: float, seconds: float) -> list[Figure]:
         figures.append(Figure("largest error of a reading by it", error, "degC", "deadband", DEADBAND))
         quick, former = one_day(fast, tags, Course(tags, 10.0, hours * 450.0), folder / "fast1.sqlite")
         figures.append(Figure("bytes a day at 10 Hz", quick / 1e6, "MB", "layout 1", former / 1e6))
-        multiplied(slow, tags, days)
+        multiplied(slow, days)
         figures.append(Figure(f"the file of {days} days at 1 Hz", size(slow) / 1e6, "MB", "goal", 1000.0 * days / 90))
         middle = course.start - days // 2 * DAY + hours * 900.0
         ten = list(samples(slow, SHOWN, middle, middle + 600.0))

@@ -197,7 +197,7 @@ class Machine:
 
     def _look_at_itself(self, scan: Scan) -> None:
         """Whether records and clock can be relied on at this scan; what changes is logged."""
-        audit = self.block.audit.complaint if self.block else ""
+        audit = self.block.audit.complaint_of(self.block.writer.subject) if self.block else ""
         self.records_watch.look(scan.time, audit or self._log_failure())
         clock, before = self.clock, self.clock_complaint
         offset = clock.wall_offset() if isinstance(clock, PlantClock) and clock.speed == 1.0 else 0.0

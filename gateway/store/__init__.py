@@ -5,7 +5,16 @@ from typing import TYPE_CHECKING
 from gateway.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from gateway.store.arming_rows import Uptime, armings, cancelling, end_of, given_words, over, standing
+    from gateway.store.arming_rows import (
+        Uptime,
+        armed_subjects,
+        armings,
+        cancelling,
+        end_of,
+        given_words,
+        over,
+        standing,
+    )
     from gateway.store.audit import (
         ARMED,
         CANCELLED,
@@ -93,6 +102,7 @@ __all__ = [
     "Uptime",
     "WitnessPlaces",
     "acknowledgement",
+    "armed_subjects",
     "armings",
     "as_one_file",
     "cancelling",

@@ -15,6 +15,7 @@ from gateway.store import (
     DISARMED,
     EXPIRED,
     WitnessPlaces,
+    armed_subjects,
     examine,
     given_words,
     over,
@@ -211,10 +212,12 @@ def _audit(places: WitnessPlaces, now: float) -> dict[str, Any]:
     rows = [] if checked.broken else read(path)
     armings = [{"row": row.id, **asdict(row.entry)} for row in rows if row.entry.kind in (ARMED, DISARMED, EXPIRED)]
     # Confirmed or not: what looks armed is a point to look at, and to see that needs no key.
-    row = None if checked.broken else next(iter(given_words(path)), None)
-    if row is not None and (row.entry.kind != ARMED or over(path, row, now, uptime())):
-        row = None
-    sentence = f"by {row.entry.who} ({row.entry.reason}) until {at(row.entry.detail['until'])}" if row else ""
+    standing = []
+    for subject in [] if checked.broken else armed_subjects(path):
+        row = next(iter(given_words(path, subject=subject)), None)
+        if row is not None and row.entry.kind == ARMED and not over(path, row, now, uptime()):
+            about = f"{subject}: " if subject else ""
+            standing.append(f"{about}by {row.entry.who} ({row.entry.reason}) until {at(row.entry.detail['until'])}")
     return {
         **empty,
         "rows": checked.rows,
@@ -223,6 +226,6 @@ def _audit(places: WitnessPlaces, now: float) -> dict[str, Any]:
         "end": checked.end,
         "kinds": dict(Counter(row.entry.kind for row in rows)),
         "armings": armings,
-        "standing": sentence,
+        "standing": "; ".join(standing),
         "names": sorted({row["who"] for row in armings if row["who"]}),
     }

@@ -36,10 +36,19 @@ from gateway.store import head, open_audit
 
 
 async def start_arming(
-    site: Site, audit_path: Path, by: str, reason: str, minutes: float, *, acknowledged: Sequence[str] = ()
+    site: Site,
+    audit_path: Path,
+    by: str,
+    reason: str,
+    minutes: float,
+    *,
+    acknowledged: Sequence[str] = (),
+    subject: str = "",
 ) -> CommandResult:
-    """Arm for some minutes; `acknowledged` are heads of lost rows. Raises ArmingError, AuditError, ValueError or
-    OSError."""
+    """Arm a subject for some minutes; `acknowledged` are heads of lost rows.
+
+    Raises ArmingError, AuditError, ValueError or OSError.
+    """
     layout_of(site)
     now = time.time()
     arming = signed(by, reason, minutes, now)
@@ -54,7 +63,7 @@ async def start_arming(
             clear_for_arming(places, audit.record, by=arming.by, now=now, acknowledged=acknowledged)
         finally:
             audit.close()
-        arm_in_log(audit_path, arming, now, key=places.key)
+        arm_in_log(audit_path, arming, now, key=places.key, subject=subject)
         countersign(places, now)
     place = "the audit log" if reply is None else f"the running gateway (pid {reply['pid']})"
     until = arming.until if reply is None else float(reply["until"])
@@ -62,10 +71,10 @@ async def start_arming(
     return CommandResult({**data, "audit": str(audit_path), "head": head(audit_path)})
 
 
-async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> CommandResult:
-    """Take the arming back, then write validity 0 if that can be done; say what the next start of the gateway will do.
+async def end_arming(site: Site, audit_path: Path, by: str, reason: str, *, subject: str = "") -> CommandResult:
+    """Take the arming of a subject back, then write validity 0 if that can be done.
 
-    Raises ArmingError, AuditError, ValueError or OSError.
+    The result says what the next start of the gateway will do. Raises ArmingError, AuditError, ValueError or OSError.
     """
     reply = _ask_gateway(site, "disarm", by=by, reason=reason)
     if reply is not None:
@@ -74,7 +83,7 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
         # On record first: what another command sends after this finds no arming, and the block is the last word.
         config = site.target.config
         stamp = config.path.stat().st_mtime if config is not None else None
-        row = disarm_in_log(audit_path, by, reason, time.time(), stamp)
+        row = disarm_in_log(audit_path, by, reason, time.time(), stamp, subject=subject)
         try:
             countersign(places_for(audit_path, config), time.time())
         except ArmingError as error:
@@ -82,7 +91,7 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
         was, sentence = row is not None, "nothing was armed"
         if row is not None:
             try:
-                async with open_block_writer(site, audit_path, taking_back=row) as writer:
+                async with open_block_writer(site, audit_path, taking_back=row, subject=subject) as writer:
                     await writer.block()
                     writer.written = 0  # this block takes everything back already
                 sentence = "validity 0 was written"
@@ -90,7 +99,7 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
                 sentence = f"validity 0 was not written ({error}); the PLC's own timer covers it"
     data = {"by": by, "reason": reason, "was_armed": was, "said": sentence if was else "nothing was armed"}
     if site.target.config is not None and audit_path.exists():
-        start = next_start(site.target.config, audit_path, time.time(), uptime())
+        start = next_start(site.target.config, audit_path, time.time(), uptime(), subject=subject)
         data["next_start"] = {"armed": start.arming is not None, "sentence": start.sentence}
     return CommandResult({**data, "audit": str(audit_path), "head": head(audit_path) if audit_path.exists() else ""})
 

@@ -65,12 +65,12 @@ Ask = Callable[[str], bool]
 Progress = Callable[[str, float], None]
 
 
-def in_force(places: WitnessPlaces, now: float) -> Arming:
-    """The arming in force. Raises WriteForbidden without one, AuditError, SigningKeyError."""
+def in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arming:
+    """The arming of a subject in force. Raises WriteForbidden without one, AuditError, SigningKeyError."""
     path = places.audit
-    row = standing(path, now, uptime(), key=places.key)
+    row = standing(path, now, uptime(), key=places.key, subject=subject)
     if row is None:
-        _note_the_end(places, now)
+        _note_the_end(places, now, subject)
         raise WriteForbidden(
             f"not armed: nothing is written; arm first: decanter plc arm --by NAME --reason WHY --minutes N (audit log "
             f"{path})"
@@ -78,16 +78,16 @@ def in_force(places: WitnessPlaces, now: float) -> Arming:
     return arming_of(row)
 
 
-def _note_the_end(places: WitnessPlaces, now: float) -> None:
+def _note_the_end(places: WitnessPlaces, now: float, subject: str) -> None:
     """Put on record that an arming is over, so that it stays so whatever the clock does after this."""
     path = places.audit
-    last = next(armings(path, places.key), None)
+    last = next(armings(path, places.key, subject=subject), None)
     if last is None or last.entry.kind != ARMED:
         return
     why = over(path, last, now, uptime())
     audit = open_audit(path)
     try:
-        audit.record(AuditEntry(now, EXPIRED, last.entry.who, why))
+        audit.record(AuditEntry(now, EXPIRED, last.entry.who, why).of(subject))
     finally:
         audit.close()
 
@@ -121,6 +121,7 @@ class BlockWriter:
     person, None where nobody is to be asked.
 
     `taking_back`: the arming has been taken back already, and the only block left to write is that which says so.
+    `subject` is what its arming and its rows of the audit log are about.
     """
 
     device: DeviceMap
@@ -133,6 +134,7 @@ class BlockWriter:
     number: int
     ask: Ask | None = None
     taking_back: bool = False
+    subject: str = ""
     sequence: int = 0
     heartbeat: int = 0
     written: int = field(default=0, init=False)
@@ -189,7 +191,8 @@ class BlockWriter:
         if self.taking_back:
             return
         now = time.time()
-        if now >= self.arming.until or standing(self.audit.path, now, uptime(), key=self.key) is None:
+        row = standing(self.audit.path, now, uptime(), key=self.key, subject=self.subject)
+        if now >= self.arming.until or row is None:
             raise WriteForbidden("the arming is over; nothing was sent")
 
     async def permitted(self) -> bool:
@@ -203,7 +206,7 @@ class BlockWriter:
 
     def _entry(self, kind: str, words: Sequence[int], reason: str, offset: int) -> AuditEntry:
         detail = {"words": pack(f">{len(words)}H", *words).hex(), "offset": offset, "via": "command"}
-        return AuditEntry(time.time(), kind, self.arming.by, reason, detail)
+        return AuditEntry(time.time(), kind, self.arming.by, reason, detail).of(self.subject)
 
     # ---------------------------------------------------------------- reading
 
@@ -295,6 +298,7 @@ async def open_block_writer(
     *,
     taking_back: AuditRow | None = None,
     rng: Random | None = None,
+    subject: str = "",
 ) -> AsyncIterator[BlockWriter]:
     """The writer of one command, with a connection; at its end a block of validity 0 is written if any was.
 
@@ -304,7 +308,7 @@ async def open_block_writer(
     """
     device, layout = layout_of(site)
     places = places_for(audit_path, site.target.config)
-    arming = arming_of(taking_back) if taking_back is not None else in_force(places, time.time())
+    arming = arming_of(taking_back) if taking_back is not None else in_force(places, time.time(), subject)
     if site.target.config is not None and gateway_runs(site.target.config.historian.path):
         raise ValueError("a gateway runs with this plant file and writes the same block; stop it for this test")
     audit = open_audit(audit_path)
@@ -324,6 +328,7 @@ async def open_block_writer(
                 number=(rng or SystemRandom()).randint(1, 0xFFFF),
                 ask=ask,
                 taking_back=taking_back is not None,
+                subject=subject,
                 sequence=begun,
                 heartbeat=begun or 1,
             )

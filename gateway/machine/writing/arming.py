@@ -91,12 +91,12 @@ def arming_of(row: AuditRow) -> Arming:
     return Arming(row.entry.who, row.entry.reason, float(row.entry.detail["until"]))
 
 
-def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = None) -> None:
-    """Arm where no gateway runs: for the commands that write, and for a gateway that starts meanwhile.
+def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = None, subject: str = "") -> None:
+    """Arm a subject where no gateway runs: for the commands that write, and for a gateway that starts meanwhile.
 
     `key` is the gateway's key file, by default the one beside the log. Raises ArmingError, AuditError, SigningKeyError.
     """
-    entry = entry_of(arming, now, "command")
+    entry = entry_of(arming, now, "command").of(subject)
     late = "the disk did not take it in time"
     signing = load_or_make_key(key or key_beside(path))
     audit = open_audit(path)
@@ -104,7 +104,7 @@ def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = Non
         row = audit.record(entry, undo=cancelling(entry, late))
         # Nothing is in force by then, so that the confirming row is waited for, and taken back by a disarming.
         stored = row is not None and audit.record(
-            confirmation(row, signing, now), undo=AuditEntry(now, DISARMED, "", late)
+            confirmation(row, signing, now), undo=AuditEntry(now, DISARMED, "", late).of(subject)
         )
     finally:
         known = audit.close()
@@ -114,19 +114,22 @@ def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = Non
         raise ArmingError(f"nothing has changed, as the audit log does not take it: {why}{doubt}")
 
 
-def disarm_in_log(path: Path, by: str, reason: str, now: float, stamp: float | None = None) -> AuditRow | None:
-    """Take back what is in force, and what a plant file of the time of change `stamp` would arm at the next start.
+def disarm_in_log(
+    path: Path, by: str, reason: str, now: float, stamp: float | None = None, *, subject: str = ""
+) -> AuditRow | None:
+    """Take back what is in force of a subject, and what a plant file saved at `stamp` would arm at the next start.
 
     Gives the arming that was in force, None where there was none; the row is written all the same. Raises ArmingError
     or AuditError.
     """
     # Confirmed or not: to take it back at the PLC needs no key.
-    row = next(iter(given_words(path)), None)
+    row = next(iter(given_words(path, subject=subject)), None)
     if row is not None and (row.entry.kind != ARMED or over(path, row, now, uptime())):
         row = None
     audit = open_audit(path)
     try:
-        if not audit.record(AuditEntry(now, DISARMED, by, reason, {} if stamp is None else {"stamp": stamp})):
+        entry = AuditEntry(now, DISARMED, by, reason, {} if stamp is None else {"stamp": stamp})
+        if not audit.record(entry.of(subject)):
             why = audit.failure or "the disk does not answer"
             raise ArmingError(f"nothing has changed, as the audit log does not take it: {why}")
     finally:
@@ -152,18 +155,18 @@ class NextStart:
     by: str = ""
 
 
-def next_start(config: Config, path: Path, now: float, count: Uptime) -> NextStart:
-    """What a start at `now` does with this configuration and the audit log at `path`.
+def next_start(config: Config, path: Path, now: float, count: Uptime, *, subject: str = "") -> NextStart:
+    """What a start at `now` does about a subject with this configuration and the audit log at `path`.
 
     The file's words count once: their time runs from their first use, restarts included. A disarming wins over every
     file that was saved before it. Raises AuditError.
     """
-    section, rows = config.writeback, given_words(path)
+    section, rows = config.writeback, given_words(path, subject=subject)
     words = {"by": section.armed_by, "reason": section.reason, "minutes": section.minutes, "stamp": config.stamp}
     if section.mode == "off":
         return NextStart(None, "writeback.mode is 'off'")
     try:
-        last = next(armings(path, config.audit_key), None)
+        last = next(armings(path, config.audit_key, subject=subject), None)
     except SigningKeyError as error:
         return NextStart(None, str(error))
     # Confirmed or not, a row of the file's words uses them up.
@@ -227,8 +230,9 @@ def open_writer(
     log: FilteringBoundLogger,
     rng: Random,
     obstacle: Callable[[], str] = lambda: "",
+    subject: str = "",
 ) -> Writer:
-    """The writer of the block `layout`, in the configured mode, which is not off.
+    """The writer of the block `layout`, in the configured mode, which is not off; its audit rows are about `subject`.
 
     It is armed by the configuration, or by `decanter plc arm` before the gateway began; only while that lasts, and only
     once the audit log has it. `obstacle` says why nothing may be armed at all, `rng` draws the number of this start.
@@ -236,7 +240,9 @@ def open_writer(
     """
     section, now = config.writeback, clock.now()
     pace, number = Pace(config.blocks_per_second), rng.randint(1, 0xFFFF)
-    writer = Writer(layout, clock, "shadow", number, pace=pace, audit=audit, max_age=config.block_max_age)
+    writer = Writer(
+        layout, clock, "shadow", number, pace=pace, audit=audit, max_age=config.block_max_age, subject=subject
+    )
     if not isinstance(driver, Writes):
         if section.mode == "armed":
             reason = f"{config.map.driver!r} cannot write; set writeback.mode to 'shadow'"
@@ -245,11 +251,11 @@ def open_writer(
     if audit.failure:
         log.error("not armed", reason=audit.failure)
         return writer
-    start = next_start(config, audit.path, now, uptime())
+    start = next_start(config, audit.path, now, uptime(), subject=subject)
     arming = start.arming
     if start.ended is not None:
         # Its end is a row of its own: what is over stays over, whatever the clock does after this.
-        audit.put(AuditEntry(now, EXPIRED, start.ended.entry.who, start.sentence))
+        audit.put(AuditEntry(now, EXPIRED, start.ended.entry.who, start.sentence).of(subject))
     if arming is None:
         if section.mode == "armed" or start.ended is not None:
             log.warning("not armed", reason=start.sentence)
@@ -260,7 +266,8 @@ def open_writer(
         return writer
     # First on record, then armed: what cannot be accounted for is not written.
     historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
-    entry = entry_of(arming, now, "gateway began", clock.speed, **({} if start.file is None else {"file": start.file}))
+    words = {} if start.file is None else {"file": start.file}
+    entry = entry_of(arming, now, "gateway began", clock.speed, **words).of(subject)
     undo = cancelling(entry, "the records could not be stored when the gateway began")
     row = audit.record(entry, undo=undo) if historian.flush() else None
     if row is None:
@@ -282,7 +289,7 @@ async def arm(
         raise ArmingError("it is being disarmed at this moment; arm again once that is done")
     now, generation = writer.clock.now(), writer.generation
     arming = signed(by, reason, minutes, now)
-    entry = entry_of(arming, now, "command", writer.clock.speed)
+    entry = entry_of(arming, now, "command", writer.clock.speed).of(writer.subject)
     row = await writer.audit.stored(entry, undo=cancelling(entry, "not armed: the disk did not take it in time"))
     if row is None:
         why = writer.audit.failure or "the disk does not answer"

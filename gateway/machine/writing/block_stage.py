@@ -50,6 +50,7 @@ class BlockStage:
         log: FilteringBoundLogger,
         rng: Random,
         log_failure: Callable[[], str] = lambda: "",
+        subject: str = "",
     ) -> None:
         self.config = config
         self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
@@ -76,6 +77,7 @@ class BlockStage:
                 log=log,
                 rng=rng,
                 obstacle=lambda: log_failure() or obstacle(self.witnessing.places)[0],
+                subject=subject,
             )
             writers = saved_state(historian, "writers", log)
             formers = [int(number) for number in writers[1].get("numbers", ())] if writers else []

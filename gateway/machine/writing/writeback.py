@@ -122,7 +122,7 @@ class Writer:
     newest block on the wire carried, 0 before the first. `pace` bounds the blocks a second, `audit` takes an
     account of every one. `max_age` (real s) is how old the readings of a block may be, and its permit, when it is
     sent. `generation` counts the disarmings, `ending` those that are under way. `formers` are the numbers of this
-    gateway's starts before.
+    gateway's starts before. `subject` is what its rows of the audit log are about.
     """
 
     layout: WritebackLayout
@@ -138,6 +138,7 @@ class Writer:
     audit: Audit | None = None
     max_age: float = 1.0
     formers: frozenset[int] = frozenset()
+    subject: str = ""
     challenge: int = field(default=0, init=False)
     generation: int = field(default=0, init=False)
     ending: int = field(default=0, init=False)
@@ -198,7 +199,7 @@ class Writer:
                     entry = AuditEntry(
                         now, EXPIRED if over else DISARMED, who, why, {} if stamp is None else {"stamp": stamp}
                     )
-                    await self.audit.kept(entry, DISARMED_SECONDS)
+                    await self.audit.kept(entry.of(self.subject), DISARMED_SECONDS)
                 return attempt
         finally:
             self.ending -= 1
@@ -299,8 +300,8 @@ class Writer:
                 return "not permitted", "it was disarmed meanwhile"
             if arming is not None and now >= arming.until:
                 return "not permitted", "the arming is over"
-            if self.audit is not None and self.audit.complaint:
-                return "not permitted", f"no audit record could be kept: {self.audit.complaint}"
+            if self.audit is not None and (complaint := self.audit.complaint_of(self.subject)):
+                return "not permitted", f"no audit record could be kept: {complaint}"
             if unpermitted := self._unpermitted(scan):
                 return unpermitted
             # From the first request on: a device may have looked at its memory long before its reply was complete.
@@ -329,7 +330,7 @@ class Writer:
             if refused is None and not last and self.pace is not None and not self.pace.allows(asked):
                 refused = "held back", f"more than {self.pace.rate:g} blocks a second"
             if refused is None and self.audit is not None:
-                entry = AuditEntry(scan.time, WRITE, by, "", _plain(block))
+                entry = AuditEntry(scan.time, WRITE, by, "", _plain(block)).of(self.subject)
                 if not await self.audit.stored(entry, SENDING_SECONDS):
                     if last:
                         self.audit.put(entry)
@@ -390,7 +391,7 @@ class Writer:
 
     def _note(self, entry: AuditEntry) -> None:
         if self.audit is not None:
-            self.audit.put(entry)
+            self.audit.put(entry.of(self.subject))
 
 
 def _taking_back(alarms: int) -> dict[str, float | None]:
