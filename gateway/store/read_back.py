@@ -194,7 +194,7 @@ def stored_rows(
 
     Of a machine's temperatures each has an order of its own. Raises HistorianError.
     """
-    return _rows(connection, selected(connection, machine, temperature), table, names, start, end)
+    return _rows(connection, selected(connection, machine, temperature), table, names, start=start, end=end)
 
 
 def _rows(
@@ -202,6 +202,7 @@ def _rows(
     whose: SelectedSources,
     table: str,
     names: Sequence[str],
+    *,
     start: float = -inf,
     end: float = inf,
 ) -> list[tuple[Any, ...]]:
@@ -302,7 +303,7 @@ def history(
     columns = ("time", "measured", "mean", "low", "high", "free_run", "anomaly", "location")
     with reading(path) as connection:
         whose = selected(connection, machine, temperature)
-        rows = sorted(_rows(connection, whose, "predictions", columns, start, end), key=lambda row: row[0])
+        rows = sorted(_rows(connection, whose, "predictions", columns, start=start, end=end), key=lambda row: row[0])
     numbers = np.array([row[:7] for row in rows], dtype=float).reshape(len(rows), 7).T
     times, measured, mean, low, high, free_run, anomaly = numbers
     return Aligned(
@@ -386,7 +387,7 @@ def to_trace(
     """
     with reading(path) as connection:
         whose = selected(connection, machine)
-        clock = sorted(row[0] for row in _rows(connection, whose, "scans", ("time",), start, end))
+        clock = sorted(row[0] for row in _rows(connection, whose, "scans", ("time",), start=start, end=end))
         times = np.array(clock, dtype=float)
         signals: dict[str, Array] = {}
         bad: dict[str, Mask] = {}
@@ -476,7 +477,9 @@ def trend(
         lowest, highest = connection.execute(query, values).fetchone()
         since = max(start, nextafter(told[0], inf) if told else -inf, -inf if lowest is None else lowest - 60.0)
         until = min(end, -inf if highest is None else highest + 60.0)
-        scans = np.sort(np.array([row[0] for row in _rows(connection, whose, "scans", ("time",), since, until)]))
+        scans = np.sort(
+            np.array([row[0] for row in _rows(connection, whose, "scans", ("time",), start=since, end=until)])
+        )
         rows = _SampleReader(connection, whose).rows(found, since - 3600.0, until)
         good = np.array([number(row[1]) if Quality(row[2]).is_good else nan for row in rows])
         parts.append(means(scans, np.array([row[0] for row in rows]), good, width))
