@@ -340,7 +340,7 @@ def measure(days: int, hours: float, seconds: float, *, machines: int, together:
 @click.option("--seconds", type=click.FloatRange(1.0), help="Real time at 10 Hz, 20 s by default.")
 def main(as_json: bool, quick: bool, seconds: float | None) -> None:
     days, hours = (3, 1.0) if quick else (90, 24.0)
-    machines, together = (10, 60) if quick else (50, 1200)
+    machines, together = (10, 60) if quick else (50, 600)
     figures = measure(days, hours, seconds or (2.0 if quick else 20.0), machines=machines, together=together)
     give("historian", figures, as_json=as_json)
 
