@@ -69,7 +69,7 @@ class ReplayTally:
         if prediction is not None:
             self.locations[prediction.location if prediction.known else "not known"] += 1
             self.zones[prediction.zone] += 1
-        attempt = machine.block.attempt if machine.block else None
+        attempt = machine.writing.blocks[0].attempt if machine.writing else None
         if attempt is not None:
             self.blocks += 1
             self.valid += bool(int(attempt.block.validity) & 1)

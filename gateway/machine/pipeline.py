@@ -19,7 +19,7 @@ from gateway.machine.model import ModelUnit, ScanPrediction, load_members, load_
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
 from gateway.machine.trust import ClockCheck, RecordsWatch
-from gateway.machine.writing import Arming, ArmingError, BlockStage
+from gateway.machine.writing import Arming, ArmingError, AuditTrail, WritebackStage, open_audit_trail
 from gateway.settings import Config
 from gateway.status import Phase
 from gateway.store import open_historian, saved_state
@@ -60,7 +60,7 @@ class RunCounters:
 class Machine:
     """All parts of one machine, opened (the driver not yet): one scan after another goes through `take`.
 
-    `model` is None for one that is only monitored, `block` for one to which nothing is computed for writing. `rng`
+    `model` is None for one that is only monitored, `writing` for one to which nothing is computed for writing. `rng`
     draws the number that tells this start's blocks from another gateway's, `log_failure` says why the log's file cannot
     be written ("": it can). Raises ConfigError, HistorianError or
     AuditError when something cannot be opened; nothing is left open then.
@@ -91,7 +91,8 @@ class Machine:
             mend=True,
             supervisor=self.supervisor,
         )
-        self.block: BlockStage | None = None
+        self.trail: AuditTrail | None = None
+        self.writing: WritebackStage | None = None
         opened = False
         try:
             now, store = clock.now(), self.historian
@@ -110,11 +111,13 @@ class Machine:
             inputs = self.model.predictor.inputs if self.model else config.watched
             conditions = make_conditions(config, inputs, complains=isinstance(driver, Complains))
             self.alarms = AlarmBoard(conditions, watched=config.watched, historian=store, log=log, now=now)
-            layout = config.map.writeback
+            layout = config.map.block_of(config.model.temperature)
             if layout is not None and config.writeback.mode != "off":
-                self.block = BlockStage(
+                self.trail = open_audit_trail(config, historian=store, supervisor=self.supervisor, log=log)
+                self.writing = WritebackStage(
                     config,
-                    layout,
+                    [layout],
+                    self.trail,
                     clock=clock,
                     driver=driver,
                     historian=store,
@@ -164,8 +167,8 @@ class Machine:
             findings = self.model.findings(prediction, forecast) if self.model and prediction else {}
             if DEVICE in self.alarms.conditions:
                 findings[DEVICE] = float(bool(self.complaints()))
-            if OTHER_WRITER in self.alarms.conditions and self.block is not None:
-                findings[OTHER_WRITER] = float(bool(self.block.writer.rival(scan.time)))
+            if OTHER_WRITER in self.alarms.conditions and self.writing is not None:
+                findings[OTHER_WRITER] = float(bool(self.writing.rival(scan.time)))
             findings[RECORDS] = float(bool(self.records_watch.complaint))
             findings[PARTS] = float(bool(self.records_watch.failed_parts))
             findings[CLOCK] = float(bool(self.clock_complaint))
@@ -173,15 +176,16 @@ class Machine:
             await self._disarm_without_records(scan.time)
 
             # The block carries the alarm word, so that it comes after all alarms of its scan.
-            if self.block is not None:
-                await self.block.take(
-                    scan,
-                    prediction,
-                    forecast,
-                    alarms=self.alarms.word,
-                    model_hash=self.model.loaded.hash if self.model else "",
-                    unverified=self.model.unverified if self.model else "",
-                )
+            if self.writing is not None:
+                await self.writing.begin(scan, [self.alarms.word], self.model.unverified if self.model else "")
+                for block in self.writing.blocks:
+                    await block.take(
+                        scan,
+                        prediction,
+                        forecast,
+                        alarms=self.alarms.word,
+                        model_hash=self.model.loaded.hash if self.model else "",
+                    )
         finally:
             # After the block, which they would delay; and also of a scan in which a stage failed.
             self.records.take(scan, prediction, finished, guards)
@@ -193,7 +197,7 @@ class Machine:
 
     def _look_at_itself(self, scan: Scan) -> None:
         """Whether records and clock can be relied on at this scan; what changes is logged."""
-        audit = self.block.audit.complaint if self.block else ""
+        audit = self.writing.audit.complaint if self.writing else ""
         self.records_watch.look(scan.time, audit or self._log_failure())
         clock, before = self.clock, self.clock_complaint
         offset = clock.wall_offset() if isinstance(clock, PlantClock) and clock.speed == 1.0 else 0.0
@@ -246,23 +250,23 @@ class Machine:
     async def arm(self, by: str, reason: str, minutes: float, acknowledged: Sequence[str] = ()) -> Arming:
         """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError."""
         unverified = self.model.unverified if self.model else ""
-        if self.block is None:
+        if self.writing is None:
             raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
         if why := self._log_failure():
             raise ArmingError(f"not armed: {why}")
-        return await self.block.arm(by, reason, minutes, unverified=unverified, acknowledged=acknowledged)
+        return await self.writing.arm(by, reason, minutes, unverified=unverified, acknowledged=acknowledged)
 
     async def disarm(self, by: str, reason: str) -> bool:
         """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed."""
-        if self.block is None:
+        if self.writing is None:
             return False
         # Whoever asked may go away, or the gateway stop, before it is done: it is carried to its end all the same.
-        return await asyncio.shield(self.block.disarm(by, reason, self.last, self.alarms.word))
+        return await asyncio.shield(self.writing.disarm(by, reason, self.last, [self.alarms.word]))
 
     async def withdraw(self, why: str) -> None:
         """Tell the PLC once, if armed and permitted, that nothing of ours is to be used any more."""
-        if self.block is not None and self.last is not None:
-            await self.block.withdraw(why, self.last, self.alarms.word)
+        if self.writing is not None and self.last is not None:
+            await self.writing.withdraw(why, self.last, [self.alarms.word])
 
     # ---------------------------------------------------------------- state
 
@@ -285,5 +289,5 @@ class Machine:
 
     def close(self) -> bool:
         """Store what waits and close historian and audit log; False if records had to be given up."""
-        accounted = self.block is None or self.block.close()
+        accounted = self.trail is None or self.trail.close(self.clock.now())
         return self.historian.close() and accounted

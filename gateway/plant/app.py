@@ -87,14 +87,15 @@ async def run(
             # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in
             # there.
             await _withdrawn(machine, "stop")
-            block = machine.block
-            if block is not None and block.writer.armed and machine.link.alive:
+            writing = machine.writing
+            if writing is not None and writing.armed and machine.link.alive:
                 # What the PLC says of the last blocks, once its program has had a cycle's time to count them.
                 await asyncio.sleep(max(LAST_WORD_SECONDS, config.device.heartbeat_period))
                 now = machine.clock.now()
                 samples = {sample.tag: sample for sample in await machine.driver.read(config.map.tags)}
                 last = Scan(number=machine.counters.scans, time=now, samples=samples, missed=0, duration=0.0)
-                block.take_counts(last)
+                for block in writing.blocks:
+                    block.take_counts(last)
             if machine.model is not None:
                 await machine.model.close()
             machine.save(machine.clock.now())
@@ -103,7 +104,7 @@ async def run(
             if complete:
                 machine.log.info("stopped", scans=machine.counters.scans, events=machine.counters.events)
             else:
-                failure = machine.historian.complaint or (block.audit.failure if block else "")
+                failure = machine.historian.complaint or (writing.audit.failure if writing else "")
                 machine.log.error("stopped, with records that could not be stored", reason=failure)
             reporter.cancel()
             await asyncio.gather(reporter, return_exceptions=True)

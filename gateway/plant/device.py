@@ -8,7 +8,7 @@ from gateway.settings import Config, DeviceLink
 
 
 def make_driver(config: Config, clock: Clock) -> Driver:
-    """The device's driver, not yet opened, able to write the block and nothing else; one for all links together.
+    """The device's driver, not yet opened, able to write the blocks and nothing else; one for all links together.
 
     Raises ConfigError.
     """
@@ -16,9 +16,8 @@ def make_driver(config: Config, clock: Clock) -> Driver:
         return link_driver(config, config.links[0], clock)
     paths = []
     for link in config.links:
-        # The words of the block too: each link has its own addresses for them.
-        block = link.map.writeback
-        addressed = {tag.name: tag for tag in (*link.map.tags, *(block.words if block else ()))}
+        # The words of the blocks too: each link has its own addresses for them.
+        addressed = {tag.name: tag for tag in (*link.map.tags, *link.map.block_words)}
         paths.append(RedundantPath(link.name, link_driver(config, link, clock), addressed))
     beat = max(config.scan.period, config.device.heartbeat_period * clock.speed)
     rules = RedundancyRules(config.device.switch_after, config.device.return_after, config.map.heartbeat, beat)
@@ -30,8 +29,8 @@ def link_driver(config: Config, link: DeviceLink, clock: Clock) -> Driver:
 
     In shadow it may be armed later; a link that cannot write is one that reads then.
     """
-    block, mode = link.map.writeback, config.writeback.mode
-    write_map = block.words if mode != "off" and block is not None else ()
+    mode = config.writeback.mode
+    write_map = link.map.block_words if mode != "off" else ()
     try:
         try:
             return open_driver(link.map.driver, link.settings, clock=clock.now, write_map=write_map)

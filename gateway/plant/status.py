@@ -157,16 +157,16 @@ def _forecast(machine: Machine, now: float) -> ForecastStatus | None:
 
 
 def _writeback(machine: Machine) -> dict[str, Any]:
-    block = machine.block
-    if block is None:
+    if machine.writing is None:
         return {"mode": "off"}
+    block = machine.writing.blocks[0]
     writer, last, latencies = block.writer, block.attempt, list(block.latencies)
     return {
         "mode": writer.mode,
         "armed_until": writer.arming.until if writer.arming else None,
         "armed_by": writer.arming.by if writer.arming else None,
         **asdict(writer.counters),
-        "audit": {"path": str(machine.config.audit), "complaint": block.audit.complaint},
+        "audit": {"path": str(machine.config.audit), "complaint": machine.writing.audit.complaint},
         "last_verdict": last.verdict if last else None,
         "last_reason": last.reason if last else "",
         "last_validity": int(last.block.validity) if last else None,

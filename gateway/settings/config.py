@@ -354,6 +354,12 @@ def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) ->
         )
     if content.writeback.mode != "off" and device.writeback is None:
         problems.append(f"writeback.mode: {device.path} has no [writeback] table; add one or set mode to 'off'")
+    elif content.writeback.mode != "off" and device.block_of(content.model.temperature) is None:
+        known = ", ".join(str(layout.temperature) for layout in device.writebacks)
+        problems.append(
+            f"writeback.mode: no block of {device.path} speaks of {content.model.temperature!r} (model.temperature), "
+            f"only of {known}; add a [[writeback.blocks]] table for it or set mode to 'off'"
+        )
     oldest = content.writeback.max_age
     if oldest is not None and device.writeback is not None and oldest >= device.writeback.timeout:
         problems.append(

@@ -122,8 +122,11 @@ def _differences(first: DeviceMap, other: DeviceMap) -> list[str]:
             f"{other.path} has the heartbeat {other.heartbeat!r} and {first.path} {first.heartbeat!r}; give both the "
             "tag of the same heartbeat: it tells that both links lead to the same PLC"
         )
-    block, same = first.writeback, other.writeback
-    if block is not None and (same is None or (same.version, same.fields) != (block.version, block.fields)):
+    ours_blocks, their_blocks = (
+        [(block.version, block.fields, block.temperature, block.suffix) for block in device.writebacks]
+        for device in (first, other)
+    )
+    if ours_blocks and ours_blocks != their_blocks:
         reasons.append(f"{other.path} has another [writeback] block than {first.path}; the links must share its fields")
     return reasons
 

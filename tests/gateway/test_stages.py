@@ -19,7 +19,7 @@ from gateway.machine.pipeline import Machine
 from gateway.machine.reading.link_health import LinkHealth
 from gateway.machine.records import Keeper, Records
 from gateway.machine.writing.block import Validity
-from gateway.machine.writing.block_stage import BlockStage
+from gateway.machine.writing.writeback_stage import WritebackStage, open_audit_trail
 from gateway.plant.log import open_log
 from gateway.settings.config import Config
 from gateway.store.historian import Historian, open_historian
@@ -125,9 +125,11 @@ async def test_block_without_a_prediction_nothing_in_it_is_valid_but_the_alarms_
     assert layout is not None
     with stored(config) as (historian, log):
         bench = Bench(config, clock)
-        stage = BlockStage(
+        trail = open_audit_trail(config, historian=historian, supervisor=Supervisor(), log=log)
+        writing = WritebackStage(
             config,
-            layout,
+            [layout],
+            trail,
             clock=clock,
             driver=bench,
             historian=historian,
@@ -135,11 +137,12 @@ async def test_block_without_a_prediction_nothing_in_it_is_valid_but_the_alarms_
             log=log,
             rng=Random(0),
         )
+        (stage,) = writing.blocks
         await stage.take(scan_of(at_rest(config), EPOCH), None, None, alarms=5)
         assert stage.attempt is not None and stage.attempt.verdict == "shadow"
         words = dict(zip((field.name for field in layout.fields), stage.attempt.block.words, strict=True))
         assert stage.attempt.block.validity is Validity.SHADOW and words["alarms"] == 5 and words["input_quality"] == 0
-        assert stage.audit.close()
+        assert trail.close(clock.now())
     assert rows(config, "SELECT verdict FROM writes") == [("shadow",)]
 
 
