@@ -16,7 +16,9 @@ from collections.abc import Callable, Mapping
 from drivers import json_lines
 from drivers.json_lines import NoObject
 from sim.plc.program import (
+    BlockLayout,
     InputError,
+    Intake,
     Plc,
     TraceReplay,
     checked_arguments,
@@ -106,11 +108,13 @@ def _permit(plc: Plc, now: float, *, on: bool) -> Outcome:
     return {"permit": on}
 
 
-def _acknowledge(plc: Plc, now: float, *, bits: int) -> Outcome:
-    """Set the word of acknowledge bits."""
+def _acknowledge(plc: Plc, now: float, *, bits: int, block: str = "") -> Outcome:
+    """Set the word of acknowledge bits; `block` is a further block's suffix, for its own word."""
     if not 0 <= bits <= 0xFFFF:
         raise InputError(f"key 'bits': {bits} is no word; give 0 to 65535")
-    plc.acknowledged = bits
+    if block not in plc.acknowledged:
+        raise InputError(f"key 'block': there is no block {block!r}; known are {listed(tuple(plc.acknowledged))}")
+    plc.acknowledged[block] = bits
     return {"bits": bits}
 
 
@@ -137,21 +141,11 @@ def _feed(plc: Plc, now: float, *, share: float) -> Outcome:
 
 def _status(plc: Plc, now: float) -> Outcome:
     """Where the replay is, what the PLC makes of the gateway, which faults are ordered."""
-    intake = plc.intake
-    blocks = {"accepted": intake.accepted, "refused": intake.refused, "last_refusal": intake.last_refusal}
-    session = intake.session
-    writers = {"session": session.writer if session else 0, "refused": intake.refused_writer}
-    layout = plc.registers.block
-    why = "" if layout is None else unusable(layout, intake, now, plc.permit)
-    verdict = {
-        "usable": plc.usable,
-        "unusable": "" if plc.usable else why,
-        "permit": plc.permit,
-        "acknowledged": plc.acknowledged,
-        "block": dict(intake.block),
-        "challenge": intake.challenge,
-        "writers": writers,
-    }
+    blocks = [
+        _account(plc, now, layout, intake, usable)
+        for layout, intake, usable in zip(plc.layouts, plc.intakes, plc.usables, strict=True)
+    ]
+    verdict = {"permit": plc.permit, "acknowledged": plc.acknowledged[""]}
     faults = [
         {"number": entry.number, "kind": entry.fault.kind, "in_force": entry.in_force(now), "hits": entry.hits}
         for entry in plc.schedule.entries
@@ -164,7 +158,30 @@ def _status(plc: Plc, now: float) -> Outcome:
         "faults": faults,
         "plant": plant_status(plc.plant),
     }
-    return {**(_where(plc, now) if plc.replay else {"plant_time": plc.clock.at(now)}), **own, **blocks, **verdict}
+    return {
+        **(_where(plc, now) if plc.replay else {"plant_time": plc.clock.at(now)}),
+        **own,
+        **blocks[0],
+        **verdict,
+        "blocks": blocks,
+    }
+
+
+def _account(plc: Plc, now: float, layout: BlockLayout | None, intake: Intake, usable: bool) -> dict[str, object]:
+    """What the PLC makes of one block."""
+    why = "" if layout is None or usable else unusable(layout, intake, now, plc.permit)
+    return {
+        "temperature": layout.temperature if layout else "",
+        "suffix": layout.suffix if layout else "",
+        "accepted": intake.accepted,
+        "refused": intake.refused,
+        "last_refusal": intake.last_refusal,
+        "usable": usable,
+        "unusable": why,
+        "block": dict(intake.block),
+        "challenge": intake.challenge,
+        "writers": {"session": intake.session.writer if intake.session else 0, "refused": intake.refused_writer},
+    }
 
 
 def _values(plc: Plc, now: float) -> Outcome:

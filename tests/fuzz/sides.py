@@ -108,9 +108,7 @@ def sdo_client(transfer: Callable[[], Transfer]) -> Run:
 def canopen_node(_: Path) -> Iterator[Run]:
     """The software PLC's node: SDO requests, and where bit 7 of the first byte says so, NMT, SYNC and RPDO frames."""
     plc = plc_of(DECANTER)
-    block = plc.registers.block
-    assert block is not None
-    layout = read_layout(ROOT / "config/devices/decanter_canopen.toml", plc.registers.tags, block.place.words)
+    layout = read_layout(ROOT / "config/devices/decanter_canopen.toml", plc.registers.tags, plc.registers.blocks)
     node = CanopenNode(layout, plc)
 
     def run(data: bytes) -> object:

@@ -31,8 +31,10 @@ class ProcessImage:
         self._complain = complain
         self._complained: set[str] = set()
         own = [registers.places[name] for name, tag in registers.tags.items() if tag.writable]
-        block = [registers.block.place] if registers.block else []
-        self._writable = frozenset((place.table, at) for place in (*own, *block, *writable) for at in place.addresses())
+        blocks = [block.place for block in registers.blocks]
+        self._writable = frozenset(
+            (place.table, at) for place in (*own, *blocks, *writable) for at in place.addresses()
+        )
         # Several tags may share a register, each with a bit of its own.
         self._owners: dict[tuple[str, int], list[str]] = {}
         for name, place in registers.places.items():
