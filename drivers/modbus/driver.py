@@ -26,6 +26,7 @@ from drivers.modbus.plan import (
     AddressBlock,
     Quarantine,
     bisect,
+    by_block,
     describe,
     fitting,
     plan_spans,
@@ -103,7 +104,7 @@ class ModbusDriver:
         self._writable_addresses = frozenset(
             (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
         )
-        words = _longest_run(number for area, number in self._writable_addresses if not area.is_bits)
+        words = max((_words(self._write_map[tag.name] for tag in block) for block in by_block(write_map)), default=0)
         if words > settings.max_write_registers:
             # Neither WriteForbidden nor AddressError: a block that can never be sent is a mistake in any mode.
             raise DriverError(
@@ -424,10 +425,10 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _longest_run(numbers: Iterable[int]) -> int:
-    """How many of the numbers follow one another at most: what a write of neighbours can come to."""
+def _words(spans: Iterable[TagSpan]) -> int:
+    """How many registers of a block follow one another at most: what a write of neighbours can come to."""
     longest, run, before = 0, 0, None
-    for number in sorted(numbers):
+    for number in sorted(number for span in spans if not span.area.is_bits for number in range(span.start, span.stop)):
         run = run + 1 if before is not None and number == before + 1 else 1
         longest, before = max(longest, run), number
     return longest

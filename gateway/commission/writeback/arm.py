@@ -20,7 +20,7 @@ from gateway.commission.session import (
     perform,
     running_gateway,
 )
-from gateway.commission.writeback.block_writer import gateway_runs, layout_of, open_block_writer
+from gateway.commission.writeback.block_writer import gateway_runs, layouts_of, open_block_writers
 from gateway.machine.writing import (
     ArmingError,
     arm_in_log,
@@ -40,7 +40,7 @@ async def start_arming(
 ) -> CommandResult:
     """Arm for some minutes; `acknowledged` are heads of lost rows. Raises ArmingError, AuditError, ValueError or
     OSError."""
-    layout_of(site)
+    layouts_of(site)
     now = time.time()
     arming = signed(by, reason, minutes, now)
     if (config := site.target.config) is not None and config.writeback.mode == "off":
@@ -82,9 +82,10 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
         was, sentence = row is not None, "nothing was armed"
         if row is not None:
             try:
-                async with open_block_writer(site, audit_path, taking_back=row) as writer:
-                    await writer.block()
-                    writer.written = 0  # this block takes everything back already
+                async with open_block_writers(site, audit_path, taking_back=row) as writers:
+                    for writer in writers:
+                        await writer.block()
+                        writer.written = 0  # this block takes everything back already
                 sentence = "validity 0 was written"
             except (DriverError, ValueError) as error:
                 sentence = f"validity 0 was not written ({error}); the PLC's own timer covers it"
