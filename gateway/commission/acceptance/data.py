@@ -119,6 +119,7 @@ def gather(
         "machines": sorted({record.machine for record in records}),
         "configuration": configuration,
         "versions": records[-1].versions,
+        "blocks": _blocks(records),
         "audit": audit,
         "records": {
             "path": str(records_path),
@@ -127,6 +128,19 @@ def gather(
             "rows": [{"number": number, **asdict(record)} for number, record in enumerate(records, start=1)],
         },
     }
+
+
+def _blocks(records: Sequence[CommandRecord]) -> list[dict[str, Any]]:
+    """The blocks of the newest `plan --write`: which temperature each speaks of, where it begins, how long it is."""
+    planned = [record for record in records if record.command in ("plan --write", EARLIER_NAMES["plan --write"])]
+    words = _dicts(planned[-1].result.get("words")) if planned else []
+    of_each: dict[str, list[Mapping[str, Any]]] = {}
+    for word in words:
+        of_each.setdefault(str(word.get("block", "")), []).append(word)
+    return [
+        {"temperature": name, "address": str(own[0].get("address", "")), "words": len(own)}
+        for name, own in of_each.items()
+    ]
 
 
 def _checked(check: ReportCheck, records: Sequence[CommandRecord], *, writing: bool) -> dict[str, Any]:

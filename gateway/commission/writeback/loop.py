@@ -33,6 +33,7 @@ async def alarm_loop(writer: BlockWriter, progress: Progress) -> CommandResult:
     if all(field.name != "alarms" for field in writer.layout.fields):
         raise ValueError(f"{writer.device.path}: the block has no field 'alarms'; there are no alarm bits to test")
     rows = []
+    of = f" of {writer.layout.temperature}" if writer.layout.blocks > 1 else ""
     before = await writer.account()
     for bit, name in enumerate((*ALARM_BITS, "")):
         progress(name or "none", bit / (len(ALARM_BITS) + 1))
@@ -45,9 +46,9 @@ async def alarm_loop(writer: BlockWriter, progress: Progress) -> CommandResult:
         }
         seen: bool | None = None  # nobody was asked
         if writer.ask is not None and name:
-            seen = writer.ask(f"Does the HMI show bit {bit}, {name} ({ALARM_MEANINGS[name]}), and no other?")
+            seen = writer.ask(f"Does the HMI show bit {bit}{of}, {name} ({ALARM_MEANINGS[name]}), and no other?")
         elif writer.ask is not None:
-            seen = writer.ask("Does the HMI show no alarm of the gateway now?")
+            seen = writer.ask(f"Does the HMI show no alarm{of} of the gateway now?")
         row |= {"accepted": _accepted(before, after, 1), "seen": seen}
         # After the question: what the person acknowledged at the HMI meanwhile shows in it.
         word = writer.layout.acknowledge_bits
