@@ -16,7 +16,7 @@ from gateway.commission.session.target import make_target
 from gateway.commission.writeback import block_writer
 from gateway.commission.writeback.block_writer import BlockWriter, open_block_writers
 from gateway.commission.writeback.codegen import write_suite
-from gateway.commission.writeback.conformance import conform
+from gateway.commission.writeback.conformance import conform, conform_together
 from gateway.commission.writeback.loop import alarm_loop, heartbeat_loop
 from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.suite import Result, put_through, put_together
@@ -219,6 +219,17 @@ async def test_the_emulator_passes_over_modbus_and_its_recorder_has_every_block(
     assert written[-1].fields is not None and written[-1].fields["validity"] == 0, "the last word takes all back"
 
 
+@pytest.mark.usefixtures("often")
+async def test_both_blocks_together_pass_over_one_connection(tmp_path: Path) -> None:
+    path = quick(tmp_path, "decanter_plc.toml")
+    with running("--cycle", str(CYCLE_S), map_path=path) as plc:
+        async with at_the_wire(tmp_path, "modbus", plc, path) as writers:
+            outcome = await conform_together(writers, quiet)
+        blocks = plc.order("status")["blocks"]
+    assert outcome.code == 0 and outcome.data["passed"] == outcome.data["steps"], outcome.complaint
+    assert [block["usable"] for block in blocks] == [False, False], "the last word of each takes all back"
+
+
 @pytest.mark.parametrize("link", ["can", "canopen"])
 async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str, monkeypatch: pytest.MonkeyPatch) -> None:
     seconds, cycle = 1.4, 0.02  # CANopen: a refused block waits for an acknowledge that does not come; a SYNC a cycle
@@ -230,7 +241,7 @@ async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str, m
     with can_hub(tmp_path) as hub:
         options = [f"--{link}", path, "--can-interface", "hub", "--can-channel", hub, "--cycle", str(cycle)]
         with running(*options, map_path=plain) as plc:
-            async with at_the_wire(tmp_path, link, plc, path) as (one, _):
+            async with at_the_wire(tmp_path, link, plc, path) as (_, one):
                 outcome = await conform(one, quiet, vectors(one.layout, flips=2))
     assert outcome.code == 0, outcome.complaint
     assert outcome.data["passed"] >= outcome.data["steps"] - 3

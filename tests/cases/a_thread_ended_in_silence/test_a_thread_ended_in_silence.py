@@ -209,7 +209,7 @@ async def test_a_part_that_dies_is_in_status_log_and_alarm_and_is_begun_anew(
     async def opened() -> None:
         # Not before it runs: what is opened at the start is refused there.
         owner, name = PARTS[part]
-        monkeypatch.setattr("gateway.machine.writing.block_stage.SIGN_SECONDS", 1.0)
+        monkeypatch.setattr("gateway.machine.writing.writeback_stage.SIGN_SECONDS", 1.0)
         if owner is None:
             await thrown()
         else:
