@@ -232,7 +232,7 @@ async def test_both_blocks_together_pass_over_one_connection(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("link", ["can", "canopen"])
 async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    seconds, cycle = 1.4, 0.02  # CANopen: a refused block waits for an acknowledge that does not come; a SYNC a cycle
+    seconds, cycle = 1.8, 0.02  # CANopen: a refused block waits for an acknowledge that does not come; a SYNC a cycle
     if link == "can":
         seconds, cycle = 0.7, CYCLE_S
         monkeypatch.setattr(block_writer, "_POLL_S", CYCLE_S)
