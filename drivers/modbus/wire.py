@@ -13,7 +13,7 @@ import re
 import socket
 import ssl
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -33,8 +33,8 @@ from drivers.modbus.address import Area
 from drivers.modbus.verify import WRITES, Asked, asked, check_reply, split_frames
 from drivers.tap import current, moved
 
-# More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line.
-_FLOOD = 65536
+FLOOD = 65536
+"""More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line."""
 _PROBE_S, _PROBES = 1, 2
 # pymodbus times nothing here: every exchange and every connect has a deadline of ours, and it must not fire first.
 _NEVER = 3600.0
@@ -91,7 +91,7 @@ class Wire:
         self._secured = secured
         self._client = self._made(host, port, secured)
         self._client.ctx.callback_disconnected = self._disconnected  # type: ignore[method-assign]
-        self._client.ctx.max_buffer_size = 2 * _FLOOD
+        self._client.ctx.max_buffer_size = 2 * FLOOD
         self._request: Asked | None = None
         # Sent on this connection and not answered, by transaction id, with the moment of sending.
         self._open: dict[int, tuple[Asked, float]] = {}
@@ -132,31 +132,14 @@ class Wire:
         try:
             # Not client.connect(): that one answers False and keeps the reason to itself.
             await self._client.ctx.call_create()
-            self._keep_alive()
+            if isinstance(transport := self._client.ctx.transport, asyncio.Transport):
+                keep_alive(transport)
         except (OSError, ValueError) as error:  # ValueError: a host name that DNS or TLS cannot even be asked for
             self._client.close()
-            plain = (error.strerror if isinstance(error, OSError) else None) or str(error)
-            reason = self._secured.sentence(error) if self._secured else plain
-            raise LinkDown(
-                f"{parameters.host}:{parameters.port} does not connect: {reason}", fault=_fault_of(error)
-            ) from error
+            raise no_connection(f"{parameters.host}:{parameters.port}", error, self._secured) from error
         except asyncio.CancelledError:
             self._client.close()
             raise
-
-    def _keep_alive(self) -> None:
-        """Let the system find out whether the host is there at all: one that is gone is not waited for.
-
-        So a program that stands still (its host answers the probes) and a host that has gone are told apart, and a
-        connection to the former can be kept (socket(7), tcp(7)).
-        """
-        transport = self._client.ctx.transport
-        raw = transport.get_extra_info("socket") if isinstance(transport, asyncio.Transport) else None
-        if raw is not None:
-            raw.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL):
-                raw.setsockopt(socket.IPPROTO_TCP, option, _PROBE_S)
-            raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _PROBES)
 
     @property
     def alive(self) -> bool:
@@ -167,13 +150,7 @@ class Wire:
         """Close at once. What an unanswered request left in the send buffer is discarded, not delivered late."""
         transport = self._client.ctx.transport
         if isinstance(transport, asyncio.Transport):
-            raw = transport.get_extra_info("socket")
-            # A write must not be delivered late. A read may: it ends with FIN, which a small PLC that wakes survives.
-            writes = any(question.function in WRITES for question, _ in self._open.values())
-            if writes and raw is not None:
-                # On, with no time to linger: closing throws the send buffer away and resets the connection (socket(7)).
-                raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            transport.abort()
+            discard(transport, [question for question, _ in self._open.values()])
         self._client.close()
 
     async def ask(
@@ -267,7 +244,7 @@ class Wire:
         self._stream += data[self._seen :]
         passed = self._passed()
         self._seen = len(data) - len(passed)
-        if self._seen > _FLOOD:
+        if self._seen > FLOOD:
             self._break("the peer floods the line with frames that nobody asked for")
         return passed
 
@@ -337,6 +314,39 @@ class Wire:
     def _fail(self, error: DriverError) -> None:
         if self._verdict is not None and not self._verdict.done():
             self._verdict.set_result(error)
+
+
+def keep_alive(transport: asyncio.Transport) -> None:
+    """Let the system find out whether the host is there at all: one that is gone is not waited for.
+
+    So a program that stands still (its host answers the probes) and a host that has gone are told apart, and a
+    connection to the former can be kept (socket(7), tcp(7)).
+    """
+    raw = transport.get_extra_info("socket")
+    if raw is not None:
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL):
+            raw.setsockopt(socket.IPPROTO_TCP, option, _PROBE_S)
+        raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _PROBES)
+
+
+def discard(transport: asyncio.Transport, unanswered: Iterable[Asked]) -> None:
+    """Close at once. A write must not be delivered late: the send buffer is thrown away with it.
+
+    A read may: it ends with FIN, which a small PLC that wakes survives.
+    """
+    raw = transport.get_extra_info("socket")
+    if raw is not None and any(question.function in WRITES for question in unanswered):
+        # On, with no time to linger: closing throws the send buffer away and resets the connection (socket(7)).
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    transport.abort()
+
+
+def no_connection(place: str, error: Exception, secured: Secured | None) -> LinkDown:
+    """A failed attempt to connect, with the system's own reason."""
+    plain = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    reason = secured.sentence(error) if secured else plain
+    return LinkDown(f"{place} does not connect: {reason}", fault=_fault_of(error))
 
 
 def socket_place(name: tuple[str, int] | None) -> str:

@@ -14,7 +14,7 @@ from drivers.canopen.place import ObjectPlace, from_bytes
 from drivers.canopen.sdo import Transfer
 from drivers.errors import EncodingError
 from drivers.modbus import rtu
-from drivers.modbus.verify import Asked, check_reply, split_frames
+from drivers.modbus.verify import Asked, check_reply, split_frames, words_of
 from drivers.tag import DType, Tag
 from drivers.vehicle.isotp import Reassembler
 from drivers.vehicle.j1939_transport import Key, TransportSessions
@@ -52,7 +52,7 @@ def rtu_client(data: bytes) -> object:
         return None
     check_reply(asked, rtu.unwrapped(asked, data[:length]))
     assert length == 9 and rtu.crc(data[:7]) == data[7:9]
-    return rtu.words_of(asked, data[:length])
+    return words_of(asked, data[3 : length - 2])
 
 
 def modbus_server(framed: framing.Framing) -> Callable[[Path], AbstractContextManager[Run]]:
