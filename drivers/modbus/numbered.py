@@ -7,6 +7,7 @@ its request as on every other connection (`drivers.modbus.verify`).
 
 import asyncio
 import ssl
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -61,7 +62,9 @@ class NumberedWire(asyncio.Protocol):
         self._questions: dict[int, _Question] = {}
         self._number = 0
         self._stream = b""
-        self._unasked = self._since_answer = 0
+        self._unasked = 0
+        # Questions by unit since anything was answered.
+        self._since_answer: Counter[int] = Counter()
         self._any_answer = asyncio.Event()
         self._answered = False
         self.foreign = 0
@@ -105,17 +108,17 @@ class NumberedWire(asyncio.Protocol):
         """Send the request once and wait up to `deadline` seconds for the reply that answers it.
 
         `again`: it is the very request that this unit was asked last and did not answer; a late reply to that one is
-        its answer. Any other waits while nothing has been answered since `most_open` questions: a peer that stands
-        still shall not collect them.
+        its answer. Any other waits while nothing at all has been answered since `most_open` questions to this unit: a
+        peer that stands still shall not collect them, and a silent unit keeps no other from being asked.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
         understood any more (then `alive` is False).
         """
         transport = self._live()
         loop = asyncio.get_running_loop()
-        if self._since_answer >= most_open and not again:
+        if self._since_answer[request.dev_id] >= most_open and not again:
             began = loop.time()
-            await self._answer_to_another(deadline)
+            await self._any_reply(deadline)
             deadline -= loop.time() - began
             transport = self._live()
         before_sending()
@@ -127,7 +130,7 @@ class NumberedWire(asyncio.Protocol):
         question = _Question(asked(frame), self._clock(), loop.time(), again, reply)
         self._questions[number] = question
         self._unasked = 0
-        self._since_answer += 1
+        self._since_answer[request.dev_id] += 1
         transport.write(frame)
         self._tell(frame, sent=True)
         try:
@@ -145,7 +148,7 @@ class NumberedWire(asyncio.Protocol):
             raise LinkDown("the connection is closed")
         return self._transport
 
-    async def _answer_to_another(self, deadline: float) -> None:
+    async def _any_reply(self, deadline: float) -> None:
         """Wait until something is answered. Raises ReplyTimeout, or LinkDown where the connection ends."""
         self._any_answer.clear()
         try:
@@ -153,7 +156,7 @@ class NumberedWire(asyncio.Protocol):
                 await self._any_answer.wait()
         except TimeoutError:
             raise ReplyTimeout(
-                f"{self._since_answer} questions have no reply yet; nothing else is asked before one comes"
+                f"{self._since_answer.total()} questions have no reply yet; nothing else is asked before one comes"
             ) from None
 
     def _free_number(self, now: float) -> int:
@@ -205,7 +208,7 @@ class NumberedWire(asyncio.Protocol):
         """One whole frame: the answer to who waits for it, or counted as nobody's."""
         question = self._questions.pop(int.from_bytes(frame[:2], "big"), None)
         if question is not None:
-            self._since_answer = 0
+            self._since_answer.clear()
             self._any_answer.set()
         waiting = question
         if question is not None and question.reply is None:

@@ -132,7 +132,7 @@ class SharedLink:
                 patience = health.probe_patience(settings.timeout, max(_SHORT_PROBE_S, _USUAL_TIMES * self._slowest))
             else:
                 patience = self.link.patience(settings.timeout)
-            most_open = (1 if self.link.suspect else 2) * len(self.health)
+            most_open = 1 if self.link.suspect else 2
             line.counts["requests"] += 1
             try:
                 reply = await wire.ask(request, patience, before_sending, again=again, most_open=most_open)
@@ -145,7 +145,9 @@ class SharedLink:
             except DeviceException as error:
                 line.counts["exceptions"] += 1
                 self.link.answered(wire)
-                if error.code not in _NO_WAY_TO_UNIT or not self._is_silent(settings, health, _now() - started):
+                if error.code in _NO_WAY_TO_UNIT and len(self.health) > 1:
+                    self._is_silent(settings, health, _now() - started)
+                else:
                     health.answered(self.link.connects)
                 raise self.transport.explained(error) from None
             except LinkDown as error:
