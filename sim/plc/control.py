@@ -6,6 +6,9 @@
 `id` is optional and comes back as it was. A command that cannot be done answers `"ok": false` and one sentence in
 `error`; nothing has changed then. What a command changes is in the image after the next cycle. The commands are the
 keys of COMMANDS; `describe` lists them with their keys.
+
+Where the process is several machines, the key `machine` says which one is meant; without it a command is for all of
+them, and the reply holds `machines`: each one's own.
 """
 
 import asyncio
@@ -29,6 +32,7 @@ from sim.plc.program import (
 
 Outcome = dict[str, object]
 _LONGEST = 65536
+_OF_A_REPLY = frozenset({"event", "id", "command"})
 
 
 def _replay(plc: Plc) -> TraceReplay:
@@ -225,6 +229,27 @@ def obey(plc: Plc, line: str | bytes, now: float) -> Outcome:
     return {"event": "reply", "id": number, "command": name, "ok": True, **outcome}
 
 
+def obey_for(machines: Mapping[str, Plc], line: str | bytes, now: float) -> Outcome:
+    """As `obey`, for the machine that the line names, or for all of them. One without a name is obeyed as it is."""
+    if "" in machines:
+        return obey(machines[""], line, now)
+    try:
+        order = json_lines.parsed(line)
+    except NoObject as error:
+        return {"event": "reply", "id": None, "command": None, "ok": False, "error": str(error)}
+    name = order.pop("machine", None)
+    if name is None:
+        replies = {name: obey(plc, json_lines.packed(order), now) for name, plc in machines.items()}
+        ok = all(reply["ok"] for reply in replies.values())
+        own = {name: {key: reply[key] for key in reply if key not in _OF_A_REPLY} for name, reply in replies.items()}
+        reply = {"event": "reply", "id": order.get("id"), "command": order.get("command"), "ok": ok, "machines": own}
+        return reply if ok else {**reply, "error": next(str(r["error"]) for r in replies.values() if not r["ok"])}
+    if not isinstance(name, str) or name not in machines:
+        unknown = f"key 'machine': there is no {name!r}; known are {listed(tuple(machines))}"
+        return {"event": "reply", "id": order.get("id"), "command": order.get("command"), "ok": False, "error": unknown}
+    return {**obey(machines[name], json_lines.packed(order), now), "machine": name}
+
+
 def say(message: Mapping[str, object]) -> None:
     """One line on stdout, unbuffered; silently nowhere when nobody reads it any more."""
     try:
@@ -233,14 +258,15 @@ def say(message: Mapping[str, object]) -> None:
         return
 
 
-def listen_to_stdin(plc: Plc, loop: asyncio.AbstractEventLoop) -> None:
+def listen_to_stdin(machines: Mapping[str, Plc], loop: asyncio.AbstractEventLoop) -> None:
     """Obey the lines of stdin from a thread of its own; the end of stdin stops the PLC."""
 
     def obey_line(line: bytes) -> None:
-        say(obey(plc, line, plc.clock.monotonic()))
+        say(obey_for(machines, line, next(iter(machines.values())).clock.monotonic()))
 
     def stop() -> None:
-        plc.stopping = True
+        for plc in machines.values():
+            plc.stopping = True
 
     def listen() -> None:
         rest = b""
@@ -257,11 +283,11 @@ def listen_to_stdin(plc: Plc, loop: asyncio.AbstractEventLoop) -> None:
     threading.Thread(target=listen, name="stdin", daemon=True).start()
 
 
-async def listen_on_loopback(plc: Plc, port: int) -> asyncio.Server:
+async def listen_on_loopback(machines: Mapping[str, Plc], port: int) -> asyncio.Server:
     """Obey the lines of every connection to 127.0.0.1:port. Raises OSError."""
 
     async def answer(line: bytes) -> Outcome:
-        return obey(plc, line, plc.clock.monotonic())
+        return obey_for(machines, line, next(iter(machines.values())).clock.monotonic())
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await json_lines.serve(reader, writer, answer)

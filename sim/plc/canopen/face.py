@@ -170,5 +170,6 @@ class CanopenFace:
 def make(plc: Plc, options: Mapping[str, Any], complain: Callable[[str], None]) -> CanopenFace:
     """The face that the command line asks for. Raises InputError."""
     block = plc.registers.block
-    layout = read_layout(Path(options["canopen"]), plc.registers.tags, block.place.words if block else 0)
+    words = block.place.words if block else 0
+    layout = read_layout(Path(options["canopen"]), plc.registers.tags, words, options["node"])
     return CanopenFace(plc, layout, (options["can_interface"], options["can_channel"]), complain)

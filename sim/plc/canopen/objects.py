@@ -49,14 +49,15 @@ class NodeLayout:
     block: Address | None
 
 
-def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> NodeLayout:
+def read_layout(path: Path, known: Mapping[str, Tag], words: int, node: int | None = None) -> NodeLayout:
     """The device file in `path` with its EDS; `known` are the image's tags, `words` the length of its block.
 
-    Raises InputError naming file, key, reason and remedy.
+    `node` is another node id than the file's. Raises InputError naming file, key, reason and remedy.
     """
     content = read_device(path)
     device = validated(_NodeDevice, content.device.model_extra or {}, f"{path}: [device]")
-    entries, text = read_eds(path.parent / device.eds, device.node)
+    node = device.node if node is None else node
+    entries, text = read_eds(path.parent / device.eds, node)
     tags: dict[Address, list[Tag]] = {}
     for number, row in enumerate(content.tags, start=1):
         where = f"{path}: tag {number}"
@@ -71,7 +72,7 @@ def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> NodeLayout:
         block = _address(content.writeback.address, entries, where)
         if (count := len(content.writeback.fields)) != words:
             raise InputError(f"{where}: fields: {count} words, and the register map's has {words}")
-    return NodeLayout(device.node, entries, text, tags, block)
+    return NodeLayout(node, entries, text, tags, block)
 
 
 def _address(text: str, entries: Mapping[Address, EdsObject], where: str) -> Address:
