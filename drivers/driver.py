@@ -193,6 +193,7 @@ DRIVERS: dict[str, Capabilities] = {
         opens="drivers.modbus.driver:open_modbus",
         surveys="drivers.modbus.survey:open_survey",
         plans="drivers.modbus.preview:planned",
+        locates="drivers.modbus.address:place_of_tag",
         registers=True,
         units=True,
         block="words",

@@ -22,6 +22,7 @@ from gateway.plant.device import make_driver, scans_on_change
 from gateway.plant.log import log_file, open_log
 from gateway.plant.log_file import LogFile
 from gateway.plant.status import snapshot, write_status
+from gateway.serving import DeviceImage, PeerServer
 from gateway.settings import Config
 from gateway.status import SAID_BY_CHANGES, ChangeLines, GatewayStatus, opening
 
@@ -61,6 +62,9 @@ async def run(
     """
     stop = stop or asyncio.Event()
     clock = clock or plant_clock(config.clock.speed)
+    image = None
+    if config.serve.port is not None:
+        image = DeviceImage(config, clock.now)
     with ExitStack() as opened:
         if log is None:
             file = _log_file(config)
@@ -76,13 +80,22 @@ async def run(
         reporter = machine.supervisor.task("status", lambda: _report(machine, status_path, say))
         opened.enter_context(machine.supervisor.hearing_all())
         control = Control(machine, config.control_socket, snapshot)
-        serving = machine.supervisor.task("control", control.serve)
+        serving = {machine.supervisor.task("control", control.serve)}
+        if image is not None and config.serve.port is not None:
+            peers = PeerServer(
+                config.serve.host,
+                config.serve.port,
+                {config.serve.unit: image},
+                most_clients=config.serve.most_clients,
+            )
+            serving.add(machine.supervisor.task("peers", peers.serve))
         try:
-            await _supervised(machine, stop)
+            await _supervised(machine, stop, image)
         finally:
             machine.phase = "stopping"
-            serving.cancel()
-            await asyncio.wait({serving})
+            for task in serving:
+                task.cancel()
+            await asyncio.wait(serving)
             await control.close()
             # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in
             # there.
@@ -117,7 +130,7 @@ def _log_file(config: Config) -> LogFile | None:
     return None if config.log.path is None else log_file(config.log.path, config.log, patient=True)
 
 
-async def _supervised(machine: Machine, stop: asyncio.Event) -> None:
+async def _supervised(machine: Machine, stop: asyncio.Event, image: DeviceImage | None) -> None:
     """Scan until the stop; whatever fails is logged, made known to the PLC, and begun anew a second later."""
     config, clock, log = machine.config, machine.clock, machine.log
     for caution in machine.driver.cautions() if isinstance(machine.driver, Cautions) else ():
@@ -144,6 +157,8 @@ async def _supervised(machine: Machine, stop: asyncio.Event) -> None:
                 )
             ) as stream:
                 async for scan in stream:
+                    if image is not None:
+                        image.take(scan)
                     await machine.take(scan)
         except Exception as error:  # noqa: BLE001 - the supervisor's part for the scans: it is said, and begun anew
             machine.supervisor.failed("scans", error)

@@ -188,6 +188,18 @@ class ClockSection(Section):
     tag: str | None = Field(None, description="the tag of the PLC's own clock, in seconds since 1970 UTC")
 
 
+class ServeSection(Section):
+    """What was read, served to peers as a Modbus TCP server that only answers reads; off without a port."""
+
+    port: int | None = Field(None, ge=1, le=65535, description="a TCP port from 1 to 65535, or no key for no server")
+    host: str = Field(
+        "127.0.0.1", min_length=1, description="the address to listen on: this machine only, if not given"
+    )
+    unit: int = Field(1, ge=0, le=255, description="the unit id under which the machine is served, 0 to 255")
+    address: int = Field(50000, ge=0, le=65535, description="the first register of qualities and ages, 0 to 65535")
+    most_clients: int = Field(8, ge=1, le=256, description="how many peers are served at a time, 1 to 256")
+
+
 class _PlantFile(Section):
     device: DeviceSection = Field(description="a [device] table with file and host")
     scan: ScanSection = Field(default_factory=ScanSection, description="a [scan] table")
@@ -200,6 +212,7 @@ class _PlantFile(Section):
     ensemble: EnsembleSection = Field(default_factory=EnsembleSection, description="an [ensemble] table")
     control: ControlSection = Field(default_factory=ControlSection, description="a [control] table")
     clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
+    serve: ServeSection = Field(default_factory=ServeSection, description="a [serve] table")
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,6 +232,7 @@ class Config:
     ensemble: EnsembleSection
     control: ControlSection
     clock: ClockSection
+    serve: ServeSection
     links: tuple[DeviceLink, ...]
 
     @property
@@ -315,6 +329,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
         ensemble=content.ensemble.model_copy(update={"members": members}),
         control=content.control.model_copy(update={"path": content.control.path and home / content.control.path}),
         clock=content.clock,
+        serve=content.serve,
         links=links,
     )
 
