@@ -74,7 +74,7 @@ def served_rows(config: Config) -> tuple[ServedRow, ...]:
                 "give an address that the device does not use"
             )
         first = address + HEAD + EACH * len(rows)
-        rows.append(ServedRow(tag, table, start, count, first, first + 1))
+        rows.append(ServedRow(tag, table, start, count, quality=first, age=first + 1))
     if problems:
         raise ConfigError(problems)
     return tuple(rows)

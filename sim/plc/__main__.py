@@ -165,7 +165,7 @@ def _emulator_options(given: Mapping[str, Any]) -> EmulatorOptions:
 
 
 @dataclass(slots=True)
-class Machine:
+class EmulatedMachine:
     """One machine of the process: its program, what serves it, and where its name begins a complaint."""
 
     options: EmulatorOptions
@@ -188,7 +188,7 @@ def run(machines: Sequence[EmulatorOptions]) -> int:
     records = [other.record for other in machines if other.record is not None]
     if shared := next((path for path in records if records.count(path) > 1), None):
         raise InputError(f"--record: {shared} is given to several machines; give each a file of its own")
-    built: list[Machine] = []
+    built: list[EmulatedMachine] = []
     try:
         for own in machines:
             built.append(_built(own, clock))
@@ -199,7 +199,7 @@ def run(machines: Sequence[EmulatorOptions]) -> int:
                 machine.recorder.close()
 
 
-def _built(options: EmulatorOptions, clock: EmulatorClock) -> Machine:
+def _built(options: EmulatorOptions, clock: EmulatorClock) -> EmulatedMachine:
     """One machine, not yet begun. Raises InputError."""
 
     def say_whose(sentence: str) -> None:
@@ -245,7 +245,7 @@ def _built(options: EmulatorOptions, clock: EmulatorClock) -> Machine:
         record=recorder or record_nothing,
         complain=say_whose,
     )
-    return Machine(options, plc, recorder, say_whose)
+    return EmulatedMachine(options, plc, recorder, say_whose)
 
 
 def read_faults(path: Path) -> list[OrderedFault]:
@@ -275,7 +275,7 @@ def parse_stretch(text: str) -> Place:
     return Place(table, address, end - address + 1)
 
 
-def _give_faces(machines: Sequence[Machine]) -> None:
+def _give_faces(machines: Sequence[EmulatedMachine]) -> None:
     """Make every machine's faces; those that tell units apart are made once for all behind them. Raises InputError."""
     behind: dict[str, tuple[UnitsBehind, ModbusServer]] = {}
     for machine in sorted(machines, key=lambda machine: machine.options.behind is not None):
@@ -302,7 +302,7 @@ def _give_faces(machines: Sequence[Machine]) -> None:
         machine.faces = [BehindFace(plc, units, server.ready), *make_faces(plc, settings, said, None)]
 
 
-async def _live(machines: Sequence[Machine]) -> int:
+async def _live(machines: Sequence[EmulatedMachine]) -> int:
     loop = asyncio.get_running_loop()
     options, clock = machines[0].options, machines[0].plc.clock
     programs = {machine.options.name: machine.plc for machine in machines}
@@ -349,7 +349,7 @@ async def _live(machines: Sequence[Machine]) -> int:
     return 0
 
 
-async def _cycle(machine: Machine) -> None:
+async def _cycle(machine: EmulatedMachine) -> None:
     """One cycle of a machine's program, and what it makes of its faces."""
     plc = machine.plc
     now = plc.clock.monotonic()
@@ -364,7 +364,7 @@ async def _cycle(machine: Machine) -> None:
         say({"event": "end_of_trace", **place, **whose})
 
 
-async def _close(machine: Machine) -> None:
+async def _close(machine: EmulatedMachine) -> None:
     """The end of one machine."""
     machine.plc.event("stopped", machine.plc.clock.monotonic())
     for face in machine.faces:
@@ -372,7 +372,7 @@ async def _close(machine: Machine) -> None:
     machine.closed = True
 
 
-def _ready(machines: Sequence[Machine], control: asyncio.Server | None) -> dict[str, object]:
+def _ready(machines: Sequence[EmulatedMachine], control: asyncio.Server | None) -> dict[str, object]:
     clock = machines[0].plc.clock
     ports: Sequence[Any] = () if control is None else control.sockets
     told = {"epoch": clock.epoch, "monotonic": clock.start, "speed": clock.speed}
@@ -382,7 +382,7 @@ def _ready(machines: Sequence[Machine], control: asyncio.Server | None) -> dict[
     return {"event": "ready", **process, "machines": {machine.options.name: _place(machine) for machine in machines}}
 
 
-def _place(machine: Machine) -> dict[str, object]:
+def _place(machine: EmulatedMachine) -> dict[str, object]:
     """Where a machine serves, and what it replays."""
     plc, faces = machine.plc, machine.faces
     replay: dict[str, object] | None = None

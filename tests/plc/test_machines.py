@@ -1,5 +1,6 @@
 """Several machines in one process: each with its own trace, unit, faults and record; one control channel for all."""
 
+import socket
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -152,8 +153,13 @@ def test_a_file_of_machines_that_cannot_be_used_is_refused_in_one_sentence(
 
 
 def test_machines_are_named_on_the_command_line_too() -> None:
-    with running("--machine", "name=a,unit=1", "--machine", "name=b,unit=2,permit=false,behind=a") as process:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    options = ("--machine", f"name=a,port={port}", "--machine", f"name=b,unit=2,permit=false,port={port}")
+    with running(*options) as process, client(port) as raw:
         assert list(process.ready["machines"]) == ["a", "b"]
         assert process.order("status", machine="b")["permit"] is False
+        assert [current_of(raw, unit) for unit in (1, 2)] == [65535, 65535], "one port, given twice, is shared"
     code, words = refusal("--machine", "north")
     assert code == 2 and "give name=north,device=FILE,port=15020" in words
