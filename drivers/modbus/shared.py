@@ -5,8 +5,9 @@ port, or the same serial line, have one together (`drivers.connections`), each f
 
 A unit that gives no valid reply as often, or for as long, as would end a connection is taken to be silent while others
 on the connection answer: it is asked one question after `silent_first` seconds, then after twice as long each time up
-to `silent_cap`, and not at all in between. Its failures are its own then; those of all others are the connection's
-(`drivers.link`). The last unit that is not silent is never taken to be: with it the whole connection is silent.
+to `silent_cap`, and not at all in between; all silent ones together once in `silent_first` seconds. Its failures are
+its own then; those of all others are the connection's (`drivers.link`). The last unit that is not silent is never taken
+to be: with it the whole connection is silent.
 """
 
 import asyncio
@@ -21,7 +22,7 @@ from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, Re
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.transport import AnyWire, make_transport
-from drivers.modbus.turns import Turns, UnitHealth
+from drivers.modbus.turns import AT_ONCE, ReplyTimes, Turns, UnitHealth
 from drivers.modbus.wire import WireReply
 from drivers.supervision import Supervisor
 
@@ -31,8 +32,8 @@ _OF_THE_CONNECTION = (
     "transport", "certificates", "tls_name", "baud", "parity", "stopbits", "echo", "longest_reply", "connect_timeout",
     "one_client", "backoff_first", "backoff_cap", "max_failures", "max_silence",
 )  # fmt: skip
-_SHORT_PROBE_S, _USUAL_TIMES = 0.05, 3.0
-"""A silent unit is waited for so many times as long as the slowest reply here took, and so long at least."""
+_SHORT_PROBE_S = 0.05
+"""A silent unit is waited for so long at least."""
 
 
 def place_of(settings: ModbusSettings) -> Hashable:
@@ -68,7 +69,8 @@ class SharedLink:
         self._turns = Turns(settings.outstanding)
         self._made = asyncio.Event()
         self._last_exchange = float("-inf")
-        self._slowest = 0.0
+        self._times = ReplyTimes()
+        self._next_probe = 0.0
         self._foreign = 0
 
     # ------------------------------------------------------------ its units
@@ -128,10 +130,11 @@ class SharedLink:
                 await asyncio.sleep(rest)
             wire = await self._wire()
             probe, started = health.silent, _now()
-            if probe and self._turns.outstanding == 1:
-                patience = health.probe_patience(settings.timeout, max(_SHORT_PROBE_S, _USUAL_TIMES * self._slowest))
-            else:
-                patience = self.link.patience(settings.timeout)
+            patience = (
+                health.probe_patience(settings.timeout, max(_SHORT_PROBE_S, self._times.usual))
+                if probe
+                else self.link.patience(settings.timeout)
+            )
             most_open = 1 if self.link.suspect else 2
             line.counts["requests"] += 1
             try:
@@ -155,7 +158,7 @@ class SharedLink:
                 raise
             finally:
                 self._last_exchange = _now()
-            self._slowest = max(self._slowest, self._last_exchange - started)
+            self._times.take(self._last_exchange - started)
             self.link.answered(wire)
             health.answered(self.link.connects)
             return reply
@@ -164,7 +167,7 @@ class SharedLink:
         """Raise LinkDown for a silent unit that is not to be asked now; to a silent one nothing is written."""
         if health.silent_since is None:
             return
-        left = health.retry_at - _now()
+        left = 0.0 if health.retry_at == AT_ONCE else max(health.retry_at, self._next_probe) - _now()
         if left <= 0 and not urgent:
             return
         wait = f"asked again in {left:.1f} s" if left > 0 else "asked again with the next reading"
@@ -181,11 +184,13 @@ class SharedLink:
         given_up = health.failures >= settings.max_failures or health.waited >= settings.max_silence
         if others and (health.silent or given_up):
             health.avoid(_now(), settings.silent_first, settings.silent_cap)
+            # One short wait in this time for all silent units together, however many they are.
+            self._next_probe = _now() + settings.silent_first
         return others and health.silent
 
     def _late(self, unit: int) -> None:
         if unit in self.health:
-            self.health[unit].heard(_now())
+            self.health[unit].heard()
 
     # ------------------------------------------------------------ the connection
 

@@ -10,7 +10,8 @@ from drivers.modbus.plan import retry_delay
 
 URGENT_IN_A_ROW = 8
 """So many urgent turns are given one after another while something else waits; then that has one."""
-LONG_PROBE = 4
+AT_ONCE = 0.0
+LONG_PROBE = 8
 """Each so-many-th question to a silent unit has the whole deadline: the unit may have become slower than the others."""
 
 
@@ -110,14 +111,34 @@ class UnitHealth:
         self.probes += 1
         self.retry_at = now + retry_delay(self.probes, first, cap)
 
-    def heard(self, now: float) -> None:
+    def heard(self) -> None:
         """Something of it has come too late for its question: it is there, and is asked at once with all patience."""
         if self.silent:
-            self.retry_at, self.probes = now, LONG_PROBE
+            self.retry_at, self.probes = AT_ONCE, LONG_PROBE
 
     def probe_patience(self, deadline: float, usual: float) -> float:
-        """How long a silent unit is waited for while others wait for their turns: what is `usual` on this connection.
+        """How long a silent unit is waited for, in the others' time: what is `usual` on this connection.
 
-        Each fourth time the whole deadline.
+        Each eighth time the whole deadline.
         """
         return deadline if self.probes % LONG_PROBE == 0 else min(deadline, usual)
+
+
+class ReplyTimes:
+    """How long replies take on a connection: a smoothed mean and deviation, as TCP times its own (RFC 6298, 2)."""
+
+    def __init__(self) -> None:
+        self._mean = self._deviation = 0.0
+
+    def take(self, seconds: float) -> None:
+        """A reply has come after so many seconds."""
+        if not self._mean:
+            self._mean, self._deviation = seconds, seconds / 2
+            return
+        self._deviation += (abs(seconds - self._mean) - self._deviation) / 4
+        self._mean += (seconds - self._mean) / 8
+
+    @property
+    def usual(self) -> float:
+        """Seconds within which nearly all replies come."""
+        return self._mean + 4 * self._deviation
