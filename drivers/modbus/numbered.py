@@ -138,7 +138,7 @@ class NumberedWire(asyncio.Protocol):
                 return await reply
         except TimeoutError:
             others = self.foreign - foreign
-            dropped = f" ({others} that answered nothing dropped)" if others else ""
+            dropped = f" ({others} with another transaction id dropped)" if others else ""
             raise ReplyTimeout(f"{question.asked}: no reply within {deadline:.3g} s{dropped}") from None
         finally:
             question.reply = None  # and the question stays: its id is not used again, and its late reply is known
