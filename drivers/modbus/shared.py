@@ -3,11 +3,10 @@
 A driver whose device is alone on its connection has one of these for itself; several drivers with the same host and
 port, or the same serial line, have one together (`drivers.connections`), each for its own unit.
 
-A unit that gives no valid reply as often, or for as long, as would end a connection is taken to be silent while others
-on the connection answer: it is asked one question after `silent_first` seconds, then after twice as long each time up
-to `silent_cap`, and not at all in between; all silent ones together once in `silent_first` seconds. Its failures are
-its own then; those of all others are the connection's (`drivers.link`). The last unit that is not silent is never taken
-to be: with it the whole connection is silent.
+A unit that gives no valid reply as often, or for as long, as would end a connection, while another one answers, is
+taken to be silent: it is asked one question after `silent_first` seconds, then after twice as long each time up to
+`silent_cap`, and not at all in between; all silent ones together once in `silent_first` seconds. Its failures are its
+own as long as others answer in between. All other failures are the connection's (`drivers.link`), which is made anew.
 """
 
 import asyncio
@@ -70,7 +69,7 @@ class SharedLink:
         self._made = asyncio.Event()
         self._last_exchange = float("-inf")
         self._times = ReplyTimes()
-        self._next_probe = 0.0
+        self._next_probe = self._answered_at = 0.0
         self._foreign = 0
 
     # ------------------------------------------------------------ its units
@@ -142,16 +141,17 @@ class SharedLink:
             except (ReplyTimeout, ReplyMismatch) as error:
                 line.counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
                 waited = _now() - started
-                if not self._is_silent(settings, health, waited):
+                if not self._is_its_own(settings, health, started):
                     self.link.failed(wire, waited, str(error))
                 raise
             except DeviceException as error:
                 line.counts["exceptions"] += 1
                 self.link.answered(wire)
                 if error.code in _NO_WAY_TO_UNIT and len(self.health) > 1:
-                    self._is_silent(settings, health, _now() - started)
+                    self._answered_at = _now()
+                    self._is_its_own(settings, health, started)
                 else:
-                    health.answered(self.link.connects)
+                    self._note_answer(health)
                 raise self.transport.explained(error) from None
             except LinkDown as error:
                 self.link.lost(wire, str(error))
@@ -160,7 +160,7 @@ class SharedLink:
                 self._last_exchange = _now()
             self._times.take(self._last_exchange - started)
             self.link.answered(wire)
-            health.answered(self.link.connects)
+            self._note_answer(health)
             return reply
 
     def _spare(self, unit: int, health: UnitHealth, *, urgent: bool) -> None:
@@ -177,16 +177,21 @@ class SharedLink:
             fault=LinkFault.SILENT,
         )
 
-    def _is_silent(self, settings: ModbusSettings, health: UnitHealth, waited: float) -> bool:
-        """Note that the unit has not answered; True if it is silent now, and others are not."""
-        health.failed(waited)
-        others = any(not other.silent for other in self.health.values() if other is not health)
+    def _note_answer(self, health: UnitHealth) -> None:
+        self._answered_at = _now()
+        health.answered(self.link.connects)
+
+    def _is_its_own(self, settings: ModbusSettings, health: UnitHealth, asked_at: float) -> bool:
+        """Note that the unit has not answered; True if that is the silent unit's own failure, not the connection's."""
+        now = _now()
+        health.failed(asked_at, now - asked_at)
+        others_answer = self._answered_at > health.doubted_since
         given_up = health.failures >= settings.max_failures or health.waited >= settings.max_silence
-        if others and (health.silent or given_up):
-            health.avoid(_now(), settings.silent_first, settings.silent_cap)
+        if health.silent or (given_up and others_answer):
+            health.avoid(now, settings.silent_first, settings.silent_cap)
             # One short wait in this time for all silent units together, however many they are.
-            self._next_probe = _now() + settings.silent_first
-        return others and health.silent
+            self._next_probe = now + settings.silent_first
+        return health.silent and others_answer
 
     def _late(self, unit: int) -> None:
         if unit in self.health:

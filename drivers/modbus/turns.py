@@ -80,9 +80,13 @@ class Turns:
 
 @dataclass(slots=True)
 class UnitHealth:
-    """Whether a unit answers; times are the loop's. `connection` is the number of the one on which it did last."""
+    """Whether a unit answers; times are the loop's. `connection` is the number of the one on which it did last.
+
+    `doubted_since`: an answer of another unit after this moment says that the connection is not to blame.
+    """
 
     connection: int = 0
+    doubted_since: float = 0.0
     failures: int = 0
     waited: float = 0.0
     silent_since: float | None = None
@@ -99,8 +103,10 @@ class UnitHealth:
         self.connection, self.failures, self.waited = connection, 0, 0.0
         self.silent_since, self.probes = None, 0
 
-    def failed(self, waited: float) -> None:
-        """No valid answer came, after `waited` seconds."""
+    def failed(self, asked_at: float, waited: float) -> None:
+        """No valid answer came to what was asked then, after `waited` seconds."""
+        if not self.failures:
+            self.doubted_since = asked_at
         self.failures += 1
         self.waited += waited
 
@@ -109,7 +115,7 @@ class UnitHealth:
         if self.silent_since is None:
             self.silent_since = now
         self.probes += 1
-        self.retry_at = now + retry_delay(self.probes, first, cap)
+        self.doubted_since, self.retry_at = now, now + retry_delay(self.probes, first, cap)
 
     def heard(self) -> None:
         """Something of it has come too late for its question: it is there, and is asked at once with all patience."""

@@ -67,11 +67,12 @@ async def once(driver: ModbusDriver) -> Sample:
     return sample
 
 
-async def until_silent(driver: ModbusDriver) -> None:
+async def until_silent(living: ModbusDriver, *dead: ModbusDriver) -> None:
+    """Read all until the dead ones are known to be silent, which needs an answer of the living one in between."""
     async with asyncio.timeout(3):
-        while not driver.statistics()["silent"]:
-            await once(driver)
-            await asyncio.sleep(0)
+        while not all(driver.statistics()["silent"] for driver in dead):
+            await asyncio.gather(*map(once, (living, *dead)))
+            await asyncio.sleep(0.01)
 
 
 # ------------------------------------------------------------------ turns
@@ -222,7 +223,7 @@ async def test_a_silent_unit_is_asked_rarely_and_read_again_when_it_answers(
             await asyncio.sleep(0.01)
 
     assert (await once(living)).value == 1
-    await asyncio.gather(until_silent(two), until_silent(three))
+    await until_silent(living, two, three)
     assert (await once(living)).value == 1
     assert not two.connected and living.connected
     connections = plc.connections
@@ -249,8 +250,7 @@ async def test_a_silent_unit_is_asked_rarely_and_read_again_when_it_answers(
 async def test_nothing_is_written_to_a_silent_unit(plc: ScriptedPlc, shared: Open) -> None:
     plc.bend = by_unit({2: silent})
     living, dead = await shared(1, 2, silent_first=30.0, silent_cap=30.0, timeout=0.03)
-    await once(living)
-    await until_silent(dead)
+    await until_silent(living, dead)
     plc.requests.clear()
     with pytest.raises(LinkDown, match="unit 2 is silent"):
         await dead.write([(SETPOINT, 7)])
@@ -263,8 +263,7 @@ async def test_a_unit_that_the_gateway_has_no_way_to_is_a_silent_one(plc: Script
 
     plc.bend = by_unit({2: no_way})
     living, dead = await shared(1, 2, silent_first=30.0, silent_cap=30.0)
-    await once(living)
-    await until_silent(dead)
+    await until_silent(living, dead)
     asked = len(plc.requests)
     assert (await once(dead)).quality is Quality.NOT_CONNECTED
     assert len(plc.requests) == asked and plc.connections == 1 and living.connected
@@ -283,6 +282,24 @@ async def test_a_connection_on_which_all_units_are_silent_is_made_anew(plc: Scri
     plc.bend = by_unit(dict.fromkeys(range(1, 5), deaf))
     await asyncio.gather(*(read_until_good(driver, FIVE, within=2.0) for driver in drivers))
     assert plc.connections == 2
+
+
+async def test_a_unit_that_is_never_asked_makes_no_dead_connection_a_silent_unit(
+    plc: ScriptedPlc, shared: Open
+) -> None:
+    """Of two machines one is read: nobody says that the connection lives, so it is made anew as for one alone."""
+    read, _ = await shared(1, 2, timeout=0.05)
+    plc.bend = by_unit({})
+    await once(read)
+    old = set(plc._writers)
+
+    async def deaf(plc: ScriptedPlc, request: bytes, honest: bytes, writer: asyncio.StreamWriter) -> None:
+        if writer not in old:
+            writer.write(honest)
+
+    plc.bend = by_unit({1: deaf})
+    await read_until_good(read, FIVE, within=1.0)
+    assert plc.connections == 2 and not read.statistics()["silent"]
 
 
 async def test_a_write_without_an_answer_ends_the_connection_and_costs_the_others_no_reading(
