@@ -50,18 +50,9 @@ class SharedLink:
 
     def __init__(self, settings: ModbusSettings, *, clock: Clock, seed: int, alone: bool) -> None:
         """Raises DriverError for certificates that cannot be used."""
-        self.settings = settings
-        self.transport = make_transport(settings, clock, None if alone else self._late)
+        self._clock, self._seed, self._alone = clock, seed, alone
         self.supervisor = Supervisor()
-        self.link: Link[AnyWire] = Link(
-            self._connect,
-            self._disconnect,
-            connect_deadline=settings.connect_timeout,
-            backoff=Backoff(settings.backoff_first, settings.backoff_cap),
-            dead_peer=DeadPeer(settings.max_failures, settings.max_silence),
-            seed=seed,
-            supervisor=self.supervisor,
-        )
+        self._adopt(settings)
         self.health: dict[int, UnitHealth] = {}
         self.renewing = False
         self._lines: list[UnitLine] = []
@@ -72,6 +63,20 @@ class SharedLink:
         self._next_probe = self._answered_at = 0.0
         self._foreign = 0
 
+    def _adopt(self, settings: ModbusSettings) -> None:
+        """Be a connection of this kind. Raises DriverError."""
+        self.settings = settings
+        self.transport = make_transport(settings, self._clock, None if self._alone else self._late)
+        self.link: Link[AnyWire] = Link(
+            self._connect,
+            self._disconnect,
+            connect_deadline=settings.connect_timeout,
+            backoff=Backoff(settings.backoff_first, settings.backoff_cap),
+            dead_peer=DeadPeer(settings.max_failures, settings.max_silence),
+            seed=self._seed,
+            supervisor=self.supervisor,
+        )
+
     # ------------------------------------------------------------ its units
 
     def join(self, settings: ModbusSettings) -> "UnitLine":
@@ -79,6 +84,8 @@ class SharedLink:
 
         Raises DriverError where it means another kind of connection than the units that are there.
         """
+        if not self._lines and settings is not self.settings:
+            self._adopt(settings)  # nobody uses it: it may be another kind than it was
         for key in _OF_THE_CONNECTION if self._lines else ():
             ours, theirs = getattr(settings, key), getattr(self.settings, key)
             if ours != theirs:

@@ -199,9 +199,14 @@ async def test_the_last_unit_closes_the_connection_and_one_of_several_does_not(p
 async def test_units_that_mean_another_kind_of_connection_are_refused_with_both_values(plc: ScriptedPlc) -> None:
     connections = Connections()
     place = {"host": "127.0.0.1", "port": plc.port}
-    open_driver("modbus", {**place, "unit": 3}, clock=time.time, connections=connections)
+    first = open_driver("modbus", {**place, "unit": 3}, clock=time.time, connections=connections)
     with pytest.raises(DriverError, match=r"transport is 'rtu-tcp' for unit 4 at .* and 'tcp' for unit 3 on the same"):
         open_driver("modbus", {**place, "unit": 4, "transport": "rtu-tcp"}, clock=time.time, connections=connections)
+    # Once nobody uses it any more, the place may be of another kind: it is no longer what it was.
+    await first.close()
+    line = {**place, "unit": 4, "transport": "rtu-tcp"}
+    changed = open_modbus(line, clock=time.time, connections=connections)
+    assert changed._line._shared.settings.transport == "rtu-tcp"
     with pytest.raises(DriverError, match="outstanding is 2, and a serial line carries 1 request at a time"):
         open_driver("modbus", {**place, "transport": "rtu-tcp", "outstanding": 2}, clock=time.time)
 
