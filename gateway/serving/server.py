@@ -66,13 +66,13 @@ class PeerServer:
                     transaction, protocol, length, unit = _HEADER.unpack(await reader.readexactly(_HEADER.size))
                     if protocol != 0 or not 2 <= length <= _LONGEST:
                         break  # it is not Modbus: from here on nothing can be told apart
-                    pdu = self._answer(unit, await reader.readexactly(length - 1))
+                    pdu = self.answer(unit, await reader.readexactly(length - 1))
                     writer.write(_HEADER.pack(transaction, 0, len(pdu) + 1, unit) + pdu)
                     await writer.drain()
         self._clients.discard(writer)
         writer.close()
 
-    def _answer(self, unit: int, request: bytes) -> bytes:
+    def answer(self, unit: int, request: bytes) -> bytes:
         """The PDU of the reply to a request's."""
         function, image = request[0], self._images.get(unit)
         code = 0

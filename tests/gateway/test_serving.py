@@ -166,7 +166,7 @@ async def test_several_requests_in_one_segment_are_answered_each_and_what_is_no_
 )
 def test_what_is_not_a_read_of_what_is_there_is_refused(unit: int, request_: bytes, code: int) -> None:
     server = PeerServer("127.0.0.1", 0, {1: Numbers()})
-    assert server._answer(unit, request_) == bytes((request_[0] | 0x80, code))
+    assert server.answer(unit, request_) == bytes((request_[0] | 0x80, code))
 
 
 # ------------------------------------------------------------------ the gateway
