@@ -8,7 +8,7 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import ReplyMismatch
-from drivers.modbus.verify import IDENTIFY, Asked
+from drivers.modbus.verify import IDENTIFY, Asked, reply_words
 
 BITS = 11
 """Of one character on a serial Modbus line: start, eight data, parity and stop, or a second stop."""
@@ -95,10 +95,4 @@ def unwrapped(request: Asked, frame: bytes) -> bytes:
 
 def words_of(request: Asked, frame: bytes) -> tuple[int, ...]:
     """The registers, or bits as 0 and 1, of a verified reply; none for the confirmation of a write."""
-    payload = frame[3:-2]
-    if request.function in (3, 4):
-        return tuple(int.from_bytes(payload[at : at + 2], "big") for at in range(0, len(payload), 2))
-    if request.function in (1, 2):
-        packed = int.from_bytes(payload, "little")
-        return tuple(packed >> index & 1 for index in range(request.count))
-    return ()
+    return reply_words(request, frame[3:-2])

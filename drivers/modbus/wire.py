@@ -1,10 +1,11 @@
 """One TCP or TLS connection to a Modbus device: pymodbus 3.16.1 behind our own verification of every received byte.
 
-pymodbus builds the requests, numbers them, moves the bytes and decodes the replies. It hands every received byte to
-`trace_packet` first; there the stream is cut into frames, and only a frame that answers the outstanding request goes
-on to the library, whole: its TLS framer takes every record for a frame. That hook, `callback_disconnected`,
-`call_create` and the transport behind `client.ctx` are all that is used beyond its everyday interface;
-tests/drivers/test_pymodbus_contract.py fails if they change.
+pymodbus connects, moves the bytes and frames the requests. What it does with a reply is left out: its transactions cost
+a task and two timers for each request, accept what they should not (tests/drivers/test_pymodbus_contract.py), and its
+TLS framer takes every record for a frame. Every received byte comes here by `callback_data`; the stream is cut into
+frames, and one that answers the outstanding request ends the exchange. That hook, `callback_disconnected`,
+`call_create`, the framer and the transport behind `client.ctx` are all that is used beyond its everyday interface; the
+same tests fail if they change.
 """
 
 import asyncio
@@ -16,9 +17,9 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 from pymodbus.client import AsyncModbusTcpClient, AsyncModbusTlsClient
-from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.bit_message import ReadCoilsRequest, ReadDiscreteInputsRequest, WriteMultipleCoilsRequest
 from pymodbus.pdu.register_message import (
@@ -30,11 +31,14 @@ from pymodbus.pdu.register_message import (
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area
-from drivers.modbus.verify import WRITES, Asked, asked, check_reply, split_frames
+from drivers.modbus.verify import WRITES, Asked, asked, check_reply, reply_words, split_frames
 from drivers.tap import current, moved
 
 # More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line.
 _FLOOD = 65536
+# asyncio reads up to 256 KiB at once; a chunk that pymodbus finds too large it drops without a word.
+_LARGEST_CHUNK = 1 << 20
+_TRANSACTIONS = 0xFFFF
 _PROBE_S, _PROBES = 1, 2
 # pymodbus times nothing here: every exchange and every connect has a deadline of ours, and it must not fire first.
 _NEVER = 3600.0
@@ -91,16 +95,18 @@ class Wire:
         self._secured = secured
         self._client = self._made(host, port, secured)
         self._client.ctx.callback_disconnected = self._disconnected  # type: ignore[method-assign]
-        self._client.ctx.max_buffer_size = 2 * _FLOOD
+        self._client.ctx.callback_data = self._take  # type: ignore[method-assign]
+        self._client.ctx.max_buffer_size = _LARGEST_CHUNK
+        self._transaction = 0
         self._request: Asked | None = None
         # Sent on this connection and not answered, by transaction id, with the moment of sending.
         self._open: dict[int, tuple[Asked, float]] = {}
         self._again = False
         self._any_answer = asyncio.Event()
-        self._verdict: asyncio.Future[DriverError] | None = None
+        self._outcome: asyncio.Future[WireReply] | None = None
         self._sent = self._received = 0.0
         self._stream = b""
-        self._seen = 0
+        self._unasked = 0
         self.foreign = 0
         self.last = b""
         self.fault = LinkFault.OTHER
@@ -109,17 +115,9 @@ class Wire:
     def _made(self, host: str, port: int, secured: Secured | None) -> AsyncModbusTcpClient:
         """pymodbus's client for the connection, with everything that it does by itself turned off."""
         if secured is None:
-            return AsyncModbusTcpClient(
-                host, port=port, retries=0, reconnect_delay=0, timeout=_NEVER, trace_packet=self._inspect
-            )
+            return AsyncModbusTcpClient(host, port=port, retries=0, reconnect_delay=0, timeout=_NEVER)
         client = AsyncModbusTlsClient(
-            host,
-            port=port,
-            sslctx=secured.context,
-            retries=0,
-            reconnect_delay=0,
-            timeout=_NEVER,
-            trace_packet=self._inspect,
+            host, port=port, sslctx=secured.context, retries=0, reconnect_delay=0, timeout=_NEVER
         )
         create = client.ctx.loop.create_connection
         names = {"ssl": secured.context, "server_hostname": secured.name}
@@ -198,78 +196,75 @@ class Wire:
             began = asyncio.get_running_loop().time()
             await self._answer_to_another(deadline)
             deadline -= asyncio.get_running_loop().time() - began
-        self._again = again
-        verdict = self._verdict = asyncio.get_running_loop().create_future()
-        foreign, self._request = self.foreign, None
+        transport = self._client.ctx.transport
+        if not isinstance(transport, asyncio.Transport):
+            raise LinkDown("the connection is closed")
+        loop = asyncio.get_running_loop()
+        foreign, self._request, self._again = self.foreign, None, again
 
-        async def execute() -> ModbusPDU:
-            # In the task that sends: between the two nothing else of the event loop can run.
-            before_sending()
-            reply: ModbusPDU = await self._client.execute(False, request)
-            return reply
+        def too_late() -> None:
+            others = self.foreign - foreign
+            dropped = f" ({others} with another transaction id dropped)" if others else ""
+            self._fail(ReplyTimeout(f"{self._request}: no reply within {deadline:.3g} s{dropped}"))
 
-        exchange = asyncio.ensure_future(execute())
+        # Between the two nothing else of the event loop can run.
+        before_sending()
+        self._send(transport, request)
+        outcome: asyncio.Future[WireReply] = loop.create_future()
+        self._outcome = outcome
+        timer = loop.call_later(deadline, too_late)
         try:
-            # The library's reply or our own verdict: what is refused here never reaches the library, which waits on.
-            await asyncio.wait({exchange, verdict}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
-            if verdict.done():
-                raise verdict.result()
-            if not exchange.done():
-                others = self.foreign - foreign
-                dropped = f" ({others} with another transaction id dropped)" if others else ""
-                raise ReplyTimeout(f"{self._request}: no reply within {deadline:.3g} s{dropped}")
-            return self._reply(exchange.result())
-        except ModbusException as error:
-            raise LinkDown(f"the connection is closed ({error.string})") from error
+            return await outcome
         finally:
-            self._verdict = None
-            exchange.cancel()
+            timer.cancel()
+            self._outcome = None
+
+    def _send(self, transport: asyncio.Transport, request: ModbusPDU) -> None:
+        """Give the request to the system, under a transaction id of its own."""
+        self._transaction = self._transaction % _TRANSACTIONS + 1
+        request.transaction_id = self._transaction
+        data = self._client.ctx.framer.buildFrame(request)
+        # Read from the very bytes that go: what was asked is what the reply is held against.
+        self._request, self._sent, self._unasked = asked(data), self._clock(), 0
+        self._open[self._transaction] = (self._request, self._sent)
+        self._tell(data, sent=True)
+        transport.write(data)
 
     async def _answer_to_another(self, deadline: float) -> None:
         """Wait until something that is open is answered. Raises ReplyTimeout, or LinkDown where the connection ends."""
-        verdict = self._verdict = asyncio.get_running_loop().create_future()
+        broken = self._outcome = asyncio.get_running_loop().create_future()
         self._request, before = None, len(self._open)
         self._any_answer.clear()
         waiting = asyncio.ensure_future(self._any_answer.wait())
         try:
-            await asyncio.wait({waiting, verdict}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
-            if verdict.done():
-                raise verdict.result()
+            await asyncio.wait({waiting, broken}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
+            if broken.done():
+                broken.result()  # raises: without a request of ours there is no other outcome
             if len(self._open) >= before:
                 question, sent = next(iter(self._open.values()))
                 raise ReplyTimeout(
                     f"{question}: no reply since {self._clock() - sent:.2f} s; nothing else is asked before it comes"
                 )
         finally:
-            self._verdict = None
+            self._outcome = None
             waiting.cancel()
-
-    def _reply(self, pdu: ModbusPDU) -> WireReply:
-        count = self._request.count if self._request else 0
-        words = tuple(int(word) for word in (pdu.registers or pdu.bits)[:count])
-        self._request = None
-        return WireReply(words, self._sent, self._received)
 
     # ------------------------------------------------------------ called by pymodbus
 
-    def _inspect(self, sending: bool, data: bytes) -> bytes:
-        """Note what is sent; of what is received let through only the frame that was waited for.
-
-        On reception `data` is pymodbus's whole buffer, which it empties before each send and from which it then cuts
-        as many bytes as it was given back here. The stream is framed apart from that, so that a late reply whose first
-        half came before a new request and whose second half comes after is still recognised.
-        """
-        self._tell(data if sending else data[self._seen :], sent=sending)
-        if sending:
-            self._request, self._sent, self._seen = asked(data), self._clock(), 0
-            self._open[self._request.transaction] = (self._request, self._sent)
-            return data
-        self._stream += data[self._seen :]
-        passed = self._passed()
-        self._seen = len(data) - len(passed)
-        if self._seen > _FLOOD:
+    def _take(self, data: bytes, addr: tuple[Any, ...] | None = None) -> int:
+        """Take in what has come, all of it; of the frames in it only the one that was waited for counts."""
+        self._tell(data, sent=False)
+        self._unasked += len(data)
+        try:
+            frames, self._stream = split_frames(self._stream + data)
+        except ReplyMismatch as error:
+            self._break(str(error), LinkFault.FOREIGN)
+            return len(data)
+        for frame in frames:
+            self._take_frame(frame)
+        if self._unasked > _FLOOD:
             self._break("the peer floods the line with frames that nobody asked for")
-        return passed
+        return len(data)
 
     def _tell(self, data: bytes, *, sent: bool) -> None:
         """Let the evidence know, where somebody gathers it."""
@@ -278,42 +273,26 @@ class Wire:
             ends = [socket_place(transport.get_extra_info(name)) for name in ("peername", "sockname")]
             self._tap(moved("tcp", ends[0], data, sent=sent, local=ends[1]))
 
-    def _passed(self) -> bytes:
-        try:
-            frames, self._stream = split_frames(self._stream)
-        except ReplyMismatch as error:
-            self._break(str(error), LinkFault.FOREIGN)
-            return b""
-        passed = b""
-        for frame in frames:
-            request = self._request
-            question, sent = self._open.pop(int.from_bytes(frame[:2], "big"), (None, 0.0))
-            self._any_answer.set()
-            waiting = self._verdict is not None and not self._verdict.done()
-            same = (
-                request is not None
-                and question is not None
-                and replace(question, transaction=0) == replace(request, transaction=0)
-            )
-            if passed or request is None or not waiting or not same or (question != request and not self._again):
-                self.foreign += 1
-            elif checked := self._checked(request, frame):
-                # The library waits for the number that it gave last; the question was the same one, asked earlier.
-                passed = request.transaction.to_bytes(2, "big") + checked[2:]
-                self._sent = sent
-        return passed
-
-    def _checked(self, request: Asked, frame: bytes) -> bytes:
-        """The frame if it answers the request; otherwise the exchange ends with what is wrong."""
-        self._received = self._clock()
+    def _take_frame(self, frame: bytes) -> None:
+        """End the exchange with the frame if it answers the request, or with what is wrong in it."""
+        request, outcome = self._request, self._outcome
+        question, sent = self._open.pop(int.from_bytes(frame[:2], "big"), (None, 0.0))
+        self._any_answer.set()
+        if request is None or outcome is None or outcome.done() or question is None:
+            self.foreign += 1
+            return
+        # The same question, asked earlier, is answered as well where it was asked again.
+        if question != request and not (self._again and replace(question, transaction=request.transaction) == request):
+            self.foreign += 1
+            return
+        self._received, self._request = self._clock(), None
         try:
             check_reply(request, frame)
         except (ReplyMismatch, DeviceException) as error:
-            self._request = None
             self._fail(error)
-            return b""
-        self.last = frame[6:]
-        return frame
+            return
+        self._sent, self._unasked, self.last = sent, 0, frame[6:]
+        outcome.set_result(WireReply(reply_words(request, frame[9:]), sent, self._received))
 
     def _disconnected(self, exc: Exception | None) -> None:
         where = " in the middle of a reply" if self._stream else ""
@@ -335,8 +314,8 @@ class Wire:
         self._on_lost(reason)
 
     def _fail(self, error: DriverError) -> None:
-        if self._verdict is not None and not self._verdict.done():
-            self._verdict.set_result(error)
+        if self._outcome is not None and not self._outcome.done():
+            self._outcome.set_exception(error)
 
 
 def socket_place(name: tuple[str, int] | None) -> str:
