@@ -8,7 +8,7 @@ from typing import Any
 
 from pymodbus.pdu import ModbusPDU
 
-from drivers.codec import decode, encode
+from drivers.codec import Reading, decode, encode
 from drivers.driver import BeforeSending, Clock, PlanKind, PlanLine, anyhow
 from drivers.errors import (
     AddressError,
@@ -43,6 +43,7 @@ from drivers.tag import Quality, Sample, Tag, Value
 _ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
 _MAX_WRITE_BITS = 1968  # 0x07B0 (MODBUS Application Protocol V1.1b3, 6.11)
 _LAYOUTS_KEPT = 64
+_NOTHING: tuple[tuple[int, ...], Reading] = ((), (None, Quality.NO_DATA, ""))
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +115,7 @@ class ModbusDriver:
         self._lock = asyncio.Lock()
         self._refused = RefusedAddresses(settings.refused_first, settings.refused_cap)
         self._layouts: dict[tuple[int, ...], _TagLayout] = {}
+        self._decoded: dict[int, tuple[tuple[int, ...], Reading]] = {}
         self._last_exchange = float("-inf")
         self._foreign = 0
         self._counts = dict.fromkeys(
@@ -267,6 +269,7 @@ class ModbusDriver:
         if layout is None or layout.quarantine is not self._refused.quarantine:
             if len(self._layouts) >= _LAYOUTS_KEPT:
                 self._layouts.clear()
+                self._decoded.clear()
             spans: list[TagSpan] = []
             misplaced: list[tuple[Tag, str]] = []
             for tag in tags:
@@ -328,11 +331,22 @@ class ModbusDriver:
         if isinstance(outcome, Failure):
             return {id(span.tag): self._no(span.tag, outcome.quality, outcome.reason) for span in block.spans}
         samples: dict[int, Sample] = {}
+        start, words, received, sent, decoded = (
+            block.start,
+            outcome.words,
+            outcome.received,
+            outcome.sent,
+            self._decoded,
+        )
         for span in block.spans:
-            first = span.start - block.start
-            value, quality, reason = decode(span.tag, outcome.words[first : first + span.count])
-            sample = Sample(span.tag.name, value, quality, outcome.received, sent=outcome.sent, reason=reason)
-            samples[id(span.tag)] = sample
+            tag, key = span.tag, id(span.tag)
+            own = words[span.start - start : span.start - start + span.count]
+            # What a tag's words mean depends on nothing else, and from scan to scan most of them are the same.
+            before, reading = decoded.get(key, _NOTHING)
+            if own != before:
+                reading = decode(tag, own)
+                decoded[key] = (own, reading)
+            samples[key] = Sample(tag.name, reading[0], reading[1], received, sent, reading[2])
         return samples
 
     def _no(self, tag: Tag, quality: Quality, reason: str) -> Sample:

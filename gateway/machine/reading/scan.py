@@ -7,6 +7,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from dataclasses import dataclass
 from math import floor
+from typing import Any
 
 from drivers.driver import Driver, Streams
 from drivers.supervision import Supervisor
@@ -63,11 +64,15 @@ async def scans(
     """
     begin, tick, missed, number, last = clock.now(), 0, 0, 0, 0.0
     age, stop = DeviceAge(), stop or asyncio.Event()
+    # One task for all scans: to begin and to cancel one at each would cost more than to judge what was read.
+    stopping = asyncio.ensure_future(stop.wait())
     stream = None
     if urgent is not None and isinstance(driver, Streams):
         stream = DeviceStream(driver, tags, urgent, supervisor)
     try:
-        while (due := await _awaited(clock, begin + tick * rules.period, stop, stream if number else None)) != "stop":
+        while (
+            due := await _awaited(clock, begin + tick * rules.period, stopping, stop, stream if number else None)
+        ) != "stop":
             sent = clock.now()
             if due == "news" and stream is not None:
                 read, newest = stream.newest_readings()
@@ -93,22 +98,26 @@ async def scans(
             next_tick = max(tick + 1, floor((clock.now() - begin) / rules.period) + 1)
             missed, tick = next_tick - tick - 1, next_tick
     finally:
+        stopping.cancel()
         if stream is not None:
             await stream.close()
 
 
-async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, stream: DeviceStream | None) -> str:
-    """Wait for the moment, the stop or something urgent; "tick", "stop" or "news", whichever comes first."""
-    waits = {
-        "stop": asyncio.ensure_future(stop.wait()),
-        "tick": asyncio.ensure_future(clock.sleep_until(moment)),
-    }
-    if stream is not None:
-        waits["news"] = asyncio.ensure_future(stream.urgent_change())
+async def _awaited(
+    clock: Clock, moment: float, stopping: asyncio.Future[Any], stop: asyncio.Event, stream: DeviceStream | None
+) -> str:
+    """Wait for the moment, the stop or something urgent; "tick", "stop" or "news", whichever comes first.
+
+    `stopping` is the task that waits for `stop`.
+    """
+    tick: asyncio.Future[None] = asyncio.ensure_future(clock.sleep_until(moment))
+    news = None if stream is None else asyncio.ensure_future(stream.urgent_change())
+    waits: list[asyncio.Future[Any]] = [stopping, tick] if news is None else [stopping, tick, news]
     try:
-        await asyncio.wait(waits.values(), return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         # Several may be done: the stop goes before all, the tick before the news, since it reads everything anyway.
-        return "stop" if stop.is_set() else next(name for name, wait in waits.items() if wait.done())
+        return "stop" if stop.is_set() else "tick" if tick.done() else "news"
     finally:
-        for wait in waits.values():
-            wait.cancel()
+        tick.cancel()
+        if news is not None:
+            news.cancel()
