@@ -175,9 +175,10 @@ class Audit:
         # What fails after nobody waits any more is said by `failure`.
         waiting.add_done_callback(lambda done: None if done.cancelled() else done.exception())
         try:
-            # Shielded: a time-out must not cancel the ticket before it was looked at whether the entry is stored.
-            return await asyncio.wait_for(asyncio.shield(waiting), timeout)
-        except (TimeoutError, sqlite3.Error):
+            # Not `wait_for`: a time-out must not cancel the ticket before it was looked at whether the entry is stored.
+            await asyncio.wait((waiting,), timeout=timeout)
+            return waiting.result() if waiting.done() else self._given_up(ticket, undo)
+        except sqlite3.Error:
             return self._given_up(ticket, undo)
         except asyncio.CancelledError:
             self._given_up(ticket, undo, wanted=False)
