@@ -138,7 +138,7 @@ def until_polled(rows: Path, count: int, process: "subprocess.Popen[bytes]", war
 def figures_of(name: str, count: int, run: PeerRun, bare: PeerRun | None) -> list[Figure]:
     """A contender's figures, processor time and memory against the bare client's in the same run."""
     title, due = f"{count} PLCs, {name}", float(run.polls.due)
-    late = run.polls.lateness if run.polls.lateness.size else [0.0]
+    late = run.polls.lateness.tolist() or [0.0]
     other = "pymodbus" if bare is not None else ""
     return [
         Figure(f"{title}: polls done", float(run.polls.done), "", "due", due),
