@@ -16,7 +16,7 @@ import ssl
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 from pymodbus.client import AsyncModbusTcpClient, AsyncModbusTlsClient
@@ -60,8 +60,9 @@ class WireReply:
     received: float
 
 
+@lru_cache(maxsize=1024)
 def read_request(area: Area, start: int, count: int, unit: int) -> ModbusPDU:
-    """The request that reads `count` addresses of a table."""
+    """The request that reads `count` addresses of a table; made once, as a wire numbers it when it frames it."""
     return _READS[area](address=start, count=count, dev_id=unit)
 
 
