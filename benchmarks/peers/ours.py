@@ -16,6 +16,7 @@ from drivers.driver import open_driver
 from drivers.tag import Tag
 from gateway.machine.reading import PlantClock, QualityRules, plant_clock, scans
 from gateway.machine.records import Keeper, Records
+from gateway.plant.app import SWITCH_SECONDS
 from gateway.store import Historian, open_historian
 
 
@@ -68,6 +69,7 @@ async def read_all(port: int, count: int, period: float, folder: Path) -> None:
 @click.argument("period", type=float)
 @click.argument("folder", type=click.Path(path_type=Path))
 def main(port: int, count: int, period: float, folder: Path) -> None:
+    sys.setswitchinterval(SWITCH_SECONDS)  # as the gateway does
     asyncio.run(read_all(port, count, period, folder))
 
 

@@ -1,14 +1,14 @@
 """The Modbus driver (TCP, TLS, RTU): blocks read under deadlines, refused addresses kept apart, one verified write."""
 
 import asyncio
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 from pymodbus.pdu import ModbusPDU
 
-from drivers.codec import Reading, decode, encode
+from drivers.codec import Reading, encode, reader
 from drivers.driver import BeforeSending, Clock, PlanKind, PlanLine, anyhow
 from drivers.errors import (
     AddressError,
@@ -115,6 +115,8 @@ class ModbusDriver:
         self._lock = asyncio.Lock()
         self._refused = RefusedAddresses(settings.refused_first, settings.refused_cap)
         self._layouts: dict[tuple[int, ...], _TagLayout] = {}
+        # By a tag's identity: how it is read, and what its words were last and meant.
+        self._readers: dict[int, Callable[[Sequence[int]], Reading]] = {}
         self._decoded: dict[int, tuple[tuple[int, ...], Reading]] = {}
         self._last_exchange = float("-inf")
         self._foreign = 0
@@ -271,6 +273,7 @@ class ModbusDriver:
             if len(self._layouts) >= _LAYOUTS_KEPT:
                 self._layouts.clear()
                 self._decoded.clear()
+                self._readers.clear()
             spans: list[TagSpan] = []
             misplaced: list[tuple[Tag, str]] = []
             for tag in tags:
@@ -345,7 +348,9 @@ class ModbusDriver:
             # What a tag's words mean depends on nothing else, and from scan to scan most of them are the same.
             before, reading = decoded.get(key, _NOTHING)
             if own != before:
-                reading = decode(tag, own)
+                if (read := self._readers.get(key)) is None:
+                    read = self._readers[key] = reader(tag)
+                reading = read(own)
                 decoded[key] = (own, reading)
             samples[key] = Sample(tag.name, reading[0], reading[1], received, sent, reading[2])
         return samples
