@@ -352,7 +352,7 @@ class ModbusDriver:
                     read = self._readers[key] = reader(tag)
                 reading = read(own)
                 decoded[key] = (own, reading)
-            samples[key] = Sample(tag.name, reading[0], reading[1], received, sent, reading[2])
+            samples[key] = Sample(tag.name, reading[0], reading[1], received, sent=sent, reason=reading[2])
         return samples
 
     def _no(self, tag: Tag, quality: Quality, reason: str) -> Sample:

@@ -34,7 +34,7 @@ class Keeper:
                 continue
             good = sample.quality.is_good
             time = sample.time if good else scan.time
-            self._kept[name] = Sample(name, sample.value, sample.quality, time)
+            self._kept[name] = sample if good else Sample(name, sample.value, sample.quality, time)
             sent = sample.sent if good else None
             rows.append((self.numbers[name], time, storable(sample.value), int(sample.quality), sent))
         return rows

@@ -90,7 +90,7 @@ class Belief:
         """Standard deviation of the temperature, degC."""
         return sqrt(self.xx)
 
-    # The two that are made at every scan, by position, in the order of the fields: `dataclasses.replace` looks each
+    # The three that are made at every scan, by position, in the order of the fields: `dataclasses.replace` looks each
     # field up by its name and takes twice as long as a whole step of the filter.
 
     def moved(self, time: float, x: float, xx: float, xm: float, clamps: int) -> "Belief":
@@ -115,6 +115,33 @@ class Belief:
             self.seen,
             clamps,
             self.hidden,
+            self.read_at,
+        )
+
+    def estimated(
+        self, *, time: float, x: float, m: float, xx: float, xm: float, mm: float, hidden: Hidden
+    ) -> "Belief":
+        """The belief at `time` with other moments and hidden states, and nothing else another."""
+        return Belief(
+            self.location,
+            self.entered,
+            time,
+            x,
+            m,
+            xx,
+            xm,
+            mm,
+            self.offset,
+            self.signals,
+            self.last,
+            self.recent,
+            self.evidence,
+            self.samples,
+            self.unmatched,
+            self.late,
+            self.seen,
+            self.clamps,
+            hidden,
             self.read_at,
         )
 

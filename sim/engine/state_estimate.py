@@ -80,7 +80,7 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
     d = plant.size
     place = plant.places[belief.location]
     if plant.steady_linear:
-        moved = _steady_step(plant, place, belief, mean, covariance, time)
+        moved = _steady_step(plant, place, belief, mean, covariance, time=time)
         if moved is not None:
             return _with_states(plant, belief, *moved, hidden, time)
     # The stretch from the belief's time to `time`, cut where effects demand it; in it nothing begins and nothing is
@@ -184,7 +184,7 @@ def _node_spacing(plant: Plant, place: int, loss: float) -> float:
 
 
 def _steady_step(
-    plant: Plant, place: int, belief: Belief, mean: Array, covariance: Array, time: float
+    plant: Plant, place: int, belief: Belief, mean: Array, covariance: Array, *, time: float
 ) -> tuple[Array, Array] | None:
     """(mean (d + 1,), covariance (d + 1, d + 1)) at `time`, if nothing varies until then; None where a limit is met.
 
@@ -259,26 +259,12 @@ def _with_states(
     time = belief.time if time is None else time
     means, rows = mean.tolist(), covariance.tolist()
     states = Hidden(tuple(means), tuple(map(tuple, rows)), hidden.opened, hidden.since, hidden.pending)
-    # By position, as in `Belief.moved`.
-    return Belief(
-        belief.location,
-        belief.entered,
-        time,
-        means[read] + sensor_offset(plant.sha, time),
-        means[d],
-        max(rows[read][read], 0.0),
-        rows[read][d],
-        max(rows[d][d], 0.0),
-        belief.offset,
-        belief.signals,
-        belief.last,
-        belief.recent,
-        belief.evidence,
-        belief.samples,
-        belief.unmatched,
-        belief.late,
-        belief.seen,
-        belief.clamps,
-        states,
-        belief.read_at,
+    return belief.estimated(
+        time=time,
+        x=means[read] + sensor_offset(plant.sha, time),
+        m=means[d],
+        xx=max(rows[read][read], 0.0),
+        xm=rows[read][d],
+        mm=max(rows[d][d], 0.0),
+        hidden=states,
     )
