@@ -97,9 +97,9 @@ def answered(rows: Path, count: int) -> list[Moments]:
 def judged(moments: list[Moments], period: float, since: float, until: float) -> Polls:
     """The polls in [since, until) against absolute deadlines, one every `period` seconds (s).
 
-    A PLC's deadlines are a grid without drift. Where the grid lies is the contender's own affair: it is put where all
-    its polls are least late, at the end of the longest stretch of the period in which it never polls. A deadline counts
-    as met by the first poll between it and the next; its lateness is the time between.
+    A PLC's deadlines are a grid without drift. Where the grid lies is the contender's own affair: it is put at the one
+    of its polls from which all together are least late. A deadline counts as met by the first poll between it and the
+    next; its lateness is the time between.
     """
     due = int((until - since) / period) * len(moments)
     done, lateness = 0, [np.empty(0)]
@@ -107,9 +107,8 @@ def judged(moments: list[Moments], period: float, since: float, until: float) ->
         inside = each[(each >= since) & (each < until)] - since
         if not inside.size:
             continue
-        phases = np.sort(inside % period)
-        gaps = np.diff(phases, append=phases[0] + period)
-        begin = phases[(int(np.argmax(gaps)) + 1) % phases.size]
+        phases = inside % period
+        begin = phases[np.argmin(((phases - phases[:, None]) % period).sum(axis=1))]
         number = np.floor((inside - begin) / period + 1e-9)
         _, first = np.unique(number, return_index=True)
         done += min(first.size, due // len(moments))

@@ -107,6 +107,9 @@ def test_peers_counts_a_deadline_once_and_against_the_grid_that_suits_the_conten
     polls = judged([np.array(sorted(moments))], 0.1, 100.0, 101.0)
     assert (polls.due, polls.done) == (10, 9)
     assert sorted(polls.lateness) == pytest.approx([0.0] * 8 + [0.02], abs=1e-9)
+    # One that is late by more than half a period does not make the others late.
+    moments[2] += 0.04
+    assert sorted(judged([np.array(sorted(moments))], 0.1, 100.0, 101.0).lateness)[-2] < 1e-9
     assert judged([np.empty(0)], 0.1, 100.0, 101.0).done == 0
 
 
