@@ -5,8 +5,9 @@ BIN := $(VENV)/bin
 # The tests start some hundred processes: each would compile our modules anew where bytecode may not be kept.
 unexport PYTHONDONTWRITEBYTECODE
 STAMP := $(VENV)/.installed
+REWRITTEN := $(VENV)/.rewritten
 
-.PHONY: setup demo test check lint types contracts unit fuzz durations docs lock bench clean
+.PHONY: setup demo test checks check lint types contracts unit fuzz durations docs lock bench clean
 
 setup: $(STAMP)
 
@@ -23,10 +24,21 @@ $(STAMP): requirements-dev.lock pyproject.toml
 demo: $(STAMP)
 	$(BIN)/decanter demo
 
-test: lint types contracts unit
+test: checks
+	@$(MAKE) --no-print-directory unit
+
+# mypy takes one core for most of a minute where it has no cache yet; all else that comes before the tests runs beside it.
+checks: $(STAMP)
+	@$(MAKE) --no-print-directory -j 2 --output-sync lint types contracts $(REWRITTEN)
+
+# pytest compiles every test file anew, with its assertions rewritten, when it first meets it: once here instead of in
+# each of its processes at the same time. What changes later is rewritten by them.
+$(REWRITTEN): $(STAMP)
+	@$(BIN)/pytest --collect-only -q > $(VENV)/collected.txt || { cat $(VENV)/collected.txt; exit 1; }
+	@touch $@
 
 # The inner loop: everything that neither starts a process nor takes long (tests/durations.json).
-check: lint types contracts
+check: checks
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --without-processes
 
 lint: $(STAMP)

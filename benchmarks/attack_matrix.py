@@ -262,14 +262,14 @@ def historian_full(stand: Stand) -> int:
     stand.rig.plant.write_text(whole, encoding="utf-8")
     config = load_config(stand.rig.plant)
     before = stand.plc.ready["epoch"] - 3600.0
-    historian, numbers = open_historian(stand.rig.historian, config.map.tags, max_mb=FULL_MB)
-    tag = numbers[config.watched[0]]
+    store, tag = open_historian(stand.rig.historian, max_mb=FULL_MB), config.watched[0]
+    historian = store.of(config.map.name, config.map.tags)
     for first in range(0, OLD_ROWS, 1000):
         times = [before + 0.05 * number for number in range(first, first + 1000)]
         historian.put("scans", [(moment, 0.01, 0) for moment in times])
         historian.put("samples", [(tag, moment, stand.rng.gauss(60.0, 1.0), 0, moment) for moment in times])
         assert historian.flush(30.0), historian.failure
-    historian.close()
+    store.close()
     with stand.gateway("armed") as gateway:
         gateway.wait_for(lambda now: now["scan"]["count"] > 100)
         now = gateway.status["time"]

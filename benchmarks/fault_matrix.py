@@ -24,7 +24,7 @@ from drivers.tag import Sample
 from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.store.read_back import reading, samples, stored_rows
 from sim.plc.program.faults import FAULTS as KINDS
-from sim.plc.program.faults import ONLY_AT
+from sim.plc.program.faults import shown_at
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, RequestRow, read_recording
 from tests.rig.pair import MAP, PATIENCE_S, TEMPERATURE, Gateway, Plc, Rig, brief, make_rig, restless_trace
@@ -47,6 +47,7 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
     "half_open": {"kind": "half_open", "duration": 0.1},
     "restart": {"kind": "restart", "down_s": 0.7, "zeros_s": 0.7},
     "frozen image": {"kind": "frozen", "duration": 1.6},
+    "words swapped in mid-run": {"kind": "swapped_words", "duration": 1.0},
     "reset in mid-frame": {"kind": "reset", "duration": 1.0},
     "late reply": {"kind": "late", "delay_s": 0.9, "duration": 1.5},
     "late reply, now and then": {"kind": "late", "delay_s": 0.3, "duration": 1.5, "probability": 0.3},
@@ -67,7 +68,7 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
 _NAMED = {row["kind"] for row in _ROWS.values()}
 FAULTS: Mapping[str, Mapping[str, Any]] = {
     **_ROWS,
-    **{kind: {"kind": kind, "duration": 1.0} for kind in KINDS if kind not in _NAMED and kind not in ONLY_AT},
+    **{kind: {"kind": kind, "duration": 1.0} for kind in KINDS if kind not in _NAMED and shown_at(kind, "tcp")},
 }
 """What is ordered from the PLC, by the row's name: each of its faults that any face can show, at its defaults unless
 it has a row above. One frozen register behind a living heartbeat is not among them: nothing but a tag's own

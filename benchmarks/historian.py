@@ -14,6 +14,10 @@ are none. Rows are counted as 8 bytes a number and one a character. The goals: 9
 of one tag in 10 ms, 90 days of tiers in 200 ms. A day is written once more with a deadband for the two bearing
 temperatures, three times their noise, and its trace is compared with the day's. In an hour's file (--quick) the
 rows that are not packed yet weigh most.
+
+Last, fifty machines (ten with --quick) of ten tags at 10 Hz put their rows into one historian side by side: the
+processor's time that a second of all of them takes, and ten minutes of one tag of one of them, against a machine that
+has the historian for itself.
 """
 
 import json
@@ -24,7 +28,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from time import monotonic, sleep
+from time import monotonic, process_time, sleep
 from typing import Any
 
 import click
@@ -36,7 +40,7 @@ from drivers.tag import Quality, Sample, Tag
 from gateway.machine.reading import Scan
 from gateway.machine.records import Keeper
 from gateway.settings import load_device
-from gateway.store import Historian, open_historian, samples, to_trace, trend
+from gateway.store import HistorianView, open_historian, samples, to_trace, trend
 from gateway.store.columns import pack, unpack
 from gateway.store.retention import ended_tiers, pack_tier
 from sim.plant.scenarios import production
@@ -148,23 +152,24 @@ def written() -> int:
 
 def one_day(path: Path, tags: Sequence[Tag], course: Course, former: Path | None) -> tuple[float, float]:
     """Write a course; gives bytes a day of the historian and of layout 1 (0 without `former`)."""
-    historian, numbers = open_historian(path, tags, max_mb=100_000.0)
+    opened = open_historian(path, max_mb=100_000.0)
+    historian = opened.of("decanter", tags)
     left_out = frozenset({"PlcHeartbeat"})
-    keeper = Keeper({tag.name: tag for tag in tags}, numbers, 5.0, left_out)
+    keeper = Keeper({tag.name: tag for tag in tags}, 5.0, left_out)
     store = FormerStore(former, [tag.name for tag in tags]) if former else None
     historian.put("runs", [(course.start, SHOWN, "hash", course.period, 5.0)])
     gathered: Batch = {}
     for number, batch in enumerate(course.batches(keeper), start=1):
         put(historian, batch)
         for table, rows in batch.items() if store else ():
-            gathered.setdefault(table, []).extend(rows)
+            gathered.setdefault(table, []).extend(store.numbered(table, rows) if store else ())
         if number % 2000 == 0 or number == course.scans:
             if store is not None:
                 store.commit(gathered)
                 gathered = {}
             if not historian.flush(60.0):
                 raise click.ClickException(historian.complaint)
-    if not historian.close():
+    if not opened.close():
         raise click.ClickException(historian.complaint)
     share = DAY / (course.scans * course.period)
     if store is not None:
@@ -172,14 +177,14 @@ def one_day(path: Path, tags: Sequence[Tag], course: Course, former: Path | None
     return size(path) * share, size(former) * share if former else 0.0
 
 
-def put(historian: Historian, batch: Batch) -> None:
+def put(historian: HistorianView, batch: Batch) -> None:
     for table, rows in batch.items():
         historian.put(table, rows)
 
 
-def multiplied(path: Path, tags: Sequence[Tag], days: int) -> None:
+def multiplied(path: Path, days: int) -> None:
     """Make `days` days of a file with one: its chunks and tiers with their times moved, the tiers packed."""
-    historian, _ = open_historian(path, tags, max_mb=100_000.0)
+    historian = open_historian(path, max_mb=100_000.0)
     connection = historian._normal  # noqa: SLF001 - the benchmark fills what would take 90 days to fill
     chunks = connection.execute(
         "SELECT kind, tag, batch, first, last, rows, data FROM chunks ORDER BY rowid"
@@ -195,7 +200,7 @@ def multiplied(path: Path, tags: Sequence[Tag], days: int) -> None:
         )
     connection.execute("COMMIT")
     # First, so that the room of their rows is used again, as it is when they come day by day.
-    for ended in ended_tiers(connection, max(row[4] for row in chunks)):
+    for ended in ended_tiers(connection, max(row[4] for row in chunks), 0):
         pack_tier(connection, *ended)
     # Before the day that is there already, which stays the newest, by its batches as by its times.
     top = max(row[2] for row in chunks)
@@ -219,27 +224,61 @@ def amplification(folder: Path, tags: Sequence[Tag], seconds: float) -> tuple[fl
     """Bytes written to disk for a block at 10 Hz in real time, by the historian and by layout 1; bytes of its rows."""
     course = Course(tags, 10.0, seconds)
     path = folder / "ten.sqlite"
-    historian, numbers = open_historian(path, tags)
-    keeper = Keeper({tag.name: tag for tag in tags}, numbers, 5.0, frozenset({"PlcHeartbeat"}))
+    opened = open_historian(path)
+    historian = opened.of("decanter", tags)
+    keeper = Keeper({tag.name: tag for tag in tags}, 5.0, frozenset({"PlcHeartbeat"}))
     batches = list(course.batches(keeper))
     historian.flush()
     before, begin = written(), monotonic()
     for number, batch in enumerate(batches):
         sleep(max(0.0, begin + number * course.period - monotonic()))
         put(historian, batch)
-    historian.close()  # with its last checkpoint
+    opened.close()  # with its last checkpoint
     ours = written() - before
     store = FormerStore(folder / "former.sqlite", [tag.name for tag in tags])
     before = written()
     for batch in batches:
-        store.commit(batch)
+        store.commit({table: store.numbered(table, rows) for table, rows in batch.items()})
     store.close()
     theirs = written() - before
     return ours / len(batches), theirs / len(batches), sum(map(payload, batches)) / len(batches)
 
 
-def measure(days: int, hours: float, seconds: float) -> list[Figure]:
-    """All figures: a course of `hours` at 1 Hz (multiplied to `days`), an eighth of it at 10 Hz."""
+def side_by_side(folder: Path, machines: int, seconds: int) -> tuple[float, float, float]:
+    """`machines` of ten tags at 10 Hz in one historian, as fast as it takes them.
+
+    Gives the processor's time (ms) for a second of all of them, and the times (ms) of reading the newest ten minutes of
+    one tag, and ten minutes from the middle.
+    """
+    path, rng = folder / f"machines{machines}.sqlite", np.random.default_rng(5)
+    historian, names = open_historian(path, max_mb=100_000.0), [f"Tag{number}" for number in range(10)]
+    views = [historian.of(f"machine {number}") for number in range(machines)]
+    course = np.round(60.0 + np.cumsum(rng.normal(0.0, 0.05, (seconds * 10, 10)), axis=0), 2).tolist()
+    begin = process_time()
+    for scan in range(seconds * 10):
+        now = scan / 10.0
+        rows = [(name, now, value, 0, now) for name, value in zip(names, course[scan], strict=True)]
+        for view in views:
+            view.put("scans", [(now, 0.004, 0)])
+            view.put("samples", rows)
+            view.put("predictions", [(now, "on", 1, 60.0, 60.0, 59.0, 61.0, 60.0, 0.5, "green")])
+            view.put("writes", [(now, scan & 0xFFFF, "armed", "written", 31, 4.0, "", bytes(48))])
+        if scan % 10 == 9 and not historian.flush(60.0):
+            raise click.ClickException(historian.complaint)
+    taken = 1e3 * (process_time() - begin) / seconds
+    if not historian.close():
+        raise click.ClickException(historian.complaint)
+    last = f"machine {machines // 2}"
+
+    def read_from(start: float) -> float:
+        return 1e3 * best(lambda: list(samples(path, names[3], start, start + 600.0, machine=last)), 5)
+
+    return taken, read_from(max(seconds - 600.0, 0.0)), read_from(max(seconds / 2 - 300.0, 0.0))
+
+
+def measure(days: int, hours: float, seconds: float, *, machines: int, together: int) -> list[Figure]:
+    """All figures: a course of `hours` at 1 Hz (multiplied to `days`), an eighth of it at 10 Hz, then `machines` at
+    10 Hz for `together` seconds."""
     tags = load_device(MAP).tags
     figures = []
     with tempfile.TemporaryDirectory(prefix="decanter-historian-") as name:
@@ -262,7 +301,7 @@ def measure(days: int, hours: float, seconds: float) -> list[Figure]:
         figures.append(Figure("largest error of a reading by it", error, "degC", "deadband", DEADBAND))
         quick, former = one_day(fast, tags, Course(tags, 10.0, hours * 450.0), folder / "fast1.sqlite")
         figures.append(Figure("bytes a day at 10 Hz", quick / 1e6, "MB", "layout 1", former / 1e6))
-        multiplied(slow, tags, days)
+        multiplied(slow, days)
         figures.append(Figure(f"the file of {days} days at 1 Hz", size(slow) / 1e6, "MB", "goal", 1000.0 * days / 90))
         middle = course.start - days // 2 * DAY + hours * 900.0
         ten = list(samples(slow, SHOWN, middle, middle + 600.0))
@@ -288,6 +327,10 @@ def measure(days: int, hours: float, seconds: float) -> list[Figure]:
         ours, theirs, rows = amplification(folder, tags, seconds)
         figures.append(Figure("written to disk for a block at 10 Hz", ours / 1e3, "kB", "layout 1", theirs / 1e3))
         figures.append(Figure("written to disk for a byte of rows", ours / rows, "", "layout 1", theirs / rows))
+        whats = ("processor's time for a second", "the newest ten minutes of a tag", "ten minutes of a tag")
+        one, many = (side_by_side(folder, number, together) for number in (1, machines))
+        for what, alone, beside in zip(whats, one, many, strict=True):
+            figures.append(Figure(f"{what}, {machines} machines", beside, "ms", "one machine", alone))
     return figures
 
 
@@ -297,7 +340,9 @@ def measure(days: int, hours: float, seconds: float) -> list[Figure]:
 @click.option("--seconds", type=click.FloatRange(1.0), help="Real time at 10 Hz, 20 s by default.")
 def main(as_json: bool, quick: bool, seconds: float | None) -> None:
     days, hours = (3, 1.0) if quick else (90, 24.0)
-    give("historian", measure(days, hours, seconds or (2.0 if quick else 20.0)), as_json=as_json)
+    machines, together = (10, 60) if quick else (50, 600)
+    figures = measure(days, hours, seconds or (2.0 if quick else 20.0), machines=machines, together=together)
+    give("historian", figures, as_json=as_json)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from click.testing import CliRunner, Result
 
 from benchmarks.unknown_plc import write_examples
 from gateway.cli.main import main as decanter
+from gateway.console import config_dir
 
 MISTAKES: tuple[tuple[str, int, str], ...] = (
     # A word that is no command, an option that is none, a value that is none.
@@ -196,6 +197,8 @@ def main() -> None:
                 result.stderr.strip()
                 .removeprefix("decanter: ")
                 .replace(name + os.sep, "")
+                # Where this program's own files lie differs from machine to machine.
+                .replace(str(config_dir().parent) + os.sep, "")
                 .replace("|", "\\|")
                 .replace("`", "'")
             )

@@ -101,8 +101,7 @@ def gateway(
     folder: Path, plc: Plc, model: Path, period: float, speed: float = 1.0
 ) -> Iterator["subprocess.Popen[bytes]"]:
     """`decanter run`, armed, with historian, log and model, scanning every `period` seconds of plant time."""
-    plant = folder / "plant.toml"
-    plant.write_text(_plant(model, period, speed), encoding="utf-8")
+    plant = plant_file(folder, model, period, speed)
     command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(plant), "--port", str(plc.port)]
     with subprocess.Popen([*command, "--quiet"], stdin=subprocess.DEVNULL, cwd=ROOT) as process:
         try:
@@ -111,8 +110,10 @@ def gateway(
             _end(process)
 
 
-def _plant(model: Path, period: float, speed: float) -> str:
-    return f"""[device]
+def plant_file(folder: Path, model: Path, period: float, speed: float = 1.0) -> Path:
+    """The configuration of that gateway, written into `folder`."""
+    place = folder / "plant.toml"
+    text = f"""[device]
 file = {json.dumps(str(MAP))}
 timeout = 0.3
 heartbeat_period = 1.0
@@ -121,7 +122,7 @@ speed = {speed:g}
 [scan]
 period = {period:g}
 [model]
-path = {json.dumps(str(model))}
+path = {json.dumps(str(model.resolve()))}
 temperature = "{TEMPERATURE}"
 [writeback]
 mode = "armed"
@@ -135,6 +136,8 @@ path = "gateway.log.jsonl"
 [forecast]
 period = {FORECAST_SCANS * period:g}
 """
+    place.write_text(text, encoding="utf-8")
+    return place
 
 
 def until_usable(plc: Plc, process: "subprocess.Popen[bytes]") -> None:

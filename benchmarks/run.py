@@ -49,6 +49,7 @@ BENCHMARKS = (
     "can_logs",
     "guess",
     "skill",
+    "peers",
 )
 LONGEST = 600.0
 """Seconds after which a benchmark is given up: many times what it takes on a quiet machine."""

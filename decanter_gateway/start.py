@@ -19,6 +19,8 @@ def main() -> None:
         sys.exit(2)
     # The processes that this one starts do not look into the working folder either, whatever a person calls folders.
     os.environ["PYTHONSAFEPATH"] = "1"
+    # Looking through all installed packages for plug-ins of pydantic costs each call, and none has a part in this.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     import_module("gateway.cli.main").main()
 
 

@@ -122,6 +122,35 @@ def decode(tag: Tag, registers: Sequence[int], *, one_order: bool = False) -> Re
     return value, quality, reason
 
 
+def reader(tag: Tag) -> Callable[[Sequence[int]], Reading]:
+    """`decode` for one tag, what depends on the tag alone worked out once.
+
+    An integer of one register is read here as long as it is plainly good; all else is `decode`'s, which stays the
+    definition of both.
+    """
+    if tag.dtype not in _INTEGERS or tag.bit is not None or tag.labels or registers_needed(tag) != 1:
+        return partial(decode, tag)
+    (bits, signed), swapped, sentinel = _INTEGERS[tag.dtype], _endian(tag) == "<", tag.sentinel
+    mask, sign = (1 << bits) - 1, 1 << bits - 1 if signed else 1 << bits
+    scale, offset, plain = tag.scale, tag.offset, tag.scale == 1.0 and tag.offset == 0.0
+    low = -math.inf if tag.low is None else tag.low
+    high = math.inf if tag.high is None else tag.high
+
+    def read(registers: Sequence[int]) -> Reading:
+        if sentinel is None and len(registers) == 1:
+            word = registers[0]
+            raw = (word >> 8 | (word & 0xFF) << 8 if swapped else word) & mask
+            if raw >= sign:
+                raw -= mask + 1
+            value = raw if plain else raw * scale + offset
+            # Between the very limits, which are drawn a little wider: that, and infinity, are decode's to judge.
+            if low <= value <= high and math.isfinite(value):
+                return value, Quality.GOOD, ""
+        return decode(tag, registers)
+
+    return read
+
+
 def judge(tag: Tag, value: Value) -> tuple[Quality, str]:
     """Give the quality of an engineering value by the tag's range and labels: GOOD or OUT_OF_RANGE, with the reason."""
     if isinstance(value, bool | str):

@@ -36,8 +36,21 @@ REFUSALS: Mapping[str, int] = {
     "no permit": 9,
 }
 """Why a PLC refuses a block, and the contract's number; a map's labels of LastRefusal may number them differently."""
+STATUS_TAGS = (
+    "BlocksAccepted",
+    "BlocksRefused",
+    "LastRefusal",
+    "PredictionUsable",
+    "Challenge",
+    "SessionWriter",
+    "RefusedWriter",
+)
+"""The tags by which a PLC answers the blocks of one session; those of a further block end in its suffix."""
+ACKNOWLEDGE_BITS = "AcknowledgeBits"
+"""The word of acknowledged alarms: a further block's own by its suffix if the file has one, else the common one."""
 _RAW_NUMBER = re.compile(r"-?[0-9]{1,20}")
 _BLOCK_ADDRESS = r":\d+$|\{field\}"
+_FIELD = "{field}"
 
 
 class DeviceTable(BaseModel):
@@ -121,8 +134,24 @@ class BlockFieldTable(Section):
         return BlockField(self.name, self.dtype == "int16", self.scale)
 
 
+class FurtherBlockTable(Section):
+    """`[[writeback.blocks]]`: one more block of the same layout, a session of its own at the PLC."""
+
+    temperature: str = Field(min_length=1, description="the name of the temperature's tag that the block speaks of")
+    address: str = Field(pattern=_BLOCK_ADDRESS, description="as [writeback].address, elsewhere")
+    suffix: str = Field(
+        pattern=r"^[A-Za-z][A-Za-z0-9]{0,31}$",
+        description="letters and digits that end the names of the block's own status tags, such as 'Feed' in "
+        "BlocksAcceptedFeed",
+    )
+
+
 class BlockTable(Section):
-    """`[writeback]`: the block that the device takes in."""
+    """`[writeback]`: the block that the device takes in, and with `blocks` one more for each further temperature."""
+
+    temperature: str | None = Field(
+        None, min_length=1, description="the name of the temperature's tag that the block speaks of"
+    )
 
     address: str = Field(
         pattern=_BLOCK_ADDRESS,
@@ -133,6 +162,20 @@ class BlockTable(Section):
     timeout_s: float = Field(gt=0, description="the PLC's timer in seconds, above 0")
     unknown: int = Field(65535, ge=0, le=65535, description="the word for 'not within the forecast'")
     fields: list[BlockFieldTable] = Field(min_length=1, description="the block's words in order")
+    blocks: list[FurtherBlockTable] = Field(
+        default_factory=list, description="[[writeback.blocks]] tables, one for each further temperature"
+    )
+
+    def addresses(self, address: str) -> list[str]:
+        """The address of each word of a block at `address`.
+
+        A pattern names each word; from any other address they are counted up: holding:400 -> holding:403,
+        0x2100:1 -> 0x2100:4 for the word of index 3.
+        """
+        if _FIELD in address:
+            return [address.replace(_FIELD, row.name) for row in self.fields]
+        space, _, first = address.rpartition(":")
+        return [f"{space}:{int(first) + index}" for index in range(len(self.fields))]
 
     @field_validator("layout_version")
     @classmethod
@@ -184,6 +227,54 @@ def read_device_file(path: Path) -> DeviceFile:
             f"writeback.fields: {name!r} is missing; the PLC cannot check the block without it"
             for name in sorted(set(NEEDED_FIELDS) - set(fields))
         ]
+        problems += _block_problems(content.writeback, {row.name: row for row in content.tags})
     if problems:
         raise ConfigError([f"{path}: {problem}" for problem in problems])
     return content
+
+
+def _block_problems(table: BlockTable, tags: Mapping[str, TagTable]) -> list[str]:
+    """What is wrong with the blocks among one another and with their tags, one sentence each."""
+    problems = []
+    if table.blocks and table.temperature is None:
+        problems.append(
+            "writeback.temperature: is missing; beside further blocks the first one has to say of which tag it speaks"
+        )
+    spoken_of: dict[str, str] = {}
+    owners: dict[str, str] = {}
+    suffixes: set[str] = set()
+    rows = [("writeback", table.temperature, table.address, "")]
+    rows += [
+        (f"writeback.blocks[{index}]", row.temperature, row.address, row.suffix)
+        for index, row in enumerate(table.blocks)
+    ]
+    for where, temperature, address, suffix in rows:
+        if temperature is not None:
+            if temperature not in tags:
+                problems.append(f"{where}.temperature: {temperature!r} is not a tag of this file; give a tag's name")
+            if temperature in spoken_of:
+                other = spoken_of[temperature]
+                problems.append(f"{where}.temperature: {other} speaks of {temperature!r} already; give each its own")
+            spoken_of.setdefault(temperature, where)
+        words = table.addresses(address)
+        if taken := [word for word in words if word in owners]:
+            problems.append(
+                f"{where}.address: {taken[0]} belongs to the block of {owners[taken[0]]} already; move one of them"
+            )
+        owners |= dict.fromkeys(words, where)
+        if not suffix:
+            continue
+        if suffix in suffixes:
+            problems.append(f"{where}.suffix: {suffix!r} is already used; give each block a suffix of its own")
+        suffixes.add(suffix)
+        if missing := [f"{name}{suffix}" for name in STATUS_TAGS if f"{name}{suffix}" not in tags]:
+            problems.append(
+                f"{where}.suffix: there is no tag {missing[0]!r}, by which the PLC answers this block; add it"
+            )
+        # One program checks all blocks, and its reasons have one number each.
+        own, common = tags.get(f"LastRefusal{suffix}"), tags.get("LastRefusal")
+        if own is not None and common is not None and own.labels != common.labels:
+            problems.append(
+                f"{where}.suffix: the labels of 'LastRefusal{suffix}' are not those of 'LastRefusal'; give it the same"
+            )
+    return problems

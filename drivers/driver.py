@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self, runtime_checkable
 
 from drivers.capabilities import Capabilities, LinkKind
+from drivers.connections import Connections
 from drivers.errors import DriverError
 from drivers.supervision import Supervisor
 from drivers.tag import Sample, Tag, Value
@@ -192,6 +193,7 @@ DRIVERS: dict[str, Capabilities] = {
         opens="drivers.modbus.driver:open_modbus",
         surveys="drivers.modbus.survey:open_survey",
         plans="drivers.modbus.preview:planned",
+        locates="drivers.modbus.address:place_of_tag",
         registers=True,
         units=True,
         block="words",
@@ -265,16 +267,27 @@ def load_function(target: str) -> Callable[..., Any]:
 
 
 def open_driver(
-    kind: str, settings: Mapping[str, Any], *, clock: Clock, write_map: Sequence[Tag] = (), seed: int = 0
+    kind: str,
+    settings: Mapping[str, Any],
+    *,
+    clock: Clock,
+    write_map: Sequence[Tag] = (),
+    seed: int = 0,
+    connections: Connections | None = None,
 ) -> Driver:
     """Make the driver called `kind` (a key of DRIVERS), not yet opened.
 
     `settings` are the driver's own (host, port, unit, ...), checked there. `clock` stamps the samples (seconds UTC).
-    Only tags in `write_map` can ever be written. `seed` feeds the jitter of the back-off. Raises DriverError with the
-    list of known kinds for an unknown one, and for a setting that the driver does not know or cannot use.
+    Only tags in `write_map` can ever be written. `seed` feeds the jitter of the back-off. Drivers that are
+    given the same `connections` share what leads to several devices, where they can (`Capabilities.units`).
+
+    Raises DriverError with the list of known kinds for an unknown one, and for a setting that the driver does not know
+    or cannot use.
     """
-    factory: Callable[..., Driver] = load_function(capabilities(kind).opens)
-    return factory(settings, clock=clock, write_map=tuple(write_map), seed=seed)
+    driver = capabilities(kind)
+    factory: Callable[..., Driver] = load_function(driver.opens)
+    shared = {"connections": connections} if driver.units else {}
+    return factory(settings, clock=clock, write_map=tuple(write_map), seed=seed, **shared)
 
 
 def open_recording(kind: str, path: Path, settings: Mapping[str, Any], tags: Sequence[Tag]) -> Recorded:

@@ -15,6 +15,8 @@
 the error, never its sentence.
 """
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from enum import Enum
 
 
@@ -39,6 +41,13 @@ def one_line(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The question after a name that is not known: the one that looks most like it, whatever its case; "" if none."""
+    by_folded = {name.casefold(): name for name in known}
+    close = get_close_matches(word.casefold(), by_folded, n=1, cutoff=0.6)
+    return f"did you mean {by_folded[close[0]]!r}?" if close else ""
 
 
 class OneLineError(Exception):

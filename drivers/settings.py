@@ -3,9 +3,8 @@
 It is the only place where such a sentence is made. A field's description is its remedy.
 """
 
-import difflib
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
@@ -13,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from drivers.errors import DriverError, one_line
+from drivers.errors import DriverError, did_you_mean, one_line
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 
 
@@ -86,8 +85,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError([f"{path}: is not TOML: {error}; correct that place"]) from None
 
 
-def checked(section: type[S], data: Mapping[str, Any], file: Path) -> S:
-    """`data` as a `section`. Raises ConfigError with one sentence for each thing that is wrong."""
+def checked(section: type[S], data: Mapping[str, Any], file: Path | str) -> S:
+    """`data` as a `section`, from a file or a place in it. Raises ConfigError, one sentence for each thing wrong."""
     try:
         return section.model_validate(data)
     except ValidationError as error:
@@ -115,13 +114,6 @@ def first_sentence(section: type[BaseModel], error: ValidationError, place: str)
     """The one sentence that explains most: a slip in a key also makes the key that was meant a missing one."""
     found = sentences(section, error, place)
     return next((sentence for sentence in found if "did you mean" in sentence), found[0])
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """The question after a name that is not known: the one that looks most like it, whatever its case; "" if none."""
-    by_folded = {name.casefold(): name for name in known}
-    close = difflib.get_close_matches(word.casefold(), by_folded, n=1, cutoff=0.6)
-    return f"did you mean {by_folded[close[0]]!r}?" if close else ""
 
 
 def _sentence(section: type[BaseModel], detail: ErrorDetails, place: str) -> str:

@@ -173,6 +173,10 @@ class Supervisor:
         self._included[name] = other
         other.say = lambda part, error: self._tell(f"{name}: {part}", error)
 
+    def exclude(self, name: str) -> None:
+        """Let go of what was taken in by this name, and has ended."""
+        self._included.pop(name, None)
+
     @property
     def complaints(self) -> dict[str, str]:
         """What cannot be relied on now, by the part's name, and why."""

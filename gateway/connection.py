@@ -30,6 +30,7 @@ CONNECTION_OPTIONS = (
         type=_FILE,
         help="Plant file: its first link, or the one that --link names.  [default: plant.toml, config/plant.toml]",
     ),
+    _shared("--machine", metavar="NAME", help="Which machine of a plant file that has several."),
     _shared("--device", type=_FILE, help="Device file (register map) instead of a plant file."),
     _shared("--link", metavar="KIND", help=f"One of {', '.join(LINKS)}; with --config also a link's name."),
     _shared("--host", help="Modbus over a network: the PLC's name or address."),

@@ -9,10 +9,9 @@ from math import log, log10, pi, sqrt
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from sim.sha import Array
-
+Array = NDArray[np.float64]
 MOST_SURPRISING = 99.0
 """Where `surprise` ends: a p-value of 1e-99."""
 

@@ -1,5 +1,6 @@
 """What holds for all tests: one thread for matrices, the longest files first, and the inner loop without processes."""
 
+import gc
 import json
 import os
 import signal
@@ -50,6 +51,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         left_out = {item for item in items if item.nodeid in durations or INTEGRATION in item.path.parents}
         config.hook.pytest_deselected(items=list(left_out))
         items[:] = [item for item in items if item not in left_out]
+
+
+def pytest_collection_finish() -> None:
+    """All modules and tests stay until the end: the garbage collector need not walk through them time and again.
+
+    Without this that walk is a tenth of the processor time of all tests.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 class Durations:

@@ -99,6 +99,20 @@ def test_a_command_begins_without_what_only_its_work_needs(group: str) -> None:
     assert loaded == {}
 
 
+ALONE = {
+    "gateway.cli.run": {"numpy", "structlog", "rich"},
+    "gateway.lab.show": {"lark", "pydantic"},
+    "gateway.lab.learn": {"lark", "joblib"},
+    "gateway.commission.probe": {"numpy", "sqlite3", "rich"},
+}
+"""What single commands do without until they have read what they are asked."""
+
+
+@pytest.mark.parametrize("module", ALONE)
+def test_a_command_begins_without(module: str) -> None:
+    assert modules_imported_by(f"import {module}").isdisjoint(ALONE[module])
+
+
 def test_the_running_gateway_imports_neither_pandas_nor_matplotlib() -> None:
     assert modules_imported_by("import gateway.plant.app").isdisjoint({"pandas", "matplotlib"})
 
@@ -159,6 +173,7 @@ def test_a_class_name_stands_for_one_class(figures: Figures) -> None:
 POSITIONAL = {
     "gateway/commission/session/pcap.py": "struct.pack takes the fields of a header in their order",
     "sim/engine/belief.py": "one reading makes one Belief: by keywords that costs a fifth of the whole step",
+    "sim/engine/belief_state.py": "each scan moves some Beliefs: by keywords that costs as much as a whole step",
 }
 """Modules in which a call may have more than five positional arguments, each with its reason."""
 

@@ -91,3 +91,9 @@ def locate(tag: Tag) -> TagSpan:
     if start + count > 65536:
         raise AddressError(f"{tag.name}: {count} registers from {tag.address} reach beyond the last address 65535")
     return TagSpan(tag, area, start, count)
+
+
+def place_of_tag(tag: Tag) -> tuple[str, int, int]:
+    """The tag's table, first address and count (`Capabilities.locates`). Raises AddressError."""
+    span = locate(tag)
+    return str(span.area), span.start, span.count

@@ -1,14 +1,15 @@
 """The Modbus driver (TCP, TLS, RTU): blocks read under deadlines, refused addresses kept apart, one verified write."""
 
 import asyncio
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 from pymodbus.pdu import ModbusPDU
 
-from drivers.codec import decode, encode
+from drivers.codec import Reading, encode, reader
+from drivers.connections import Connections
 from drivers.driver import BeforeSending, Clock, PlanKind, PlanLine, anyhow
 from drivers.errors import (
     AddressError,
@@ -20,12 +21,12 @@ from drivers.errors import (
     WriteForbidden,
     WriteUnverified,
 )
-from drivers.link import Backoff, DeadPeer, Link
 from drivers.modbus.address import TagSpan, locate
 from drivers.modbus.plan import (
     AddressBlock,
     Quarantine,
     bisect,
+    by_block,
     describe,
     fitting,
     plan_spans,
@@ -33,16 +34,16 @@ from drivers.modbus.plan import (
 )
 from drivers.modbus.quarantine import RefusedAddresses
 from drivers.modbus.settings import ModbusSettings, read_settings
-from drivers.modbus.transport import AnyWire, make_transport
+from drivers.modbus.shared import SharedLink, place_of
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import WireReply, read_request, write_request
-from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample, Tag, Value
 
 # A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.
 _ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
 _MAX_WRITE_BITS = 1968  # 0x07B0 (MODBUS Application Protocol V1.1b3, 6.11)
 _LAYOUTS_KEPT = 64
+_NOTHING: tuple[tuple[int, ...], Reading] = ((), (None, Quality.NO_DATA, ""))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,12 @@ class _TagLayout:
 
 
 def open_modbus(
-    settings: Mapping[str, Any], *, clock: Clock, write_map: Sequence[Tag] = (), seed: int = 0
+    settings: Mapping[str, Any],
+    *,
+    clock: Clock,
+    write_map: Sequence[Tag] = (),
+    seed: int = 0,
+    connections: Connections | None = None,
 ) -> "ModbusDriver":
     """Make a Modbus driver, not yet opened.
 
@@ -86,16 +92,28 @@ def open_modbus(
     one connection only; `backoff_first` and `backoff_cap`; `max_failures` and `max_silence`, the dead-peer rule;
     `refused_first` and `refused_cap`, when a refused address is asked again.
 
-    Raises DriverError for an unknown key (it lists the known ones), a value out of range and certificates that cannot
-    be used, AddressError for a tag of the write map that cannot be written.
+    With `connections`, units at the same host and port or on the same serial line share one connection in fair turns
+    (`drivers.modbus.shared`): at most `outstanding` requests at a time, the least that any of them says; a silent unit
+    is asked again after `silent_first` to `silent_cap` seconds.
+
+    Raises DriverError for an unknown key (it lists the known ones), a value out of range, certificates that cannot be
+    used and settings that do not go with those of others on the connection, AddressError for a tag of the write map
+    that cannot be written.
     """
-    return ModbusDriver(read_settings(settings), clock=clock, write_map=tuple(write_map), seed=seed)
+    checked = read_settings(settings)
+    if connections is None:
+        shared = SharedLink(checked, clock=clock, seed=seed, alone=True)
+    else:
+        shared = connections.at(place_of(checked), lambda: SharedLink(checked, clock=clock, seed=seed, alone=False))
+    return ModbusDriver(checked, clock=clock, write_map=tuple(write_map), shared=shared)
 
 
 class ModbusDriver:
-    """One Modbus device behind one connection; a Driver that Writes. Made by `open_modbus`."""
+    """One Modbus device behind one connection, its own or a shared one; a Driver that Writes. Made by `open_modbus`."""
 
-    def __init__(self, settings: ModbusSettings, *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
+    def __init__(
+        self, settings: ModbusSettings, *, clock: Clock, write_map: tuple[Tag, ...], shared: SharedLink
+    ) -> None:
         self._settings = settings
         self._clock = clock
         self._limits = settings.limits
@@ -103,7 +121,7 @@ class ModbusDriver:
         self._writable_addresses = frozenset(
             (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
         )
-        words = _longest_run(number for area, number in self._writable_addresses if not area.is_bits)
+        words = max((_words(self._write_map[tag.name] for tag in block) for block in by_block(write_map)), default=0)
         if words > settings.max_write_registers:
             # Neither WriteForbidden nor AddressError: a block that can never be sent is a mistake in any mode.
             raise DriverError(
@@ -114,54 +132,36 @@ class ModbusDriver:
         self._lock = asyncio.Lock()
         self._refused = RefusedAddresses(settings.refused_first, settings.refused_cap)
         self._layouts: dict[tuple[int, ...], _TagLayout] = {}
-        self._last_exchange = float("-inf")
-        self._foreign = 0
-        self._counts = dict.fromkeys(
-            ("requests", "timeouts", "mismatches", "exceptions", "retries", "writes", "bisections"), 0
-        )
-        self._transport = make_transport(settings, clock)
-        self.supervisor = Supervisor()
-        self._link: Link[AnyWire] = Link(
-            self._connect,
-            self._disconnect,
-            connect_deadline=settings.connect_timeout,
-            backoff=Backoff(settings.backoff_first, settings.backoff_cap),
-            dead_peer=DeadPeer(settings.max_failures, settings.max_silence),
-            seed=seed,
-            supervisor=self.supervisor,
-        )
+        # By a tag's identity: how it is read, and what its words were last and meant.
+        self._readers: dict[int, Callable[[Sequence[int]], Reading]] = {}
+        self._decoded: dict[int, tuple[tuple[int, ...], Reading]] = {}
+        self._counts = dict.fromkeys(("retries", "writes", "bisections"), 0)
+        self._line = shared.join(settings)
+        self.supervisor = shared.supervisor
 
     # ------------------------------------------------------------ Driver
 
     async def open(self) -> None:
         """Start the supervisor and try once. Raises LinkDown if the first attempt fails (it goes on trying)."""
-        await self._link.open()
+        await self._line.open()
 
     async def close(self) -> None:
         """Stop the supervisor and close the connection. Never raises; may be called twice."""
-        await self._link.close()
+        await self._line.close()
 
     @property
     def connected(self) -> bool:
-        """True from the first valid reply on a connection until that connection is lost or given up as dead."""
-        return self._link.proven
+        """True from the first valid reply on a connection until that is lost, or it or the unit is given up as dead."""
+        return self._line.connected
 
     def statistics(self) -> Mapping[str, float]:
         """Counters since the driver was made; `quarantined` counts the addresses' ranges refused at present."""
-        link = self._link.statistics()
-        wire = self._link.connection
-        return {
-            **self._counts,
-            "foreign_replies": self._foreign + (wire.foreign if wire else 0),
-            "quarantined": self._refused.ranges,
-            "reconnects": max(0, link["connects"] - 1),
-            **link,
-        }
+        return {**self._counts, "quarantined": self._refused.ranges, **self._line.statistics()}
 
     async def read(self, tags: Sequence[Tag]) -> list[Sample]:
         """Read all tags now; a failure is a Sample of bad quality with the reason. A block's tags share one reply."""
         now = _now()
-        self._refused.renew(now, self._link.connects)
+        self._refused.renew(now, self._line.connects)
         layout = self._layout(tags)
         samples = {id(tag): self._no(tag, Quality.CONFIGURATION_ERROR, reason) for tag, reason in layout.misplaced}
         trial = self._refused.trial(layout.spans, now)
@@ -185,7 +185,7 @@ class ModbusDriver:
 
     def cautions(self) -> tuple[str, ...]:
         """What works and should not stay as it is, in sentences: a key that others may read, a certificate's end."""
-        return self._transport.cautions()
+        return self._line.cautions()
 
     # ------------------------------------------------------------ Writes
 
@@ -217,12 +217,12 @@ class ModbusDriver:
 
     async def _once(self, request: ModbusPDU, before_sending: BeforeSending) -> None:
         """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
-        wire = self._link.connection
+        wire = self._line.connection
         try:
-            await self._exchange(request, self._settings.timeout, before_sending)
+            await self._line.ask(request, before_sending, urgent=True)
         except (ReplyTimeout, ReplyMismatch):
             if wire is not None:
-                self._link.lost(wire, "a write was not answered: what is left of it must not arrive later")
+                self._line.give_up(wire, "a write was not answered: what is left of it must not arrive later")
             raise
 
     async def _read_back(self, block: AddressBlock) -> list[int]:
@@ -231,7 +231,7 @@ class ModbusDriver:
         largest = self._limits.largest(block.area)
         for start in range(block.start, block.stop, largest):
             part = AddressBlock(block.area, start, min(largest, block.stop - start), ())
-            words += (await self._attempts(part)).words
+            words += (await self._attempts(part, urgent=True)).words
         return words
 
     def _write_block(self, values: Sequence[tuple[Tag, Value]]) -> tuple[AddressBlock, list[int]]:
@@ -254,7 +254,8 @@ class ModbusDriver:
 
     def _mapped(self, tag: Tag) -> TagSpan:
         span = self._write_map.get(tag.name)
-        if span is None or span.tag != tag:
+        # The very tag as a rule: to compare two of them field by field takes longer than to encode one.
+        if span is None or (span.tag is not tag and span.tag != tag):
             raise WriteForbidden(f"{tag.name} ({tag.address}) is not in the write map; nothing was sent")
         return span
 
@@ -267,6 +268,8 @@ class ModbusDriver:
         if layout is None or layout.quarantine is not self._refused.quarantine:
             if len(self._layouts) >= _LAYOUTS_KEPT:
                 self._layouts.clear()
+                self._decoded.clear()
+                self._readers.clear()
             spans: list[TagSpan] = []
             misplaced: list[tuple[Tag, str]] = []
             for tag in tags:
@@ -328,11 +331,24 @@ class ModbusDriver:
         if isinstance(outcome, Failure):
             return {id(span.tag): self._no(span.tag, outcome.quality, outcome.reason) for span in block.spans}
         samples: dict[int, Sample] = {}
+        start, words, received, sent, decoded = (
+            block.start,
+            outcome.words,
+            outcome.received,
+            outcome.sent,
+            self._decoded,
+        )
         for span in block.spans:
-            first = span.start - block.start
-            value, quality, reason = decode(span.tag, outcome.words[first : first + span.count])
-            sample = Sample(span.tag.name, value, quality, outcome.received, sent=outcome.sent, reason=reason)
-            samples[id(span.tag)] = sample
+            tag, key = span.tag, id(span.tag)
+            own = words[span.start - start : span.start - start + span.count]
+            # What a tag's words mean depends on nothing else, and from scan to scan most of them are the same.
+            before, reading = decoded.get(key, _NOTHING)
+            if own != before:
+                if (read := self._readers.get(key)) is None:
+                    read = self._readers[key] = reader(tag)
+                reading = read(own)
+                decoded[key] = (own, reading)
+            samples[key] = Sample(tag.name, reading[0], reading[1], received, sent=sent, reason=reading[2])
         return samples
 
     def _no(self, tag: Tag, quality: Quality, reason: str) -> Sample:
@@ -354,67 +370,22 @@ class ModbusDriver:
 
     # ------------------------------------------------------------ one exchange (the lock is held)
 
-    async def _attempts(self, block: AddressBlock) -> WireReply:
+    async def _attempts(self, block: AddressBlock, *, urgent: bool = False) -> WireReply:
         """Read a block, again with a new transaction id if no valid reply came; each request has its own deadline."""
-        again, wire = False, self._link.connection
+        again, wire = False, self._line.connection
         # After a connection that was taken and never answered, the next ones get one question each.
-        for _ in range(0 if self._link.suspect else self._settings.attempts - 1):
+        for _ in range(0 if self._line.suspect else self._settings.attempts - 1):
             try:
-                return await self._exchange(self._read_request(block), self._settings.timeout, again=again)
+                return await self._line.ask(self._read_request(block), again=again, urgent=urgent)
             except (ReplyTimeout, ReplyMismatch):
-                if self._link.connection is not wire:
+                if self._line.connection is not wire:
                     raise
                 self._counts["retries"] += 1
                 again = True
-        return await self._exchange(self._read_request(block), self._settings.timeout, again=again)
+        return await self._line.ask(self._read_request(block), again=again, urgent=urgent)
 
     def _read_request(self, block: AddressBlock) -> ModbusPDU:
         return read_request(block.area, block.start, block.count, self._settings.unit)
-
-    async def _exchange(
-        self, request: ModbusPDU, deadline: float, before_sending: BeforeSending = anyhow, *, again: bool = False
-    ) -> WireReply:
-        """Send one request once, and tell the link how it went. `again`: see `Wire.ask`."""
-        if (rest := self._last_exchange + self._limits.pause - _now()) > 0.0:
-            await asyncio.sleep(rest)
-        wire = self._link.connection
-        if wire is None:
-            raise LinkDown(self._why_down())
-        self._counts["requests"] += 1
-        started = _now()
-        try:
-            patience, most = self._link.patience(deadline), 1 if self._link.suspect else 2
-            reply = await wire.ask(request, patience, before_sending, again=again, most_open=most)
-        except (ReplyTimeout, ReplyMismatch) as error:
-            self._counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
-            self._link.failed(wire, _now() - started, str(error))
-            raise
-        except DeviceException as error:
-            self._counts["exceptions"] += 1
-            self._link.answered(wire)
-            raise self._transport.explained(error) from None
-        except LinkDown as error:
-            self._link.lost(wire, str(error))
-            raise
-        finally:
-            self._last_exchange = _now()
-        self._link.answered(wire)
-        return reply
-
-    # ------------------------------------------------------------ the connection
-
-    async def _connect(self) -> AnyWire:
-        wire = self._transport.wire(lambda reason: self._link.lost(wire, reason))
-        await wire.connect()
-        return wire
-
-    def _disconnect(self, wire: AnyWire) -> None:
-        self._foreign += wire.foreign
-        wire.abandon()
-
-    def _why_down(self) -> str:
-        hint = "; this device serves one client only: is another one connected?" if self._settings.one_client else ""
-        return f"not connected: {self._link.reason}{hint}"
 
 
 # ---------------------------------------------------------------- without state
@@ -424,10 +395,10 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _longest_run(numbers: Iterable[int]) -> int:
-    """How many of the numbers follow one another at most: what a write of neighbours can come to."""
+def _words(spans: Iterable[TagSpan]) -> int:
+    """How many registers of a block follow one another at most: what a write of neighbours can come to."""
     longest, run, before = 0, 0, None
-    for number in sorted(numbers):
+    for number in sorted(number for span in spans if not span.area.is_bits for number in range(span.start, span.stop)):
         run = run + 1 if before is not None and number == before + 1 else 1
         longest, before = max(longest, run), number
     return longest

@@ -214,3 +214,14 @@ def describe(blocks: Sequence[AddressBlock], limits: RequestLimits, deadline: fl
     registers = sum(block.count for block in blocks)
     worst = worst_cycle(blocks, limits, deadline)
     return (*lines, f"{len(blocks)} requests for {registers} addresses, worst case {worst:.3g} s a cycle")
+
+
+def by_block(tags: Iterable[Tag]) -> list[list[Tag]]:
+    """The tags of a write map, each block's together: the names of a block's words are alike up to their last point.
+
+    A block is one write; two of them are never one, also where their registers are neighbours.
+    """
+    blocks: dict[str, list[Tag]] = {}
+    for tag in tags:
+        blocks.setdefault(tag.name.rpartition(".")[0], []).append(tag)
+    return list(blocks.values())

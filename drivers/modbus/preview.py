@@ -7,7 +7,7 @@ from typing import Any
 from drivers.errors import AddressError
 from drivers.modbus import rtu
 from drivers.modbus.address import TagSpan, locate
-from drivers.modbus.plan import AddressBlock, RequestLimits, fitting, plan_spans
+from drivers.modbus.plan import AddressBlock, RequestLimits, by_block, fitting, plan_spans
 from drivers.modbus.settings import ModbusSettings, read_settings
 from drivers.survey import PlannedRequest, ReadPlan
 from drivers.tag import Tag
@@ -17,7 +17,7 @@ _ASKED, _HEAD = 8, 5
 
 
 def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[Tag]) -> ReadPlan:
-    """The requests of one scan, and those of one write of the block. Raises DriverError for a setting."""
+    """The requests of one scan, and those of one write of each block. Raises DriverError for a setting."""
     checked = read_settings(settings)
     limits = checked.limits
     spans: list[TagSpan] = []
@@ -39,7 +39,9 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
         )
         for block in plan_spans(spans, limits)
     ]
-    writes, refused = _writing(written, checked, limits)
+    blocks = [_writing(block, checked, limits) for block in by_block(written)]
+    writes = tuple(request for requests, _ in blocks for request in requests)
+    refused = [problem for _, problems in blocks for problem in problems]
     seconds = sum(request.seconds for request in requests) + limits.pause * max(0, len(requests) - 1)
     return ReadPlan(
         requests=tuple(requests),
@@ -62,8 +64,6 @@ def _writing(
     written: Sequence[Tag], checked: ModbusSettings, limits: RequestLimits
 ) -> tuple[tuple[PlannedRequest, ...], tuple[str, ...]]:
     """One write of the block, and the requests that read it back; and what keeps it from being one request."""
-    if not written:
-        return (), ()
     try:
         spans = tuple(sorted((locate(tag) for tag in written), key=lambda span: span.start))
     except AddressError as error:

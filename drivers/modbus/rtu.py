@@ -91,14 +91,3 @@ def unwrapped(request: Asked, frame: bytes) -> bytes:
     if crc(frame[:-2]) != frame[-2:]:
         raise ReplyMismatch(f"{request}: the reply's CRC is wrong (noise on the line, or another baud rate or parity?)")
     return bytes(6) + frame[:-2]
-
-
-def words_of(request: Asked, frame: bytes) -> tuple[int, ...]:
-    """The registers, or bits as 0 and 1, of a verified reply; none for the confirmation of a write."""
-    payload = frame[3:-2]
-    if request.function in (3, 4):
-        return tuple(int.from_bytes(payload[at : at + 2], "big") for at in range(0, len(payload), 2))
-    if request.function in (1, 2):
-        packed = int.from_bytes(payload, "little")
-        return tuple(packed >> index & 1 for index in range(request.count))
-    return ()

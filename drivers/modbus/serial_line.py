@@ -1,15 +1,17 @@
 """One serial line, or one TCP connection to a serial device server: RTU requests, one at a time.
 
-A reply on such a line names no request: one that comes late looks like the answer to whatever was asked last. So after
-a request without an answer nothing is sent until the late one has come, or cannot come any more (`longest_reply` after
-the request); what arrives meanwhile is dropped. That holds across reconnections: `Quiet` outlives the wire.
+A reply on such a line names its unit and no request: one that comes late looks like the answer to whatever that unit
+was asked last. So after a request without an answer that unit is asked nothing until the late one has come, or cannot
+come any more (`longest_reply` after the request); what arrives meanwhile is dropped. Other units on the line may be
+asked, as long as nothing of the late reply has come: a frame of the silent unit is then known by its unit, function,
+length and checksum, and taken out of what arrives. That holds across reconnections: `Quiet` outlives the wire.
 """
 
 import asyncio
 import os
 import termios
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import serial
@@ -19,7 +21,7 @@ from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus import rtu
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.verify import Asked, check_reply
+from drivers.modbus.verify import Asked, check_reply, words_of
 from drivers.modbus.wire import WireReply, socket_place
 from drivers.tap import current, moved
 
@@ -29,12 +31,20 @@ _FLOOD = 65536
 _CHUNK = 4096
 
 
-@dataclass(slots=True)
-class Quiet:
-    """Until when nothing may be sent (the loop's time), because the request `after` may still be answered."""
+@dataclass(frozen=True, slots=True)
+class Owed:
+    """A request without an answer, which may still come before `until` (the loop's time); `sent` by the clock."""
 
-    until: float = 0.0
-    after: Asked | None = None
+    question: Asked
+    until: float
+    sent: float
+
+
+@dataclass(frozen=True, slots=True)
+class Quiet:
+    """What each unit of the line was asked last and has not answered."""
+
+    owed: dict[int, Owed] = field(default_factory=dict)
 
 
 class _Port(Protocol):
@@ -49,13 +59,25 @@ class _Port(Protocol):
 
 
 class LineWire:
-    """An open line, from `connect` to `abandon`, for one exchange at a time. `on_lost` hears why it broke."""
+    """An open line, from `connect` to `abandon`, for one exchange at a time.
 
-    def __init__(self, settings: ModbusSettings, quiet: Quiet, *, clock: Clock, on_lost: Callable[[str], None]) -> None:
-        self._settings, self._quiet, self._clock, self._on_lost = settings, quiet, clock, on_lost
+    `on_lost` hears why it broke, `on_late` of which unit a reply came while another one was asked.
+    """
+
+    def __init__(
+        self,
+        settings: ModbusSettings,
+        quiet: Quiet,
+        *,
+        clock: Clock,
+        on_lost: Callable[[str], None],
+        on_late: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        self._settings, self._quiet, self._clock = settings, quiet, clock
+        self._on_lost, self._on_late = on_lost, on_late
         self._port: _Port | None = None
         self._data = b""
-        self._heard = self._sent = 0.0
+        self._heard = 0.0
         self._arrived = asyncio.Event()
         self._tap = current()
         self.foreign = 0
@@ -113,16 +135,17 @@ class LineWire:
         wanted = rtu.asked(frame)
         until = _now() + deadline + self._on_line(len(frame) + rtu.reply_octets(wanted))
         await self._settle(wanted, until)
-        if again and self._quiet.until > 0 and self._quiet.after == wanted and self._late_reply_is_complete():
+        owed = self._quiet.owed.get(wanted.unit)
+        if again and owed is not None and owed.question == wanted and self._is_reply_to(wanted):
             late, self._data = self._data, b""
             self._checked(wanted, late)
             self.last = late[:-2]
-            return WireReply(rtu.words_of(wanted, late), self._sent, self._clock())
+            return WireReply(words_of(wanted, late[3:-2]), owed.sent, self._clock())
         before_sending()
         self._data = b""
+        sent = self._clock()
         # Noted before it is sent, and taken back by its reply: whatever goes wrong in between, the next request waits.
-        self._quiet.until, self._quiet.after = _now() + self._settings.longest_reply, wanted
-        sent = self._sent = self._clock()
+        self._quiet.owed[wanted.unit] = Owed(wanted, _now() + self._settings.longest_reply, sent)
         self._live_port().send(frame)
         self._tell(frame, sent=True)
         if self._settings.echo:
@@ -132,7 +155,7 @@ class LineWire:
         self._data = self._data[len(reply) :]
         self._checked(wanted, reply)
         self.last = reply[:-2]
-        return WireReply(rtu.words_of(wanted, reply), sent, received)
+        return WireReply(words_of(wanted, reply[3:-2]), sent, received)
 
     def _checked(self, wanted: Asked, reply: bytes) -> None:
         """Raises ReplyMismatch or DeviceException; the line is free where this was the reply, whatever it said."""
@@ -140,39 +163,67 @@ class LineWire:
             check_reply(wanted, rtu.unwrapped(wanted, reply))
         except ReplyMismatch:
             if len(reply) == rtu.reply_octets(wanted) and reply[:2] == bytes((wanted.unit, wanted.function)):
-                self._quiet.until = 0.0  # it was the answer, with noise in it
+                self._quiet.owed.pop(wanted.unit, None)  # it was the answer, with noise in it
             raise
         except DeviceException:
-            self._quiet.until = 0.0
+            self._quiet.owed.pop(wanted.unit, None)
             raise
-        self._quiet.until = 0.0
+        self._quiet.owed.pop(wanted.unit, None)
 
     # ------------------------------------------------------------ before sending
 
     async def _settle(self, wanted: Asked, until: float) -> None:
         """Wait for silence, and after an unanswered request for its late reply or the end of its time."""
-        while (left := self._quiet.until - _now()) > 0:
-            if self._late_reply_is_complete():
-                break
-            if not await self._more(min(until, _now() + left)) and _now() >= until:
-                after = self._quiet.after
-                raise ReplyTimeout(f"{wanted}: not asked, as {after} may still be answered for {left:.2f} s")
-        self.foreign += bool(self._data)
         pause = rtu.silence(self._settings.baud)
-        await asyncio.sleep(max(pause, self._heard + pause - _now()))
+        while True:
+            self._take_out_late(wanted.unit)
+            owed = self._awaited(wanted)
+            if owed is not None and not self._is_reply_to(owed.question):
+                left = owed.until - _now()
+                if not await self._more(min(until, _now() + left)) and _now() >= until:
+                    raise ReplyTimeout(
+                        f"{wanted}: not asked, as {owed.question} may still be answered for {left:.2f} s"
+                    )
+                continue
+            await asyncio.sleep(max(pause, self._heard + pause - _now()))
+            # What has begun to come in this very pause may be the head of another unit's late reply, whose tail must
+            # not meet our request.
+            self._take_out_late(wanted.unit)
+            owed = self._awaited(wanted)
+            if owed is None or owed.question.unit == wanted.unit:
+                break
+        self.foreign += bool(self._data)
 
-    def _late_reply_is_complete(self) -> bool:
-        """True if what came in the meantime is the whole reply that was missing."""
-        after, data = self._quiet.after, self._data
-        if after is None:
-            return True
+    def _awaited(self, wanted: Asked) -> Owed | None:
+        """The late reply that has to come, or to become impossible, before `wanted` may be asked: of its own unit, or
+        of another one of which a part has come."""
+        now = _now()
+        for unit in (*self._data[:1], wanted.unit):
+            owed = self._quiet.owed.get(unit)
+            if owed is not None and owed.until > now:
+                return owed
+        return None
+
+    def _is_reply_to(self, question: Asked) -> bool:
+        """True if what came in the meantime begins with a whole reply to the question."""
         try:
-            length = rtu.reply_length(after, data)
+            length = rtu.reply_length(question, self._data)
         except ReplyMismatch:
             return False
-        if length is None or len(data) < length:
+        if length is None or len(self._data) < length:
             return False
-        return data[0] == after.unit and rtu.crc(data[: length - 2]) == data[length - 2 : length]
+        return self._data[0] == question.unit and rtu.crc(self._data[: length - 2]) == self._data[length - 2 : length]
+
+    def _take_out_late(self, asked_unit: int) -> None:
+        """Drop whole late replies of units other than the one that is asked from the front of what has come."""
+        while self._data and self._data[0] != asked_unit:
+            owed = self._quiet.owed.get(self._data[0])
+            if owed is None or not self._is_reply_to(owed.question):
+                return
+            self._data = self._data[rtu.reply_length(owed.question, self._data) :]
+            del self._quiet.owed[owed.question.unit]
+            self.foreign += 1
+            self._on_late(owed.question.unit)
 
     # ------------------------------------------------------------ the reply
 
@@ -181,6 +232,7 @@ class LineWire:
         while len(self._data) < len(frame):
             if not await self._more(until):
                 raise ReplyTimeout(f"{wanted}: not even our own request came back: set echo = false?")
+            self._take_out_late(wanted.unit)
         if not self._data.startswith(frame):
             raise ReplyMismatch(f"{wanted}: what came back is not our request: does somebody else send on this line?")
         self._data = self._data[len(frame) :]
@@ -188,6 +240,7 @@ class LineWire:
     async def _reply(self, wanted: Asked, frame: bytes, until: float) -> bytes:
         """The bytes of one reply. Raises ReplyTimeout, or ReplyMismatch for one that cannot be the answer."""
         while True:
+            self._take_out_late(wanted.unit)
             if len(self._data) >= len(frame) and self._data.startswith(frame):
                 raise ReplyMismatch(f"{wanted}: the line gives back what is sent: set echo = true")
             try:

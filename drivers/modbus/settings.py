@@ -63,6 +63,16 @@ class ModbusSettings(Reconnecting):
         10.0, ge=0.001, le=86_400.0, description="the most seconds until it is asked again, 0.001 to 86400"
     )
 
+    outstanding: int = Field(
+        1, ge=1, le=16, description="the most requests under way at a time for all units of a connection, 1 to 16"
+    )
+    silent_first: float = Field(
+        1.0, ge=0.001, le=3600.0, description="the seconds until a silent unit is asked again, 0.001 to 3600"
+    )
+    silent_cap: float = Field(
+        10.0, ge=0.001, le=86_400.0, description="the most seconds until it is asked again, 0.001 to 86400"
+    )
+
     @model_validator(mode="before")
     @classmethod
     def _of_one_transport(cls, settings: dict[str, Any]) -> dict[str, Any]:
@@ -84,9 +94,11 @@ class ModbusSettings(Reconnecting):
         return {**{key: default for key, default in own.items() if default is not None}, **settings}
 
     @model_validator(mode="after")
-    def _unit_of_a_line(self) -> "ModbusSettings":
+    def _what_a_line_carries(self) -> "ModbusSettings":
         if self.transport in _LINES and not 1 <= self.unit <= _LAST_UNIT:
             raise ValueError(f"unit is {self.unit}, and on a serial line a device has one of 1 to 247 (0 is for all)")
+        if self.transport in _LINES and self.outstanding > 1:
+            raise ValueError(f"outstanding is {self.outstanding}, and a serial line carries 1 request at a time")
         return self
 
     @property

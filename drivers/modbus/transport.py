@@ -10,6 +10,7 @@ from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, LinkFault
+from drivers.modbus.numbered import NumberedWire
 from drivers.modbus.serial_line import LineWire, Quiet
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.wire import Secured, Wire, WireReply
@@ -57,23 +58,37 @@ class ModbusTransport:
         return DeviceException(error.code, f"{error}; {self.refusal_hint}")
 
 
-def make_transport(settings: ModbusSettings, clock: Clock) -> ModbusTransport:
-    """The transport of checked settings. Raises DriverError for certificates that cannot be used."""
+def make_transport(
+    settings: ModbusSettings, clock: Clock, on_late: Callable[[int], None] | None = None
+) -> ModbusTransport:
+    """The transport of checked settings. Raises DriverError for certificates that cannot be used.
+
+    With `on_late` its wires carry the requests of several units; it hears of which unit a reply came too late.
+    """
+    place = (settings.host, settings.port)
+
+    def headed(on_lost: Callable[[str], None], secured: Secured | None = None) -> AnyWire:
+        if on_late is None:
+            return Wire(*place, clock=clock, on_lost=on_lost, secured=secured)
+        return NumberedWire(*place, clock=clock, on_lost=on_lost, on_late=on_late, secured=secured)
+
     if settings.transport == "tcp":
-        return ModbusTransport(lambda on_lost: Wire(settings.host, settings.port, clock=clock, on_lost=on_lost), tuple)
+        return ModbusTransport(headed, tuple)
     if settings.transport != "tls":
         # One for all wires to come: what is still under way on the line outlives a reconnection.
         quiet = Quiet()
-        return ModbusTransport(lambda on_lost: LineWire(settings, quiet, clock=clock, on_lost=on_lost), tuple)
+        heard = on_late or (lambda _: None)
+        return ModbusTransport(
+            lambda on_lost: LineWire(settings, quiet, clock=clock, on_lost=on_lost, on_late=heard), tuple
+        )
     # Certificates cost 11 MB of memory, which a gateway over plain TCP does without.
     from drivers.modbus import tls
 
     identity = tls.load_identity(Path(settings.certificates))
     secured = Secured(identity.context, settings.tls_name or settings.host, tls.sentence)
-    place = (settings.host, settings.port)
     role = f"the role {identity.role!r} of" if identity.role else "the lack of a role in"
     return ModbusTransport(
-        lambda on_lost: Wire(*place, clock=clock, on_lost=on_lost, secured=secured),
+        lambda on_lost: headed(on_lost, secured),
         lambda: tls.cautions(identity, dt.datetime.now(dt.UTC)),
         f"or {role} our certificate does not allow it",
     )

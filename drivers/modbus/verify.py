@@ -15,7 +15,7 @@ IDENTIFY = 43
 """Function 43 with MEI type 14: the device says who it is (V1.1b3, 6.21)."""
 _MEI_IDENTITY = 14
 _TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 15: "coil", 16: "holding", IDENTIFY: "identity"}
-_REGISTERS, WRITES = frozenset({3, 4}), frozenset({15, 16})
+_BITS, _REGISTERS, WRITES = frozenset({1, 2}), frozenset({3, 4}), frozenset({15, 16})
 
 # V1.1b3 section 7: what the device says, and what that makes of a reading.
 EXCEPTIONS: dict[int, tuple[str, Quality]] = {
@@ -110,3 +110,13 @@ def check_reply(request: Asked, reply: bytes) -> None:
 def quality_of(code: int) -> Quality:
     """What a device exception makes of a reading."""
     return EXCEPTIONS.get(code, ("", Quality.BAD))[1]
+
+
+def words_of(request: Asked, data: bytes) -> tuple[int, ...]:
+    """The registers, or bits as 0 and 1, in the data of a verified reply (after its byte count); none of a write's."""
+    if request.function in _REGISTERS:
+        return struct.unpack(f">{request.count}H", data)
+    if request.function in _BITS:
+        packed = int.from_bytes(data, "little")
+        return tuple(packed >> index & 1 for index in range(request.count))
+    return ()

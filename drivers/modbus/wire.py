@@ -1,10 +1,11 @@
 """One TCP or TLS connection to a Modbus device: pymodbus 3.16.1 behind our own verification of every received byte.
 
-pymodbus builds the requests, numbers them, moves the bytes and decodes the replies. It hands every received byte to
-`trace_packet` first; there the stream is cut into frames, and only a frame that answers the outstanding request goes
-on to the library, whole: its TLS framer takes every record for a frame. That hook, `callback_disconnected`,
-`call_create` and the transport behind `client.ctx` are all that is used beyond its everyday interface;
-tests/drivers/test_pymodbus_contract.py fails if they change.
+pymodbus connects, moves the bytes and frames the requests. What it does with a reply is left out: its transactions cost
+a task and two timers for each request, accept what they should not (tests/drivers/test_pymodbus_contract.py), and its
+TLS framer takes every record for a frame. Every received byte comes here by `callback_data`; the stream is cut into
+frames, and one that answers the outstanding request ends the exchange. That hook, `callback_disconnected`,
+`call_create`, the framer and the transport behind `client.ctx` are all that is used beyond its everyday interface; the
+same tests fail if they change.
 """
 
 import asyncio
@@ -13,12 +14,12 @@ import re
 import socket
 import ssl
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
+from typing import Any
 
 from pymodbus.client import AsyncModbusTcpClient, AsyncModbusTlsClient
-from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.bit_message import ReadCoilsRequest, ReadDiscreteInputsRequest, WriteMultipleCoilsRequest
 from pymodbus.pdu.register_message import (
@@ -30,11 +31,14 @@ from pymodbus.pdu.register_message import (
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area
-from drivers.modbus.verify import WRITES, Asked, asked, check_reply, split_frames
+from drivers.modbus.verify import WRITES, Asked, asked, check_reply, split_frames, words_of
 from drivers.tap import current, moved
 
-# More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line.
-_FLOOD = 65536
+FLOOD = 65536
+"""More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line."""
+# asyncio reads up to 256 KiB at once; a chunk that pymodbus finds too large it drops without a word.
+_LARGEST_CHUNK = 1 << 20
+_TRANSACTIONS = 0xFFFF
 _PROBE_S, _PROBES = 1, 2
 # pymodbus times nothing here: every exchange and every connect has a deadline of ours, and it must not fire first.
 _NEVER = 3600.0
@@ -56,8 +60,9 @@ class WireReply:
     received: float
 
 
+@lru_cache(maxsize=1024)
 def read_request(area: Area, start: int, count: int, unit: int) -> ModbusPDU:
-    """The request that reads `count` addresses of a table."""
+    """The request that reads `count` addresses of a table; made once, as a wire numbers it when it frames it."""
     return _READS[area](address=start, count=count, dev_id=unit)
 
 
@@ -91,16 +96,18 @@ class Wire:
         self._secured = secured
         self._client = self._made(host, port, secured)
         self._client.ctx.callback_disconnected = self._disconnected  # type: ignore[method-assign]
-        self._client.ctx.max_buffer_size = 2 * _FLOOD
+        self._client.ctx.callback_data = self._take  # type: ignore[method-assign]
+        self._client.ctx.max_buffer_size = _LARGEST_CHUNK
+        self._transaction = 0
         self._request: Asked | None = None
         # Sent on this connection and not answered, by transaction id, with the moment of sending.
         self._open: dict[int, tuple[Asked, float]] = {}
         self._again = False
         self._any_answer = asyncio.Event()
-        self._verdict: asyncio.Future[DriverError] | None = None
+        self._outcome: asyncio.Future[WireReply] | None = None
         self._sent = self._received = 0.0
         self._stream = b""
-        self._seen = 0
+        self._unasked = 0
         self.foreign = 0
         self.last = b""
         self.fault = LinkFault.OTHER
@@ -109,17 +116,9 @@ class Wire:
     def _made(self, host: str, port: int, secured: Secured | None) -> AsyncModbusTcpClient:
         """pymodbus's client for the connection, with everything that it does by itself turned off."""
         if secured is None:
-            return AsyncModbusTcpClient(
-                host, port=port, retries=0, reconnect_delay=0, timeout=_NEVER, trace_packet=self._inspect
-            )
+            return AsyncModbusTcpClient(host, port=port, retries=0, reconnect_delay=0, timeout=_NEVER)
         client = AsyncModbusTlsClient(
-            host,
-            port=port,
-            sslctx=secured.context,
-            retries=0,
-            reconnect_delay=0,
-            timeout=_NEVER,
-            trace_packet=self._inspect,
+            host, port=port, sslctx=secured.context, retries=0, reconnect_delay=0, timeout=_NEVER
         )
         create = client.ctx.loop.create_connection
         names = {"ssl": secured.context, "server_hostname": secured.name}
@@ -132,31 +131,14 @@ class Wire:
         try:
             # Not client.connect(): that one answers False and keeps the reason to itself.
             await self._client.ctx.call_create()
-            self._keep_alive()
+            if isinstance(transport := self._client.ctx.transport, asyncio.Transport):
+                keep_alive(transport)
         except (OSError, ValueError) as error:  # ValueError: a host name that DNS or TLS cannot even be asked for
             self._client.close()
-            plain = (error.strerror if isinstance(error, OSError) else None) or str(error)
-            reason = self._secured.sentence(error) if self._secured else plain
-            raise LinkDown(
-                f"{parameters.host}:{parameters.port} does not connect: {reason}", fault=_fault_of(error)
-            ) from error
+            raise no_connection(f"{parameters.host}:{parameters.port}", error, self._secured) from error
         except asyncio.CancelledError:
             self._client.close()
             raise
-
-    def _keep_alive(self) -> None:
-        """Let the system find out whether the host is there at all: one that is gone is not waited for.
-
-        So a program that stands still (its host answers the probes) and a host that has gone are told apart, and a
-        connection to the former can be kept (socket(7), tcp(7)).
-        """
-        transport = self._client.ctx.transport
-        raw = transport.get_extra_info("socket") if isinstance(transport, asyncio.Transport) else None
-        if raw is not None:
-            raw.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL):
-                raw.setsockopt(socket.IPPROTO_TCP, option, _PROBE_S)
-            raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _PROBES)
 
     @property
     def alive(self) -> bool:
@@ -167,13 +149,7 @@ class Wire:
         """Close at once. What an unanswered request left in the send buffer is discarded, not delivered late."""
         transport = self._client.ctx.transport
         if isinstance(transport, asyncio.Transport):
-            raw = transport.get_extra_info("socket")
-            # A write must not be delivered late. A read may: it ends with FIN, which a small PLC that wakes survives.
-            writes = any(question.function in WRITES for question, _ in self._open.values())
-            if writes and raw is not None:
-                # On, with no time to linger: closing throws the send buffer away and resets the connection (socket(7)).
-                raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            transport.abort()
+            discard(transport, [question for question, _ in self._open.values()])
         self._client.close()
 
     async def ask(
@@ -198,78 +174,75 @@ class Wire:
             began = asyncio.get_running_loop().time()
             await self._answer_to_another(deadline)
             deadline -= asyncio.get_running_loop().time() - began
-        self._again = again
-        verdict = self._verdict = asyncio.get_running_loop().create_future()
-        foreign, self._request = self.foreign, None
+        transport = self._client.ctx.transport
+        if not isinstance(transport, asyncio.Transport):
+            raise LinkDown("the connection is closed")
+        loop = asyncio.get_running_loop()
+        foreign, self._request, self._again = self.foreign, None, again
 
-        async def execute() -> ModbusPDU:
-            # In the task that sends: between the two nothing else of the event loop can run.
-            before_sending()
-            reply: ModbusPDU = await self._client.execute(False, request)
-            return reply
+        def too_late() -> None:
+            others = self.foreign - foreign
+            dropped = f" ({others} with another transaction id dropped)" if others else ""
+            self._fail(ReplyTimeout(f"{self._request}: no reply within {deadline:.3g} s{dropped}"))
 
-        exchange = asyncio.ensure_future(execute())
+        # Between the two nothing else of the event loop can run.
+        before_sending()
+        self._send(transport, request)
+        outcome: asyncio.Future[WireReply] = loop.create_future()
+        self._outcome = outcome
+        timer = loop.call_later(deadline, too_late)
         try:
-            # The library's reply or our own verdict: what is refused here never reaches the library, which waits on.
-            await asyncio.wait({exchange, verdict}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
-            if verdict.done():
-                raise verdict.result()
-            if not exchange.done():
-                others = self.foreign - foreign
-                dropped = f" ({others} with another transaction id dropped)" if others else ""
-                raise ReplyTimeout(f"{self._request}: no reply within {deadline:.3g} s{dropped}")
-            return self._reply(exchange.result())
-        except ModbusException as error:
-            raise LinkDown(f"the connection is closed ({error.string})") from error
+            return await outcome
         finally:
-            self._verdict = None
-            exchange.cancel()
+            timer.cancel()
+            self._outcome = None
+
+    def _send(self, transport: asyncio.Transport, request: ModbusPDU) -> None:
+        """Give the request to the system, under a transaction id of its own."""
+        self._transaction = self._transaction % _TRANSACTIONS + 1
+        request.transaction_id = self._transaction
+        data = self._client.ctx.framer.buildFrame(request)
+        # Read from the very bytes that go: what was asked is what the reply is held against.
+        self._request, self._sent, self._unasked = asked(data), self._clock(), 0
+        self._open[self._transaction] = (self._request, self._sent)
+        self._tell(data, sent=True)
+        transport.write(data)
 
     async def _answer_to_another(self, deadline: float) -> None:
         """Wait until something that is open is answered. Raises ReplyTimeout, or LinkDown where the connection ends."""
-        verdict = self._verdict = asyncio.get_running_loop().create_future()
+        broken = self._outcome = asyncio.get_running_loop().create_future()
         self._request, before = None, len(self._open)
         self._any_answer.clear()
         waiting = asyncio.ensure_future(self._any_answer.wait())
         try:
-            await asyncio.wait({waiting, verdict}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
-            if verdict.done():
-                raise verdict.result()
+            await asyncio.wait({waiting, broken}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
+            if broken.done():
+                broken.result()  # raises: without a request of ours there is no other outcome
             if len(self._open) >= before:
                 question, sent = next(iter(self._open.values()))
                 raise ReplyTimeout(
                     f"{question}: no reply since {self._clock() - sent:.2f} s; nothing else is asked before it comes"
                 )
         finally:
-            self._verdict = None
+            self._outcome = None
             waiting.cancel()
-
-    def _reply(self, pdu: ModbusPDU) -> WireReply:
-        count = self._request.count if self._request else 0
-        words = tuple(int(word) for word in (pdu.registers or pdu.bits)[:count])
-        self._request = None
-        return WireReply(words, self._sent, self._received)
 
     # ------------------------------------------------------------ called by pymodbus
 
-    def _inspect(self, sending: bool, data: bytes) -> bytes:
-        """Note what is sent; of what is received let through only the frame that was waited for.
-
-        On reception `data` is pymodbus's whole buffer, which it empties before each send and from which it then cuts
-        as many bytes as it was given back here. The stream is framed apart from that, so that a late reply whose first
-        half came before a new request and whose second half comes after is still recognised.
-        """
-        self._tell(data if sending else data[self._seen :], sent=sending)
-        if sending:
-            self._request, self._sent, self._seen = asked(data), self._clock(), 0
-            self._open[self._request.transaction] = (self._request, self._sent)
-            return data
-        self._stream += data[self._seen :]
-        passed = self._passed()
-        self._seen = len(data) - len(passed)
-        if self._seen > _FLOOD:
+    def _take(self, data: bytes, addr: tuple[Any, ...] | None = None) -> int:
+        """Take in what has come, all of it; of the frames in it only the one that was waited for counts."""
+        self._tell(data, sent=False)
+        self._unasked += len(data)
+        try:
+            frames, self._stream = split_frames(self._stream + data)
+        except ReplyMismatch as error:
+            self._break(str(error), LinkFault.FOREIGN)
+            return len(data)
+        for frame in frames:
+            self._take_frame(frame)
+        if self._unasked > FLOOD:
             self._break("the peer floods the line with frames that nobody asked for")
-        return passed
+        return len(data)
 
     def _tell(self, data: bytes, *, sent: bool) -> None:
         """Let the evidence know, where somebody gathers it."""
@@ -278,42 +251,26 @@ class Wire:
             ends = [socket_place(transport.get_extra_info(name)) for name in ("peername", "sockname")]
             self._tap(moved("tcp", ends[0], data, sent=sent, local=ends[1]))
 
-    def _passed(self) -> bytes:
-        try:
-            frames, self._stream = split_frames(self._stream)
-        except ReplyMismatch as error:
-            self._break(str(error), LinkFault.FOREIGN)
-            return b""
-        passed = b""
-        for frame in frames:
-            request = self._request
-            question, sent = self._open.pop(int.from_bytes(frame[:2], "big"), (None, 0.0))
-            self._any_answer.set()
-            waiting = self._verdict is not None and not self._verdict.done()
-            same = (
-                request is not None
-                and question is not None
-                and replace(question, transaction=0) == replace(request, transaction=0)
-            )
-            if passed or request is None or not waiting or not same or (question != request and not self._again):
-                self.foreign += 1
-            elif checked := self._checked(request, frame):
-                # The library waits for the number that it gave last; the question was the same one, asked earlier.
-                passed = request.transaction.to_bytes(2, "big") + checked[2:]
-                self._sent = sent
-        return passed
-
-    def _checked(self, request: Asked, frame: bytes) -> bytes:
-        """The frame if it answers the request; otherwise the exchange ends with what is wrong."""
-        self._received = self._clock()
+    def _take_frame(self, frame: bytes) -> None:
+        """End the exchange with the frame if it answers the request, or with what is wrong in it."""
+        request, outcome = self._request, self._outcome
+        question, sent = self._open.pop(int.from_bytes(frame[:2], "big"), (None, 0.0))
+        self._any_answer.set()
+        if request is None or outcome is None or outcome.done() or question is None:
+            self.foreign += 1
+            return
+        # The same question, asked earlier, is answered as well where it was asked again.
+        if question != request and not (self._again and replace(question, transaction=request.transaction) == request):
+            self.foreign += 1
+            return
+        self._received, self._request = self._clock(), None
         try:
             check_reply(request, frame)
         except (ReplyMismatch, DeviceException) as error:
-            self._request = None
             self._fail(error)
-            return b""
-        self.last = frame[6:]
-        return frame
+            return
+        self._sent, self._unasked, self.last = sent, 0, frame[6:]
+        outcome.set_result(WireReply(words_of(request, frame[9:]), sent, self._received))
 
     def _disconnected(self, exc: Exception | None) -> None:
         where = " in the middle of a reply" if self._stream else ""
@@ -335,8 +292,41 @@ class Wire:
         self._on_lost(reason)
 
     def _fail(self, error: DriverError) -> None:
-        if self._verdict is not None and not self._verdict.done():
-            self._verdict.set_result(error)
+        if self._outcome is not None and not self._outcome.done():
+            self._outcome.set_exception(error)
+
+
+def keep_alive(transport: asyncio.Transport) -> None:
+    """Let the system find out whether the host is there at all: one that is gone is not waited for.
+
+    So a program that stands still (its host answers the probes) and a host that has gone are told apart, and a
+    connection to the former can be kept (socket(7), tcp(7)).
+    """
+    raw = transport.get_extra_info("socket")
+    if raw is not None:
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL):
+            raw.setsockopt(socket.IPPROTO_TCP, option, _PROBE_S)
+        raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _PROBES)
+
+
+def discard(transport: asyncio.Transport, unanswered: Iterable[Asked]) -> None:
+    """Close at once. A write must not be delivered late: the send buffer is thrown away with it.
+
+    A read may: it ends with FIN, which a small PLC that wakes survives.
+    """
+    raw = transport.get_extra_info("socket")
+    if raw is not None and any(question.function in WRITES for question in unanswered):
+        # On, with no time to linger: closing throws the send buffer away and resets the connection (socket(7)).
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    transport.abort()
+
+
+def no_connection(place: str, error: Exception, secured: Secured | None) -> LinkDown:
+    """A failed attempt to connect, with the system's own reason."""
+    plain = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    reason = secured.sentence(error) if secured else plain
+    return LinkDown(f"{place} does not connect: {reason}", fault=_fault_of(error))
 
 
 def socket_place(name: tuple[str, int] | None) -> str:

@@ -1,7 +1,7 @@
 """`decanter backup` and `decanter restore`: all that a gateway is, as one folder, and back from it."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from gateway.commission.session import login
 from gateway.commission.writeback.block_writer import gateway_runs
 from gateway.console import emit, json_option
 from gateway.entry import Exit, fail, sentences
-from gateway.settings import Config, load_config
+from gateway.settings import Config, load_plant
 from gateway.store import (
     DISARMED,
     AuditEntry,
@@ -49,8 +49,9 @@ def backup(path: Path, folder: Path, as_json: bool) -> None:
     certificates and other programs' files are not in it.
     """
     with sentences():
-        config = load_config(path)
-        manifest = make_backup(folder, sources_of(config), now=time.time(), program=version("decanter-gateway"))
+        manifest = make_backup(
+            folder, sources_of(load_plant(path)), now=time.time(), program=version("decanter-gateway")
+        )
     size = sum(file.size for file in manifest.files)
     data = {"folder": str(folder), "files": len(manifest.files), "bytes": size, "audit_head": manifest.audit_head}
     head = f"; audit log whole, {manifest.audit_rows} rows, head {manifest.audit_head}" if manifest.audit_head else ""
@@ -58,16 +59,20 @@ def backup(path: Path, folder: Path, as_json: bool) -> None:
     emit({"ok": True, **data}, lambda: click.echo(sentence), as_json_line=as_json)
 
 
-def sources_of(config: Config) -> list[tuple[str, Path]]:
+def sources_of(machines: Sequence[Config]) -> list[tuple[str, Path]]:
     """Every file of a gateway with what it is to it, in the order in which they are copied."""
+    config = machines[0]
     rows: list[tuple[str, Path]] = [("plant", config.path)]
-    for link in config.links:
+    for link in (link for machine in machines for link in machine.links):
         rows.append(("device", link.map.path))
         named = [link.settings.get(key) for key in capabilities(link.map.driver).files]
         rows += [("device", Path(name)) for name in named if isinstance(name, str) and Path(name).is_file()]
-    for model in (config.model.path, *config.ensemble.members):
+    predicted = [row.model for machine in machines for row in machine.temperatures]
+    for model in (*predicted, *(member for machine in machines for member in machine.ensemble.members)):
         if model is not None:
             rows += [("model", file) for file in _model_files(model)]
+    # Machines of one type share files.
+    rows = list(dict.fromkeys(rows))
     key = config.audit_key
     rows += [(role, file) for role, file in (("key", key), ("public key", public_path(key))) if file.exists()]
     # A witness before what it bears witness to: the audit log in the backup holds every head that is in the backup.
@@ -129,7 +134,7 @@ def restore(folder: Path, into: Path, overwrite: bool, by: str, as_json: bool) -
     emit({"ok": True, **data, "said": said}, show, as_json_line=as_json)
     if roles.get("plant") is not None:
         try:
-            load_config(roles["plant"])
+            load_plant(roles["plant"])
         except ValueError as error:
             fail(f"the restored plant file names what is not there: {str(error).splitlines()[0]}", Exit.CHECK_FAILED)
 

@@ -1,11 +1,11 @@
 """`decanter docs`: the documentation that this version came with, and the files that its pages use; offline."""
 
 import shutil
-from difflib import get_close_matches
 from pathlib import Path
 
 import click
 
+from drivers.errors import did_you_mean
 from gateway.console import config_dir, emit, json_option, make_folder
 from gateway.entry import sentences
 
@@ -63,8 +63,7 @@ def _page(wanted: str) -> str:
     if numbered:
         return numbered[0]
     pages = [name for name in names if "/" not in name]
-    near = get_close_matches(asked, pages, n=1)
-    remedy = f"did you mean {near[0]!r}?" if near else f"give one of {', '.join(sorted(pages))}"
+    remedy = did_you_mean(asked, pages) or f"give one of {', '.join(sorted(pages))}"
     raise ValueError(f"{wanted!r}: there is no such page; {remedy}")
 
 

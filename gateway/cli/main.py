@@ -2,6 +2,7 @@
 
 import click
 
+from gateway.cli.machine import machine
 from gateway.cli.model import model
 from gateway.cli.plc import plc
 from gateway.cli.trace import trace
@@ -11,11 +12,12 @@ COMMANDS: Table = {
     "init": ("gateway.cli.init:init", "Make a folder that runs, from an address and an I/O list."),
     "demo": (
         "gateway.demo.command:demo",
-        "Run the main job on this machine: PLC, gateway, outage, picture.",
+        "Run the main job on this computer, with a picture.",
     ),
     "run": ("gateway.cli.run:run", "Run the gateway with a configuration file."),
-    "top": ("gateway.cli.top:top", "Watch a running gateway: the live panel, or one line a change off a terminal."),
-    "status": ("gateway.cli.top:status", "Show once how a running gateway is; the exit code says how well."),
+    "top": ("gateway.cli.top:top", "Watch a running gateway: the live panel, or a line a change."),
+    "status": ("gateway.cli.top:status", "Show once how a running gateway is, by an exit code too."),
+    "reload": ("gateway.cli.reload:reload", "Let a running gateway read its plant file anew."),
     "emulate": (
         "gateway.cli.emulate:emulate",
         "Start the software PLC, which replays a trace.",
@@ -28,7 +30,7 @@ COMMANDS: Table = {
     ),
     "diagnose": (
         "gateway.lab.diagnose:diagnose",
-        "Find where a model and traces disagree; name and add what is missing.",
+        "Find where model and traces disagree; name what is missing.",
     ),
     "docs": ("gateway.cli.docs:docs", "Print a page of the documentation, or the list of pages."),
     "completion": ("gateway.cli.completion:completion", "Print what makes a shell complete, or install it."),
@@ -39,6 +41,7 @@ EXAMPLES = {
     "run": "run --config plant.toml",
     "top": "top --config plant.toml",
     "status": "status --json",
+    "reload": "reload --config plant.toml",
     "emulate": "emulate --device config/devices/decanter_plc.toml --trace out/traces/cd8.csv --port 15020",
     "backup": "backup /media/usb/gateway-2026-05-04 --config plant.toml",
     "restore": "restore /media/usb/gateway-2026-05-04 --by 'A. Rossi'",
@@ -65,13 +68,13 @@ RENAMED = {"check": "`decanter plc check --offline` for the files alone, `decant
 def main(traceback: bool) -> None:
     """Decanter gateway: foresees the bearing temperature of a decanter centrifuge.
 
-    Exit codes: 0 done, 1 a check failed, 2 wrong usage or input, 3 cannot connect, 4 the device refused, 5 timeout,
-    6 not armed, 130 stopped by Ctrl-C.
+    Exit codes: 0 done, 1 a check failed, 2 wrong input, 3 cannot connect, 4 the device refused, 5 timeout, 6 not
+    armed, 130 stopped by Ctrl-C.
     """
     one_thread()
 
 
-for group in (plc, trace, model):
+for group in (plc, machine, trace, model):
     main.add_command(group)
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import click
 
 from gateway.console import find_plant_file
 from gateway.entry import fail
-from gateway.settings import Config, load_config
+from gateway.settings import Config, load_plant
 
 
 def config_option(command: Any) -> Any:
@@ -31,7 +31,12 @@ def config_option(command: Any) -> Any:
     )(command)
 
 
-def load(path: Path, host: str | None, port: int | None, speed: float | None) -> Config:
-    """The configuration with what the command line replaces. Raises ConfigError (a ValueError)."""
+machine_option = click.option(
+    "--machine", metavar="NAME", help="One machine of several.  [default: the only one, else all]"
+)
+
+
+def load(path: Path, host: str | None, port: int | None, speed: float | None) -> tuple[Config, ...]:
+    """The configurations of all machines with what the command line replaces. Raises ConfigError (a ValueError)."""
     overrides = {"device.host": host, "device.port": port, "clock.speed": speed}
-    return load_config(path, {key: value for key, value in overrides.items() if value is not None})
+    return load_plant(path, {key: value for key, value in overrides.items() if value is not None})

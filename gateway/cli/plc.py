@@ -37,6 +37,10 @@ COMMANDS: Table = {
         "gateway.commission.verify:verify",
         "Compare with the HMI: two values per analogue, both states per bool.",
     ),
+    "served": (
+        "gateway.commission.served:served",
+        "Where peers find each tag, its quality and its age, if the gateway serves them.",
+    ),
     "soak": (
         "gateway.commission.soak:soak",
         "Read for a longer time: cycle times, losses, the period to be recommended.",
@@ -76,6 +80,7 @@ EXAMPLES = {
     "check": "plc check --offline",
     "plan": "plc plan --write",
     "verify": "plc verify --against hmi.csv",
+    "served": "plc served --config plant.toml",
     "soak": "plc soak --seconds 60",
     "codegen": "plc codegen --target openplc --permit-at %IX0.0 --out block.st",
     "arm": "plc arm --by 'A. Rossi' --reason 'loop test' --minutes 30",

@@ -4,7 +4,8 @@ import os
 import signal
 import sys
 import threading
-from contextlib import nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
+from functools import partial
 from importlib import import_module
 from math import isfinite
 from pathlib import Path
@@ -12,10 +13,9 @@ from pathlib import Path
 import click
 
 from gateway.cli.plant_file import config_option, load
-from gateway.cli.top import watched
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.reading import PlantClock
-from gateway.plant import serve
+from gateway.settings import Config
 
 
 @click.command(short_help="Run the gateway with a configuration file.")
@@ -47,30 +47,53 @@ def run(
     """Run the gateway until it is told to stop (SIGTERM or Ctrl-C).
 
     It begins with three lines (model, PLC, records) and says each change of state in one line on standard output.
-    Other events of the log go to standard error.
+    Other events of the log go to standard error. SIGHUP, sent to a gateway that runs off a terminal, has it read its
+    configuration anew, as `decanter reload` does.
     """
     if watch and quiet:
         raise click.UsageError("--watch and --quiet exclude each other: one shows what the other hides")
-    for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
-        import_module(room)
     clock = _clock(clock_text) if clock_text else None
     speed = clock.speed if clock else None
     with sentences():
-        config = load(path, host, port, speed)
+        read_anew = partial(load, path, host, port, speed)
+        configs = read_anew()
+        # After the configuration, so that what is wrong with it is said at once.
+        from gateway.plant import serve
+
+        for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
+            import_module(room)
         if stdin:
             threading.Thread(target=_stop_at_end, name="stdin", daemon=True).start()
         drawn = watch and sys.stdout.isatty()
         silent = quiet or drawn
-        with watched(config.control_socket) if drawn else nullcontext():
-            last = serve(config, clock=clock, status_path=status, console=not silent, say=None if silent else _say)
-    records = last["historian"]
+        with _panel(configs[0]) if drawn else nullcontext():
+            last = serve(
+                configs,
+                clock=clock,
+                status_path=status,
+                console=not silent,
+                say=None if silent else _say,
+                read_anew=read_anew,
+            )
+    machines = last.get("machines") or {"": last}
+    # What is lost is one count for all: the records are common.
+    records = next(iter(machines.values()))["historian"]
     if records["failure"]:
         fail(f"records could not be stored: {records['failure']}", Exit.CHECK_FAILED)
     if lost := records["dropped"] + records["refused"]:
         fail(f"{lost} rows could not be stored: see the log for the reason of each kind", Exit.CHECK_FAILED)
-    if failed := {name: part for name, part in last["parts"].items() if part["restarts"]}:
+    parts = {
+        f"{name} {part}".strip(): how for name, status in machines.items() for part, how in status["parts"].items()
+    }
+    if failed := {name: part for name, part in parts.items() if part["restarts"]}:
         reasons = "; ".join(f"{name} ({part['restarts']}): {part['failure']}" for name, part in failed.items())
         fail(f"parts of the gateway failed and were begun anew: {reasons}", Exit.CHECK_FAILED)
+
+
+def _panel(config: Config) -> AbstractContextManager[None]:
+    from gateway.cli.top import watched
+
+    return watched(config.control_socket)
 
 
 def _say(line: str) -> None:

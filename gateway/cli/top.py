@@ -11,12 +11,12 @@ from typing import Any, NoReturn
 import click
 from rich.console import Console
 
-from gateway.cli.plant_file import config_option
+from gateway.cli.plant_file import config_option, machine_option
 from gateway.console import emit, json_option
 from gateway.entry import Exit, fail, sentences
 from gateway.panel import follow, panel
-from gateway.settings import load_config
-from gateway.status import GatewayWatch, Health, Sighting, findings, health_of
+from gateway.settings import load_plant
+from gateway.status import GatewayStatus, GatewayWatch, Health, Sighting, findings, health_of
 from sim.strict_json import strict
 
 ANSWER_S = 5.0
@@ -33,11 +33,14 @@ EXITS: dict[Health, tuple[Exit, str]] = {
     Health.SILENT: (Exit.TIMEOUT, "it is there and does not answer"),
 }
 """The exit code of `decanter status` by the gateway's health, and when it is that."""
+WORSE = (Health.WELL, Health.ATTENTION, Health.NO_READINGS)
+"""The words of machines that answer, each worse than the one before."""
 _EXIT_LINES = "\n\n".join(f"{code:d}  {word}: {when}" for word, (code, when) in EXITS.items())
 
 
-@click.command(short_help="Watch a running gateway: the live panel, or one line a change off a terminal.")
+@click.command(short_help="Watch a running gateway: the live panel, or a line a change.")
 @config_option
+@machine_option
 @click.option(
     "--every",
     type=click.FloatRange(0.1, 60.0),
@@ -45,13 +48,13 @@ _EXIT_LINES = "\n\n".join(f"{code:d}  {word}: {when}" for word, (code, when) in 
     show_default=True,
     help="Seconds between two looks.",
 )
-def top(path: Path, every: float) -> None:
+def top(path: Path, machine: str | None, every: float) -> None:
     """Watch a running gateway until Ctrl-C: value, age, quality, state, prediction, alarms, records, arming.
 
     On a terminal a panel, elsewhere three lines and then one for each change. An old number is never shown as a
     present one: without an answer the panel says so, and for how long. Several may watch one gateway.
     """
-    with sentences(), closing(GatewayWatch(load_config(path).control_socket)) as watch:
+    with sentences(), closing(_watch(path, machine)) as watch:
         sighting = watch.look(ANSWER_S)
         if sighting.gone:
             fail(_absent(sighting, path), EXITS[Health.ABSENT][0])
@@ -61,25 +64,40 @@ def top(path: Path, every: float) -> None:
 
 
 @click.command(
-    short_help="Show once how a running gateway is; the exit code says how well.",
+    short_help="Show once how a running gateway is, by an exit code too.",
     epilog=f"Exit codes:\n\n{_EXIT_LINES}",
 )
 @config_option
+@machine_option
 @json_option
-def status(path: Path, as_json: bool) -> None:
-    """Show once how a running gateway is; the exit code says how well."""
-    with sentences(), closing(GatewayWatch(load_config(path).control_socket)) as watch:
+def status(path: Path, machine: str | None, as_json: bool) -> None:
+    """Show once how a running gateway is, by an exit code too."""
+    with sentences(), closing(_watch(path, machine)) as watch:
         sighting = watch.look(ANSWER_S)
-        if sighting.silence or sighting.status is None:
+        if sighting.silence or not sighting.machines:
             word = Health.ABSENT if sighting.gone else Health.SILENT
             reason = _absent(sighting, path)
             emit({"ok": False, "health": word, "reason": reason}, lambda: None, as_json_line=as_json)
             fail(reason, EXITS[word][0])
-        word, found = health_of(sighting.status), findings(sighting.status)
-        data: dict[str, Any] = {"ok": word is Health.WELL, "health": word}
-        data |= {"findings": {finding.check: finding.sentence for finding in found}, "status": strict(sighting.status)}
+        answers = {name: _answer(status) for name, status in sighting.machines.items()}
+        # The worst word of all machines is the gateway's.
+        word = max((answer["health"] for answer in answers.values()), key=WORSE.index)
+        if sighting.status is not None:
+            data = next(iter(answers.values()))
+        else:
+            data = {"ok": word is Health.WELL, "health": word, "machines": answers}
         emit(data, lambda: Console().print(panel(sighting)), as_json_line=as_json)
     raise SystemExit(EXITS[word][0])
+
+
+def _watch(path: Path, machine: str | None) -> GatewayWatch:
+    return GatewayWatch(load_plant(path)[0].control_socket, machine=machine)
+
+
+def _answer(status: GatewayStatus) -> dict[str, Any]:
+    word, found = health_of(status), findings(status)
+    sentences = {finding.check: finding.sentence for finding in found}
+    return {"ok": word is Health.WELL, "health": word, "findings": sentences, "status": strict(status)}
 
 
 @contextmanager

@@ -123,13 +123,19 @@ def _model(site: Site) -> list[CheckStep]:
 def _contract(site: Site) -> list[CheckStep]:
     """What writing needs, unless nothing is to be written."""
     device, config = device_of(site), site.target.config
-    if device.writeback is None or (config is not None and config.writeback.mode == "off"):
+    if not device.writebacks or (config is not None and config.writeback.mode == "off"):
         return [ok("write-back", "off: nothing is written")]
-    problems = list(problems_of(site, device, device.writeback))
+    problems = list(problems_of(site, device))
     if problems:
         return [warning("write-back", problem) for problem in problems]
-    words = device.writeback.words
-    return [ok("write-back", f"{len(words)} words from {words[0].address}, layout version {device.writeback.version}")]
+    return [
+        ok(
+            "write-back",
+            f"{f'{layout.temperature}: ' if layout.temperature else ''}{len(layout.words)} words from "
+            f"{layout.words[0].address}, layout version {layout.version}",
+        )
+        for layout in device.writebacks
+    ]
 
 
 # ---------------------------------------------------------------- the device
@@ -194,7 +200,10 @@ def check(given: SharedOptions, offline: bool) -> None:
         sites = {site.target.kind: site}
         if site.target.config is not None and given.link is None:
             links = site.target.config.links
-            others = {link.name: replace(site, target=make_target(given.plant, link=link.name)) for link in links[1:]}
+            others = {
+                link.name: replace(site, target=make_target(given.plant, link=link.name, machine=given.machine))
+                for link in links[1:]
+            }
             sites = {links[0].name: site, **others}
         return await check_configuration(sites, offline=offline)
 

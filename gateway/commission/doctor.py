@@ -195,7 +195,7 @@ def doctor(given: SharedOptions) -> None:
     """
     with sentences():
         anything = given.plant or given.device or given.link or given.settings
-        target = make_target(given.plant, given.device, given.link, given.settings) if anything else None
+        target = make_target(given.plant, given.device, given.link, given.settings, given.machine) if anything else None
         check_writable(given.records)
     place = target or Target("this machine", "", {})
     perform(given, "doctor", {}, lambda site: examine_machine(site, given.records), show_steps, target=place)

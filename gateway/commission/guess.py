@@ -223,7 +223,7 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
     """
     with sentences():
         register = parse_register(address)
-        target = make_target(given.plant, given.device, given.link, given.settings)
+        target = make_target(given.plant, given.device, given.link, given.settings, given.machine)
         own = target.capabilities
         if not own.registers:
             raise ValueError(

@@ -69,7 +69,7 @@ class ReplayTally:
         if prediction is not None:
             self.locations[prediction.location if prediction.known else "not known"] += 1
             self.zones[prediction.zone] += 1
-        attempt = machine.block.attempt if machine.block else None
+        attempt = machine.writing.blocks[0].attempt if machine.writing else None
         if attempt is not None:
             self.blocks += 1
             self.valid += bool(int(attempt.block.validity) & 1)
@@ -177,7 +177,7 @@ def replay(given: SharedOptions, recording: Path) -> None:
     with sentences():
         if given.plant is None:
             raise ValueError("which gateway? Give its plant file (--config FILE)")
-        config = load_config(given.plant)
+        config = load_config(given.plant, machine=given.machine)
         check_writable(given.records)
         target = Target(
             kind="",
@@ -190,7 +190,9 @@ def replay(given: SharedOptions, recording: Path) -> None:
 
     async def work(site: Site) -> CommandResult:
         with progress("replay") as report:
-            return await replay_recording(site, config, read_recording(recording), report)
+            return await replay_recording(
+                site, config, read_recording(recording, machine=target.subject or None), report
+            )
 
     perform(given, "replay", {"recording": str(recording)}, work, _show, target=target)
 

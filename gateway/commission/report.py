@@ -13,7 +13,7 @@ from gateway.commission.session import SharedOptions, audit_option, audit_path, 
 from gateway.console import emit, table
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.writing import places_for
-from gateway.settings import load_config
+from gateway.settings import load_plant
 from gateway.store import AuditEntry, open_audit
 
 
@@ -27,7 +27,12 @@ from gateway.store import AuditEntry, open_audit
 )
 @click.option("--site", default="", help="Name of the plant.  [default: where the device is]")
 @click.option("--remark", "remarks", multiple=True, help="An open point of your own; may be given several times.")
-@click.option("--config", "plant", type=click.Path(path_type=Path), help="The plant file whose audit log it is.")
+@click.option(
+    "--config",
+    "plant",
+    type=click.Path(path_type=Path),
+    help="The plant file whose audit log it is.  [default: plant.toml, config/plant.toml]",
+)
 @click.option("--verify", "verifies", is_flag=True, help="Check the files of a report instead of making one.")
 @click.option("--seal", default="", metavar="HASH", help="With --verify: the seal that was signed.")
 @audit_option
@@ -52,7 +57,7 @@ def report(
     with sentences():
         now, by, log_path = time.time(), given.by or login(), audit_path(audit, given)
         records = regular(given.records).read_bytes()
-        config = load_config(given.plant) if given.plant is not None else None
+        config = load_plant(given.plant)[0] if given.plant is not None else None
         data = gather(given.records, places_for(log_path, config), site=site, by=by, now=now, remarks=remarks)
         data["site"] = site or "; ".join(data["places"]) or "no device"
         own_seal = write(out, data, records)

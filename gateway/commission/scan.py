@@ -115,7 +115,7 @@ def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -
         else:
             arguments = {"stretch": stretch or "holding:0-999", "requests": options.get("requests", 3000)}
             first, count = parse_stretch(arguments["stretch"])
-        target = make_target(given.plant, given.device, given.link, given.settings)
+        target = make_target(given.plant, given.device, given.link, given.settings, given.machine)
         own = target.capabilities
         if not kind.offered(own):
             others = [f"decanter plc scan {other}" for other, each in KINDS.items() if each.offered(own)]

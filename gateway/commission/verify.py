@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from drivers.device_file import STATUS_TAGS
 from drivers.tag import Tag, Value
 from gateway.commission.files import ListError, SiteRecording, read_recording
 from gateway.commission.hmi import HmiReading, Point, compare, left_to_do, points_of, read_hmi_list
@@ -23,7 +24,6 @@ from gateway.commission.session import (
     perform,
     read_records,
 )
-from gateway.commission.writeback.block_writer import ACCOUNT_TAGS
 from gateway.console import table
 from gateway.machine import ORDERS
 
@@ -42,7 +42,9 @@ def to_prove(site: Site, only: Sequence[str]) -> list[Tag]:
     device = device_of(site)
     if unknown := [name for name in only if name not in device.by_name]:
         raise ValueError(f"--only {unknown[0]}: is no tag of {device.path}; give one of {', '.join(device.by_name)}")
-    contract = {device.heartbeat, *ACCOUNT_TAGS, *ORDERS}
+    contract = {device.heartbeat, *STATUS_TAGS, *ORDERS}
+    for layout in device.writebacks:
+        contract |= {layout.acknowledge_bits, *(layout.tag(name) for name in STATUS_TAGS)}
     return [tag for tag in device.tags if (tag.name in only if only else tag.name not in contract)]
 
 
@@ -80,10 +82,11 @@ async def against(
     times = [reading.time for reading in shown if reading.time is not None]
     config, past = site.target.config, SiteRecording(path, (), {})
     if times and readings is not None:
-        past = read_recording(readings)
+        past = read_recording(readings, machine=site.target.subject or None)
     elif times and config is not None and config.historian.path.is_file():
         # An hour more on both sides: the HMI's clock may be off, and what held then may have been recorded well before.
-        past = read_recording(config.historian.path, min(times) - _HOUR, max(times) + _HOUR)
+        whose = config.subject or None
+        past = read_recording(config.historian.path, min(times) - _HOUR, max(times) + _HOUR, machine=whose)
     elif times:
         raise ListError(
             f"{shown[0].where}: the readings have times, and nothing was recorded to compare them with; give "

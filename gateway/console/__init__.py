@@ -1,6 +1,13 @@
 """What commands show and take: tables, JSON, progress, options that several share."""
 
-from gateway.console.options import finite, json_option, map_option, renamed_option, seed_option
+from gateway.console.options import (
+    finite,
+    historian_machine_option,
+    json_option,
+    map_option,
+    renamed_option,
+    seed_option,
+)
 from gateway.console.output import emit, make_folder, progress, table
 from gateway.console.places import config_dir, find_plant_file, plant_here, shipped
 
@@ -9,6 +16,7 @@ __all__ = [
     "emit",
     "find_plant_file",
     "finite",
+    "historian_machine_option",
     "json_option",
     "make_folder",
     "map_option",

@@ -13,6 +13,9 @@ map_option = click.option(
     show_default=True,
     help="Column map: a TOML file, or a name in config/traces.",
 )
+historian_machine_option = click.option(
+    "--machine", metavar="NAME", help="Of a historian that has several machines: which one's rows."
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
 seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="0 is the reference.")
 

@@ -28,7 +28,7 @@ from sim.sha import encode
 from sim.traces import load_map, write_trace
 
 
-@click.command(short_help="Run the main job on this machine: PLC, gateway, outage, picture.")
+@click.command(short_help="Run the main job on this computer, with a picture.")
 @click.option(
     "--trace",
     "paths",
@@ -206,6 +206,7 @@ def show(data: dict[str, Any]) -> None:
         ["scan to confirmed write", f"p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms"],
         ["outage noticed", _after(outage["detected_s"], "it began")],
         ["good readings again", _after(outage["recovered_s"], "it ended")],
+        ["may the model be used", data["fitness"]["word"]],
         ["wrong values held for good", f"{data['wrong_good']} of {data['judged']} judged by the PLC"],
     ]
     caveat = "SYNTHETIC data, " if data["synthetic"] else ""

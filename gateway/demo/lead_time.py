@@ -104,13 +104,34 @@ def trend_alarm(times: Array, readings: Array, limit: float, ahead: float) -> tu
     return raised(times, met)
 
 
-def forecast_alarm(
-    model: Model, trace: Trace, *, limit: float, p_limit: float, period: float, scan_period: float
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """When the gateway's forecast with `model` along a trace says that the limit is reached with chance `p_limit`.
+@dataclass(frozen=True, slots=True)
+class ChancesAlong:
+    """The gateway's forecasts along a trace: made at `times` (n,), the `chances` (n, H) of the limit by horizon (s).
 
-    The moments at which the alarm is raised, and those from which on its block may be used: not in zone red.
+    `scans` (m,) are the moments at which an alarm looks, `familiar` (m,) whether a block could be used then: not in
+    zone red.
     """
+
+    times: Array
+    chances: Array
+    horizons: tuple[float, ...]
+    scans: Array
+    familiar: Mask
+
+    def alarm(self, *, ahead: float, p_limit: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """When an alarm is raised whose condition is a chance above `p_limit` within `ahead` s, one of the horizons.
+
+        The moments at which it is raised, and those from which on its block may be used.
+        """
+        chances = self.chances[:, self.horizons.index(ahead)]
+        # Between two forecasts the older one stands: seen at every scan as the gateway's alarm sees it.
+        place = np.searchsorted(self.times, self.scans, side="right") - 1
+        stands = np.where(place >= 0, chances[np.maximum(place, 0)] if chances.size else nan, nan) > p_limit
+        return raised(self.scans, stands), raised(self.scans, stands & self.familiar)
+
+
+def chances_along(model: Model, trace: Trace, *, limit: float, period: float, scan_period: float) -> ChancesAlong:
+    """What the gateway with `model` forecasts along a trace, every `period` s, of the limit."""
     section = ForecastSection(horizons=(60.0, 300.0, AHEAD_S), period=period)
     zones: list[tuple[float, bool]] = []
     made = forecasts_along(
@@ -121,13 +142,13 @@ def forecast_alarm(
         limit=limit,
         seen=lambda prediction: zones.append((prediction.time, prediction.zone != "red")),
     )
-    times = np.array([forecast.time for forecast in made])
-    chances = np.array([forecast.exceedance[-1].probability for forecast in made])
-    # Between two forecasts the older one stands: seen at every scan as the gateway's alarm sees it.
-    scans, familiar = np.array([time for time, _ in zones]), np.array([known for _, known in zones], dtype=bool)
-    place = np.searchsorted(times, scans, side="right") - 1
-    stands = np.where(place >= 0, chances[np.maximum(place, 0)] if chances.size else nan, nan) > p_limit
-    return raised(scans, stands), raised(scans, stands & familiar)
+    return ChancesAlong(
+        times=np.array([forecast.time for forecast in made]),
+        chances=np.array([[each.probability for each in forecast.exceedance] for forecast in made]).reshape(-1, 3),
+        horizons=section.horizons,
+        scans=np.array([time for time, _ in zones]),
+        familiar=np.array([known for _, known in zones], dtype=bool),
+    )
 
 
 def rivals(
@@ -143,9 +164,8 @@ def rivals(
     for member in model.plain:
         if member.name == "persistence":
             walk = plain_model(model, member)
-            alarms["persistence"], _ = forecast_alarm(
-                walk, trace, limit=limit, p_limit=p_limit, period=period, scan_period=scan_period
-            )
+            seen = chances_along(walk, trace, limit=limit, period=period, scan_period=scan_period)
+            alarms["persistence"], _ = seen.alarm(ahead=AHEAD_S, p_limit=p_limit)
     for ahead in (AHEAD_S, 300.0):
         name = f"trend, {ahead / 60:.0f} min ahead"
         alarms[name] = trend_alarm(times, readings, limit, ahead)

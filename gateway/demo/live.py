@@ -10,7 +10,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from gateway.panel import framed, number, status_rows
-from gateway.status import read_status as status_of
+from gateway.status import read_status
 
 
 class DemoPhase(Enum):
@@ -38,7 +38,7 @@ def phase_of(status: Mapping[str, Any], plc: Mapping[str, Any], before: DemoPhas
     return DemoPhase.RECOVERING if before in (DemoPhase.OUTAGE, DemoPhase.RECOVERING) else DemoPhase.LOST
 
 
-def read_status(path: Path) -> dict[str, Any] | None:
+def newest_status(path: Path) -> dict[str, Any] | None:
     """The newest status; None while there is none."""
     try:
         status: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -71,6 +71,6 @@ def demo_table(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: s
     """The panel of a demonstration: where the replay is, the gateway's rows, the PLC's."""
     place = f"{number(plc.get('position'), 0)} of {number(plc.get('duration'), 0)} s"
     replay = Text(f"{place}, {number(plc.get('speed'), 0)} times real time")
-    rows = {"replay": replay, **status_rows(status_of(status)), **plc_rows(plc)}
+    rows = {"replay": replay, **status_rows(read_status(status)), **plc_rows(plc)}
     style = "bold red" if phase in (DemoPhase.OUTAGE, DemoPhase.LOST) else "bold"
     return framed(Text(f"decanter demo, {temperature}: {phase.value}", style=style), rows)

@@ -11,7 +11,7 @@ from rich.live import Live
 
 from gateway.demo.child import DemoError, last_words
 from gateway.demo.links import LINKS
-from gateway.demo.live import DemoPhase, demo_table, phase_of, read_status
+from gateway.demo.live import DemoPhase, demo_table, newest_status, phase_of
 from gateway.demo.prepare import DemoRun, write_plant
 from gateway.demo.processes import READY_S, PlcProcess, gateway, software_plc
 
@@ -34,7 +34,7 @@ def play(setting: DemoRun, console: Console, *, quiet: bool) -> tuple[Path, Path
         process = running.enter_context(gateway(setting, plc.ready, status))
         # The replay stands until the gateway reads: else its first seconds would be lost, on a slow machine the most.
         deadline = time.monotonic() + READY_S
-        while (seen := read_status(status)) is None or not seen["link"]["alive"]:
+        while (seen := newest_status(status)) is None or not seen["link"]["alive"]:
             if process.poll() is not None or time.monotonic() >= deadline:
                 raise DemoError(f"the gateway did not get a good reading: {last_words(folder / 'gateway.out')}")
             time.sleep(0.02)
@@ -66,7 +66,7 @@ def _states(
         if process.poll() is not None:
             words = last_words(setting.folder / "gateway.out")
             raise DemoError(f"the gateway ended early with code {process.returncode}: {words}")
-        account, seen = plc.command("status"), read_status(status)
+        account, seen = plc.command("status"), newest_status(status)
         ended = bool(account["ended"])
         if seen is not None and seen["prediction"]:
             phase = phase_of(seen, account, phase)

@@ -1,6 +1,7 @@
 """What the demonstration runs on: a model learned from one part of the data, the other part as the PLC's trace."""
 
 import json
+import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -161,7 +162,9 @@ def write_device(trace: Trace, alphabet: Alphabet, units: Mapping[str, str], tem
     """
     text = template.read_text(encoding="utf-8")
     head, _, rest = text.partition("[[tags]]")
-    tail = "[[tags]]\n" + rest[rest.index('name = "PlcHeartbeat"') :]
+    tail = "[[tags]]\n" + rest[rest.index('name = "PlcHeartbeat"') :].partition("[[writeback.blocks]]")[0]
+    # One block, of whatever is predicted: the template's speaks of the decanter's bearings.
+    tail = re.sub(r"(?m)^temperature = .*\n", "", tail)
     service = {tag["name"] for tag in tomllib.loads(tail)["tags"]}
     switches = {channel.signal for channel in alphabet.channels if isinstance(channel, Switch)}
     tags, register = [], FIRST_REGISTER

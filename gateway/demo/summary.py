@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -15,14 +16,41 @@ from gateway.demo.child import DemoError
 from gateway.demo.heat import heat_result
 from gateway.demo.heat_picture import draw_heat
 from gateway.demo.prepare import DemoRun
+from gateway.lab.facts import gate_of, origin_of
 from gateway.machine.reading import STALE_PERIODS
 from gateway.settings import load_device
 from gateway.store import events, history, matured, samples, scorecard, to_trace
 from sim.sha import Array, Mask
-from sim.validation import Curve, Picture, draw
+from sim.validation import (
+    Curve,
+    FitnessLimits,
+    Picture,
+    TraceJob,
+    TraceRunSettings,
+    draw,
+    fitness_of,
+    run_job,
+    why,
+)
+from sim.validation import judge as criteria
 
 AHEAD_S = 300.0
 """The horizon (s) that the picture shows."""
+FITNESS_RUNS = 200
+
+
+def fitness(setting: DemoRun) -> dict[str, str]:
+    """Whether the model may be used, as `decanter model validate` judges it along the run's trace, and why not.
+
+    A model of a simulated plant is judged by how it serves that plant.
+    """
+    model, trace = setting.model, setting.trace
+    run = TraceRunSettings(FITNESS_RUNS, seed=setting.seed)
+    job = TraceJob(label=model.sha.name, semantics="carried", model=model, trace=trace, settings=run, seen="no")
+    verified, gate = gate_of(model)
+    facts = replace(origin_of(model), verified=verified, gate=gate)
+    found = criteria([run_job(job).result], facts, FitnessLimits(synthetic=trace.synthetic))
+    return {"word": fitness_of(found), "why": why(found)}
 
 
 def judge(setting: DemoRun, recording: Path, historian: Path) -> dict[str, Any]:
@@ -120,6 +148,7 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
         draw_heat(setting, heat, historian, account["events"], picture)
     return {
         "heat": heat,
+        "fitness": fitness(setting),
         "synthetic": setting.trace.synthetic,
         "trace": setting.trace.name,
         "model": setting.model.sha.name,
@@ -150,7 +179,8 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
 
 def findings(data: Mapping[str, Any]) -> list[str]:
     """What the figures say, honestly: where persistence wins, it is said."""
-    lines = []
+    fit = data["fitness"]
+    lines = [f"the model is {fit['word']}: {fit['why']}"] if fit["why"] else []
     for horizon, forecast in data["forecast"].items():
         if not forecast["count"]:
             lines.append(f"{float(horizon) / 60:g} min ahead: no forecast matured within the replay")

@@ -2,13 +2,13 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
 from typing import Any
 
 import click
 
+from drivers.errors import did_you_mean
 from gateway.entry.exits import Exit, fail, run_answered
 from gateway.entry.interrupt import control_c
 
@@ -76,9 +76,7 @@ class LazyGroup(click.Group):
         """The command that the words begin with. Raises UsageError, with the name that may have been meant."""
         name = args[0]
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing and not name.startswith("-"):
-            near = get_close_matches(name, self.list_commands(ctx), n=1)
-            meant = f"; did you mean {near[0]!r}?" if near else ""
-            ctx.fail(f"No such command {name!r}{meant}")
+            ctx.fail(f"No such command {name!r}; {did_you_mean(name, self.list_commands(ctx))}".rstrip("; "))
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -95,10 +93,14 @@ class LazyGroup(click.Group):
         """The list in the help text, from the table: no command is imported for it."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in self.table.items()], col_max=12)
-        for name, group in self.commands.items():
-            if isinstance(group, LazyGroup):
-                with formatter.section(f"decanter {name}"):
-                    formatter.write_text(f"{group.get_short_help_str(80)} {', '.join(group.table)}")
+        groups = [
+            (name, f"{group.get_short_help_str(80)} {', '.join(group.table)}")
+            for name, group in self.commands.items()
+            if isinstance(group, LazyGroup)
+        ]
+        if groups:
+            with formatter.section("Groups of commands"):
+                formatter.write_dl(groups, col_max=12)
 
 
 def _renamed(name: str, now: str) -> click.Command:

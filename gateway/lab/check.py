@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from drivers.named_files import writing
-from gateway.console import emit, finite, json_option, map_option, progress, table
+from gateway.console import emit, finite, historian_machine_option, json_option, map_option, progress, table
 from gateway.entry import Exit, sentences
 from gateway.lab.answer_picture import draw_answer
 from gateway.lab.traces.load import load
@@ -94,6 +94,7 @@ def _place(_: click.Context, parameter: click.Parameter, path: Path | None) -> P
     callback=_picture,
     help="Draw the courses of a simulation, or how the probability grows with time.",
 )
+@historian_machine_option
 @json_option
 def check(
     model_name: str,
@@ -111,6 +112,7 @@ def check(
     seed: int,
     courses: Path | None,
     picture: Path | None,
+    machine: str | None,
     as_json: bool,
 ) -> None:
     """Answer QUERY about MODEL: Pr[<=T](...), a test >= p, a comparison, E[<=T; N](max: ...), simulate, E<>, A[] ...
@@ -141,7 +143,7 @@ def check(
         if isinstance(query, Symbolic):
             result = decided(query, found_model.structure)
         else:
-            start = _start(found_model.runnable(), trace, origin=origin, future=future)
+            start = _start(found_model.runnable(), trace, origin=origin, future=future, machine=machine)
             result = answer(query, start, settings, report)
         if courses is not None:
             if not result.courses:
@@ -177,7 +179,7 @@ def check(
         raise SystemExit(int(Exit.CHECK_FAILED))
 
 
-def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None) -> Start:
+def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None, machine: str | None) -> Start:
     """Where the runs start, by --from and --future. Raises ValueError for options that do not go together."""
     kind, _, value = origin.partition(":")
     if kind == "initial" and not value:
@@ -204,10 +206,10 @@ def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None
             raise ValueError("what comes after a historian's end is not recorded: leave --events and --future out")
         path = Path(value)
         with reading(path) as connection:
-            last = newest_scan(connection)
+            last = newest_scan(connection, machine=machine)
         if last is None:
             raise ValueError(f"{path}: this historian has no scans yet; let the gateway run first")
-        past = to_trace(path, path.name, start=last - HISTORY, end=nextafter(last, inf))
+        past = to_trace(path, path.name, start=last - HISTORY, end=nextafter(last, inf), machine=machine)
         # Encoded by the model's own alphabet, as the gateway does.
         return believed(model, replace(past, events=encode(past, model.alphabet)))
     raise ValueError(f"--from {origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")

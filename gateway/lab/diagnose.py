@@ -10,7 +10,16 @@ from typing import Any
 
 import click
 
-from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.console import (
+    emit,
+    historian_machine_option,
+    json_option,
+    map_option,
+    progress,
+    seed_option,
+    shipped,
+    table,
+)
 from gateway.entry import sentences
 from gateway.lab.traces.load import load
 from gateway.store import recent
@@ -144,12 +153,13 @@ RECENT = "14d"
 """What of a historian is read where nobody says how much."""
 
 
-@click.command(short_help="Find where a model and traces disagree; name and add what is missing.")
+@click.command(short_help="Find where model and traces disagree; name what is missing.")
 @click.argument("more", nargs=-1, metavar="[TRACES]...")
 @click.option("--model", "where", required=True, help="A model directory, a store, a model.json, or DIR/NAME.")
 @click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
 @click.option("--historian", type=click.Path(path_type=Path), help="A gateway's historian instead of --traces.")
 @click.option("--since", help="Of the historian: from this time (2026-03-01T06:00) or span (7d, 36h) on [14d].")
+@historian_machine_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder for the diagnosis.")
 @click.option("--max-names", "most", type=click.IntRange(1, 3), default=3, show_default=True, help="Effects at most.")
@@ -163,6 +173,7 @@ def diagnose(
     paths: Sequence[str],
     historian: Path | None,
     since: str | None,
+    machine: str | None,
     map_name: str,
     out: Path,
     most: int,
@@ -180,8 +191,9 @@ def diagnose(
     sources = (*paths, *more)
     if bool(sources) == (historian is not None):
         raise click.UsageError("give either --traces or --historian")
-    if since is not None and historian is None:
-        raise click.UsageError("--since belongs to --historian")
+    for option, value in (("--since", since), ("--machine", machine)):
+        if value is not None and historian is None:
+            raise click.UsageError(f"{option} belongs to --historian")
     with sentences(), progress("diagnosing") as report:
         request = DiagnosisRequest(
             where=where,
@@ -200,7 +212,7 @@ def diagnose(
         if historian is None:
             traces, column_map = load(sources, map_name)
         else:
-            traces = [recent(historian, since or RECENT)]
+            traces = [recent(historian, since or RECENT, machine=machine)]
         if overlap := overlapping(traces):
             click.echo(f"{overlap}: the traces are taken one after the other, as given (a folder by names)", err=True)
         result = run(request, model, traces, roles_of(column_map), report)

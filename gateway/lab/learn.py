@@ -1,9 +1,11 @@
 """`decanter model learn`: a model from traces, written with all its artefacts."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,12 +13,15 @@ from gateway.console import emit, json_option, map_option, progress, seed_option
 from gateway.entry import sentences
 from gateway.lab.show import show_model, spread_sentence, summary
 from gateway.lab.traces.load import load, warned_of
-from sim.artefacts.formats import write_model_directory
-from sim.learning.bins import Learned, learn_bins
-from sim.learning.lsha import FLOW_KINDS, LearnedLsha, LshaSettings, learn_lsha, report_document, report_text
+from sim.artefacts.formats import check_free, write_model_directory
+from sim.learning.lsha import FLOW_KINDS, LshaSettings
 from sim.sha import Trace, shown_unit
 from sim.strict_json import json_text
-from sim.traces import ColumnMap
+
+if TYPE_CHECKING:
+    from sim.learning.bins import Learned
+    from sim.learning.lsha import LearnedLsha
+    from sim.traces import ColumnMap
 
 REPORT = "learning_report"
 
@@ -64,9 +69,12 @@ def learn(
             first = next(iter(settings))
             option = {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
             raise ValueError(f"--{option} belongs to --method lsha; leave it out, or choose that method")
+        check_free(out, name)  # nobody waits for a model that cannot be written
         traces, column_map = load(paths, map_name)
         warnings = warned_of(traces, column_map.alphabet)
         if method == "lsha":
+            from sim.learning.lsha import learn_lsha, report_document, report_text
+
             words_learned = learn_lsha(
                 traces,
                 column_map.alphabet,
@@ -110,6 +118,8 @@ def learn(
 
 def learn_from(traces: Sequence[Trace], column_map: ColumnMap, *, name: str, seed: int, report: Any) -> Learned:
     """A model of the traces by the map's alphabet and temperature."""
+    from sim.learning.bins import learn_bins
+
     return learn_bins(
         traces,
         column_map.alphabet,

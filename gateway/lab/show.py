@@ -1,19 +1,24 @@
 """`decanter model show`: a model as text or JSON."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import asdict
 from math import nan
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from gateway.console import emit, json_option, table
 from gateway.entry import sentences
 from sim.artefacts import model_hash
-from sim.artefacts.formats import FoundModel, find_model
+from sim.artefacts.formats import find_model
 from sim.effects import effect_summary
-from sim.learning import MachineSpread
 from sim.sha import SHA, Model, Stay, distributions, shown_unit
+
+if TYPE_CHECKING:
+    from sim.artefacts.formats import FoundModel
+    from sim.learning import MachineSpread
 
 
 @click.command(short_help="Show a model and where it comes from.")

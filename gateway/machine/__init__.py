@@ -1,12 +1,14 @@
-"""One machine: a scan passes its stages once, from the link to the records."""
+"""One machine: a scan passes its stages once, from the link to the records, which all machines have in common."""
 
 from typing import TYPE_CHECKING
 
-from gateway.doors import opened_at_use
+from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
+    from gateway.machine.followed import FollowedTemperature
     from gateway.machine.pipeline import ORDERS, Machine
+    from gateway.machine.plant_records import PlantRecords
 else:
-    __getattr__ = opened_at_use(__name__, __file__)
+    __getattr__ = opened_at_use(__name__)
 
-__all__ = ["ORDERS", "Machine"]
+__all__ = ["ORDERS", "FollowedTemperature", "Machine", "PlantRecords"]

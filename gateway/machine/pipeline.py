@@ -12,25 +12,39 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import TYPE_CHECKING
 
+from drivers.device_file import ACKNOWLEDGE_BITS
 from drivers.driver import Complains, Driver, Supervised
 from drivers.supervision import Supervisor
-from gateway.machine.alarms import CLOCK, DEVICE, OTHER_WRITER, PARTS, RECORDS, AlarmBoard, make_conditions
-from gateway.machine.model import ModelUnit, ScanPrediction, load_members, load_model
+from gateway.machine.alarms import (
+    CLOCK,
+    DEVICE,
+    INPUTS,
+    OTHER_WRITER,
+    PARTS,
+    RECORDS,
+    AlarmBoard,
+    acknowledge_words,
+    make_conditions,
+    name_of,
+)
+from gateway.machine.followed import FollowedTemperature
+from gateway.machine.model import LoadedModel, LoadedModels, ModelUnit, ScanPrediction, load_models
+from gateway.machine.plant_records import PlantRecords
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
 from gateway.machine.trust import ClockCheck, RecordsWatch
-from gateway.machine.writing import Arming, ArmingError, BlockStage
-from gateway.settings import Config
+from gateway.machine.writing import Arming, ArmingError, WritebackStage
+from gateway.settings import Config, WritebackLayout
 from gateway.status import Phase
-from gateway.store import open_historian, saved_state
+from gateway.store import saved_state
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
 
 SAVE_SECONDS = 10.0
-ORDERS = ("WritePermit", "AcknowledgeBits")
-"""The tags by which the PLC gives orders to the gateway."""
+ORDERS = ("WritePermit", ACKNOWLEDGE_BITS)
+"""The tags by which the PLC gives orders to the gateway; a further block may have acknowledge bits of its own."""
 RECENT_EVENTS = 20
 _HOUR = 3600.0
 
@@ -60,10 +74,13 @@ class RunCounters:
 class Machine:
     """All parts of one machine, opened (the driver not yet): one scan after another goes through `take`.
 
-    `model` is None for one that is only monitored, `block` for one to which nothing is computed for writing. `rng`
-    draws the number that tells this start's blocks from another gateway's, `log_failure` says why the log's file cannot
-    be written ("": it can). Raises ConfigError, HistorianError or
-    AuditError when something cannot be opened; nothing is left open then.
+    `followed` are its temperatures, `model` that of the first one; `writing` is None for a machine to which nothing is
+    computed for writing. `rng` draws the number that tells this start's blocks from another gateway's. `models` are
+    those of its temperatures, where they have been read already. `records` and `supervisor` are those of the whole
+    gateway; without them the machine has its own, and `log_failure` says why the log's file cannot be written ("": it
+    can).
+
+    Raises ConfigError, HistorianError or AuditError when something cannot be opened; nothing is left open then.
     """
 
     def __init__(
@@ -74,69 +91,116 @@ class Machine:
         clock: Clock,
         log: FilteringBoundLogger,
         rng: Random,
+        models: Sequence[LoadedModels] | None = None,
+        records: PlantRecords | None = None,
+        supervisor: Supervisor | None = None,
         log_failure: Callable[[], str] = lambda: "",
     ) -> None:
-        self._log_failure = log_failure
         self.config, self.driver, self.clock, self.log = config, driver, clock, log
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
-        loaded = load_model(config)
-        members = load_members(config, loaded)
-        self.supervisor = Supervisor(self._note_failure)
+        models = load_models(config) if models is None else models
+        self.supervisor = supervisor or Supervisor(self.note_failure)
         if isinstance(driver, Supervised):
             self.supervisor.include("device", driver.supervisor)
-        self.historian, numbers = open_historian(
-            config.historian.path,
-            config.map.tags,
-            max_mb=config.historian.max_mb,
-            mend=True,
-            supervisor=self.supervisor,
+        self.common = records or PlantRecords(
+            [config], clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure
         )
-        self.block: BlockStage | None = None
+        self._owns_records = records is None
         opened = False
         try:
-            now, store = clock.now(), self.historian
-            self.records_watch = RecordsWatch(store, self.supervisor, log)
+            now = clock.now()
+            store = self.historian = self.common.historian.of(config.machine, config.map.tags)
+            self.records_watch = RecordsWatch(store, self.common.supervisor, self.supervisor, log)
             # Kept only under a clock that was believed: one that jumped is not believed at the next start either.
             believed = saved_state(store, "clock", log)
             newest = believed[0] if believed else store.newest()
             self.clock_check = ClockCheck(now, newest, config.historian.max_off_days * 86_400.0)
             self.clock_complaint = ""
-            self.model = (
-                None
-                if loaded is None
-                else ModelUnit(config, loaded, members, historian=store, log=log, supervisor=self.supervisor)
+            self.followed = tuple(
+                self._open_followed(one, model, members)
+                for one, (model, members) in zip(config.followed, models, strict=True)
             )
+            self.model = self.followed[0].model
+            self.writing = self._open_writing(rng)
             self.link, self.counters = LinkHealth(log), RunCounters()
-            inputs = self.model.predictor.inputs if self.model else config.watched
-            conditions = make_conditions(config, inputs, complains=isinstance(driver, Complains))
-            self.alarms = AlarmBoard(conditions, watched=config.watched, historian=store, log=log, now=now)
-            layout = config.map.writeback
-            if layout is not None and config.writeback.mode != "off":
-                self.block = BlockStage(
-                    config,
-                    layout,
-                    clock=clock,
-                    driver=driver,
-                    historian=store,
-                    supervisor=self.supervisor,
-                    log=log,
-                    rng=rng,
-                    log_failure=log_failure,
-                )
+            conditions = make_conditions(config, self.inputs, complains=isinstance(driver, Complains))
+            self.alarms = AlarmBoard(
+                conditions,
+                watched=config.watched,
+                words=acknowledge_words(config),
+                historian=store,
+                log=log,
+                now=now,
+            )
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
-            self.records = Records(store, Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out))
+            self.records = Records(store, Keeper(config.map.by_name, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):
                 driver.on_switch = self._note_switch_over
             self.last: Scan | None = None
             self.phase: Phase = "starting"
             self._saved = self._cleaned = now
-            if self.model is not None:
-                self.model.restore(now)
-            self._note_run(now)
+            for one in self.followed:
+                if one.model is not None:
+                    one.model.restore(now)
+                one.note_run(now)
             opened = True
         finally:
             if not opened:
                 self.close()
+
+    def _open_followed(
+        self, config: Config, loaded: LoadedModel | None, members: tuple[LoadedModel, ...]
+    ) -> FollowedTemperature:
+        store = self.common.historian.of(config.machine, config.map.tags, config.model.temperature)
+        model = None
+        if loaded is not None:
+            model = ModelUnit(config, loaded, members, historian=store, log=self.log, supervisor=self.supervisor)
+        return FollowedTemperature(config, store, model)
+
+    def _open_writing(self, rng: Random) -> WritebackStage | None:
+        """The stage of the blocks, one for each temperature of which the device takes one."""
+        config = self.config
+        layouts: dict[str, WritebackLayout] = {}
+        for one in self.followed:
+            # A lone block of which the file does not say whose it is is the first temperature's.
+            if (layout := one.config.block_layout) is not None and layout not in layouts.values():
+                layouts[one.tag] = layout
+        if config.writeback.mode == "off" or not layouts:
+            return None
+        writing = WritebackStage(
+            config,
+            list(layouts.values()),
+            self.common.open_trail(config),
+            clock=self.clock,
+            driver=self.driver,
+            historian=self.historian,
+            of_blocks=[one.historian for one in self.followed if one.tag in layouts],
+            supervisor=self.supervisor,
+            log=self.log,
+            rng=rng,
+            log_failure=self.common.log_failure,
+        )
+        for one in self.followed:
+            one.block = next(
+                (block for block, tag in zip(writing.blocks, layouts, strict=True) if tag == one.tag), None
+            )
+        return writing
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The tags that the models read; without one those that are watched."""
+        read = [name for one in self.followed if one.model for name in one.model.predictor.inputs]
+        return tuple(dict.fromkeys(read)) or self.config.watched
+
+    @property
+    def alarm_words(self) -> list[int]:
+        """The alarm word of each block, in their order."""
+        return [self.alarms.word(one.tag) for one in self.followed if one.block is not None]
+
+    @property
+    def unverified(self) -> str:
+        """Why nothing may be written: a model runs although it does not verify; "" if it may."""
+        return next((one.unverified for one in self.followed if one.unverified), "")
 
     # ---------------------------------------------------------------- the way of a scan
 
@@ -149,23 +213,27 @@ class Machine:
         # The threshold stands before the model: nothing that the model does or fails to do delays this alarm.
         self.alarms.on_measured(scan)
 
-        prediction = forecast = finished = guards = None
+        for one in self.followed:
+            one.begin_scan()
         try:
-            if self.model is not None:
-                if self.model.pick_up(scan.time):
-                    self._begin_with_promoted(self.model, scan.time)
-                prediction = self.model.follow(scan)
-                self.counters.take_events(prediction)
-                if (finished := self.model.settle(prediction)) is not None:
-                    guards = self.model.guard_report()
-                forecast = self.model.usable(prediction)
+            findings: dict[str, float | None] = {}
+            for one in self.followed:
+                if one.model is not None and one.model.pick_up(scan.time):
+                    self._begin_with_promoted(one, scan.time)
+                for name, value in one.predict(scan).items():
+                    # Inputs are bad when those of one model are; every other alarm is of one temperature.
+                    if name == INPUTS:
+                        findings[name] = max(findings.get(name) or 0.0, value or 0.0)
+                    else:
+                        findings[name_of(self.config, name, one.tag)] = value
+                if one.prediction is not None:
+                    self.counters.take_events(one.prediction)
 
             self._look_at_itself(scan)
-            findings = self.model.findings(prediction, forecast) if self.model and prediction else {}
             if DEVICE in self.alarms.conditions:
                 findings[DEVICE] = float(bool(self.complaints()))
-            if OTHER_WRITER in self.alarms.conditions and self.block is not None:
-                findings[OTHER_WRITER] = float(bool(self.block.writer.rival(scan.time)))
+            if OTHER_WRITER in self.alarms.conditions and self.writing is not None:
+                findings[OTHER_WRITER] = float(bool(self.writing.rival(scan.time)))
             findings[RECORDS] = float(bool(self.records_watch.complaint))
             findings[PARTS] = float(bool(self.records_watch.failed_parts))
             findings[CLOCK] = float(bool(self.clock_complaint))
@@ -173,28 +241,25 @@ class Machine:
             await self._disarm_without_records(scan.time)
 
             # The block carries the alarm word, so that it comes after all alarms of its scan.
-            if self.block is not None:
-                await self.block.take(
-                    scan,
-                    prediction,
-                    forecast,
-                    alarms=self.alarms.word,
-                    model_hash=self.model.loaded.hash if self.model else "",
-                    unverified=self.model.unverified if self.model else "",
-                )
+            if self.writing is not None:
+                await self.writing.begin(scan, self.alarm_words, self.unverified)
+                for one in self.followed:
+                    await one.write(scan, self.alarms.word(one.tag))
         finally:
             # After the block, which they would delay; and also of a scan in which a stage failed.
-            self.records.take(scan, prediction, finished, guards)
+            self.records.take(scan)
+            for one in self.followed:
+                one.keep(scan)
 
-        if self.model is not None and prediction is not None:
-            self.model.foresee(scan, prediction)
+        for one in self.followed:
+            one.foresee(scan)
         if scan.time - self._saved >= SAVE_SECONDS:
             self.save(scan.time)
 
     def _look_at_itself(self, scan: Scan) -> None:
         """Whether records and clock can be relied on at this scan; what changes is logged."""
-        audit = self.block.audit.complaint if self.block else ""
-        self.records_watch.look(scan.time, audit or self._log_failure())
+        audit = self.writing.audit.complaint_of(self.config.subject) if self.writing else ""
+        self.records_watch.look(scan.time, audit or self.common.log_failure())
         clock, before = self.clock, self.clock_complaint
         offset = clock.wall_offset() if isinstance(clock, PlantClock) and clock.speed == 1.0 else 0.0
         plc = scan.good(self.config.clock.tag) if self.config.clock.tag else None
@@ -210,18 +275,13 @@ class Machine:
             reason = f"nothing has been on record for {most:g} s: {self.historian.stuck}"
             await self.disarm("the gateway", reason[:200])
 
-    def _begin_with_promoted(self, model: ModelUnit, now: float) -> None:
+    def _begin_with_promoted(self, one: FollowedTemperature, now: float) -> None:
         """Another model runs from this scan on: its inputs are watched, and the historian knows whose rows follow."""
-        inputs = model.predictor.inputs
-        self.alarms.conditions = make_conditions(self.config, inputs, complains=isinstance(self.driver, Complains))
-        self._note_run(now)
+        complains = isinstance(self.driver, Complains)
+        self.alarms.conditions = make_conditions(self.config, self.inputs, complains=complains)
+        one.note_run(now)
 
-    def _note_run(self, now: float) -> None:
-        config, model = self.config, self.model.loaded.hash if self.model else ""
-        run = (now, config.model.temperature, model, config.scan.period, config.historian.max_interval)
-        self.historian.put("runs", [run])
-
-    def _note_failure(self, part: str, error: BaseException) -> None:
+    def note_failure(self, part: str, error: BaseException) -> None:
         """A part has failed, in another way than the last time or after it had been well."""
         message = "a part of the gateway failed and is begun anew"
         self.log.error(message, part=part, reason=repr(error), exc_info=error)
@@ -235,9 +295,8 @@ class Machine:
     # ---------------------------------------------------------------- what is asked of it between scans
 
     def urgent(self) -> frozenset[str]:
-        """The tags whose change is worth a scan of its own: those of the model, of the alarms, the PLC's orders."""
-        inputs = self.model.predictor.inputs if self.model else ()
-        return frozenset((*inputs, *self.config.watched, *ORDERS))
+        """The tags whose change is worth a scan of its own: those of the models and alarms, the PLC's orders."""
+        return frozenset((*self.inputs, *self.config.watched, *ORDERS, *acknowledge_words(self.config)))
 
     def complaints(self) -> tuple[str, ...]:
         """What the device itself says is wrong with it, now."""
@@ -245,45 +304,52 @@ class Machine:
 
     async def arm(self, by: str, reason: str, minutes: float, acknowledged: Sequence[str] = ()) -> Arming:
         """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError."""
-        unverified = self.model.unverified if self.model else ""
-        if self.block is None:
+        if self.writing is None:
             raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
-        if why := self._log_failure():
+        if why := self.common.log_failure():
             raise ArmingError(f"not armed: {why}")
-        return await self.block.arm(by, reason, minutes, unverified=unverified, acknowledged=acknowledged)
+        return await self.writing.arm(by, reason, minutes, unverified=self.unverified, acknowledged=acknowledged)
 
     async def disarm(self, by: str, reason: str) -> bool:
         """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed."""
-        if self.block is None:
+        if self.writing is None:
             return False
         # Whoever asked may go away, or the gateway stop, before it is done: it is carried to its end all the same.
-        return await asyncio.shield(self.block.disarm(by, reason, self.last, self.alarms.word))
+        return await asyncio.shield(self.writing.disarm(by, reason, self.last, self.alarm_words))
 
     async def withdraw(self, why: str) -> None:
         """Tell the PLC once, if armed and permitted, that nothing of ours is to be used any more."""
-        if self.block is not None and self.last is not None:
-            await self.block.withdraw(why, self.last, self.alarms.word)
+        if self.writing is not None and self.last is not None:
+            await self.writing.withdraw(why, self.last, self.alarm_words)
 
     # ---------------------------------------------------------------- state
 
     def begin_anew(self) -> None:
-        """After a failure: nothing of the model's state is trusted."""
-        if self.model is not None:
-            self.model.begin_anew()
+        """After a failure: nothing of the models' state is trusted."""
+        for one in self.followed:
+            if one.model is not None:
+                one.model.begin_anew()
 
     def save(self, now: float) -> None:
         """Keep what a restart goes on from, and have old measurements deleted once an hour."""
         self._saved = now
-        if self.model is not None:
-            self.model.save(now)
+        for one in self.followed:
+            if one.model is not None:
+                one.model.save(now)
         if self.clock_complaint:
             return  # a clock that is not believed neither deletes nor is what the next one is held against
         self.historian.save("clock", now, {})
         if now - self._cleaned >= _HOUR:
             self._cleaned = now
-            self.historian.forget_before(now - self.config.historian.retention_days * 86_400.0)
+            self.common.historian.forget_before(now - self.config.historian.retention_days * 86_400.0)
+
+    async def finish(self) -> None:
+        """Wait for what is being computed; what it gives is dropped. Then keep what a restart goes on from."""
+        for one in self.followed:
+            if one.model is not None:
+                await one.model.close()
+        self.save(self.clock.now())
 
     def close(self) -> bool:
-        """Store what waits and close historian and audit log; False if records had to be given up."""
-        accounted = self.block is None or self.block.close()
-        return self.historian.close() and accounted
+        """Store what waits and close the records that are this machine's own; False if some had to be given up."""
+        return not self._owns_records or self.common.close()

@@ -8,7 +8,7 @@ from typing import Any
 from drivers.tag import Sample, Tag
 from gateway.machine.model import FinishedForecast, ScanPrediction
 from gateway.machine.reading import Scan
-from gateway.store import Historian, Row, storable
+from gateway.store import HistorianView, Row, storable
 from sim.strict_json import json_text
 
 
@@ -21,7 +21,6 @@ class Keeper:
     """
 
     tags: Mapping[str, Tag]
-    numbers: Mapping[str, int]
     max_interval: float
     left_out: frozenset[str] = frozenset()
     _kept: dict[str, Sample] = field(default_factory=dict)
@@ -34,9 +33,9 @@ class Keeper:
                 continue
             good = sample.quality.is_good
             time = sample.time if good else scan.time
-            self._kept[name] = Sample(name, sample.value, sample.quality, time)
+            self._kept[name] = sample if good else Sample(name, sample.value, sample.quality, time)
             sent = sample.sent if good else None
-            rows.append((self.numbers[name], time, storable(sample.value), int(sample.quality), sent))
+            rows.append((name, time, storable(sample.value), int(sample.quality), sent))
         return rows
 
     def _worth(self, name: str, sample: Sample, now: float) -> bool:
@@ -55,31 +54,31 @@ class Keeper:
 
 @dataclass(frozen=True, slots=True)
 class Records:
-    """The stage that stores measurements and predictions; alarms and writes are on record where they come about."""
+    """The stage that stores measurements; alarms and writes are on record where they come about."""
 
-    historian: Historian
+    historian: HistorianView
     keeper: Keeper
 
-    def take(
-        self,
-        scan: Scan,
-        prediction: ScanPrediction | None,
-        finished: FinishedForecast | None = None,
-        guards: Mapping[str, Any] | None = None,
-    ) -> None:
-        """The rows of one scan, of what was predicted for it, and of the forecast that was finished before it."""
-        put = self.historian.put
-        put("scans", [(scan.time, scan.duration, scan.missed)])
-        put("samples", self.keeper.rows(scan))
-        if prediction is not None:
-            p = prediction
-            row = (p.time, p.location, int(p.known), p.measured, p.mean, p.low, p.high, p.free_run, p.anomaly, p.zone)
-            put("predictions", [row])
-            # The location is the one after all events of the scan.
-            put("events", [(event.time, event.symbol, p.location) for event in p.events])
-        if finished is not None:
-            put("forecasts", forecast_rows(finished))
-            put("guards", [(scan.time, json_text(guards))])
+    def take(self, scan: Scan) -> None:
+        """The rows of one scan."""
+        self.historian.put("scans", [(scan.time, scan.duration, scan.missed)])
+        self.historian.put("samples", self.keeper.rows(scan))
+
+
+def prediction_rows(
+    scan: Scan, prediction: ScanPrediction, finished: FinishedForecast | None, guards: Mapping[str, Any] | None
+) -> dict[str, list[Row]]:
+    """The rows, by their tables, of what was predicted for a scan, and of the forecast that was finished before it."""
+    p = prediction
+    row = (p.time, p.location, int(p.known), p.measured, p.mean, p.low, p.high, p.free_run, p.anomaly, p.zone)
+    # The location of an event is the one after all events of the scan.
+    rows: dict[str, list[Row]] = {
+        "predictions": [row],
+        "events": [(event.time, event.symbol, p.location) for event in p.events],
+    }
+    if finished is not None:
+        rows |= {"forecasts": forecast_rows(finished), "guards": [(scan.time, json_text(guards))]}
+    return rows
 
 
 def forecast_rows(finished: FinishedForecast) -> list[Row]:

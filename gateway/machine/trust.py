@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from drivers.supervision import Supervisor
-from gateway.store import Historian
+from gateway.store import HistorianView
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -22,21 +22,25 @@ class RecordsWatch:
     """Says when the records begin and cease to be a cause for complaint, and since when nothing is stored.
 
     `failed_parts` are the parts of the gateway that failed of late and do not record ("": none); the supervisor has
-    logged them.
+    logged them. `recording` is the supervisor of the records, which all machines of a gateway have in common, `machine`
+    that of the machine's own parts.
     """
 
-    def __init__(self, historian: Historian, supervisor: Supervisor, log: FilteringBoundLogger) -> None:
-        self._historian, self._supervisor, self._log = historian, supervisor, log
+    def __init__(
+        self, historian: HistorianView, recording: Supervisor, machine: Supervisor, log: FilteringBoundLogger
+    ) -> None:
+        self._historian, self._recording, self._machine, self._log = historian, recording, machine, log
         self.complaint = self.failed_parts = ""
         self._stuck_since: float | None = None
 
     def look(self, now: float, others: str) -> None:
         """Look at the records at `now` (plant s); `others`: what audit log and log complain of."""
         before, historian = self.complaint, self._historian
-        failed = self._supervisor.complaints
+        failed = self._recording.complaints
         recording = "; ".join(failed[part] for part in RECORDING if part in failed)
         self.complaint = historian.complaint or others or recording
-        self.failed_parts = "; ".join(failed[part] for part in failed if part not in RECORDING)
+        own = self._machine.complaints
+        self.failed_parts = "; ".join(own[part] for part in own if part not in RECORDING)
         counts = {"dropped": historian.dropped, "refused": historian.refused}
         if self.complaint and self.complaint != before:
             self._log.error("the records cannot be relied on", reason=self.complaint, **counts)

@@ -13,6 +13,7 @@ from gateway.status import (
     GatewayStatus,
     Health,
     Sighting,
+    TemperatureStatus,
     arming_text,
     clock_text,
     date_text,
@@ -22,6 +23,7 @@ from gateway.status import (
     model_text,
     records_sentence,
 )
+from sim.units import shown_unit
 
 ZONE_COLOURS = {"green": "green", "yellow": "yellow", "red": "red"}
 HEALTH_COLOURS = {Health.WELL: "bold green", Health.ATTENTION: "bold yellow", Health.NO_READINGS: "bold red"}
@@ -47,7 +49,7 @@ def duration(seconds: float) -> str:
 
 def status_rows(status: GatewayStatus) -> dict[str, Text]:
     """The rows of the panel by their labels; the same ones each time, so that the panel keeps its height."""
-    p, unit = status.prediction, f" {_unit(status)}"
+    p, unit = status.prediction, f" {shown_unit(status.unit)}"
     rows = {"link": _link(status), "measured": _measured(status, unit)}
     if p is None or status.scan.late:
         rows["predicted"] = Text(f"{NOTHING} (no model)" if status.model is None else NOTHING)
@@ -59,16 +61,13 @@ def status_rows(status: GatewayStatus) -> dict[str, Text]:
         borrowed = ", never seen in the data" if p.borrowed else ""
         rows["state"] = Text(f"{location}{borrowed}, confidence {p.zone}", style=ZONE_COLOURS.get(p.zone, ""))
     rows |= _forecast_rows(status.forecast, unit)
+    rows |= {one.temperature: _further(one, status) for one in status.further}
     recent = ", ".join(symbol for _, symbol, _ in status.recent_events[-EVENTS_SHOWN:])
     raised = [f"{a.name} ({a.state}, {duration((status.time - a.since) / status.speed)})" for a in status.alarm_summary]
     urgent = any(alarm.active for alarm in status.alarm_summary)
     rows["events"] = Text(f"{status.events}: ... {recent}" if recent else f"{status.events}")
     rows["alarms"] = Text(", ".join(raised) or "none", style="bold red" if urgent else "")
     return rows
-
-
-def _unit(status: GatewayStatus) -> str:
-    return "°C" if status.unit == "degC" else status.unit
 
 
 def _link(status: GatewayStatus) -> Text:
@@ -90,6 +89,18 @@ def _measured(status: GatewayStatus, unit: str) -> Text:
     return Text(
         f"{number(tag.value, 2, unit)}  {tag.quality}, {age} old; limit {status.limit:g}{unit}",
         style="" if tag.quality == "GOOD" else "red",
+    )
+
+
+def _further(one: TemperatureStatus, status: GatewayStatus) -> Text:
+    """One more temperature in one row: measured, predicted, and when it reaches its limit."""
+    tag, p, forecast = status.values.get(one.temperature), one.prediction, one.forecast
+    measured = NOTHING if tag is None else f"{number(tag.value, 2)} {tag.quality}"
+    predicted = NOTHING if p is None or status.scan.late else f"{number(p.mean, 2)}, confidence {p.zone}"
+    to_limit = _forecast_rows(forecast, "").get("to limit") if forecast else None
+    return Text(
+        f"{measured}; limit {one.limit:g}; predicted {predicted}; to limit {to_limit or NOTHING}",
+        style="" if tag is not None and tag.quality == "GOOD" else "red",
     )
 
 
@@ -126,8 +137,10 @@ def framed(title: Text, rows: Mapping[str, Text]) -> RenderableType:
 def panel(sighting: Sighting) -> RenderableType:
     """The whole panel. A status that is not a present one is never drawn: only that, since when, and what it was."""
     status = sighting.status
-    if sighting.silence or status is None:
+    if sighting.silence or not (status or sighting.machines):
         return _silent(sighting)
+    if status is None:
+        return plant_panel(sighting)
     health, found = health_of(status), findings(status)
     title = Text(f"decanter top: {status.temperature} of {status.place}", style="bold", overflow="fold")
     rows = {
@@ -143,6 +156,29 @@ def panel(sighting: Sighting) -> RenderableType:
         if finding.check != "link":
             rows["health"].append(f"\n{finding.check}: {shorten(finding.sentence, LONGEST_SENTENCE)}", style="yellow")
     return framed(title, rows)
+
+
+def plant_panel(sighting: Sighting) -> RenderableType:
+    """One row for each of several machines: how it is, its temperatures, and what is most urgent."""
+    table = Table(box=SIMPLE, pad_edge=False)
+    for column in ("machine", "health", "temperatures", "to limit", "most urgent"):
+        table.add_column(column, overflow="fold")
+    for name, status in sighting.machines.items():
+        health, found = health_of(status), findings(status)
+        tags = (status.temperature, *(one.temperature for one in status.further))
+        read = [value for tag in tags if (value := status.values.get(tag)) is not None]
+        shown = ", ".join(number(value.value, 1) if value.quality == "GOOD" else NOTHING for value in read) or NOTHING
+        soonest = _forecast_rows(status.forecast, "").get("to limit", Text(NOTHING))
+        urgent = f"{found[0].check}: {found[0].sentence}" if found else ""
+        table.add_row(
+            name,
+            Text(health.value, style=HEALTH_COLOURS[health]),
+            f"{shown} {shown_unit(status.unit)}",
+            soonest,
+            Text(shorten(urgent, LONGEST_SENTENCE)),
+        )
+    title = Text(f"decanter top: {len(sighting.machines)} machines, asked {duration(sighting.age)} ago", style="bold")
+    return Group(title, table)
 
 
 def _records(status: GatewayStatus) -> Text:
@@ -168,7 +204,7 @@ def _silent(sighting: Sighting) -> RenderableType:
     lines = [Text(shorten(sighting.silence, 300))]
     if (status := sighting.status) is not None:
         tag = status.values.get(status.temperature)
-        value = "" if tag is None else f": {number(tag.value, 2, f' {_unit(status)}')}, {tag.quality}"
+        value = "" if tag is None else f": {number(tag.value, 2, f' {shown_unit(status.unit)}')}, {tag.quality}"
         lines.append(Text(f"The last status is of {clock_text(status.time)}{value}. Nothing is known of now."))
     lines.append(Text("This panel goes on by itself once there is an answer; Ctrl-C ends it."))
     return Group(headline, Text(""), *lines)

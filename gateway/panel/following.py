@@ -33,21 +33,24 @@ def _speak(watch: GatewayWatch, console: Console, seconds: float, stop: Event) -
     def say(line: str) -> None:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
-    lines = ChangeLines()
-    started, silent = False, False
+    lines: dict[str, ChangeLines] = {}
+    silent = False
     while not stop.is_set():
         sighting = watch.look(PATIENCE_S)
         if sighting.silence:
             if not silent:
                 say(f"no answer for {sighting.age:.1f} s: {sighting.silence}")
             silent = True
-        elif sighting.status is not None:
-            if not started:
-                for line in opening(sighting.status):
-                    say(line)
+        else:
             if silent:
                 say("it answers again")
-            started, silent = True, False
-            for line in lines.take(sighting.status, monotonic()):
-                say(line)
+            silent = False
+            for name, status in sighting.machines.items():
+                machine = f"{name}: " if len(sighting.machines) > 1 else ""
+                if name not in lines:
+                    lines[name] = ChangeLines()
+                    for line in opening(status):
+                        say(machine + line)
+                for line in lines[name].take(status, monotonic()):
+                    say(machine + line)
         stop.wait(seconds)

@@ -10,9 +10,9 @@ import os
 import socket
 import struct
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
 
 from pydantic import Field, ValidationError
 
@@ -27,6 +27,10 @@ from gateway.machine.writing import ArmingError
 from gateway.status import ControlError, GatewayStatus, short
 from sim.strict_json import strict
 
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
+
 MODE = 0o600
 LONGEST = 1 << 20
 MOST_ROWS = 10_000
@@ -36,7 +40,13 @@ _CREDENTIALS = struct.Struct("3i")
 
 
 Snapshot = Callable[[Machine], GatewayStatus]
-Command = Callable[[Machine, Mapping[str, Any], Snapshot], Awaitable[dict[str, Any]]]
+Command = Callable[["ControlScope", Mapping[str, Any]], Awaitable[dict[str, Any]]]
+
+
+class Reload(Protocol):
+    """Reads the plant file anew and gives what it changes; takes it over unless told not to. Raises ControlError."""
+
+    async def __call__(self, *, apply: bool) -> dict[str, Any]: ...
 
 
 def listening_socket(path: Path) -> socket.socket:
@@ -66,11 +76,31 @@ def _is_alive(name: str) -> bool:
     return True
 
 
-class Control:
-    """The socket of one gateway, from `open` to `close`. `snapshot` gives the status."""
+@dataclass(frozen=True, slots=True)
+class ControlScope:
+    """What can be asked of a gateway: its machines by name, their status, and, where it can, to read its file anew."""
 
-    def __init__(self, machine: Machine, path: Path, snapshot: Snapshot) -> None:
-        self._machine, self.path, self._snapshot = machine, path, snapshot
+    machines: Mapping[str, Machine]
+    snapshot: Snapshot
+    reload: Reload | None = None
+
+    def one(self, request: "ControlRequest") -> Machine:
+        """The machine that a request names, or the only one. Raises ControlError."""
+        names = ", ".join(self.machines)
+        if request.machine is None:
+            if len(self.machines) > 1:
+                raise ControlError(f"which machine? Name one of {names} (--machine NAME)")
+            return next(iter(self.machines.values()))
+        if request.machine not in self.machines:
+            raise ControlError(f"there is no machine {request.machine[:60]!r}; this gateway has {names}")
+        return self.machines[request.machine]
+
+
+class Control:
+    """The socket of one gateway, from `open` to `close`."""
+
+    def __init__(self, scope: ControlScope, path: Path, log: "FilteringBoundLogger") -> None:
+        self._scope, self.path, self._log = scope, path, log
         self._server: asyncio.Server | None = None
         self._bound = (0, 0)
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -96,7 +126,7 @@ class Control:
                 except OSError as error:
                     reason = error.strerror or str(error)
                     if reason != said:
-                        self._machine.log.warning("other programs cannot ask this gateway", reason=reason)
+                        self._log.warning("other programs cannot ask this gateway", reason=reason)
                     said = reason
             await asyncio.sleep(RETRY_SECONDS if said else LOOK_SECONDS)
 
@@ -131,7 +161,7 @@ class Control:
             task.add_done_callback(self._tasks.discard)
 
         async def reply(line: bytes) -> dict[str, Any]:
-            plain: dict[str, Any] = strict(await answer(self._machine, line, self._snapshot))
+            plain: dict[str, Any] = strict(await answer(self._scope, line))
             return plain
 
         await json_lines.serve(reader, writer, reply, admitted=lambda: _is_ours(writer))
@@ -144,7 +174,7 @@ def _is_ours(writer: asyncio.StreamWriter) -> bool:
     return user in (0, os.geteuid())
 
 
-async def answer(machine: Machine, line: bytes, snapshot: Snapshot) -> dict[str, Any]:
+async def answer(scope: ControlScope, line: bytes) -> dict[str, Any]:
     """The reply to one request."""
     try:
         request = json_lines.parsed(line)
@@ -153,7 +183,7 @@ async def answer(machine: Machine, line: bytes, snapshot: Snapshot) -> dict[str,
         act = COMMANDS.get(request["command"])
         if act is None:
             raise ControlError(f"there is no command {request['command'][:60]!r}; known are {', '.join(COMMANDS)}")
-        return {"ok": True, **await act(machine, request, snapshot)}
+        return {"ok": True, **await act(scope, request)}
     except (NoObject, ControlError) as error:
         return {"ok": False, "reason": str(error)}
 
@@ -162,9 +192,10 @@ async def answer(machine: Machine, line: bytes, snapshot: Snapshot) -> dict[str,
 
 
 class ControlRequest(Section):
-    """One request; its other keys are those of its command."""
+    """One request; its other keys are those of its command. Without `machine` the gateway's only one is meant."""
 
     command: str
+    machine: str | None = Field(None, description="a machine's name as text")
 
 
 class _ReadTags(ControlRequest):
@@ -194,6 +225,10 @@ class _Arm(ControlRequest):
     acknowledge: list[Line] = Field([], description="heads of lost rows, each as text")
 
 
+class _Reload(ControlRequest):
+    dry_run: bool = Field(False, description="true: only say what would change")
+
+
 class _Disarm(ControlRequest):
     by: Line = Field(description="the person's name as text, one line")
     reason: Line = Field(description="the reason as text, one line")
@@ -213,23 +248,41 @@ def _checked(kind: type[R], request: Mapping[str, Any]) -> R:
 # ---------------------------------------------------------------- commands
 
 
-async def _status(machine: Machine, request: Mapping[str, Any], snapshot: Snapshot) -> dict[str, Any]:
+async def _status(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+    """How one machine is."""
+    machine = scope.one(_checked(ControlRequest, request))
+    return {"pid": os.getpid(), "config": str(machine.config.path), "status": scope.snapshot(machine)}
+
+
+async def _plant(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+    """How all machines are, by their names."""
     _checked(ControlRequest, request)
-    return {"pid": os.getpid(), "config": str(machine.config.path), "status": snapshot(machine)}
+    statuses = {name: scope.snapshot(machine) for name, machine in scope.machines.items()}
+    return {"pid": os.getpid(), "statuses": statuses}
 
 
-async def _read(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
+async def _reload(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+    """Read the plant file anew: what it changes, or why it is refused."""
+    given = _checked(_Reload, request)
+    if scope.reload is None:
+        raise ControlError("this gateway cannot read its file anew; stop it and start it")
+    return {"pid": os.getpid(), **await scope.reload(apply=not given.dry_run)}
+
+
+async def _read(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """The samples of the last scan: of the `tags` named, or of all; or of `addresses`, asked of the device now."""
     if "addresses" in request:
         # By way of the gateway's own connection, so that a device of one client can be asked.
+        asked = _checked(_ReadAddresses, request)
+        rows, machine = asked.addresses, scope.one(asked)
         if isinstance(machine.driver, Redundant):
-            raise ControlError("bare addresses differ from link to link, and this gateway has several; name tags")
-        rows = _checked(_ReadAddresses, request).addresses
+            raise ControlError("bare addresses differ from link to link, and this machine has several; name tags")
         samples = await machine.driver.read([replace(row.tag(), name=row.name or row.address) for row in rows])
         answers = [plain(sample) for sample in samples]
         return {"pid": os.getpid(), "time": machine.clock.now(), "samples": answers}
+    given = _checked(_ReadTags, request)
+    machine, names = scope.one(given), given.tags
     known = machine.config.map.by_name
-    names = _checked(_ReadTags, request).tags
     names = list(known) if names is None else names
     if strange := [name for name in names if name not in known]:
         raise ControlError(f"{strange[0][:60]!r} is no tag of {machine.config.map.path}; known are {', '.join(known)}")
@@ -256,21 +309,28 @@ def plain(sample: Sample) -> dict[str, Any]:
     }
 
 
-async def _arm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
+async def _arm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """Let blocks be written from the next scan on: `by`, `reason`, `minutes`."""
     given = _checked(_Arm, request)
     try:
-        arming = await machine.arm(given.by, given.reason, given.minutes, given.acknowledge)
+        arming = await scope.one(given).arm(given.by, given.reason, given.minutes, given.acknowledge)
     except ArmingError as error:
         raise ControlError(str(error)) from None
     return {"pid": os.getpid(), "by": arming.by, "reason": arming.reason, "until": arming.until}
 
 
-async def _disarm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
+async def _disarm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """Take everything back and write no more: `by`, `reason`."""
     given = _checked(_Disarm, request)
-    return {"pid": os.getpid(), "was_armed": await machine.disarm(given.by, given.reason)}
+    return {"pid": os.getpid(), "was_armed": await scope.one(given).disarm(given.by, given.reason)}
 
 
-COMMANDS: dict[str, Command] = {"status": _status, "read": _read, "arm": _arm, "disarm": _disarm}
+COMMANDS: dict[str, Command] = {
+    "status": _status,
+    "plant": _plant,
+    "read": _read,
+    "arm": _arm,
+    "disarm": _disarm,
+    "reload": _reload,
+}
 """Everything that can be asked of a running gateway; a new one is a row here."""

@@ -1,14 +1,15 @@
 """The picture of a running machine, taken from its parts, and rewritten as one JSON line that nobody sees half."""
 
 import os
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-from gateway.machine import Machine
+from gateway.machine import FollowedTemperature, Machine
 from gateway.machine.alarms import AlarmBoard, AlarmState
 from gateway.machine.model import ScanPrediction, block_values
-from gateway.machine.reading import STALE_PERIODS, Redundant, unread
+from gateway.machine.reading import STALE_PERIODS, Redundant, Scan, unread
+from gateway.machine.writing import WritebackStage
 from gateway.status import (
     AlarmStatus,
     ForecastStatus,
@@ -19,12 +20,13 @@ from gateway.status import (
     PredictionStatus,
     ScanStatus,
     TagStatus,
+    TemperatureStatus,
 )
 from gateway.store import percentile
 from sim.strict_json import json_text
 
 
-def write_status(path: Path, status: GatewayStatus) -> None:
+def write_status(path: Path, status: object) -> None:
     """Replace the file by one JSON line, in one step. Raises OSError."""
     # A draft beside it and then a rename, which POSIX does in one step: a reader has the old line or the new one.
     draft = path.with_name(f".{path.name}.{os.getpid()}")
@@ -39,15 +41,15 @@ def snapshot(machine: Machine) -> GatewayStatus:
     # A device that takes several ticks to answer is late only by as many of its own scans.
     silence, interval = (now - last.time, (1 + last.missed) * config.scan.period) if last else (0.0, config.scan.period)
     tags, samples = config.map.by_name, last.samples if last else {}
-    prediction = machine.model.prediction if machine.model else None
+    first, *further = (_temperature(machine, one, now) for one in machine.followed)
     return GatewayStatus(
+        machine=config.machine,
         time=now,
         phase=machine.phase,
         speed=speed,
         place=f"{config.links[0].place} ({config.map.name})",
-        temperature=config.model.temperature,
-        unit=tags[config.model.temperature].unit,
-        limit=config.alarms.limit,
+        **{field.name: getattr(first, field.name) for field in fields(first)},
+        further=further,
         link=LinkStatus(
             alive=link.alive,
             connected=machine.driver.connected,
@@ -76,15 +78,10 @@ def snapshot(machine: Machine) -> GatewayStatus:
             )
             for name, s in ((name, unread(sample, silence, interval)) for name, sample in samples.items())
         },
-        prediction=None if prediction is None else _prediction(prediction),
-        forecast=_forecast(machine, now),
-        model=ModelStatus(**machine.model.report()) if machine.model else None,
-        guards=machine.model.guard_report() if machine.model else None,
         events=counters.events,
         recent_events=list(counters.recent),
         alarms={name: alarm.state.value for name, alarm in machine.alarms.alarms.items()},
         alarm_summary=_alarm_summary(machine.alarms),
-        writeback=_writeback(machine),
         historian=HistorianStatus(
             path=str(historian.path.absolute()),
             dropped=historian.dropped,
@@ -98,6 +95,20 @@ def snapshot(machine: Machine) -> GatewayStatus:
         complaints=list(machine.complaints()),
         failures=counters.failures,
         last_failure=counters.last_failure,
+    )
+
+
+def _temperature(machine: Machine, one: FollowedTemperature, now: float) -> TemperatureStatus:
+    model, prediction = one.model, one.model.prediction if one.model else None
+    return TemperatureStatus(
+        temperature=one.tag,
+        unit=machine.config.map.by_name[one.tag].unit,
+        limit=one.config.alarms.limit,
+        prediction=None if prediction is None else _prediction(prediction),
+        forecast=_forecast(one, machine.last, now),
+        model=ModelStatus(**model.report()) if model else None,
+        guards=model.guard_report() if model else None,
+        writeback=_writeback(machine.writing, one, now),
     )
 
 
@@ -136,13 +147,13 @@ def _links(machine: Machine) -> list[dict[str, Any]]:
     return [{"name": link.name, **alone, **places[link.name]} for link in links[:1]]
 
 
-def _forecast(machine: Machine, now: float) -> ForecastStatus | None:
-    model = machine.model
+def _forecast(one: FollowedTemperature, last: Scan | None, now: float) -> ForecastStatus | None:
+    model = one.model
     forecast = model.outlook.latest if model else None
     if model is None or forecast is None:
         return None
     known = model.prediction is not None and model.prediction.known
-    values = block_values(forecast, machine.config.block_horizon, machine.last.time if machine.last else forecast.time)
+    values = block_values(forecast, one.config.block_horizon, last.time if last else forecast.time)
     return ForecastStatus(
         time=forecast.time,
         age=max(now - forecast.time, 0.0),
@@ -156,9 +167,9 @@ def _forecast(machine: Machine, now: float) -> ForecastStatus | None:
     )
 
 
-def _writeback(machine: Machine) -> dict[str, Any]:
-    block = machine.block
-    if block is None:
+def _writeback(writing: WritebackStage | None, one: FollowedTemperature, now: float) -> dict[str, Any]:
+    block = one.block
+    if writing is None or block is None:
         return {"mode": "off"}
     writer, last, latencies = block.writer, block.attempt, list(block.latencies)
     return {
@@ -166,13 +177,13 @@ def _writeback(machine: Machine) -> dict[str, Any]:
         "armed_until": writer.arming.until if writer.arming else None,
         "armed_by": writer.arming.by if writer.arming else None,
         **asdict(writer.counters),
-        "audit": {"path": str(machine.config.audit), "complaint": block.audit.complaint},
+        "audit": {"path": str(one.config.audit), "complaint": writing.audit.complaint},
         "last_verdict": last.verdict if last else None,
         "last_reason": last.reason if last else "",
         "last_validity": int(last.block.validity) if last else None,
         "sequence": writer.sequence,
         "writer": writer.number,
         "challenge": writer.challenge,
-        "rival": writer.rival(machine.clock.now()),
+        "rival": writer.rival(now),
         "latency_ms": {"p50": percentile(latencies, 0.5), "p99": percentile(latencies, 0.99)},
     }

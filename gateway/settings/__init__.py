@@ -1,5 +1,6 @@
 """What may stand in the plant file and in a device file, checked whole before anything starts."""
 
+from gateway.settings.changes import changed_machines
 from gateway.settings.config import (
     LEAST_BLOCKS,
     MAX_ARMED_MINUTES,
@@ -10,6 +11,7 @@ from gateway.settings.config import (
     LogSection,
     WritebackSection,
     load_config,
+    load_plant,
 )
 from gateway.settings.devices import BLOCK_FIELDS, DeviceMap, WritebackLayout, load_device
 from gateway.settings.links import DeviceLink
@@ -27,6 +29,8 @@ __all__ = [
     "LogSection",
     "WritebackLayout",
     "WritebackSection",
+    "changed_machines",
     "load_config",
     "load_device",
+    "load_plant",
 ]

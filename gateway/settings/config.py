@@ -1,14 +1,19 @@
-"""The gateway's configuration: one TOML file, checked whole before anything starts."""
+"""The gateway's configuration: one TOML file, checked whole before anything starts.
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+A file is that of one machine, or has a `[[machine]]` table for each of several. What stands at the top of such a file
+is common: a machine has it too, key for key, where its own table says nothing else.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from drivers.settings import ConfigError, Section, checked, read_toml
-from gateway.settings.devices import DeviceMap
+from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
 
 Names = Annotated[tuple[str, ...], Field(strict=False)]
@@ -34,6 +39,14 @@ class ModelSection(Section):
 
     path: FilePath | None = Field(None, description="a model directory or a model's JSON file, relative to this file")
     temperature: str = Field("TCuscinettiRiduttore", description="the tag of the temperature to be predicted")
+
+
+class TemperatureSection(Section):
+    """`[[temperature]]`: one of several temperatures that a machine's model predict, each with a limit of its own."""
+
+    tag: str = Field(description="the tag of the temperature")
+    model: FilePath | None = Field(None, description="a model directory or a model's JSON file, relative to this file")
+    limit: float | None = Field(None, description="its alarm limit, alarms.limit without this key")
 
 
 class WritebackSection(Section):
@@ -95,7 +108,7 @@ class AlarmSection(Section):
 class HistorianSection(Section):
     """The embedded historian."""
 
-    path: FilePath = Field(Path("../out/historian.sqlite"), description="the path of the database file")
+    path: FilePath = Field(Path("out/historian.sqlite"), description="the path of the database file")
     retention_days: float = Field(90.0, gt=0, description="the days after which measurements are deleted")
     max_mb: float = Field(4096.0, ge=1, description="the largest size of the file in megabytes, at least 1")
     max_interval: float = Field(5.0, gt=0, description="seconds after which an unchanged value is stored again")
@@ -188,10 +201,31 @@ class ClockSection(Section):
     tag: str | None = Field(None, description="the tag of the PLC's own clock, in seconds since 1970 UTC")
 
 
+class ServeSection(Section):
+    """What was read, served to peers as a Modbus TCP server that only answers reads; off without a port."""
+
+    port: int | None = Field(None, ge=1, le=65535, description="a TCP port from 1 to 65535, or no key for no server")
+    host: str = Field(
+        "127.0.0.1", min_length=1, description="the address to listen on: this machine only, if not given"
+    )
+    unit: int = Field(1, ge=0, le=255, description="the unit id under which the machine is served, 0 to 255")
+    address: int = Field(50000, ge=0, le=65535, description="the first register of qualities and ages, 0 to 65535")
+    most_clients: int = Field(8, ge=1, le=256, description="how many peers are served at a time, 1 to 256")
+
+
+class _MachineName(Section):
+    name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,59}$")] = Field(
+        description="a name of letters, digits, '_', '-' and '.', 60 at most"
+    )
+
+
 class _PlantFile(Section):
     device: DeviceSection = Field(description="a [device] table with file and host")
     scan: ScanSection = Field(default_factory=ScanSection, description="a [scan] table")
     model: ModelSection = Field(default_factory=ModelSection, description="a [model] table")
+    temperature: Annotated[tuple[TemperatureSection, ...], Field(strict=False)] = Field(
+        (), description="[[temperature]] tables, where several temperatures are predicted"
+    )
     writeback: WritebackSection = Field(default_factory=WritebackSection, description="a [writeback] table")
     alarms: AlarmSection = Field(default_factory=AlarmSection, description="an [alarms] table")
     historian: HistorianSection = Field(default_factory=HistorianSection, description="a [historian] table")
@@ -200,17 +234,36 @@ class _PlantFile(Section):
     ensemble: EnsembleSection = Field(default_factory=EnsembleSection, description="an [ensemble] table")
     control: ControlSection = Field(default_factory=ControlSection, description="a [control] table")
     clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
+    serve: ServeSection = Field(default_factory=ServeSection, description="a [serve] table")
+
+
+COMMON = ("historian", "log", "control")
+"""Sections of the whole gateway: no machine has one of its own."""
+COMMON_KEYS = {
+    "clock": ("speed",),
+    "writeback": ("audit", "audit_key", "audit_heads"),
+    "serve": ("port", "host", "most_clients"),
+}
+"""Keys of the whole gateway in sections that a machine may have."""
 
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """A checked configuration; every path in it is complete. `stamp` is the file's time of change (s)."""
+    """The checked configuration of one machine; every path in it is complete.
+
+    `machine` is its name, `several` whether its file has [[machine]] tables; `temperatures` are those that are
+    predicted, `model` is the first one's. `stamp` is the file's time of change (s): two configurations that differ in
+    nothing else are equal.
+    """
 
     path: Path
-    stamp: float
+    stamp: float = field(compare=False)
+    machine: str
     device: DeviceSection
     scan: ScanSection
     model: ModelSection
+    several: bool
+    temperatures: tuple[TemperatureSection, ...]
     writeback: WritebackSection
     alarms: AlarmSection
     historian: HistorianSection
@@ -219,7 +272,37 @@ class Config:
     ensemble: EnsembleSection
     control: ControlSection
     clock: ClockSection
+    serve: ServeSection
     links: tuple[DeviceLink, ...]
+
+    @property
+    def subject(self) -> str:
+        """Whose armings the audit log's are: those of a gateway of one machine bear no name."""
+        return self.machine if self.several else ""
+
+    @property
+    def followed(self) -> tuple["Config", ...]:
+        """This configuration once for each of its temperatures, with that one's model and limit."""
+        own = []
+        for place, row in enumerate(self.temperatures):
+            limit = self.alarms.limit if row.limit is None else row.limit
+            model = ModelSection(path=row.model, temperature=row.tag)
+            # The models of an ensemble are followed beside the first one, and predict its temperature.
+            ensemble = self.ensemble if place == 0 else self.ensemble.model_copy(update={"members": ()})
+            alarms = self.alarms.model_copy(update={"limit": limit})
+            own.append(replace(self, model=model, alarms=alarms, ensemble=ensemble, temperatures=(row,)))
+        return tuple(own)
+
+    @property
+    def block_layout(self) -> WritebackLayout | None:
+        """The block of the (first) predicted temperature; None where the device takes none of it."""
+        return self.map.block_of(self.model.temperature)
+
+    def limit_of(self, tag: str) -> float:
+        """The alarm limit of a temperature under the threshold alarm."""
+        return next(
+            (row.limit for row in self.temperatures if row.tag == tag and row.limit is not None), self.alarms.limit
+        )
 
     @property
     def map(self) -> DeviceMap:
@@ -264,7 +347,12 @@ class Config:
     @property
     def watched(self) -> tuple[str, ...]:
         """The tags of the temperatures under the threshold alarm."""
-        return self.alarms.tags or (self.model.temperature,)
+        predicted = tuple(row.tag for row in self.temperatures)
+        return (
+            tuple(dict.fromkeys((*self.alarms.tags, *predicted)))
+            if len(predicted) > 1
+            else self.alarms.tags or predicted
+        )
 
     @property
     def block_horizon(self) -> float:
@@ -272,8 +360,22 @@ class Config:
         return self.writeback.horizon or self.forecast.horizons[-1]
 
 
-def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Config:
-    """The configuration in `path`, with the register map that it names.
+def load_config(path: Path, overrides: Mapping[str, Any] | None = None, *, machine: str | None = None) -> Config:
+    """The configuration of the file's only machine, or of the one of that name. Otherwise as `load_plant`."""
+    machines = load_plant(path, overrides)
+    names = ", ".join(config.machine for config in machines)
+    if machine is not None:
+        found = [config for config in machines if config.machine == machine]
+        if not found:
+            raise ConfigError([f"{path}: has no machine {machine!r}; it has {names}"])
+        return found[0]
+    if len(machines) > 1:
+        raise ConfigError([f"{path}: has {len(machines)} machines; name one of them with --machine: {names}"])
+    return machines[0]
+
+
+def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[Config, ...]:
+    """The configurations of all machines of the file in `path`, with the register maps that they name.
 
     `overrides` replaces single keys before the check, written `section.key` ({"device.port": 15020}); relative paths
     in the file are relative to the file, in overrides to the working directory. Raises ConfigError with all that is
@@ -281,27 +383,132 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
     """
     # Overrides come before the check, so that they are held to the same rules as the file.
     data = {key: dict(value) if isinstance(value, dict) else value for key, value in read_toml(path).items()}
+    rows = data.pop("machine", None)
     for key, value in (overrides or {}).items():
         section, _, name = key.partition(".")
+        if rows is not None and section not in COMMON and name not in COMMON_KEYS.get(section, ()):
+            raise ConfigError([f"{path}: {key}: is each machine's own, and the file has several; change it there"])
         table = data.setdefault(section, {})
         if isinstance(table, dict):
             table[name] = str(value.absolute()) if isinstance(value, Path) else value
-    content = checked(_PlantFile, data, path)
+    if rows is None:
+        return (_machine_config(path, data, str(path)),)
+    tables = _machine_tables(rows, path)
+    machines, problems = [], list[str]()
+    for name, table in tables.items():
+        try:
+            machines.append(_machine_config(path, _over_common(data, table), f"{path}: machine {name!r}", name))
+        except ConfigError as error:
+            problems += error.problems
+    problems = problems or _same_places(machines)
+    if problems:
+        # What is wrong at the top is wrong for several machines: it is said once, and of none of them.
+        bare = [re.sub(r": machine '[^']*'", "", problem, count=1) for problem in problems]
+        raise ConfigError(
+            list(
+                dict.fromkeys(own if bare.count(own) > 1 else whole for own, whole in zip(bare, problems, strict=True))
+            )
+        )
+    return tuple(machines)
+
+
+def _same_places(machines: Sequence[Config]) -> list[str]:
+    """Machines that are one and the same device, or are served to peers as one."""
+    problems, known, served = [], dict[tuple[object, ...], str](), dict[int, str]()
+    for config in machines:
+        for link in config.links:
+            place = tuple(link.settings.get(key) for key in ("host", "port", "serial", "unit"))
+            if place[0] is None and place[2] is None:
+                continue
+            other = known.setdefault(place, config.machine)
+            if other != config.machine:
+                problems.append(
+                    f"{config.path}: machine {config.machine!r}: device: is at {link.place}, as machine {other!r} is; "
+                    "give each machine a host, port or unit of its own"
+                )
+        other = served.setdefault(config.serve.unit, config.machine)
+        if config.serve.port is not None and other != config.machine:
+            problems.append(
+                f"{config.path}: machine {config.machine!r}: serve.unit: {config.serve.unit} is that of machine "
+                f"{other!r}; give each machine's serve table a unit of its own"
+            )
+    return problems
+
+
+def _over_common(data: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    """A machine's whole table: its own over what is common; temperatures are named in one way only, its own if any."""
+    common = dict(data)
+    if "temperature" in table:
+        common.pop("model", None)
+    elif "model" in table:
+        common.pop("temperature", None)
+    return {key: _over(common.get(key), table.get(key)) for key in dict.fromkeys((*common, *table))}
+
+
+def _over(common: object, own: object) -> object:
+    """A machine's own table over the common one, key for key."""
+    if isinstance(common, dict) and isinstance(own, dict):
+        return {key: _over(common.get(key), own.get(key)) for key in dict.fromkeys((*common, *own))}
+    return common if own is None else own
+
+
+def _machine_tables(rows: object, path: Path) -> dict[str, dict[str, Any]]:
+    """The `[[machine]]` tables by their names, without them. Raises ConfigError."""
+    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+        raise ConfigError(
+            [f"{path}: machine: must be [[machine]] tables; write one for each machine, each with a name"]
+        )
+    problems, tables = [], dict[str, dict[str, Any]]()
+    for index, row in enumerate(rows):
+        try:
+            name = checked(_MachineName, {"name": row["name"]} if "name" in row else {}, path).name
+        except ConfigError as error:
+            problems += [problem.replace(": name", f": machine[{index}].name", 1) for problem in error.problems]
+            continue
+        if name in tables:
+            problems.append(f"{path}: machine[{index}].name: {name!r} is already used; give each machine its own name")
+        common = [section for section in COMMON if section in row]
+        common += [
+            f"{section}.{key}" for section, keys in COMMON_KEYS.items() for key in keys if key in _keys(row, section)
+        ]
+        problems += [
+            f"{path}: machine {name!r}: {key}: is common to all machines; write it once, at the top of the file"
+            for key in common
+        ]
+        tables[name] = {key: value for key, value in row.items() if key != "name"}
+    if problems:
+        raise ConfigError(problems)
+    return tables
+
+
+def _keys(row: Mapping[str, Any], section: str) -> Mapping[str, Any]:
+    table = row.get(section)
+    return table if isinstance(table, dict) else {}
+
+
+def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str = "") -> Config:
+    """The configuration of one machine from its whole table; `place` begins each sentence. Raises ConfigError."""
+    content = checked(_PlantFile, data, place)
     home = path.parent
     links = links_of(content.device, home)
-    problems = _problems(content, links, home)
+    rows = content.temperature or (TemperatureSection(tag=content.model.temperature, model=content.model.path),)
+    problems = _problems(content, rows, links, home)
     if problems:
-        raise ConfigError([f"{path}: {problem}" for problem in problems])
-    historian = content.historian.model_copy(update={"path": home / content.historian.path})
+        raise ConfigError([f"{place}: {problem}" for problem in problems])
+    historian = content.historian.model_copy(update={"path": _historian_file(content.historian, home)})
     log = content.log.model_copy(update={"path": content.log.path and home / content.log.path})
-    model = content.model.model_copy(update={"path": content.model.path and home / content.model.path})
     members = tuple(home / member for member in content.ensemble.members)
+    temperatures = tuple(row.model_copy(update={"model": row.model and home / row.model}) for row in rows)
+    first = temperatures[0]
     return Config(
         path=path,
         stamp=path.stat().st_mtime,
+        machine=name or links[0].map.name,
+        several=bool(name),
         device=content.device,
         scan=content.scan,
-        model=model,
+        model=ModelSection(path=first.model, temperature=first.tag),
+        temperatures=temperatures,
         writeback=content.writeback.model_copy(
             update={
                 key: (given := getattr(content.writeback, key)) and home / given
@@ -315,32 +522,60 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
         ensemble=content.ensemble.model_copy(update={"members": members}),
         control=content.control.model_copy(update={"path": content.control.path and home / content.control.path}),
         clock=content.clock,
+        serve=content.serve,
         links=links,
     )
 
 
-def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) -> list[str]:
+def _historian_file(section: HistorianSection, home: Path) -> Path:
+    """The database file: the one named, or the default beside the plant file.
+
+    Of a plant file that names none and has its records where the default once was, those (record 0109).
+    """
+    file, former = home / section.path, home / "../out/historian.sqlite"
+    named = "path" in section.model_fields_set
+    return former if not named and not file.exists() and former.exists() else file
+
+
+def _problems(
+    content: _PlantFile, rows: Sequence[TemperatureSection], links: tuple[DeviceLink, ...], home: Path
+) -> list[str]:
     """What no single key shows: tags that the map lacks, models that are not there or do not go together, a speed for a
     real plant."""
     device = links[0].map
     tags = {tag.name for tag in device.tags}
-    named = [("model.temperature", content.model.temperature), *(("alarms.tags", tag) for tag in content.alarms.tags)]
+    named = [("alarms.tags", tag) for tag in content.alarms.tags]
+    key = "temperature[{}].tag" if content.temperature else "model.temperature"
+    named = [*((key.format(place), row.tag) for place, row in enumerate(rows)), *named]
     named += [("clock.tag", content.clock.tag)] if content.clock.tag else []
     problems = [
         f"{key}: {tag!r} is not a tag of {device.path}; give one of its names" for key, tag in named if tag not in tags
     ]
-    if content.model.path is not None and not (home / content.model.path).exists():
-        problems.append(
-            f"model.path: there is nothing at {home / content.model.path}; give a model directory or JSON file, or "
-            f"leave the key out to run without a model"
-        )
+    key = "temperature[{}].model" if content.temperature else "model.path"
+    problems += [
+        f"{key.format(place)}: there is nothing at {home / row.model}; give a model directory or JSON file, or "
+        f"leave the key out to run without a model"
+        for place, row in enumerate(rows)
+        if row.model is not None and not (home / row.model).exists()
+    ]
+    if content.temperature:
+        problems += [
+            f"model.{key}: stands beside [[temperature]]; write it into one of these tables"
+            for key in sorted(content.model.model_fields_set)
+        ]
+        predicted = [row.tag for row in rows]
+        problems += [
+            f"temperature[{place}].tag: {tag!r} is already predicted; name each temperature once"
+            for place, tag in enumerate(predicted)
+            if tag in predicted[:place]
+        ]
     ensemble, models = content.ensemble, 1 + len(content.ensemble.members)
     problems += [
         f"ensemble.members: there is nothing at {home / path}; give a model directory or JSON file"
         for path in ensemble.members
         if not (home / path).exists()
     ]
-    if ensemble.members and content.model.path is None:
+    if ensemble.members and rows[0].model is None:
         problems.append("ensemble.members: members are followed beside model.path, which is missing; give it too")
     if isinstance(ensemble.weights, tuple) and len(ensemble.weights) != models:
         problems.append(
@@ -354,6 +589,12 @@ def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) ->
         )
     if content.writeback.mode != "off" and device.writeback is None:
         problems.append(f"writeback.mode: {device.path} has no [writeback] table; add one or set mode to 'off'")
+    elif content.writeback.mode != "off" and device.block_of(rows[0].tag) is None:
+        known = ", ".join(str(layout.temperature) for layout in device.writebacks)
+        problems.append(
+            f"writeback.mode: no block of {device.path} speaks of {rows[0].tag!r} (the first temperature), "
+            f"only of {known}; add a [[writeback.blocks]] table for it or set mode to 'off'"
+        )
     oldest = content.writeback.max_age
     if oldest is not None and device.writeback is not None and oldest >= device.writeback.timeout:
         problems.append(

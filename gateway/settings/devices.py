@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.device_file import REFUSALS, BlockField, read_device_file
+from drivers.device_file import ACKNOWLEDGE_BITS, REFUSALS, BlockField, read_device_file
 from drivers.driver import capabilities
 from drivers.settings import ConfigError
 from drivers.tag import Tag
@@ -21,9 +21,12 @@ BLOCK_FIELDS = (
 
 @dataclass(frozen=True, slots=True)
 class WritebackLayout:
-    """The block that the PLC expects. `words` are its registers as raw 16-bit tags, in order: the closed write map.
+    """A block that the PLC expects. `words` are its registers as raw 16-bit tags, in order: its closed write map.
 
-    `timeout` (s) is the PLC's own timer, `unknown` the word for minutes beyond the forecast.
+    `timeout` (s) is the PLC's own timer, `unknown` the word for minutes beyond the forecast. `temperature` is the tag
+    that the block speaks of (None: the file does not say), `place` its number among the device's blocks, from 0, of
+    `blocks` in all. `suffix` ends the names of the tags by which the PLC answers it ("": the first block),
+    `acknowledge_bits` is the tag of its acknowledged alarms.
     """
 
     version: int
@@ -31,11 +34,20 @@ class WritebackLayout:
     unknown: int
     fields: tuple[BlockField, ...]
     words: tuple[Tag, ...]
+    temperature: str | None = None
+    suffix: str = ""
+    acknowledge_bits: str = ACKNOWLEDGE_BITS
+    place: int = 0
+    blocks: int = 1
+
+    def tag(self, name: str) -> str:
+        """The block's own status tag of this name in the contract: BlocksAccepted, LastRefusal, Challenge, ..."""
+        return f"{name}{self.suffix}"
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceMap:
-    """One device: how to open its driver, its tags, the tag of its heartbeat, and the block written to it."""
+    """One device: how to open its driver, its tags, the tag of its heartbeat, and the blocks written to it."""
 
     path: Path
     name: str
@@ -43,7 +55,24 @@ class DeviceMap:
     settings: Mapping[str, Any]
     heartbeat: str | None
     tags: tuple[Tag, ...]
-    writeback: WritebackLayout | None
+    writebacks: tuple[WritebackLayout, ...]
+
+    @property
+    def writeback(self) -> WritebackLayout | None:
+        """The first block; None where nothing is written."""
+        return self.writebacks[0] if self.writebacks else None
+
+    def block_of(self, temperature: str) -> WritebackLayout | None:
+        """The block that speaks of this temperature, else a lone one of which the file does not say; None: no block."""
+        for layout in self.writebacks:
+            if layout.temperature in (temperature, None):
+                return layout
+        return None
+
+    @property
+    def block_words(self) -> tuple[Tag, ...]:
+        """The words of all blocks: the device's closed write map."""
+        return tuple(word for layout in self.writebacks for word in layout.words)
 
     @property
     def by_name(self) -> dict[str, Tag]:
@@ -56,9 +85,6 @@ class DeviceMap:
         tag = self.by_name.get("LastRefusal")
         labels = {label: code for code, label in tag.labels.items()} if tag else {}
         return {reason: labels.get(reason, code) for reason, code in REFUSALS.items()}
-
-
-_FIELD = "{field}"
 
 
 def complete_paths(driver: str, settings: Mapping[str, Any], home: Path) -> dict[str, Any]:
@@ -86,24 +112,30 @@ def load_device(path: Path) -> DeviceMap:
             problems = [f"{path}: writeback.fields: the last two must be 'crc' and 'sequence_copy', in this order"]
         if problems:
             raise ConfigError(problems)
-    table, layout = content.writeback, None
+    table, layouts = content.writeback, []
     if table is not None:
-        # A pattern names each word; from any other address they are counted up: holding:400 -> holding:403,
-        # 0x2100:1 -> 0x2100:4 for the word of index 3.
-        addresses = [table.address.replace(_FIELD, row.name) for row in table.fields]
-        if _FIELD not in table.address:
-            space, _, first = table.address.rpartition(":")
-            addresses = [f"{space}:{int(first) + index}" for index in range(len(table.fields))]
-        layout = WritebackLayout(
-            version=table.layout_version,
-            timeout=table.timeout_s,
-            unknown=table.unknown,
-            fields=tuple(row.field() for row in table.fields),
-            words=tuple(
-                Tag(f"Writeback.{row.name}", address, writable=True)
-                for row, address in zip(table.fields, addresses, strict=True)
-            ),
-        )
+        places = [(table.address, "", table.temperature)]
+        places += [(row.address, row.suffix, row.temperature) for row in table.blocks]
+        known = {row.name for row in content.tags}
+        for place, (address, suffix, temperature) in enumerate(places):
+            own = f"{ACKNOWLEDGE_BITS}{suffix}"
+            layouts.append(
+                WritebackLayout(
+                    version=table.layout_version,
+                    timeout=table.timeout_s,
+                    unknown=table.unknown,
+                    fields=tuple(row.field() for row in table.fields),
+                    words=tuple(
+                        Tag(f"Writeback{suffix}.{row.name}", word, writable=True)
+                        for row, word in zip(table.fields, table.addresses(address), strict=True)
+                    ),
+                    temperature=temperature,
+                    suffix=suffix,
+                    acknowledge_bits=own if own in known else ACKNOWLEDGE_BITS,
+                    place=place,
+                    blocks=len(places),
+                )
+            )
     return DeviceMap(
         path=path,
         name=content.device.name,
@@ -111,5 +143,5 @@ def load_device(path: Path) -> DeviceMap:
         settings=complete_paths(content.device.driver, content.device.model_extra or {}, path.parent),
         heartbeat=content.device.heartbeat,
         tags=tuple(row.tag() for row in content.tags),
-        writeback=layout,
+        writebacks=tuple(layouts),
     )

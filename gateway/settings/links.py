@@ -14,7 +14,7 @@ from gateway.settings.devices import DeviceMap, complete_paths, load_device
 
 FilePath = Annotated[Path, Field(strict=False)]
 
-_OF_ONE_LINK = ("file", "host", "port", "timeout", "attempts")
+_OF_ONE_LINK = ("file", "host", "port", "unit", "node", "timeout", "attempts")
 
 
 class LinkSection(BaseModel):
@@ -35,6 +35,8 @@ class DeviceSection(Section):
     file: FilePath | None = Field(None, description="the path of the register map, relative to this file")
     host: str = Field("127.0.0.1", min_length=1, description="the PLC's address or name")
     port: int = Field(502, ge=1, le=65535, description="a TCP port from 1 to 65535")
+    unit: int | None = Field(None, ge=0, le=255, description="the Modbus unit, 0 to 255, the device file's without it")
+    node: int | None = Field(None, ge=1, le=127, description="the CANopen node, 1 to 127, the device file's without it")
     timeout: float = Field(0.5, gt=0, le=60, description="the deadline of one request in seconds, at most 60")
     attempts: int | None = Field(None, ge=1, le=5, description="how often a read is sent, 1 to 5")
     heartbeat_period: float = Field(0.0, ge=0, description="the longest time in real seconds between two heartbeats")
@@ -74,9 +76,7 @@ def links_of(section: DeviceSection, home: Path) -> tuple[DeviceLink, ...]:
         # The keys of [device] as settings: what is written there, and for a device on a network their defaults too.
         networked = capabilities(device.driver).networked and "serial" not in device.settings
         wanted = {"host", "timeout"} if networked else set()
-        overrides = section.model_dump(
-            include={"host", "port", "timeout", "attempts"} & (section.model_fields_set | wanted)
-        )
+        overrides = section.model_dump(include=set(_OF_ONE_LINK[1:]) & (section.model_fields_set | wanted))
         return (DeviceLink(device.driver, device, dict(device.settings) | overrides),)
     links = []
     for row in section.links:
@@ -122,8 +122,11 @@ def _differences(first: DeviceMap, other: DeviceMap) -> list[str]:
             f"{other.path} has the heartbeat {other.heartbeat!r} and {first.path} {first.heartbeat!r}; give both the "
             "tag of the same heartbeat: it tells that both links lead to the same PLC"
         )
-    block, same = first.writeback, other.writeback
-    if block is not None and (same is None or (same.version, same.fields) != (block.version, block.fields)):
+    ours_blocks, their_blocks = (
+        [(block.version, block.fields, block.temperature, block.suffix) for block in device.writebacks]
+        for device in (first, other)
+    )
+    if ours_blocks and ours_blocks != their_blocks:
         reasons.append(f"{other.path} has another [writeback] block than {first.path}; the links must share its fields")
     return reasons
 

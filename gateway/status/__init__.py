@@ -26,6 +26,7 @@ from gateway.status.picture import (
     ScanStatus,
     StatusError,
     TagStatus,
+    TemperatureStatus,
     read_status,
 )
 from gateway.status.watch import GatewayWatch, Sighting
@@ -50,6 +51,7 @@ __all__ = [
     "Sighting",
     "StatusError",
     "TagStatus",
+    "TemperatureStatus",
     "arming_text",
     "clock_text",
     "connect",

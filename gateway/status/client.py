@@ -30,10 +30,13 @@ def short(path: Path) -> Iterator[str]:
 
 
 class GatewayLine:
-    """A connection to the running gateway at `path` (blocking). Raises OSError where there is none."""
+    """A connection to the running gateway at `path` (blocking). Raises OSError where there is none.
 
-    def __init__(self, path: Path, timeout: float = 5.0) -> None:
-        self.timeout = timeout
+    What is asked is asked of this `machine`; None: of the gateway's only one.
+    """
+
+    def __init__(self, path: Path, timeout: float = 5.0, *, machine: str | None = None) -> None:
+        self.timeout, self._machine = timeout, machine
         self._received = b""
         self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._sock.settimeout(timeout)
@@ -52,7 +55,8 @@ class GatewayLine:
     def send(self, command: str, **keys: Any) -> None:
         """One request without waiting. Raises OSError."""
         self._sock.settimeout(self.timeout)
-        self._sock.sendall(json_lines.packed({"command": command, **keys}))
+        whose = {} if self._machine is None else {"machine": self._machine}
+        self._sock.sendall(json_lines.packed({"command": command, **whose, **keys}))
 
     def reply(self, seconds: float) -> dict[str, Any]:
         """The reply to the oldest request that has none yet. Raises as `ask`.
@@ -76,8 +80,8 @@ class GatewayLine:
         self._sock.close()
 
 
-def connect(path: Path, timeout: float = 5.0) -> GatewayLine | None:
+def connect(path: Path, timeout: float = 5.0, *, machine: str | None = None) -> GatewayLine | None:
     """The running gateway at `path`; None where none runs, or not for this user."""
     with suppress(OSError):
-        return GatewayLine(path, timeout)
+        return GatewayLine(path, timeout, machine=machine)
     return None

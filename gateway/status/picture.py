@@ -134,8 +134,22 @@ class HistorianStatus:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TemperatureStatus:
+    """What is said of one more temperature that a machine follows; the fields are those of GatewayStatus."""
+
+    temperature: str
+    unit: str
+    limit: float
+    prediction: PredictionStatus | None
+    forecast: ForecastStatus | None
+    model: ModelStatus | None
+    guards: Mapping[str, Any] | None
+    writeback: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
 class GatewayStatus:
-    """Everything worth showing of one machine at `time`.
+    """Everything worth showing of one `machine` at `time`; `further` are its temperatures beside the first one.
 
     `place` is where its device is, `temperature` the tag that is predicted, `limit` (in `unit`) its alarm limit,
     `speed` plant seconds per real second. `alarms` is every alarm's state by name, `alarm_summary` those that are not
@@ -144,6 +158,7 @@ class GatewayStatus:
     `last_verdict` with `last_reason`. `parts` are the supervised threads and tasks.
     """
 
+    machine: str
     time: float
     phase: Phase
     speed: float
@@ -164,6 +179,7 @@ class GatewayStatus:
     alarms: Mapping[str, str]
     alarm_summary: Sequence[AlarmStatus]
     writeback: Mapping[str, Any]
+    further: Sequence[TemperatureStatus]
     historian: HistorianStatus
     parts: Mapping[str, Mapping[str, Any]]
     clock: Mapping[str, Any]

@@ -2,10 +2,19 @@
 
 from typing import TYPE_CHECKING
 
-from gateway.doors import opened_at_use
+from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from gateway.store.arming_rows import Uptime, armings, cancelling, end_of, given_words, over, standing
+    from gateway.store.arming_rows import (
+        Uptime,
+        armed_subjects,
+        armings,
+        cancelling,
+        end_of,
+        given_words,
+        over,
+        standing,
+    )
     from gateway.store.audit import (
         ARMED,
         CANCELLED,
@@ -34,10 +43,12 @@ if TYPE_CHECKING:
     )
     from gateway.store.confirming import confirmation
     from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
-    from gateway.store.historian import Historian, Row, open_historian, saved_state
+    from gateway.store.historian import Historian, HistorianView, open_historian, saved_state
+    from gateway.store.queues import Row
     from gateway.store.read_back import (
         events,
         history,
+        machines,
         matured,
         newest_scan,
         reading,
@@ -65,7 +76,7 @@ if TYPE_CHECKING:
         trusted_key,
     )
 else:
-    __getattr__ = opened_at_use(__name__, __file__)
+    __getattr__ = opened_at_use(__name__)
 
 __all__ = [
     "ARMED",
@@ -83,6 +94,7 @@ __all__ = [
     "BackupError",
     "HeadSink",
     "Historian",
+    "HistorianView",
     "Manifest",
     "Row",
     "SignedHead",
@@ -90,6 +102,7 @@ __all__ = [
     "Uptime",
     "WitnessPlaces",
     "acknowledgement",
+    "armed_subjects",
     "armings",
     "as_one_file",
     "cancelling",
@@ -105,6 +118,7 @@ __all__ = [
     "key_beside",
     "load_key",
     "load_or_make_key",
+    "machines",
     "make_backup",
     "matured",
     "newest_scan",

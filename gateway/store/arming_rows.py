@@ -1,6 +1,7 @@
 """Who may write, as the audit log has it: the newest word of a person, as long as it lasts.
 
-A word is a row of the kind ARMED, DISARMED or EXPIRED. An ARMED row counts only once it is confirmed with the
+Each subject (`AuditEntry.subject`) is armed by itself: the rows of one say nothing of another. A word is a row of the
+kind ARMED, DISARMED or EXPIRED. An ARMED row counts only once it is confirmed with the
 gateway's key (`gateway.store.confirming`); what takes away needs no key. A row CANCELLED says to the reader of the
 log that an ARMED row was not confirmed, and to a start that the words of a plant file were not used up by it.
 """
@@ -24,12 +25,21 @@ class Uptime:
 
 def cancelling(entry: AuditEntry, reason: str) -> AuditEntry:
     """The row that undoes the ARMED row of `entry`, whether that was stored or not."""
-    return AuditEntry(entry.time, CANCELLED, entry.who, reason, {"armed": entry.time, "until": entry.detail["until"]})
+    detail = {"armed": entry.time, "until": entry.detail["until"]}
+    return AuditEntry(entry.time, CANCELLED, entry.who, reason, detail).of(entry.subject or "")
 
 
-def given_words(path: Path) -> list[AuditRow]:
-    """The words that were given and not cancelled, the newest first, whether they count or not. Raises AuditError."""
-    rows = arming_rows(path)
+def armed_subjects(path: Path) -> list[str]:
+    """The subjects of which the log has words, in the order of their first one. Raises AuditError."""
+    return list(dict.fromkeys(subject for row in arming_rows(path) if (subject := row.entry.subject) is not None))
+
+
+def given_words(path: Path, *, subject: str = "") -> list[AuditRow]:
+    """The words about a subject that were given and not cancelled, the newest first, whether they count or not.
+
+    Raises AuditError.
+    """
+    rows = [row for row in arming_rows(path) if row.entry.subject == subject]
     # What was confirmed was in force: nothing makes it undone.
     confirmed = {row.entry.detail.get("row") for row in rows if row.entry.kind == CONFIRMED}
     cancelled = {
@@ -49,21 +59,27 @@ def given_words(path: Path) -> list[AuditRow]:
     ]
 
 
-def armings(path: Path, key: Path | None = None) -> Iterator[AuditRow]:
-    """The words that count, the newest first. `key` is the gateway's key file, by default the one beside the log.
+def armings(path: Path, key: Path | None = None, *, subject: str = "") -> Iterator[AuditRow]:
+    """The words about a subject that count, the newest first.
 
-    Raises AuditError, and SigningKeyError for a key that cannot be trusted.
+    `key` is the gateway's key file, by default the one beside the log. Raises AuditError, and SigningKeyError for a key
+    that cannot be trusted.
     """
     public = public_key(key or key_beside(path))
-    by = [row for row in arming_rows(path) if row.entry.kind == CONFIRMED]
-    for row in given_words(path):
+    by = [row for row in arming_rows(path) if row.entry.kind == CONFIRMED and row.entry.subject == subject]
+    for row in given_words(path, subject=subject):
         if row.entry.kind != ARMED or is_confirmed(path, row, by, public):
             yield row
 
 
-def standing(path: Path, now: float, uptime: Uptime | None = None, *, key: Path | None = None) -> AuditRow | None:
-    """The arming in force at `now`; None if there is none, it was taken back, or it is over. Raises as `armings`."""
-    row = next(armings(path, key), None)
+def standing(
+    path: Path, now: float, uptime: Uptime | None = None, *, key: Path | None = None, subject: str = ""
+) -> AuditRow | None:
+    """The arming of a subject in force at `now`; None if there is none, it was taken back, or it is over.
+
+    Raises as `armings`.
+    """
+    row = next(armings(path, key, subject=subject), None)
     return None if row is None or row.entry.kind != ARMED or over(path, row, now, uptime) else row
 
 

@@ -11,19 +11,23 @@ long as the disk refuses. `record` and `stored` wait for one row and follow it b
 at once, together with all that waits, and tried once. Who gives up waiting takes the row back; where its commit is
 under way already, a row of its own undoes it (`undo`). So what was reported as not stored never counts later.
 
-At most BACKLOG rows wait. Beyond that those of `put` are given up and counted, except armings and disarmings, and one
-row of the kind LOST says how many, as soon as the disk takes rows again.
+An entry is about a subject: one of the blocks that a gateway writes. The first, "", is that of a gateway with one; any
+other stands in the entry's detail, so that chain and confirmations are bound to it.
+
+At most BACKLOG rows of a subject wait. Beyond that those of `put` are given up and counted, except armings and
+disarmings, and one row of the kind LOST says how many, as soon as the disk takes rows again. A commit takes at most
+SHARE rows of a subject: however many come of one, those of another wait for no more than that.
 """
 
 import asyncio
 import json
 import sqlite3
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -36,7 +40,13 @@ APPLICATION_ID = 0x6465_6175
 """Marks the file as a decanter audit log (SQLite's application_id)."""
 VERSION = 1
 BACKLOG = 1_000
-"""Entries that may wait for the disk; with as many of them nothing is written to the PLC any more."""
+"""Entries of a subject that may wait for the disk; with as many of them nothing of it is written to the PLC any more.
+"""
+SHARE = 200
+"""Entries of a subject in one commit."""
+SUBJECT = "subject"
+"""The key of an entry's detail that names its subject."""
+LONGEST_SUBJECT = 200
 BATCH_SECONDS = 1.0
 """The longest that an entry nobody waits for is kept back for the next commit."""
 PATIENCE_SECONDS = 5.0
@@ -90,6 +100,25 @@ class AuditEntry:
             if (value := getattr(self, name)) is not None:
                 object.__setattr__(self, name, escaped(value))
 
+    def of(self, subject: str) -> "AuditEntry":
+        """This entry about a subject ("": the first, which no entry names). Raises ValueError for one that is no name.
+
+        What would be stored as another text than it is could be taken for another subject: it is refused.
+        """
+        if not subject:
+            return self
+        if not subject.isprintable() or len(subject) > LONGEST_SUBJECT:
+            raise ValueError(f"{subject!r} is no subject; give printable text of {LONGEST_SUBJECT} characters at most")
+        return replace(self, detail={**self.detail, SUBJECT: subject})
+
+    @property
+    def subject(self) -> str | None:
+        """What it is about; None where the row names none rightly, and is about nothing."""
+        if SUBJECT not in self.detail:
+            return ""
+        subject = self.detail[SUBJECT]
+        return subject if isinstance(subject, str) and subject else None
+
 
 @dataclass(frozen=True, slots=True)
 class AuditRow:
@@ -112,7 +141,7 @@ class ChainVerdict:
 class Audit:
     """An open audit log. `put` never waits for the disk, `record` and `stored` do; each may be called from any thread.
 
-    `failure` says why the disk does not take what waits, "" while it does; `lost` counts what was given up since then.
+    All blocks of a gateway share one. `failure` says why the disk does not take what waits, "" while it does.
     Without a `connection` entries wait, and `attach`, which raises AuditError, is tried again and again.
     """
 
@@ -127,11 +156,12 @@ class Audit:
     ) -> None:
         self.path = path
         self.failure = failure
-        self.lost = 0
+        self._lost: Counter[str | None] = Counter()
         self._attach = attach
         self._connection = connection
         # An entry, and the ticket of whoever waits for it: cancelled it is never stored, running it is being committed.
         self._waiting: deque[tuple[AuditEntry, Future[AuditRow] | None]] = deque()
+        self._backlog: Counter[str | None] = Counter()
         self._wake = threading.Condition()
         self._pressing = self._stopping = False
         self._stop = threading.Event()
@@ -144,10 +174,10 @@ class Audit:
         """
         _columns(entry)
         with self._wake:
-            if len(self._waiting) >= BACKLOG and entry.kind not in _ARMINGS:
-                self.lost += 1
+            if self._backlog[entry.subject] >= BACKLOG and entry.kind not in _ARMINGS:
+                self._lost[entry.subject] += 1
                 return
-            self._waiting.append((entry, None))
+            self._append(entry, None)
             self._pressing = self._pressing or entry.kind in _ARMINGS
             self._wake.notify_all()
 
@@ -175,9 +205,10 @@ class Audit:
         # What fails after nobody waits any more is said by `failure`.
         waiting.add_done_callback(lambda done: None if done.cancelled() else done.exception())
         try:
-            # Shielded: a time-out must not cancel the ticket before it was looked at whether the entry is stored.
-            return await asyncio.wait_for(asyncio.shield(waiting), timeout)
-        except (TimeoutError, sqlite3.Error):
+            # Not `wait_for`: a time-out must not cancel the ticket before it was looked at whether the entry is stored.
+            await asyncio.wait((waiting,), timeout=timeout)
+            return waiting.result() if waiting.done() else self._given_up(ticket, undo)
+        except sqlite3.Error:
             return self._given_up(ticket, undo)
         except asyncio.CancelledError:
             self._given_up(ticket, undo, wanted=False)
@@ -195,7 +226,7 @@ class Audit:
             if self._stopping:
                 ticket.cancel()
                 return ticket
-            self._waiting.append((entry, ticket))
+            self._append(entry, ticket)
             self._pressing = True
             self._wake.notify_all()
         return ticket
@@ -211,12 +242,25 @@ class Audit:
             self.put(undo)
         return None
 
+    def _append(self, entry: AuditEntry, ticket: "Future[AuditRow] | None") -> None:
+        self._waiting.append((entry, ticket))
+        self._backlog[entry.subject] += 1
+
     @property
     def complaint(self) -> str:
-        """Why nothing may be written to the PLC now, as it could not be accounted for; "" if it may."""
+        """`complaint_of` the subject that has most entries waiting."""
+        return self.complaint_of(max(self._backlog, key=self._backlog.__getitem__, default=""))
+
+    @property
+    def lost(self) -> int:
+        """The entries that were given up since the disk took the last."""
+        return self._lost.total()
+
+    def complaint_of(self, subject: str | None) -> str:
+        """Why nothing of a subject may be written to the PLC now, as it could not be accounted for; "" if it may."""
         if self.failure:
             return self.failure
-        waiting = len(self._waiting)
+        waiting = self._backlog[subject]
         return f"{self.path}: {waiting} entries wait for the disk" if waiting >= BACKLOG else ""
 
     def close(self) -> bool:
@@ -250,22 +294,16 @@ class Audit:
                         return
                     continue
             claimed: list[tuple[AuditEntry, Future[AuditRow] | None]] = []
-            lost = 0
+            lost: Counter[str | None] = Counter()
             try:
                 with connection:
                     # The write lock comes first, and may take its time: until then an entry can be taken back.
                     connection.execute("BEGIN IMMEDIATE")
                     with self._wake:
-                        self._pressing, lost = False, self.lost
-                        claimed = [
-                            (entry, ticket)
-                            for entry, ticket in self._waiting
-                            if ticket is None or ticket.set_running_or_notify_cancel()
-                        ]
-                        self._waiting.clear()
+                        claimed, lost = self._claimed(), self._lost.copy()
                     if lost and claimed:
-                        reason = f"{lost} rows could not be kept while the disk took none"
-                        _insert(connection, [AuditEntry(claimed[0][0].time, LOST, "", reason, {"rows": lost})])
+                        now = claimed[0][0].time
+                        _insert(connection, [_lost(subject, rows, now) for subject, rows in lost.items() if rows])
                     rows = _insert(connection, [entry for entry, _ in claimed])
             except sqlite3.Error as error:
                 stored = False
@@ -273,18 +311,15 @@ class Audit:
                 with self._wake:
                     self._pressing = False
                     if not claimed:  # the lock did not come: who waits learns it now, and what can wait does
-                        claimed = [
-                            row for row in self._waiting if row[1] is None or row[1].set_running_or_notify_cancel()
-                        ]
-                        self._waiting.clear()
-                    self._waiting.extendleft((entry, None) for entry, ticket in reversed(claimed) if ticket is None)
+                        claimed = self._claimed(len(self._waiting))
+                    self._give_back(claimed)
                 for _, ticket in claimed:
                     if ticket is not None:
                         ticket.set_exception(error)
             except Exception as error:
                 # The supervisor says it and begins anew; what was claimed does not go with it.
                 with self._wake:
-                    self._waiting.extendleft((entry, None) for entry, ticket in reversed(claimed) if ticket is None)
+                    self._give_back(claimed)
                 for _, ticket in claimed:
                     if ticket is not None:
                         ticket.set_exception(sqlite3.OperationalError(str(error)))
@@ -292,7 +327,7 @@ class Audit:
             else:
                 stored, self.failure = True, ""
                 with self._wake:
-                    self.lost -= lost if claimed else 0
+                    self._lost -= lost if claimed else Counter()
                 for (_, ticket), row in zip(claimed, rows, strict=True):
                     if ticket is not None:
                         ticket.set_result(row)
@@ -301,6 +336,33 @@ class Audit:
                     return
                 if not stored:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
+
+    def _claimed(self, share: int = SHARE) -> list[tuple[AuditEntry, "Future[AuditRow] | None"]]:
+        """Take what the next commit stores: of each subject the oldest entries, `share` at most (the lock is held)."""
+        taken: Counter[str | None] = Counter()
+        claimed, left = [], deque[tuple[AuditEntry, Future[AuditRow] | None]]()
+        for entry, ticket in self._waiting:
+            if taken[entry.subject] >= share:
+                left.append((entry, ticket))
+                continue
+            self._backlog[entry.subject] -= 1
+            if ticket is None or ticket.set_running_or_notify_cancel():
+                taken[entry.subject] += 1
+                claimed.append((entry, ticket))
+        self._waiting, self._pressing = left, bool(left)
+        return claimed
+
+    def _give_back(self, claimed: Sequence[tuple[AuditEntry, "Future[AuditRow] | None"]]) -> None:
+        """Have what nobody waits for tried again, before what has come since (the lock is held)."""
+        for entry, ticket in reversed(claimed):
+            if ticket is None:
+                self._waiting.appendleft((entry, None))
+                self._backlog[entry.subject] += 1
+
+
+def _lost(subject: str | None, rows: int, now: float) -> AuditEntry:
+    reason = f"{rows} rows could not be kept while the disk took none"
+    return AuditEntry(now, LOST, "", reason, {"rows": rows}).of(subject or "")
 
 
 def open_audit(path: Path, supervisor: Supervisor | None = None) -> Audit:

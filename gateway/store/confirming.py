@@ -4,8 +4,8 @@ Whoever can write to the audit log can append an arming that is well formed; and
 was told that it is not, since its commit was under way when the wait for it ended. So an arming, and an
 acknowledgement of lost rows, counts only with a row of the kind CONFIRMED behind it. That is written by whoever holds
 the key, once the first row is known to be on the disk, and signs its number and hash, which stand for its content and
-for all rows before it: copied to another place it confirms nothing. A signed head (`gateway.store.witness`) does not
-do, as one is signed each hour over whatever stands there.
+for all rows before it: copied to another place, or given another subject, it confirms nothing. A signed head
+(`gateway.store.witness`) does not do, as one is signed each hour over whatever stands there.
 """
 
 from collections.abc import Iterable
@@ -20,7 +20,9 @@ from gateway.store.signing import is_signed, load_key, public_digits
 def confirmation(row: AuditRow, key: Ed25519PrivateKey, now: float) -> AuditEntry:
     """The row that confirms a stored one."""
     detail = {"row": row.id, "hash": row.hash, "signature": key.sign(_signed_bytes(row.id, row.hash)).hex()}
-    return AuditEntry(now, CONFIRMED, row.entry.who, f"row {row.id} ({row.entry.kind}) counts", detail)
+    return AuditEntry(now, CONFIRMED, row.entry.who, f"row {row.id} ({row.entry.kind}) counts", detail).of(
+        row.entry.subject or ""
+    )
 
 
 def is_confirmed(path: Path, row: AuditRow, by: Iterable[AuditRow], public: str) -> bool:

@@ -2,21 +2,36 @@
 
 What can be read of a damaged file goes into a new one, the durable tables first; the damaged one stays under another
 name. A file of something else and one of a newer layout are nobody's damage: they are refused and left alone.
+
+Layouts 1 and 2 knew one machine and one followed temperature: their rows become those of the `heir`, a machine's name,
+or of a machine named "" until a gateway that has a name for it opens the file.
 """
 
 import os
 import sqlite3
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from itertools import groupby
+from math import inf
 from pathlib import Path
 from shutil import disk_usage
 
-from drivers.tag import Tag
 from gateway.store.durable import BESIDE, set_aside
-from gateway.store.retention import concerns_file, is_damage, transaction
-from gateway.store.schema import APPLICATION_ID, COLUMNS, INDICES, NAMES, VERSION, WITHOUT_ROWID, definition
+from gateway.store.schema import (
+    APPLICATION_ID,
+    COLUMNS,
+    FOLLOWED,
+    INDICES,
+    NAMES,
+    PACKED,
+    VERSION,
+    WITHOUT_ROWID,
+    definition,
+    first_key,
+)
+from gateway.store.sqlite_file import concerns_file, is_damage, transaction
 
 PAGE = 1024
 """Bytes of a page of a new file. A commit writes whole pages, mostly of one row or two, and a packed column ends in the
@@ -42,7 +57,7 @@ class UnusableHistorianError(HistorianError):
 
 @dataclass(frozen=True, slots=True)
 class HistorianFile:
-    """An open file: a connection that does not wait for the disk, one that does, and the numbers of the tags.
+    """An open file: a connection that does not wait for the disk, and one that does.
 
     `note` says what was set aside and recovered ("" nothing), `inode` which file it is.
     """
@@ -50,7 +65,6 @@ class HistorianFile:
     path: Path
     normal: sqlite3.Connection
     full: sqlite3.Connection
-    numbers: Mapping[str, int]
     inode: int
     note: str = ""
 
@@ -67,15 +81,14 @@ class HistorianFile:
             connection.close()
 
 
-def opened(path: Path, tags: Iterable[Tag], *, max_mb: float, mend: bool = False) -> HistorianFile:
+def opened(path: Path, *, max_mb: float, mend: bool = False, heir: str = "") -> HistorianFile:
     """Open or make the file at `path`. With `mend` a damaged one is set aside, and a new one begun with what is left.
 
     Raises HistorianError: DamagedHistorianError only without `mend`, UnusableHistorianError for what may pass.
     """
-    tags = tuple(tags)
     try:
         _examined(path, whole=mend)
-        return _connected(path, tags, max_mb)
+        return _connected(path, max_mb, heir)
     except DamagedHistorianError as error:
         if not mend:
             raise
@@ -85,14 +98,14 @@ def opened(path: Path, tags: Iterable[Tag], *, max_mb: float, mend: bool = False
             raise UnusableHistorianError(
                 f"{path}: is damaged and cannot be set aside ({failed.strerror}); move it away by hand"
             ) from None
-    file = _connected(path, tags, max_mb)
-    rows, complete = _recovered(aside, file.normal)
+    file = _connected(path, max_mb, heir)
+    rows, complete = _recovered(aside, file.normal, heir)
     what = f"{rows} rows of it were recovered" + ("" if complete else ", and not all that may be left")
     note = f"{path}: was damaged ({reason}) and is set aside as {aside.name}; {what}; a new one was begun"
-    return replace(file, numbers=_numbers(file.normal, tags), note=note)
+    return replace(file, note=note)
 
 
-def _connected(path: Path, tags: tuple[Tag, ...], max_mb: float) -> HistorianFile:
+def _connected(path: Path, max_mb: float, heir: str) -> HistorianFile:
     if path.exists() and not path.is_file():
         what = "a directory" if path.is_dir() else "no file"
         raise DamagedHistorianError(f"{path}: is {what}; give the path of a file for the historian")
@@ -104,10 +117,10 @@ def _connected(path: Path, tags: tuple[Tag, ...], max_mb: float) -> HistorianFil
     try:
         # Measurements leave a reserve: an alarm that is raised when the file is full still has its row.
         with closing(_connection(path, "FULL", limit)) as first:
-            numbers = _prepared(first, path, tags)
+            _prepared(first, path, heir)
         connections.append(_connection(path, "NORMAL", limit - reserve))
         connections.append(_connection(path, "FULL", limit))
-        return HistorianFile(path, connections[0], connections[1], numbers, path.stat().st_ino)
+        return HistorianFile(path, connections[0], connections[1], path.stat().st_ino)
     except (sqlite3.Error, OSError) as error:
         for connection in connections:
             connection.close()
@@ -147,11 +160,11 @@ def _connection(path: Path, synchronous: str, most_bytes: float) -> sqlite3.Conn
     return connection
 
 
-def _prepared(connection: sqlite3.Connection, path: Path, tags: tuple[Tag, ...]) -> dict[str, int]:
+def _prepared(connection: sqlite3.Connection, path: Path, heir: str) -> None:
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     tables = {str(row[0]) for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     if tables and version != VERSION:
-        _migrated(connection, path, version)
+        _migrated(connection, path, version, heir)
         tables = set(COLUMNS)
     with transaction(connection):
         for table in COLUMNS:
@@ -163,45 +176,87 @@ def _prepared(connection: sqlite3.Connection, path: Path, tags: tuple[Tag, ...])
         if not tables:
             connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
             connection.execute(f"PRAGMA user_version = {VERSION}")
-        return _numbers(connection, tags)
-
-
-def _numbers(connection: sqlite3.Connection, tags: tuple[Tag, ...]) -> dict[str, int]:
-    connection.executemany("INSERT OR IGNORE INTO tags (name, unit) VALUES (?, ?)", [(t.name, t.unit) for t in tags])
-    return {str(name): int(number) for number, name in connection.execute("SELECT id, name FROM tags")}
+        # What was brought from a former layout without a name goes to the first one that it is opened with.
+        query = "SELECT machine FROM sources UNION SELECT machine FROM tags"
+        named = {str(row[0]) for row in connection.execute(query)}
+        if heir and "" in named and heir not in named:
+            for table in ("sources", "tags"):
+                connection.execute(f"UPDATE {table} SET machine = ? WHERE machine = ''", (heir,))  # noqa: S608
 
 
 # ---------------------------------------------------------------- layouts
 
 
-def _from_1(connection: sqlite3.Connection) -> None:
-    """Layout 1 had its rows under their times, and those of measurement never packed."""
+def _missing_before_3(table: str, heir: str) -> dict[str, str | int]:
+    """What the rows of a table had not in the layouts of one machine: it is source 0, and bears the heir's name."""
+    if table == "tags":
+        return {"machine": heir}
+    return {"source": 0} if table in ("runs", "alarms", "audit", "state") else {}
+
+
+def _to_layout_3(connection: sqlite3.Connection, version: int, heir: str) -> None:
+    """Bring a file of layout 1, which had its rows under their times and packed none, or of 2 to layout 3."""
     known = {str(row[0]) for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     for index in ("events_by_time", "writes_by_time"):
         connection.execute(f"DROP INDEX IF EXISTS {index}")
-    for table, names in NAMES.items():
+    for table, names in {"tags": ("id", "name", "unit"), **NAMES}.items():
         if table not in known:  # guards, in a file of the first gateways
             connection.execute(definition(table))
             continue
-        order = {"runs": "started", "state": "key", "forecasts": "time, horizon"}.get(table)
-        columns = ", ".join(names)
+        numbered = version == 2 or table in ("tags", "events", "alarms", "writes", "audit")
+        order = {"runs": "started", "state": "key", "forecasts": "time, horizon"}.get(table, "time")
+        # By number where there was one, as what arrives in one scan bears one time. The numbers of layout 2 stay: they
+        # are the keys of source 0.
+        order = "rowid" if numbered and table != "state" else order
+        kept = ["rowid"] if version == 2 and table in PACKED else []
+        missing = _missing_before_3(table, heir)
+        columns, into = ", ".join([*names, *kept]), ", ".join([*names, *kept, *missing])
+        marks = "".join(f", :{name}" for name in missing)
         connection.execute(f"ALTER TABLE {table} RENAME TO former")
         connection.execute(definition(table))
-        # By id where there was one, as what arrives in one scan bears one time; by time else.
-        order = order or ("id" if table in ("events", "alarms", "writes", "audit") else "time")
-        connection.execute(f"INSERT INTO {table} ({columns}) SELECT {columns} FROM former ORDER BY {order}")  # noqa: S608
+        connection.execute(
+            f"INSERT INTO {table} ({into}) SELECT {columns}{marks} FROM former ORDER BY {order}",  # noqa: S608
+            missing,
+        )
         connection.execute("DROP TABLE former")
-    for table in ("chunks", "tiers"):
+    for table in ("sources", *sorted({"chunks", "tiers"} - known)):
         connection.execute(definition(table))
-    for statement in INDICES:
+    for statement in INDICES if "chunks" not in known else ():
         connection.execute(statement)
+    _inherited(connection, heir)
 
 
-MIGRATIONS = {1: _from_1}
-"""What brings a file from a layout to the next one, by that layout."""
+def _inherited(connection: sqlite3.Connection, heir: str) -> None:
+    """Name the sources of rows that were written for one machine, and give each followed temperature its own.
+
+    Which temperature was followed when the runs say; the one followed last is the machine's first.
+    """
+    connection.execute("INSERT INTO sources VALUES (0, ?, '')", (heir,))
+    runs = connection.execute("SELECT started, temperature FROM runs ORDER BY started").fetchall()
+    spans = [(next(group)[0], temperature) for temperature, group in groupby(runs, key=lambda run: run[1])]
+    names = list(dict.fromkeys(temperature for _, temperature in reversed(spans) if temperature))
+    for number, temperature in enumerate(names, start=1):
+        connection.execute("INSERT INTO sources VALUES (?, ?, ?)", (number, heir, temperature))
+    for place, (begin, temperature) in enumerate(spans):
+        if not temperature:
+            continue
+        number = 1 + names.index(temperature)
+        span = (-inf if place == 0 else begin, spans[place + 1][0] if place + 1 < len(spans) else inf)
+        for table in FOLLOWED:
+            connection.execute(
+                f"UPDATE {table} SET id = id + ? WHERE id < ? AND time >= ? AND time < ?",  # noqa: S608
+                (first_key(number), first_key(1), *span),
+            )
+            # Rows that were packed together stay so: they go with the first of them.
+            connection.execute(
+                "UPDATE chunks SET tag = ? WHERE kind = ? AND tag = 0 AND first >= ? AND first < ?",
+                (number, table, *span),
+            )
+    if names:
+        connection.execute("UPDATE state SET source = 1 WHERE key IN ('belief', 'bands', 'ensemble')")
 
 
-def _migrated(connection: sqlite3.Connection, path: Path, version: int) -> None:
+def _migrated(connection: sqlite3.Connection, path: Path, version: int, heir: str) -> None:
     """Bring an older file to this layout, all or nothing, once a copy of it is kept beside it."""
     copy = path.with_name(f"{path.name}.layout{version}")
     if not copy.exists():
@@ -214,8 +269,7 @@ def _migrated(connection: sqlite3.Connection, path: Path, version: int) -> None:
     # For a while every row is there twice; opened anew, the connection has its own limit again.
     connection.execute("PRAGMA max_page_count = 4294967294").fetchone()
     with transaction(connection):
-        for step in range(version, VERSION):
-            MIGRATIONS[step](connection)
+        _to_layout_3(connection, version, heir)
         connection.execute(f"PRAGMA user_version = {VERSION}")
 
 
@@ -265,7 +319,7 @@ def _examined(path: Path, *, whole: bool) -> None:
         raise DamagedHistorianError(f"{path}: {verdict.splitlines()[-1]}")
 
 
-def _recovered(aside: Path, target: sqlite3.Connection) -> tuple[int, bool]:
+def _recovered(aside: Path, target: sqlite3.Connection, heir: str) -> tuple[int, bool]:
     """Copy what can be read of a damaged file; gives the number of rows, and whether its end was reached.
 
     The durable tables come first, then the newest of the measurements: there may not be time for all.
@@ -288,13 +342,22 @@ def _recovered(aside: Path, target: sqlite3.Connection) -> tuple[int, bool]:
     with suppress(sqlite3.Error), closing(_reader(aside)) as source:
         known = {str(row[0]) for row in source.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         version = int(source.execute("PRAGMA user_version").fetchone()[0])
-        for table in dict.fromkeys(("tags", "state", "runs", "audit", "alarms", "writes", "chunks", "tiers", *NAMES)):
+        for table in dict.fromkeys(
+            ("sources", "tags", "state", "runs", "audit", "alarms", "writes", "chunks", "tiers", *NAMES)
+        ):
             names = [str(row[1]) for row in target.execute(f"PRAGMA table_info({table})")]
-            if table not in WITHOUT_ROWID and (version > 1 or "id" in names):
+            missing = _missing_before_3(table, heir) if version < 3 else {}
+            names = [name for name in names if name not in missing]
+            if table not in WITHOUT_ROWID and (version > 1 or table in ("tags", "events", "alarms", "writes", "audit")):
                 names = ["rowid", *(name for name in names if name != "id")]
+            else:
+                names = [name for name in names if name != "id"]
             if table in known:
-                copied, whole = _copied(source, target, table, names, until)
+                copied, whole = _copied(source, target, table, names, missing, until=until)
                 rows, complete = rows + copied, complete and whole
+        if version < 3:
+            with transaction(target):
+                _inherited(target, heir)
     return rows, complete
 
 
@@ -303,19 +366,27 @@ def _reader(path: Path) -> sqlite3.Connection:
 
 
 def _copied(
-    source: sqlite3.Connection, target: sqlite3.Connection, table: str, names: list[str], until: float
+    source: sqlite3.Connection,
+    target: sqlite3.Connection,
+    table: str,
+    names: list[str],
+    missing: Mapping[str, str | int],
+    *,
+    until: float,
 ) -> tuple[int, bool]:
-    """Copy a table from its newest row down to the damage, then from its oldest up to it."""
+    """Copy a table from its newest row down to the damage, then from its oldest up to it; with what is `missing`."""
     columns = ", ".join(f'"{name}"' for name in names)
-    marks = ", ".join("?" * len(names))
+    given = "".join(f", :{name}" for name in missing)
+    into = ", ".join([columns, *missing])
+    marks = ", ".join("?" * (len(names) + len(missing)))
     before, whole = target.total_changes, True
     # A table without numbers of its own is read once, in its own order: from both ends its rows would come twice.
     for order in ("ORDER BY rowid DESC", "ORDER BY rowid") if "rowid" in names else ("",):
         try:
-            rows = source.execute(f"SELECT {columns} FROM {table} {order}")  # noqa: S608
+            rows = source.execute(f"SELECT {columns}{given} FROM {table} {order}", missing)  # noqa: S608
             while batch := rows.fetchmany(500):
                 with transaction(target):
-                    target.executemany(f"INSERT OR IGNORE INTO {table} ({columns}) VALUES ({marks})", batch)  # noqa: S608
+                    target.executemany(f"INSERT OR IGNORE INTO {table} ({into}) VALUES ({marks})", batch)  # noqa: S608
                 if time.monotonic() > until:
                     return target.total_changes - before, False
             break  # the other end was reached

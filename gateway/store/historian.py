@@ -1,7 +1,11 @@
 """The embedded historian: SQLite (WAL), written by one thread in batches; the scan never waits for the disk.
 
-Policy of the queue: rows of measurement wait in a queue of at most QUEUE rows, rows of DURABLE tables in one of URGENT;
-when one is full (the disk is full or has gone) its oldest rows are dropped and counted. While the disk refuses,
+One historian serves all machines of a plant. Each puts its rows through a view of it, which knows whose they are; the
+file's numbers of sources and tags are the thread's own matter (`numbers`).
+
+Policy of the queues: rows of measurement wait in queues of QUEUE rows at most, rows of DURABLE tables in those of
+URGENT, each source in its own. When there are too many (the disk is full or has gone) the oldest rows of the source
+that has most of them are dropped and counted: a machine that floods costs no other a row. While the disk refuses,
 `failure` says why and the thread tries again each second; nothing else stops. A row that cannot be stored costs that
 row, a table with a bad page that table: it is counted, and `complaint` says it.
 
@@ -19,8 +23,8 @@ import json
 import os
 import sqlite3
 import threading
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -32,17 +36,17 @@ from drivers.supervision import Supervisor
 from drivers.tag import Tag
 from gateway.store.columns import PackedError
 from gateway.store.files import HistorianError, HistorianFile, UnusableHistorianError, opened
+from gateway.store.numbers import FileNumbers, Source, newest_of
+from gateway.store.queues import Batch, LostRows, Row, RowQueues
 from gateway.store.retention import (
     Packer,
-    concerns_file,
     deleted_before,
     gave_back,
-    is_damage,
     make_room,
     pages,
-    transaction,
 )
 from gateway.store.schema import AT_ONCE, DURABLE, INDICES, INSERTS, MEASURED, PACKED, definition
+from gateway.store.sqlite_file import concerns_file, is_damage, sources_in, transaction
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -52,21 +56,17 @@ QUEUE, URGENT = 200_000, 10_000
 BATCH_SECONDS = 1.0
 STALL_SECONDS = 10.0
 """How long rows may wait for the disk before that is a complaint."""
-LOSS_SECONDS = 60.0
-"""How long a lost row stays a complaint; it is counted for ever."""
 DISK_MARGIN = 1_000_000
 """Bytes: with less of them left it is the disk that is full, and not the historian that has reached its size."""
 ROW_ERRORS = (sqlite3.Error, ArithmeticError, LookupError, TypeError, ValueError)
 """What a row that cannot be stored raises."""
 
-Row = tuple[Any, ...]
-
 
 class Historian:
-    """An open historian: `put` and `flush` may be called from any thread, nothing else needs to be awaited.
+    """An open historian: views of it may be had at any time (`of`), and nothing needs to be awaited.
 
-    `dropped` counts the rows that the queue had no place for, `refused` those that no table takes; `failure` says why
-    nothing can be stored now ("": it can). Without a `file` rows wait in the queue, and `attach` is tried each second.
+    `failure` says why nothing can be stored now ("": it can). Without a `file` rows wait in the queues, and `attach` is
+    tried each second.
     """
 
     def __init__(
@@ -76,46 +76,58 @@ class Historian:
         attach: Callable[[], HistorianFile],
         lock: _FileLock,
         *,
-        numbers: Mapping[str, int],
         supervisor: Supervisor,
         failure: str = "",
     ) -> None:
         self.path = path
-        self.dropped = self.refused = 0
         self.failure = failure
         self.note = file.note if file else ""
         self._attach, self._lock, self._file = attach, lock, file
-        self._numbers, self._renumbered = dict(numbers), dict[int, int]()
-        self._rows: deque[tuple[str, Row]] = deque()
-        self._urgent: deque[tuple[str, Row]] = deque()
+        self._sources: list[Source] = []
+        self._units: dict[tuple[str, str], str] = {}
+        self._numbers: FileNumbers | None = None
+        self._rows, self._urgent = RowQueues(QUEUE), RowQueues(URGENT)
+        self._lost: defaultdict[str, LostRows] = defaultdict(LostRows)
         self._wake = threading.Condition()
         self._at_once = self._flush = False
+        self._begun = self._completed = 0  # rounds that commit everything
         self._forget: float | None = None
         self._waits_since: float | None = None
-        self._loss, self._lost_at = "", 0.0
         self._due = monotonic() + BATCH_SECONDS
         self._stop = threading.Event()
         self._thread = supervisor.thread("historian", self._work, stop=self._stop)
 
-    def put(self, table: str, rows: Iterable[Row]) -> None:
-        """Take rows for a table of INSERTS; they are committed within about a second, those of AT_ONCE at once."""
+    def of(self, machine: str, tags: Iterable[Tag] = (), temperature: str = "") -> HistorianView:
+        """The historian as one machine sees it, or one `temperature` that is followed on it; `tags` give the units.
+
+        The temperatures of a machine keep the order in which they were first asked for.
+        """
         with self._wake:
-            queue = self._urgent if table in DURABLE else self._rows
-            queue.extend((table, row) for row in rows)
+            self._units.update({(machine, tag.name): tag.unit for tag in tags})
+            if (machine, temperature) not in self._sources:
+                self._sources.append((machine, temperature))
+        return HistorianView(self, machine, temperature)
+
+    def put(self, source: Source, table: str, rows: Iterable[Row]) -> None:
+        """Take rows of a source for a table of INSERTS (`HistorianView.put`)."""
+        with self._wake:
+            (self._urgent if table in DURABLE else self._rows).put(source, table, rows)
             self._drop_beyond_the_queues()
-            if self._waits_since is None and (self._rows or self._urgent):
+            if self._waits_since is None and (self._rows.rows or self._urgent.rows):
                 self._waits_since = monotonic()
             # Many writes do not wait for their second either: of a replay as fast as it goes none is to be dropped.
-            if self._urgent and (table in AT_ONCE or len(self._urgent) >= URGENT // 10):
+            if self._urgent.rows and (table in AT_ONCE or self._urgent.rows >= URGENT // 10):
                 self._at_once = True
                 self._wake.notify_all()
 
     def flush(self, timeout: float = 5.0) -> bool:
         """Wait until everything that was put is committed; False if the disk did not take it in time."""
         with self._wake:
+            # The next round that begins: one that is under way may have begun without it.
+            wanted = self._begun + 1
             self._flush = True
             self._wake.notify_all()
-            return self._wake.wait_for(lambda: not self._rows and not self._urgent and not self._flush, timeout)
+            return self._wake.wait_for(lambda: self._completed >= wanted, timeout)
 
     def forget_before(self, moment: float) -> None:
         """Have measurements older than `moment` deleted with the next batch."""
@@ -130,42 +142,50 @@ class Historian:
             return self.failure
         return f"{self.path}: nothing has been stored for more than {STALL_SECONDS:g} s; see to the disk"
 
+    def lost_by(self, machine: str) -> LostRows:
+        """What a machine has lost."""
+        return self._lost[machine]
+
     @property
     def complaint(self) -> str:
         """Why the records cannot be relied on: `stuck`, a row was lost of late, a file set aside; "" if they can.
 
         It does not change from one lost row to the next: how many they are is in `dropped` and `refused`.
         """
-        lost = self._loss if monotonic() - self._lost_at < LOSS_SECONDS else ""
+        lost = max(list(self._lost.values()), key=lambda one: one.at, default=LostRows()).complaint
         return self.stuck or lost or self.note
 
-    def load(self, key: str) -> tuple[float, Any] | None:
-        """A saved state: the time it was saved and its content; None if there is none.
+    @property
+    def dropped(self) -> int:
+        """The rows of all machines that the queues had no place for."""
+        return sum(lost.dropped for lost in list(self._lost.values()))
 
-        Raises ValueError or HistorianError for one that cannot be read.
-        """
+    @property
+    def refused(self) -> int:
+        """The rows of all machines that no table takes."""
+        return sum(lost.refused for lost in list(self._lost.values()))
+
+    def load(self, source: Source, key: str) -> tuple[float, Any] | None:
+        """A saved state of a source (`HistorianView.load`)."""
         if self._file is None:
             return None
         try:
             with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)) as reader:
-                row = reader.execute("SELECT time, content FROM state WHERE key = ?", (key,)).fetchone()
+                query = "SELECT time, content FROM state JOIN sources ON sources.id = source "
+                query += "WHERE machine = ? AND temperature = ? AND key = ?"
+                row = reader.execute(query, (*source, key)).fetchone()
         except sqlite3.Error as error:
             raise HistorianError(f"{self.path}: cannot be read ({error})") from None
         return None if row is None else (float(row[0]), json.loads(row[1]))
 
-    def save(self, key: str, now: float, content: Mapping[str, Any]) -> None:
-        """Keep a state, instead of the one kept under this key before."""
-        self.put("state", [(key, now, json.dumps(content))])
-
-    def newest(self) -> float | None:
-        """The time (s UTC) of the scan that was stored last; None without one."""
+    def newest(self, machine: str) -> float | None:
+        """The time (s UTC) of a machine's scan that was stored last (`HistorianView.newest`)."""
         if self._file is None:
             return None
         try:
-            row = self._file.normal.execute("SELECT time FROM scans ORDER BY rowid DESC LIMIT 1").fetchone()
+            return newest_of(self._file.normal, machine)
         except sqlite3.Error:
             return None
-        return float(row[0]) if row else None
 
     def close(self) -> bool:
         """Commit what waits, stop the thread, free the file; False if rows had to be given up. May be called twice."""
@@ -175,7 +195,7 @@ class Historian:
             self._stop.set()
             self._wake.notify_all()
         self._thread.join(timeout=10.0)
-        complete = not self._rows and not self._urgent and not self._thread.is_alive()
+        complete = not self._rows.rows and not self._urgent.rows and not self._thread.is_alive()
         if not self._thread.is_alive():
             if self._file is not None:
                 self._file.close()
@@ -196,14 +216,9 @@ class Historian:
         return self._file
 
     def _drop_beyond_the_queues(self) -> None:
-        for queue, most in ((self._urgent, URGENT), (self._rows, QUEUE)):
-            while len(queue) > most:
-                table, _ = queue.popleft()
-                self.dropped += 1
-                self._lost(f"{self.path}: rows of {table} were dropped, as too many wait for the disk")
-
-    def _lost(self, what: str) -> None:
-        self._loss, self._lost_at = what, monotonic()
+        for (machine, _), table in (*self._urgent.overflow(), *self._rows.overflow()):
+            self._lost[machine].dropped += 1
+            self._lost[machine].note(f"{self.path}: rows of {table} were dropped, as too many wait for the disk")
 
     # ---------------------------------------------------------------- the thread
 
@@ -216,10 +231,12 @@ class Historian:
                 )
                 stopping, moment = self._stop.is_set(), self._forget
                 everything = stopping or self._flush or monotonic() >= self._due
+                if everything:
+                    self._begun, self._flush = self._begun + 1, False
             if everything:
                 self._due = monotonic() + BATCH_SECONDS
             committed = self._attached() and self._round(everything=everything)
-            if stopping and (not committed or not (self._rows or self._urgent)):
+            if stopping and (not committed or not (self._rows.rows or self._urgent.rows)):
                 return
             if not committed:
                 packer = None
@@ -230,11 +247,12 @@ class Historian:
             # Only on a disk that takes rows: to pack and to delete is to write as well.
             packer = packer or Packer(self._normal)
             for table in PACKED:
-                self._tended(table, partial(packer.step, table))
+                self._tended(table, partial(self._packed, packer, table))
             self._tended("tiers", packer.tiers)
             if moment is not None:
-                for table in (*MEASURED, "writes"):
-                    self._tended(table, partial(deleted_before, self._normal, table, moment))
+                for source in sources_in(self._normal):
+                    for table in (*MEASURED, "writes"):
+                        self._tended(table, partial(deleted_before, self._normal, table, source, moment))
                 with self._wake:
                     # Another moment may have been given while the deletion ran; that one is still to be done.
                     self._forget = None if self._forget == moment else self._forget
@@ -244,7 +262,7 @@ class Historian:
         """Whether there is a file to write to: the one that is open, or, where it has gone, another one."""
         if self._file is not None and not self._file.moved():
             return True
-        before, self._file = self._file, None
+        before, self._file, self._numbers = self._file, None, None
         if before is not None:
             before.close()
         try:
@@ -252,9 +270,6 @@ class Historian:
         except HistorianError as error:
             self.failure = str(error)
             return False
-        # The numbers that were given out stay; a file that has others gets its own.
-        own = self._file.numbers
-        self._renumbered = {given: own[name] for name, given in self._numbers.items() if own.get(name, given) != given}
         self.failure = ""
         gone = f"{self.path}: was taken away while it was written; a new one was begun" if before else ""
         self.note = self._file.note or gone or self.note
@@ -269,16 +284,23 @@ class Historian:
         with self._wake:
             if whole:
                 self.failure = ""
-                self._flush = self._flush and not everything
-                self._waits_since = monotonic() if self._rows or self._urgent else None
+                self._completed = self._begun if everything else self._completed
+                self._waits_since = monotonic() if self._rows.rows or self._urgent.rows else None
             self._wake.notify_all()
         return whole
 
-    def _commit(self, connection: sqlite3.Connection, queue: deque[tuple[str, Row]]) -> bool:
-        """Commit a queue; what is not committed goes back to its front."""
+    def _packed(self, packer: Packer, table: str) -> bool:
+        """Have one batch of a table packed; False if none has enough rows for one."""
+        numbers = self._numbers
+        if numbers is None or (source := packer.step(table, numbers.waiting[table])) is None:
+            return False
+        numbers.recount(self._normal, table, source)
+        return True
+
+    def _commit(self, connection: sqlite3.Connection, queues: RowQueues) -> bool:
+        """Commit what waits in the queues; what is not committed goes back to their front."""
         with self._wake:
-            batch = list(queue)
-            queue.clear()
+            batch = queues.take()
         stored = not batch
         try:
             if batch:
@@ -292,25 +314,35 @@ class Historian:
                 self._file = None
         finally:
             with self._wake:
-                queue.extendleft(reversed(() if stored else batch))
+                if not stored:
+                    queues.give_back(batch)
                 self._drop_beyond_the_queues()
         return stored
 
-    def _store(self, connection: sqlite3.Connection, batch: list[tuple[str, Row]]) -> None:
+    def _store(self, connection: sqlite3.Connection, batch: Batch) -> None:
         """One transaction with all rows but those that no table takes. Raises sqlite3.Error when the file refuses."""
-        by_table: dict[str, list[Row]] = {}
-        for table, row in batch:
-            if table == "samples" and self._renumbered:
-                row = (self._renumbered.get(row[0], row[0]), *row[1:])
-            by_table.setdefault(table, []).append(row)
+        by_table: dict[tuple[str, Source], list[Row]] = {}
+        for source, waiting in batch.items():
+            for table, row in waiting:
+                by_table.setdefault((table, source), []).append(row)
+        with self._wake:
+            sources = list(self._sources)
         # Each turn but the last makes room, or begins a table anew: there are no more of these than tables.
         for turn in range(len(INSERTS) + 1):
-            refused: list[tuple[str, Exception]] = []
+            refused: list[tuple[str, Source, Exception]] = []
             table = ""
+            # Until it is committed nothing counts, the numbers that are given in it neither.
+            numbers, self._numbers = self._numbers, None
             try:
                 with transaction(connection):
-                    for table, rows in by_table.items():
-                        refused += _inserted(connection, table, rows)
+                    numbers = numbers or FileNumbers(connection)
+                    # All that are known, in their order: of a machine's temperatures the first stays the first.
+                    for source in sources:
+                        numbers.source(connection, source)
+                    self._number_tags(connection, numbers, by_table)
+                    for (table, source), rows in by_table.items():
+                        reasons = _inserted(connection, numbers, table, source, rows)
+                        refused += [(table, source, reason) for reason in reasons]
             except sqlite3.Error as error:
                 code = getattr(error, "sqlite_errorcode", 0) & 0xFF
                 # Full is the file, which may hold so much, or the disk: what others have filled is no reason to delete.
@@ -327,11 +359,23 @@ class Historian:
                     raise
                 self._begin_anew(table, str(error))
                 continue
-            self.refused += len(refused)
-            for table, reason in refused[-1:]:
-                self._lost(f"{self.path}: a row of {table} cannot be stored ({reason}) and was left out")
+            self._numbers = numbers
+            for table, source, reason in refused:
+                lost = self._lost[source[0]]
+                lost.refused += 1
+                lost.note(f"{self.path}: a row of {table} cannot be stored ({reason}) and was left out")
             return
         raise sqlite3.OperationalError("there is no end to what is wrong with it")
+
+    def _number_tags(
+        self, connection: sqlite3.Connection, numbers: FileNumbers, by_table: Mapping[tuple[str, Source], list[Row]]
+    ) -> None:
+        """Give a number to each tag of the samples; what is no name has none, and its row is refused."""
+        for (table, (machine, _)), rows in by_table.items():
+            if table == "samples":
+                names = dict.fromkeys(row[0] for row in rows if row and isinstance(row[0], str))
+                for name in filter(str.isprintable, names):
+                    numbers.tag(connection, machine, name, self._units.get((machine, name), ""))
 
     def _begin_anew(self, table: str, reason: str) -> None:
         """Give a damaged table another name and begin it anew: one bad page costs one table.
@@ -364,29 +408,112 @@ class Historian:
             self.failure = f"{self.path}: old rows cannot be put away ({error}); make room or mend the disk"
 
 
-def _inserted(connection: sqlite3.Connection, table: str, rows: list[Row]) -> list[tuple[str, Exception]]:
-    """Insert the rows; gives those that no table takes, with the reason. Raises sqlite3.Error when the file refuses."""
+def _inserted(
+    connection: sqlite3.Connection, numbers: FileNumbers, table: str, source: Source, rows: Sequence[Row]
+) -> list[Exception]:
+    """Insert the rows of a source; gives why some are taken by no table. Raises sqlite3.Error when the file refuses."""
+    number = numbers.sources[source]
+    key, step = (numbers.next_key(connection, table, number), 1) if table in PACKED else (number, 0)
+
+    def stored(place: int, row: Row) -> Row:
+        if table == "samples":
+            row = (numbers.tags[source[0], row[0]], *row[1:])
+        return (*row, key + step * place)
+
+    taken, refused = len(rows), list[Exception]()
     connection.execute("SAVEPOINT rows")
     try:
-        connection.executemany(INSERTS[table], rows)
+        connection.executemany(INSERTS[table], [stored(place, row) for place, row in enumerate(rows)])
     except ROW_ERRORS as error:
         if _beyond_the_row(error):
             raise
         connection.execute("ROLLBACK TO rows")
-    else:
-        connection.execute("RELEASE rows")
-        return []
-    # One of them cannot be stored, and nothing says which: each is tried by itself.
-    refused: list[tuple[str, Exception]] = []
-    for row in rows:
-        try:
-            connection.execute(INSERTS[table], row)
-        except ROW_ERRORS as error:
-            if _beyond_the_row(error):
-                raise
-            refused.append((table, error))
+        # One of them cannot be stored, and nothing says which: each is tried by itself.
+        taken = 0
+        for row in rows:
+            try:
+                connection.execute(INSERTS[table], stored(taken, row))
+                taken += 1
+            except ROW_ERRORS as reason:
+                if _beyond_the_row(reason):
+                    raise
+                refused.append(reason)
     connection.execute("RELEASE rows")
+    if step:
+        numbers.took(table, number, taken)
     return refused
+
+
+class HistorianView:
+    """The historian as one machine sees it, or one `temperature` that is followed on it ("": none in particular).
+
+    `put` and `flush` may be called from any thread, nothing else needs to be awaited.
+    """
+
+    def __init__(self, historian: Historian, machine: str, temperature: str) -> None:
+        self._historian, self.machine, self.temperature = historian, machine, temperature
+        self._source = (machine, temperature)
+
+    def put(self, table: str, rows: Iterable[Row]) -> None:
+        """Take rows for a table (`schema.NAMES`); they are committed within about a second, those of AT_ONCE at once.
+
+        A row of `samples` begins with its tag's name.
+        """
+        self._historian.put(self._source, table, rows)
+
+    def flush(self, timeout: float = 5.0) -> bool:
+        """Wait until everything that was put is committed; False if the disk did not take it in time."""
+        return self._historian.flush(timeout)
+
+    def save(self, key: str, now: float, content: Mapping[str, Any]) -> None:
+        """Keep a state, instead of the one kept under this key before."""
+        self.put("state", [(key, now, json.dumps(content))])
+
+    def load(self, key: str) -> tuple[float, Any] | None:
+        """A state that this view has saved: the time it was saved and its content; None if there is none.
+
+        Raises ValueError or HistorianError for one that cannot be read.
+        """
+        return self._historian.load(self._source, key)
+
+    def newest(self) -> float | None:
+        """The time (s UTC) of the machine's scan that was stored last; None without one."""
+        return self._historian.newest(self.machine)
+
+    @property
+    def path(self) -> Path:
+        """The historian's file."""
+        return self._historian.path
+
+    @property
+    def failure(self) -> str:
+        """Why nothing can be stored now; "": it can."""
+        return self._historian.failure
+
+    @property
+    def note(self) -> str:
+        """What was set aside or begun anew; "" nothing."""
+        return self._historian.note
+
+    @property
+    def stuck(self) -> str:
+        """Why nothing is stored now; "" while it is."""
+        return self._historian.stuck
+
+    @property
+    def dropped(self) -> int:
+        """The machine's rows that the queue had no place for."""
+        return self._historian.lost_by(self.machine).dropped
+
+    @property
+    def refused(self) -> int:
+        """The machine's rows that no table takes."""
+        return self._historian.lost_by(self.machine).refused
+
+    @property
+    def complaint(self) -> str:
+        """Why the machine's records cannot be relied on: `Historian.complaint` without the rows of other machines."""
+        return self.stuck or self._historian.lost_by(self.machine).complaint or self.note
 
 
 def _beyond_the_row(error: Exception) -> bool:
@@ -398,14 +525,11 @@ def _beyond_the_row(error: Exception) -> bool:
 
 
 def open_historian(
-    path: Path,
-    tags: Iterable[Tag],
-    *,
-    max_mb: float = 4096.0,
-    mend: bool = False,
-    supervisor: Supervisor | None = None,
-) -> tuple[Historian, dict[str, int]]:
-    """Open or make the historian at `path` for one gateway; also gives the number of each tag in its `samples`.
+    path: Path, *, max_mb: float = 4096.0, mend: bool = False, supervisor: Supervisor | None = None, heir: str = ""
+) -> Historian:
+    """Open or make the historian at `path` for one gateway.
+
+    `heir` is the machine to which the rows of a former file belong, whose gateway had one machine and no name for it.
 
     With `mend`, which the gateway asks for, nothing that has befallen the file or its folder keeps it from running: a
     damaged file is set aside and a new one begun, and where nothing can be written the rows wait (`complaint`).
@@ -413,12 +537,11 @@ def open_historian(
     Raises HistorianError, in one sentence: another gateway holds it, it is a database of something else or of a newer
     layout; without `mend` also where it is damaged or cannot be written.
     """
-    tags, locked = tuple(tags), _FileLock(path)
-    supervisor = supervisor or Supervisor()
+    locked = _FileLock(path)
 
     def attach() -> HistorianFile:
         locked.take()
-        return opened(path, tags, max_mb=max_mb, mend=mend)
+        return opened(path, max_mb=max_mb, mend=mend, heir=heir)
 
     file, failure = None, ""
     try:
@@ -431,9 +554,7 @@ def open_historian(
     except HistorianError:
         locked.free()
         raise
-    # Until there is a file the tags have numbers that no file gives.
-    numbers = dict(file.numbers) if file else {tag.name: -1 - place for place, tag in enumerate(tags)}
-    return Historian(path, file, attach, locked, numbers=numbers, supervisor=supervisor, failure=failure), numbers
+    return Historian(path, file, attach, locked, supervisor=supervisor or Supervisor(), failure=failure)
 
 
 class _FileLock:
@@ -474,7 +595,7 @@ class _FileLock:
             self._descriptor = None
 
 
-def saved_state(historian: Historian, key: str, log: FilteringBoundLogger) -> tuple[float, dict[str, Any]] | None:
+def saved_state(historian: HistorianView, key: str, log: FilteringBoundLogger) -> tuple[float, dict[str, Any]] | None:
     """When a state was saved and its content; None where there is none, or, logged, where it cannot be read."""
     try:
         state = historian.load(key)

@@ -1,4 +1,8 @@
-"""Reading a historian: prediction beside measurement, forecasts beside what came, and back to traces to learn from."""
+"""Reading a historian: prediction beside measurement, forecasts beside what came, and back to traces to learn from.
+
+Every reader speaks of one `machine` (None: the only one in the file), and where rows are about a followed temperature
+of one `temperature` of it (None: the machine's first). A file of layout 1 or 2 has one machine without a name, "".
+"""
 
 import json
 import re
@@ -16,8 +20,10 @@ import numpy as np
 from drivers.tag import Quality, Sample
 from gateway.store.columns import Cell, PackedError, unpack
 from gateway.store.files import HistorianError
+from gateway.store.numbers import newest_of
 from gateway.store.retention import TIERS, means, merged, tier_kind
-from gateway.store.schema import APPLICATION_ID, NAMES, VERSION, number, restored
+from gateway.store.schema import APPLICATION_ID, FOLLOWED, NAMES, PACKED, VERSION, number, restored
+from gateway.store.sqlite_file import key_range
 from sim.sha import Array, Event, Mask, Trace
 
 MOST_STRETCHES = 20_000
@@ -79,8 +85,87 @@ def _layout(connection: sqlite3.Connection) -> int:
     return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
+def machines(connection: sqlite3.Connection) -> list[tuple[str, list[str]]]:
+    """The machines in the file, in the order in which they came, and the temperatures that were followed on each."""
+    if _layout(connection) < 3:
+        query = "SELECT temperature FROM runs WHERE temperature != '' ORDER BY started DESC"
+        return [("", list(dict.fromkeys(str(row[0]) for row in connection.execute(query))))]
+    found: dict[str, list[str]] = {}
+    for machine, temperature in connection.execute("SELECT machine, temperature FROM sources ORDER BY id"):
+        found.setdefault(str(machine), []).extend([str(temperature)] if temperature else [])
+    return list(found.items())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SelectedSources:
+    """Whose rows are read: a machine of a file of some `layout`, its sources, and of these the followed ones."""
+
+    layout: int
+    machine: str
+    own: tuple[int, ...]
+    followed: tuple[int, ...]
+
+    def of(self, table: str) -> tuple[int, ...]:
+        """The sources whose rows of a table are read."""
+        return self.followed if table in FOLLOWED else self.own
+
+    def where(self, table: str) -> tuple[str, tuple[int, ...]]:
+        """The condition for the rows of a table that are not packed, and its values."""
+        if self.layout < 3:
+            return "1", ()
+        sources = self.of(table)
+        if table in PACKED:
+            condition = " OR ".join(["id BETWEEN ? AND ?"] * len(sources))
+            return f"({condition or 0})", tuple(key for source in sources for key in key_range(source))
+        return f"source IN ({', '.join('?' * len(sources))})", sources
+
+    def tags(self, connection: sqlite3.Connection) -> list[tuple[int, str]]:
+        """The machine's tags, (number, name)."""
+        if self.layout < 3:
+            return connection.execute("SELECT id, name FROM tags ORDER BY id").fetchall()
+        query = "SELECT id, name FROM tags WHERE machine = ? ORDER BY id"
+        return connection.execute(query, (self.machine,)).fetchall()
+
+
+def selected(
+    connection: sqlite3.Connection, machine: str | None = None, temperature: str | None = None
+) -> SelectedSources:
+    """The sources of a machine (None: the only one), those of a followed temperature (None: its first).
+
+    With a `temperature` only that one's rows are read, of any table. Raises HistorianError for one that is not there,
+    and without a machine where there are several.
+    """
+    found, file = dict(machines(connection)), _path_of(connection)
+    names = ", ".join(name or "a machine without a name" for name in found)
+    if machine is None:
+        if len(found) > 1:
+            raise HistorianError(f"{file}: has the rows of several machines; name one of {names}")
+        machine = next(iter(found), "")
+    elif machine not in found and found:
+        raise HistorianError(f"{file}: has no rows of a machine {machine!r}; it has those of {names}")
+    temperatures = found.get(machine, [])
+    if temperature is not None and temperature not in temperatures:
+        has = ", ".join(temperatures) or "none"
+        raise HistorianError(f"{file}: {temperature!r} is followed on no machine {machine!r}; followed there: {has}")
+    layout = _layout(connection)
+    if layout < 3:
+        return SelectedSources(layout=layout, machine=machine, own=(0,), followed=(0,))
+    query = "SELECT temperature, id FROM sources WHERE machine = ? ORDER BY id"
+    sources: dict[str, int] = {str(row[0]): int(row[1]) for row in connection.execute(query, (machine,))}
+    first = next(iter(temperatures), None)
+    # What nobody has said the temperature of is about the first.
+    wanted = {first, ""} if temperature in (None, first) else {temperature}
+    followed = tuple(number for name, number in sources.items() if name in wanted)
+    own = tuple(sources.values()) if temperature is None else followed
+    return SelectedSources(layout=layout, machine=machine, own=own, followed=followed)
+
+
+def _path_of(connection: sqlite3.Connection) -> str:
+    return str(connection.execute("PRAGMA database_list").fetchone()[2])
+
+
 def _chunks(
-    connection: sqlite3.Connection, kind: str, tag: int = 0, start: float = -inf, end: float = inf
+    connection: sqlite3.Connection, kind: str, tag: int, start: float = -inf, end: float = inf
 ) -> Iterator[tuple[int, list[list[Cell]]]]:
     """(batch, columns) of the chunks that reach into start <= time < end, in the order of arrival.
 
@@ -97,31 +182,68 @@ def _chunks(
 
 
 def stored_rows(
-    connection: sqlite3.Connection, table: str, names: Sequence[str], start: float = -inf, end: float = inf
+    connection: sqlite3.Connection,
+    table: str,
+    names: Sequence[str],
+    start: float = -inf,
+    end: float = inf,
+    *,
+    machine: str | None = None,
+    temperature: str | None = None,
 ) -> list[tuple[Any, ...]]:
-    """The columns `names`, the first of them `time`, of the rows with start <= time < end, in the order of arrival."""
+    """The columns `names`, the first of them `time`, of the rows with start <= time < end, in the order of arrival.
+
+    Of a machine's temperatures each has an order of its own. Raises HistorianError.
+    """
+    return _rows(connection, selected(connection, machine, temperature), table, names, start=start, end=end)
+
+
+def _rows(
+    connection: sqlite3.Connection,
+    whose: SelectedSources,
+    table: str,
+    names: Sequence[str],
+    *,
+    start: float = -inf,
+    end: float = inf,
+) -> list[tuple[Any, ...]]:
     places = [NAMES[table].index(name) for name in names]
     rows: list[tuple[Any, ...]] = []
     # One moment for both places: a row that is packed meanwhile would be seen twice or not at all.
     with _one_moment(connection):
-        for _, columns in _chunks(connection, table, start=start, end=end):
-            rows += (row for row in zip(*(columns[place] for place in places), strict=True) if start <= row[0] < end)
-        query = f"SELECT {', '.join(names)} FROM {table} WHERE time >= ? AND time < ?"  # noqa: S608
-        rows += connection.execute(query, (start, end)).fetchall()
+        for source in whose.of(table):
+            for _, columns in _chunks(connection, table, source, start, end):
+                picked = zip(*(columns[place] for place in places), strict=True)
+                rows += (row for row in picked if start <= row[0] < end)
+        condition, values = whose.where(table)
+        query = f"SELECT {', '.join(names)} FROM {table} WHERE {condition} AND time >= ? AND time < ?"  # noqa: S608
+        rows += connection.execute(query, (*values, start, end)).fetchall()
     return rows
 
 
-def row_number(connection: sqlite3.Connection, table: str) -> int:
-    """How many rows a table has, packed or not."""
-    packed = 0
-    if _layout(connection) >= 2:
-        packed = connection.execute("SELECT coalesce(sum(rows), 0) FROM chunks WHERE kind = ?", (table,)).fetchone()[0]
-    return int(packed) + int(connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0])  # noqa: S608
+def row_number(
+    connection: sqlite3.Connection, table: str, *, machine: str | None = None, temperature: str | None = None
+) -> int:
+    """How many rows a table has, packed or not. Raises HistorianError."""
+    whose, packed = selected(connection, machine, temperature), 0
+    if whose.layout >= 2:
+        places = [tag for tag, _ in whose.tags(connection)] if table == "samples" else whose.of(table)
+        query = "SELECT coalesce(sum(rows), 0) FROM chunks WHERE kind = ? AND tag = ?"
+        packed = sum(connection.execute(query, (table, place)).fetchone()[0] for place in places)
+    condition, values = whose.where(table)
+    query = f"SELECT count(*) FROM {table} WHERE {condition}"  # noqa: S608
+    return int(packed) + int(connection.execute(query, values).fetchone()[0])
 
 
-def newest_scan(connection: sqlite3.Connection) -> float | None:
-    """The time (s UTC) of the scan that was stored last, whatever the clock said before; None without one."""
-    key = "rowid" if _layout(connection) >= 2 else "time"
+def newest_scan(connection: sqlite3.Connection, *, machine: str | None = None) -> float | None:
+    """The time (s UTC) of the scan that was stored last, whatever the clock said before; None without one.
+
+    Raises HistorianError.
+    """
+    whose = selected(connection, machine)
+    if whose.layout >= 3:
+        return newest_of(connection, whose.machine)
+    key = "rowid" if whose.layout == 2 else "time"
     row = connection.execute(f"SELECT time FROM scans ORDER BY {key} DESC LIMIT 1").fetchone()  # noqa: S608
     return float(row[0]) if row else None
 
@@ -140,10 +262,10 @@ def _one_moment(connection: sqlite3.Connection) -> Iterator[None]:
 
 
 class _SampleReader:
-    """The samples of one tag after the other; the moments that tags share are unpacked once."""
+    """The samples of a machine, one tag after the other; the moments that tags share are unpacked once."""
 
-    def __init__(self, connection: sqlite3.Connection) -> None:
-        self._connection = connection
+    def __init__(self, connection: sqlite3.Connection, whose: SelectedSources) -> None:
+        self._connection, self._where = connection, whose.where("samples")
         self._stamps: dict[int, list[list[Cell]]] = {}
 
     def rows(self, tag: int, start: float = -inf, end: float = inf) -> list[tuple[float, Any, int, float | None]]:
@@ -163,16 +285,26 @@ class _SampleReader:
                 for place, value, quality in zip(which, values, qualities, strict=True)
                 if start <= (time := times[place]) < end  # type: ignore[index,operator]
             ]
-        query = "SELECT time, value, quality, sent FROM samples WHERE tag = ? AND time >= ? AND time < ?"
-        rows += connection.execute(query, (tag, start, end)).fetchall()
+        condition, keys = self._where
+        query = f"SELECT time, value, quality, sent FROM samples WHERE {condition} "  # noqa: S608
+        query += "AND tag = ? AND time >= ? AND time < ?"
+        rows += connection.execute(query, (*keys, tag, start, end)).fetchall()
         return sorted(rows, key=lambda row: row[0])
 
 
-def history(path: Path, start: float = -1e18, end: float = 1e18) -> Aligned:
+def history(
+    path: Path,
+    start: float = -1e18,
+    end: float = 1e18,
+    *,
+    machine: str | None = None,
+    temperature: str | None = None,
+) -> Aligned:
     """Measured and predicted at the scans with start <= time < end. Raises HistorianError."""
     columns = ("time", "measured", "mean", "low", "high", "free_run", "anomaly", "location")
     with reading(path) as connection:
-        rows = sorted(stored_rows(connection, "predictions", columns, start, end), key=lambda row: row[0])
+        whose = selected(connection, machine, temperature)
+        rows = sorted(_rows(connection, whose, "predictions", columns, start=start, end=end), key=lambda row: row[0])
     numbers = np.array([row[:7] for row in rows], dtype=float).reshape(len(rows), 7).T
     times, measured, mean, low, high, free_run, anomaly = numbers
     return Aligned(
@@ -187,12 +319,15 @@ def history(path: Path, start: float = -1e18, end: float = 1e18) -> Aligned:
     )
 
 
-def matured(path: Path, tolerance: float = 5.0) -> dict[float, Matured]:
+def matured(
+    path: Path, tolerance: float = 5.0, *, machine: str | None = None, temperature: str | None = None
+) -> dict[float, Matured]:
     """By horizon (s): every forecast and the first good reading at most `tolerance` s after what it spoke of."""
     with reading(path) as connection:
         columns = ("time", "horizon", "levels", "quantiles", "p_limit", "measured")
-        rows = sorted(stored_rows(connection, "forecasts", columns), key=lambda row: (row[1], row[0]))
-    seen = history(path)
+        whose = selected(connection, machine, temperature)
+        rows = sorted(_rows(connection, whose, "forecasts", columns), key=lambda row: (row[1], row[0]))
+    seen = history(path, machine=machine, temperature=temperature)
     good = np.isfinite(seen.measured)
     times, values = seen.times[good], seen.measured[good]
     by_horizon: dict[float, list[tuple[float, str, str, float, float | None]]] = {}
@@ -218,43 +353,52 @@ def matured(path: Path, tolerance: float = 5.0) -> dict[float, Matured]:
     return matured
 
 
-def events(path: Path) -> tuple[Event, ...]:
-    """The events in the order in which the gateway saw them."""
+def events(path: Path, *, machine: str | None = None, temperature: str | None = None) -> tuple[Event, ...]:
+    """The events in the order in which the gateway saw them. Raises HistorianError."""
     with reading(path) as connection:
-        return tuple(Event(*row) for row in stored_rows(connection, "events", ("time", "symbol")))
+        rows = stored_rows(connection, "events", ("time", "symbol"), machine=machine, temperature=temperature)
+        return tuple(Event(*row) for row in rows)
 
 
-def samples(path: Path, tag: str | None = None, start: float = -inf, end: float = inf) -> Iterator[Sample]:
+def samples(
+    path: Path, tag: str | None = None, start: float = -inf, end: float = inf, *, machine: str | None = None
+) -> Iterator[Sample]:
     """Every stored sample with start <= time < end, of one tag or tag by tag, in the order of time.
 
     `sent` is as the driver gave it, None where not good. Raises HistorianError.
     """
     with reading(path) as connection:
-        for number, name in connection.execute("SELECT id, name FROM tags ORDER BY id").fetchall():
+        whose = selected(connection, machine)
+        for number, name in whose.tags(connection):
             if tag not in (None, name):
                 continue
             with _one_moment(connection):
-                rows = _SampleReader(connection).rows(number, start, end)
+                rows = _SampleReader(connection, whose).rows(number, start, end)
             for time, value, quality, sent in rows:
                 yield Sample(name, restored(value), Quality(quality), time, sent)
 
 
-def to_trace(path: Path, title: str = "historian", start: float = -1e18, end: float = 1e18) -> Trace:
+def to_trace(
+    path: Path, title: str = "historian", start: float = -1e18, end: float = 1e18, *, machine: str | None = None
+) -> Trace:
     """The measurements as a trace with one row a scan, not encoded: what the gateway's own encoder was given.
 
     A reading that was not stored because it equalled the one before it is there again; one that was not good is NaN
     and marked in `bad`. Strings are left out. Raises HistorianError.
     """
     with reading(path) as connection:
-        clock = sorted(row[0] for row in stored_rows(connection, "scans", ("time",), start, end))
+        whose = selected(connection, machine)
+        clock = sorted(row[0] for row in _rows(connection, whose, "scans", ("time",), start=start, end=end))
         times = np.array(clock, dtype=float)
         signals: dict[str, Array] = {}
         bad: dict[str, Mask] = {}
         # A sample that did not change is kept every max_interval only: to know what stood at `start`, one has to look
         # back as far as that, and by ten scans more for those that were late. An hour where no run is on record.
-        reach = connection.execute("SELECT max(max_interval + 10 * period) FROM runs").fetchone()[0] or 3600.0
-        reader = _SampleReader(connection)
-        for tag, name in connection.execute("SELECT id, name FROM tags ORDER BY id").fetchall():
+        condition, own = whose.where("runs")
+        query = f"SELECT max(max_interval + 10 * period) FROM runs WHERE {condition}"  # noqa: S608
+        reach = connection.execute(query, own).fetchone()[0] or 3600.0
+        reader = _SampleReader(connection, whose)
+        for tag, name in whose.tags(connection):
             rows = [row for row in reader.rows(tag, start - reach, end) if not isinstance(row[1], str)]
             if not rows:
                 continue
@@ -269,18 +413,18 @@ def to_trace(path: Path, title: str = "historian", start: float = -1e18, end: fl
     return Trace(title, times, signals, bad=bad, origin=str(path))
 
 
-def recent(path: Path, since: str) -> Trace:
+def recent(path: Path, since: str, *, machine: str | None = None) -> Trace:
     """The measurements `since` a time (ISO 8601, UTC where it names no zone) or over the last span (7d, 36h, 90m, 30s).
 
     A span ends with the newest scan. Raises HistorianError, and ValueError for another `since` or where there is
     nothing after it.
     """
     with reading(path) as connection:
-        last = newest_scan(connection)
+        last = newest_scan(connection, machine=machine)
     if last is None:
         raise ValueError(f"{path}: this historian has no scan yet; let the gateway run first")
     # Up to the newest scan and no further: what a clock that was ahead has left beyond it is not recent.
-    trace = to_trace(path, start=_moment(since, last), end=nextafter(last, inf))
+    trace = to_trace(path, start=_moment(since, last), end=nextafter(last, inf), machine=machine)
     if trace.times.size < 2:
         raise ValueError(f"{path}: there is nothing since {since}; its newest scan is of {_date(last)}")
     return trace
@@ -299,7 +443,9 @@ class Trend:
     high: Array
 
 
-def trend(path: Path, tag: str, start: float, end: float, *, width: int | None = None) -> Trend:
+def trend(
+    path: Path, tag: str, start: float, end: float, *, width: int | None = None, machine: str | None = None
+) -> Trend:
     """The trend of a tag from `start` to `end` (s UTC), from the tier of that `width` (one of TIERS).
 
     Without a width it is the narrowest tier with MOST_STRETCHES at most in that time.
@@ -311,26 +457,31 @@ def trend(path: Path, tag: str, start: float, end: float, *, width: int | None =
     if width not in TIERS:
         raise ValueError(f"there is no tier of {width} s; give one of {', '.join(map(str, TIERS))}")
     with reading(path) as connection, _one_moment(connection):
-        found = connection.execute("SELECT id FROM tags WHERE name = ?", (tag,)).fetchone()
+        whose = selected(connection, machine)
+        found = {name: place for place, name in whose.tags(connection)}.get(tag)
         if found is None:
             raise ValueError(f"{path}: has no tag {tag!r}")
         begin = floor(start / width) * width if isfinite(start) else start
-        packed = _chunks(connection, tier_kind(width), found[0], begin, end)
+        packed = _chunks(connection, tier_kind(width), found, begin, end)
         parts = [np.array(columns, dtype=float) for _, columns in packed]
         query = "SELECT start, count, low, mean, high FROM tiers "
         query += "WHERE tag = ? AND width = ? AND start >= ? AND start < ?"
-        tiers = connection.execute(query, (found[0], width, begin, end)).fetchall()
+        tiers = connection.execute(query, (found, width, begin, end)).fetchall()
         parts.append(np.array(tiers, dtype=float).reshape(len(tiers), 5).T)
         # What is not packed yet is in no tier: the newest half hour or so at a scan a second.
-        told = connection.execute(
-            "SELECT last FROM chunks WHERE kind = 'stamps' ORDER BY batch DESC LIMIT 1"
-        ).fetchone()
+        condition, values = whose.where("samples")
+        places = ", ".join("?" * len(whose.own))
+        query = f"SELECT last FROM chunks WHERE kind = 'stamps' AND tag IN ({places}) ORDER BY batch DESC LIMIT 1"  # noqa: S608
+        told = connection.execute(query, whose.own).fetchone()
         # Looked for among the times that are not packed, and a minute about them, whatever the clock said before.
-        lowest, highest = connection.execute("SELECT min(time), max(time) FROM samples").fetchone()
+        query = f"SELECT min(time), max(time) FROM samples WHERE {condition}"  # noqa: S608
+        lowest, highest = connection.execute(query, values).fetchone()
         since = max(start, nextafter(told[0], inf) if told else -inf, -inf if lowest is None else lowest - 60.0)
         until = min(end, -inf if highest is None else highest + 60.0)
-        scans = np.sort(np.array([row[0] for row in stored_rows(connection, "scans", ("time",), since, until)]))
-        rows = _SampleReader(connection).rows(found[0], since - 3600.0, until)
+        scans = np.sort(
+            np.array([row[0] for row in _rows(connection, whose, "scans", ("time",), start=since, end=until)])
+        )
+        rows = _SampleReader(connection, whose).rows(found, since - 3600.0, until)
         good = np.array([number(row[1]) if Quality(row[2]).is_good else nan for row in rows])
         parts.append(means(scans, np.array([row[0] for row in rows]), good, width))
     columns = np.hstack(parts)

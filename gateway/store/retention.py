@@ -3,18 +3,20 @@
 All of it is done by the historian's thread between two batches, in steps that are each one transaction, so that no
 alarm waits long and a kill at any moment loses nothing. What is oldest is told by the order of arrival, which no clock
 can turn round; only deletion by age asks for times.
+
+Rows are packed source by source: of machines that run side by side each has chunks as long as it would have alone.
 """
 
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from math import inf, nextafter
 
 import numpy as np
 
 from drivers.tag import Quality
 from gateway.store.columns import Cell, pack, unpack
-from gateway.store.schema import MEASURED, NAMES, PACKED, number
+from gateway.store.schema import MEASURED, NAMES, PACKED, first_key, number
+from gateway.store.sqlite_file import concerns_file, is_damage, key_range, sources_in, transaction
 from sim.sha import Array
 
 TIERS = (60, 3600)
@@ -37,45 +39,6 @@ _UPSERT = """INSERT INTO tiers VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO UPDAT
     count = count + excluded.count, low = min(low, excluded.low), high = max(high, excluded.high)"""
 
 
-def _primary(error: sqlite3.Error) -> int:
-    """SQLite's primary result code, the low byte of the extended one (sqlite.org/rescode.html); 0 for none."""
-    return int(getattr(error, "sqlite_errorcode", 0)) & 0xFF
-
-
-def is_damage(error: sqlite3.Error) -> bool:
-    """Whether the file's content is wrong, as against the disk, a lock or a single row."""
-    return _primary(error) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
-
-
-def concerns_file(error: Exception) -> bool:
-    """Whether the whole file cannot be written now, so that nothing is wrong with the row that was tried."""
-    return isinstance(error, sqlite3.Error) and _primary(error) in (
-        sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_READONLY,
-        sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_PERM,
-        sqlite3.SQLITE_PROTOCOL,
-    )  # fmt: skip
-
-
-@contextmanager
-def transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    """A transaction that has the write lock from its beginning, committed at the end, taken back on an error."""
-    connection.execute("BEGIN IMMEDIATE")
-    try:
-        yield
-        connection.execute("COMMIT")
-    finally:
-        if connection.in_transaction:
-            connection.execute("ROLLBACK")
-
-
-def row_count(connection: sqlite3.Connection, table: str) -> int:
-    """How many rows a table has, by its keys: only ever appended to, and deleted from its beginning."""
-    first, last = connection.execute(
-        f"SELECT (SELECT min(rowid) FROM {table}), (SELECT max(rowid) FROM {table})"  # noqa: S608
-    ).fetchone()
-    return 0 if first is None else int(last) - int(first) + 1
-
-
 def _next_batch(connection: sqlite3.Connection) -> int:
     return 1 + int(connection.execute("SELECT coalesce(max(batch), 0) FROM chunks").fetchone()[0])
 
@@ -91,35 +54,46 @@ def _put_chunk(
 
 
 class Packer:
-    """Packs the oldest rows of tables; remembers of each tag what stood when the last batch ended."""
+    """Packs the oldest rows of tables; remembers of each tag what stood when its source's last batch ended."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
         self._standing: dict[int, tuple[float, float]] = {}
-        self._told: float | None = None
-        self._begun: list[float] = []
+        self._told: dict[int, float] = {}
+        self._begun: dict[int, list[float]] = {}
         self._ended: list[tuple[int, int, float]] = []
 
-    def step(self, table: str) -> bool:
-        """Pack one batch of a table if it has enough rows for one; True if it had."""
+    def step(self, table: str, waiting: Mapping[int, int]) -> int | None:
+        """Pack one batch of a table, of a source that has enough rows for one; gives it, None if there is none.
+
+        `waiting` has the number of rows of each source, or more.
+        """
         connection, most = self._connection, PACKED[table]
-        if row_count(connection, table) < most + most // 2:
-            return False
-        names = NAMES[table]
-        (last,) = connection.execute(f"SELECT rowid FROM {table} ORDER BY rowid LIMIT 1 OFFSET {most - 1}").fetchone()  # noqa: S608
+        for source, rows in waiting.items():
+            # Sources that fill side by side are packed one after the other, and not all within one second.
+            if rows >= most + most // 2 + (source % 16) * most // 32:
+                break
+        else:
+            return None
+        names, (lowest, highest) = NAMES[table], key_range(source)
+        query = f"SELECT id FROM {table} WHERE id BETWEEN ? AND ? ORDER BY id LIMIT ?"  # noqa: S608
+        keys = connection.execute(query, (lowest, highest, most)).fetchall()
+        if len(keys) < most:
+            return source  # some were deleted
+        last = keys[-1][0]
         with transaction(connection):
             batch = _next_batch(connection)
             if table == "samples":
-                self._samples(batch, last)
+                self._samples(batch, source, last)
             else:
-                query = f"SELECT {', '.join(names)} FROM {table} WHERE rowid <= ? ORDER BY rowid"  # noqa: S608
-                rows = connection.execute(query, (last,)).fetchall()
-                columns = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+                query = f"SELECT {', '.join(names)} FROM {table} WHERE id BETWEEN ? AND ? ORDER BY id"  # noqa: S608
+                packed = connection.execute(query, (lowest, last)).fetchall()
+                columns = dict(zip(names, map(list, zip(*packed, strict=True)), strict=True))
                 for name, decimals in ROUNDED.get(table, {}).items():
                     columns[name] = [None if value is None else round(value, decimals) for value in columns[name]]
-                _put_chunk(connection, (table, 0, batch), columns["time"], list(columns.values()))
-            connection.execute(f"DELETE FROM {table} WHERE rowid <= ?", (last,))  # noqa: S608
-        return True
+                _put_chunk(connection, (table, source, batch), columns["time"], list(columns.values()))
+            connection.execute(f"DELETE FROM {table} WHERE id BETWEEN ? AND ?", (lowest, last))  # noqa: S608
+        return source
 
     def tiers(self) -> bool:
         """Pack one stretch of a tier that is over. False: the next one waits for the next batch of measurements.
@@ -131,38 +105,47 @@ class Packer:
             self._ended.pop()
         return False
 
-    def _samples(self, batch: int, until: int) -> None:
-        """Pack the samples up to the row `until`, one tag after the other: all at once are several MB of objects."""
+    def _samples(self, batch: int, source: int, until: int) -> None:
+        """Pack a source's samples up to the row `until`, one tag after the other: all at once are several MB."""
         # The tags of one reply share its two moments, which are the costliest numbers of all: they are stored once.
         places: dict[tuple[float, float | None], int] = {}
-        query = "SELECT time, sent FROM samples WHERE rowid <= ? ORDER BY rowid"
-        for moment in self._connection.execute(query, (until,)):
+        span = (first_key(source), until)
+        query = "SELECT time, sent FROM samples WHERE id BETWEEN ? AND ? ORDER BY id"
+        for moment in self._connection.execute(query, span):
             places.setdefault(moment, len(places))
         moments = [list(column) for column in zip(*places, strict=True)]
         times: list[float] = [float(time) for time in moments[0]]
-        _put_chunk(self._connection, ("stamps", 0, batch), times, moments)
+        _put_chunk(self._connection, ("stamps", source, batch), times, moments)
         # A scan bears the moment of its last reply, later than its samples: it may lie between two batches.
         first, last = min(times), max(times)
-        if self._told is not None and self._told < first:
-            first = nextafter(self._told, inf)
-        scans, self._told = self._scan_times(first, last), last
-        query = "SELECT DISTINCT tag FROM samples WHERE rowid <= ? ORDER BY tag"
-        for (tag,) in self._connection.execute(query, (until,)).fetchall():
-            query = "SELECT time, sent, value, quality FROM samples WHERE rowid <= ? AND tag = ? ORDER BY rowid"
-            rows = self._connection.execute(query, (until, tag)).fetchall()
+        told = self._told.get(source)
+        if told is not None and told < first:
+            first = nextafter(told, inf)
+        self._told[source] = last
+        scans = self._scan_times(source, first, last)
+        query = "SELECT DISTINCT tag FROM samples WHERE id BETWEEN ? AND ? ORDER BY tag"
+        for (tag,) in self._connection.execute(query, span).fetchall():
+            query = "SELECT time, sent, value, quality FROM samples WHERE id BETWEEN ? AND ? AND tag = ? ORDER BY id"
+            rows = self._connection.execute(query, (*span, tag)).fetchall()
             own, _, values, qualities = (list(column) for column in zip(*rows, strict=True))
             columns = [[places[row[:2]] for row in rows], values, qualities]
             _put_chunk(self._connection, ("samples", tag, batch), own, columns)
             self._tell(tag, scans, np.array(own), values, qualities)
         begun = [last // (width * STRETCHES) for width in TIERS]
-        if begun != self._begun:
-            self._begun, self._ended = begun, ended_tiers(self._connection, last)
+        if begun != self._begun.get(source):
+            self._begun[source] = begun
+            self._ended += [one for one in ended_tiers(self._connection, last, source) if one not in self._ended]
 
-    def _scan_times(self, first: float, last: float) -> Array:
-        """The times of the scans between two moments, ascending."""
-        query = "SELECT data FROM chunks WHERE kind = 'scans' AND tag = 0 AND last >= ? AND first <= ?"
-        times = [time for (data,) in self._connection.execute(query, (first, last)) for time in unpack(data)[0]]
-        times += [row[0] for row in self._connection.execute("SELECT time FROM scans")]
+    def _scan_times(self, source: int, first: float, last: float) -> Array:
+        """The times of the scans of a source's machine between two moments, ascending."""
+        query = "SELECT id FROM sources WHERE machine = (SELECT machine FROM sources WHERE id = ?)"
+        times: list[Cell] = []
+        for (one,) in self._connection.execute(query, (source,)).fetchall():
+            query = "SELECT data FROM chunks WHERE kind = 'scans' AND tag = ? AND last >= ? AND first <= ?"
+            for (data,) in self._connection.execute(query, (one, first, last)):
+                times += unpack(data)[0]
+            query = "SELECT time FROM scans WHERE id BETWEEN ? AND ?"
+            times += [row[0] for row in self._connection.execute(query, key_range(one))]
         found = np.sort(np.array(times, dtype=float))
         return found[(found >= first) & (found <= last)]
 
@@ -188,11 +171,12 @@ def tier_kind(width: int) -> str:
     return f"tier {width}"
 
 
-def ended_tiers(connection: sqlite3.Connection, now: float) -> list[tuple[int, int, float]]:
-    """(tag, width, start) of every STRETCHES that have rows in `tiers` and were over at `now` (s UTC)."""
+def ended_tiers(connection: sqlite3.Connection, now: float, source: int) -> list[tuple[int, int, float]]:
+    """(tag, width, start) of every STRETCHES that a source's machine has in `tiers` and were over at `now` (s UTC)."""
     ended = []
+    tags = "SELECT id FROM tags WHERE machine = (SELECT machine FROM sources WHERE id = ?)"
     query = "SELECT min(start) FROM tiers WHERE tag = ? AND width = ? AND start >= ? AND start < ?"
-    for (tag,) in connection.execute("SELECT id FROM tags").fetchall():
+    for (tag,) in connection.execute(tags, (source,)).fetchall():
         for width in TIERS:
             span, start = width * STRETCHES, -inf
             over = now // span * span
@@ -246,25 +230,28 @@ def merged(rows: Array) -> Array:
     return np.array([alone, counts, least, mean, most])
 
 
-def deleted_before(connection: sqlite3.Connection, table: str, moment: float) -> bool:
-    """Delete one step of what a table, or its chunks, has from before a `moment` (s UTC); False if there is none.
+def deleted_before(connection: sqlite3.Connection, table: str, source: int, moment: float) -> bool:
+    """Delete one step of what a source has in a table, or its chunks, from before a `moment` (s UTC).
 
-    Only what arrived first goes, up to the first row that is younger: rows of yesterday that bear the time of a clock
-    which had lost it, 1970, are not old.
+    False if there is none. Only what arrived first goes, up to the first row that is younger: rows of yesterday that
+    bear the time of a clock which had lost it, 1970, are not old.
     """
-    kinds = "('samples', 'stamps')" if table == "samples" else f"('{table}')"
-    young = f"SELECT rowid FROM chunks WHERE kind IN {kinds} AND last >= :moment ORDER BY rowid LIMIT 1"  # noqa: S608
-    chunks = (
-        f"SELECT rowid FROM chunks WHERE kind IN {kinds} AND rowid < coalesce(({young}), :none) ORDER BY rowid LIMIT 50"  # noqa: S608
+    # Samples lie in chunks of their tags; which batches are this source's, and how old, its stamps say.
+    values = {"kind": "stamps" if table == "samples" else table, "source": source, "moment": moment}
+    values |= dict(zip(("lowest", "highest"), key_range(source), strict=True)) | {"none": (1 << 63) - 1}
+    own = "FROM chunks WHERE kind = :kind AND tag = :source"
+    young = f"SELECT min(batch) {own} AND last >= :moment"
+    batches = f"SELECT batch {own} AND batch < coalesce(({young}), :none) ORDER BY batch LIMIT 5"
+    young = f"SELECT min(id) FROM {table} WHERE id BETWEEN :lowest AND :highest AND time >= :moment"  # noqa: S608
+    rows = (
+        f"SELECT id FROM {table} WHERE id BETWEEN :lowest AND :highest AND id < coalesce(({young}), :none) "  # noqa: S608
+        f"ORDER BY id LIMIT {STEP}"
     )
-    young = f"SELECT min(rowid) FROM {table} WHERE time >= :moment"  # noqa: S608
-    rows = f"SELECT rowid FROM {table} WHERE rowid < coalesce(({young}), :none) ORDER BY rowid LIMIT {STEP}"  # noqa: S608
-    values = {"moment": moment, "none": (1 << 63) - 1}
     with transaction(connection):
-        gone = connection.execute(f"DELETE FROM chunks WHERE rowid IN ({chunks})", values).rowcount  # noqa: S608
+        gone = connection.execute(f"DELETE FROM chunks WHERE batch IN ({batches})", values).rowcount  # noqa: S608
         # Packed rows are older than those that are not.
-        if not connection.execute(f"SELECT 1 FROM chunks WHERE kind IN {kinds} LIMIT 1").fetchone():  # noqa: S608
-            gone += connection.execute(f"DELETE FROM {table} WHERE rowid IN ({rows})", values).rowcount  # noqa: S608
+        if not connection.execute(f"SELECT 1 {own} LIMIT 1", values).fetchone():
+            gone += connection.execute(f"DELETE FROM {table} WHERE id IN ({rows})", values).rowcount  # noqa: S608
     return gone > 0
 
 
@@ -286,25 +273,33 @@ def make_room(connection: sqlite3.Connection, wanted: int) -> bool:
     Measurements go first, then the tiers, the narrow ones before the wide, last the writes. Alarms, audit record and
     runs stay.
     """
-    measurements = [
-        f"DELETE FROM {table} WHERE rowid IN (SELECT rowid FROM {table} ORDER BY rowid LIMIT {STEP // 10})"  # noqa: S608
+    ranges = [key_range(source) for source in sources_in(connection)]
+    # A little of each source in turn: none gives all that it has for the others.
+    rows = {
+        table: [
+            f"DELETE FROM {table} WHERE id IN (SELECT id FROM {table} WHERE id BETWEEN {lowest} AND {highest} "  # noqa: S608
+            f"ORDER BY id LIMIT {STEP // 10})"
+            for lowest, highest in ranges
+        ]
         for table in (*MEASURED, "writes")
-    ]
-    tiers = [
-        f"DELETE FROM tiers WHERE width = {width} AND start < (SELECT min(start) + {500 * width} FROM tiers "  # noqa: S608
-        f"WHERE width = {width})"
+    }
+    tiers = {
+        width: [
+            f"DELETE FROM tiers WHERE width = {width} AND start < (SELECT min(start) + {500 * width} FROM tiers "  # noqa: S608
+            f"WHERE width = {width})"
+        ]
         for width in TIERS
-    ]
+    }
     # What is packed of each is older than its rows.
     order = [
-        ((*MEASURED, "stamps"), measurements[:-1]),
-        *(((tier_kind(width),), [statement]) for width, statement in zip(TIERS, tiers, strict=True)),
-        (("writes",), measurements[-1:]),
+        ((*MEASURED, "stamps"), [rows[table] for table in MEASURED]),
+        *(((tier_kind(width),), [tiers[width]]) for width in TIERS),
+        (("writes",), [rows["writes"]]),
     ]
-    for kinds, statements in order:
+    for kinds, tables in order:
         _delete_chunks(connection, kinds, wanted)
-        for statement in statements:
-            while pages(connection)[1] < wanted and _deleted(connection, statement):
+        for statements in tables:
+            while pages(connection)[1] < wanted and sum(_deleted(connection, one) for one in statements) > 0:
                 pass
     return pages(connection)[1] >= wanted
 

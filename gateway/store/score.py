@@ -62,19 +62,25 @@ class Scorecard:
     guards: Mapping[str, Any] = field(default_factory=dict)
 
 
-def scorecard(path: Path) -> Scorecard:
-    """The scores of everything in the historian at `path`. Raises HistorianError."""
+def scorecard(path: Path, *, machine: str | None = None, temperature: str | None = None) -> Scorecard:
+    """The scores of a followed `temperature` of a machine in the historian at `path`, and of its scans and samples.
+
+    None is the only machine, the first temperature that is followed on it. Raises HistorianError.
+    """
     with reading(path) as connection:
-        counts = {table: row_number(connection, table) for table in ("scans", "samples", "events")}
-        writes = stored_rows(connection, "writes", ("time", "verdict", "latency_ms"))
+        counts = {table: row_number(connection, table, machine=machine) for table in ("scans", "samples")}
+        counts["events"] = row_number(connection, "events", machine=machine, temperature=temperature)
+        columns = ("time", "verdict", "latency_ms")
+        writes = stored_rows(connection, "writes", columns, machine=machine, temperature=temperature)
         verdicts = dict(Counter(str(verdict) for _, verdict, _ in writes))
         latencies = [float(latency) for _, _, latency in writes if latency is not None]
         # A file of an earlier gateway has no such table, and a run without a model no report in it.
         guards: dict[str, Any] = {}
         if connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'guards'").fetchone()[0]:
-            reports = stored_rows(connection, "guards", ("time", "content"))
+            reports = stored_rows(connection, "guards", ("time", "content"), machine=machine, temperature=temperature)
             guards = json.loads(reports[-1][1]) or {} if reports else {}
-    seen = history(path)
+    seen = history(path, machine=machine, temperature=temperature)
+    forecasts = matured(path, machine=machine, temperature=temperature)
     known = np.isfinite(seen.mean) & np.isfinite(seen.measured)
     band90 = coverage(seen.low[known], seen.high[known], seen.measured[known]) if known.any() else nan
     return Scorecard(
@@ -84,7 +90,7 @@ def scorecard(path: Path) -> Scorecard:
         free_run=error(seen.free_run, seen.measured),
         one_step=error(seen.mean, seen.measured),
         band90=band90,
-        forecasts=tuple(_horizon_score(forecasts) for _, forecasts in sorted(matured(path).items())),
+        forecasts=tuple(_horizon_score(one) for _, one in sorted(forecasts.items())),
         writes=WriteScore(verdicts, percentile(latencies, 0.5), percentile(latencies, 0.99)),
         guards=guards,
     )

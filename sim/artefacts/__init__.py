@@ -1,24 +1,31 @@
 """A model on disk: one JSON form, a directory, a store of versions."""
 
-from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
-from sim.artefacts.model_json import model_hash, model_text
-from sim.artefacts.store import (
-    STORE_FILE,
-    VERSIONS,
-    Force,
-    check_store,
-    current,
-    forced,
-    is_store,
-    load,
-    locked,
-    number_of,
-    promote,
-    promotion,
-    read_model,
-    version_directory,
-    versions,
-)
+from typing import TYPE_CHECKING
+
+from sim.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
+    from sim.artefacts.model_json import model_hash, model_text
+    from sim.artefacts.store import (
+        STORE_FILE,
+        VERSIONS,
+        Force,
+        check_store,
+        current,
+        forced,
+        is_store,
+        load,
+        locked,
+        number_of,
+        promote,
+        promotion,
+        read_model,
+        version_directory,
+        versions,
+    )
+else:
+    __getattr__ = opened_at_use(__name__)
 
 __all__ = [
     "MANIFEST",

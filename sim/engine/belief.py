@@ -128,7 +128,7 @@ def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
     tracker = compiled(model)
     if tracker.plant is None:
         x, xx, xm, clamped = _prior(tracker, belief, time)
-        return replace(belief, time=time, x=x, xx=xx, xm=xm, clamps=belief.clamps + clamped)
+        return belief.moved(time, x, xx, xm, belief.clamps + clamped)
     # Each delayed thing acts at its own moment, so the step up to `time` is cut there; what is due at `time` itself
     # acts now, before a reading of that instant.
     while belief.hidden is not None and belief.hidden.pending and belief.hidden.pending[0].due <= time:
@@ -271,7 +271,7 @@ def with_inputs(model: Model | Tracker, belief: Belief, time: float, signals: Ma
 
 def _held(tracker: Tracker, belief: Belief, news: Mapping[str, float]) -> Belief:
     held = {**belief.signals, **news}
-    return replace(belief, signals=held, offset=tracker.modes[belief.location].offset(held))
+    return belief.holding(held, tracker.modes[belief.location].offset(held))
 
 
 def _delayed(belief: Belief, delayed: Delayed) -> Belief:

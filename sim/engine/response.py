@@ -10,7 +10,7 @@ from math import factorial, inf
 import numpy as np
 
 from sim.engine.plant import Indices, Plant
-from sim.sha import Array
+from sim.sha import Array, Effect
 
 _TERMS = 14
 """Terms of the Taylor series, of matrices whose norm is at most 1/2: the remainder is below 1e-16."""
@@ -45,10 +45,14 @@ def respond(plant: Plant, loss: Array, couplings: Array, dt: Array, powers: int)
     noise = _noise(plant, keys, 0, 1.0)[back]
     if plant.disturbance is None:
         return SegmentResponse(phi, poly, noise)
-    # The intensity at which the heat's variance stays sigma^2.
-    p = plant.disturbance.params
-    fresh = _noise(plant, keys, plant.heat_state, 2.0 * p["sigma"] ** 2 / p["memory"])[back]
+    fresh = _noise(plant, keys, plant.heat_state, fresh_intensity(plant.disturbance))[back]
     return SegmentResponse(phi, poly, noise, fresh)
+
+
+def fresh_intensity(disturbance: Effect) -> float:
+    """The intensity of what is new in a disturbance (degC^2/s^3) at which its heat's variance stays sigma^2."""
+    p = disturbance.params
+    return float(2.0 * p["sigma"] ** 2 / p["memory"])
 
 
 def carried(plant: Plant, loss: Array, couplings: Array, dt: Array, powers: int) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ taken; the functions here take beliefs whose `hidden` states belong to the plant
 """
 
 from dataclasses import dataclass, replace
-from math import inf
+from math import floor, inf, log2
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from sim.engine.belief_state import Belief, Hidden
 from sim.engine.cuts import Stays, cuts
 from sim.engine.moments_augmented import DrawnMoments, mean_course, start_covariance, start_state
 from sim.engine.plant import Plant
-from sim.engine.response import DIGITS, respond
+from sim.engine.response import drift_matrix, fresh_intensity, respond
 from sim.engine.tables import chosen
 from sim.engine.terms import Segments, held
 from sim.engine.tracker import Mode
@@ -23,6 +23,9 @@ from sim.sha import Array
 
 MOST_STEPS = 512
 """Different steps that are kept; where signals change at every scan, none recurs and they are not worth more."""
+
+_ORDERS = np.arange(12)
+"""The powers of the series of a steady step: see `_node_spacing`."""
 
 
 def at_reading(plant: Plant, belief: Belief) -> Belief:
@@ -77,10 +80,9 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
     d = plant.size
     place = plant.places[belief.location]
     if plant.steady_linear:
-        moved = _steady_step(plant, place, belief, mean, time)
+        moved = _steady_step(plant, place, belief, mean, covariance, time=time)
         if moved is not None:
-            step, mean[:d] = moved
-            return _with_states(plant, replace(belief, time=time), mean, step.carried(covariance), hidden)
+            return _with_states(plant, belief, *moved, hidden, time)
     # The stretch from the belief's time to `time`, cut where effects demand it; in it nothing begins and nothing is
     # drawn, and the range is looked at once, at its end, as a schedule does at an output.
     starts = tuple(np.array([] if since is None else [since]) for since in hidden.since)
@@ -126,30 +128,68 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
 
 
 @dataclass(frozen=True, slots=True)
-class _SteadyStep:
-    """One step of the states with m as one more that does not move: `transition` and `noise` (d + 1, d + 1).
+class _SteadySteps:
+    """All steps of the states, m as one more that does not move, whose length is near `length` (s): Taylor's series.
 
-    `unit` (d,) is what a heat of 1 degC/s leaves.
+    The rows of `terms` (K, n) are the derivatives by the length, over k!, of one after the other: the transition and
+    the noise (d + 1, d + 1), and what a heat of 1 degC/s leaves (d + 1,).
     """
 
-    transition: Array
-    noise: Array
-    unit: Array
+    length: float
+    terms: Array
+    size: int
 
-    def carried(self, covariance: Array) -> Array:
-        """The covariance (d + 1, d + 1) after the step."""
-        after = self.transition @ covariance @ self.transition.T + self.noise
-        # Rounding makes the product slightly unsymmetric, and that grows from step to step.
-        return np.asarray((after + after.T) / 2.0)
+    def at(self, dt: float) -> tuple[Array, Array, Array]:
+        """(transition, noise, unit) of the step of `dt` seconds."""
+        flat, n = (dt - self.length) ** _ORDERS @ self.terms, self.size
+        return flat[: n * n].reshape(n, n), flat[n * n : 2 * n * n].reshape(n, n), flat[2 * n * n :]
+
+
+def _steady_steps(plant: Plant, place: int, loss: float, length: float) -> _SteadySteps:
+    """The steps near `length` in a location under a held `loss` (1/s).
+
+    With B the matrix of ds/dt = B s and Q the intensity of the noise, transition, noise and unit follow from
+    themselves: T' = B T, N' = B N + N B^T + Q, u' = B u + 1 in X.
+    """
+    d = plant.size
+    couplings = plant.couplings[[place]]
+    answer = respond(plant, np.array([loss]), couplings, np.array([length]), 1)
+    b, white, unit = np.zeros((d + 1, d + 1)), np.zeros((d + 1, d + 1)), np.zeros(d + 1)
+    b[:d, :d], b[0, d] = drift_matrix(plant, np.array([loss]), couplings)[0], plant.drive[place]
+    transition, noise = np.eye(d + 1), np.zeros((d + 1, d + 1))
+    transition[:d, :d], unit[:d] = answer.phi[0], answer.poly[0, :, 0]
+    transition[:d, d] = unit[:d] * plant.drive[place]
+    noise[:d, :d], white[0, 0] = answer.noise[0] * plant.noise[place] ** 2, plant.noise[place] ** 2
+    if answer.disturbed is not None and plant.disturbance is not None:
+        noise[:d, :d] += answer.disturbed[0]
+        white[plant.heat_state, plant.heat_state] += fresh_intensity(plant.disturbance)
+    heat = np.eye(d + 1)[0]
+    rows = []
+    for k in range(1, _ORDERS.size + 1):
+        rows.append(np.concatenate([transition.ravel(), noise.ravel(), unit]))
+        transition, drifted, unit = b @ transition / k, b @ noise, (b @ unit + heat) / k
+        noise = (drifted + drifted.T + white) / k
+        white, heat = np.zeros_like(white), np.zeros_like(heat)
+    return _SteadySteps(length, np.array(rows), d + 1)
+
+
+def _node_spacing(plant: Plant, place: int, loss: float) -> float:
+    """How far apart (s, a power of two) the lengths may lie that the others are reached from.
+
+    So near that the largest of the matrices, times the distance, is at most 1/8: the remainder of _ORDERS is 1e-16.
+    """
+    a = drift_matrix(plant, np.array([loss]), plant.couplings[[place]])
+    norm = float(np.abs(a).sum(axis=2).max()) + abs(float(plant.drive[place]))
+    return 2.0 ** floor(-2.0 - log2(2.0 * norm)) if norm > 2.0**-40 else 2.0**37
 
 
 def _steady_step(
-    plant: Plant, place: int, belief: Belief, mean: Array, time: float
-) -> tuple[_SteadyStep, Array] | None:
-    """(the step to `time`, the mean (d,) after it) where nothing varies inside it; None where it meets a limit.
+    plant: Plant, place: int, belief: Belief, mean: Array, covariance: Array, *, time: float
+) -> tuple[Array, Array] | None:
+    """(mean (d + 1,), covariance (d + 1, d + 1)) at `time`, if nothing varies until then; None where a limit is met.
 
-    A gateway takes the same step over and over, so that its matrices are made once and kept with the plant: they cost
-    twenty times as much as using them.
+    A gateway takes nearly the same step over and over: never quite, as its clock is a real one, so that not steps are
+    kept with the plant but the series about a few lengths. Making one costs a hundred times as much as using it.
     """
     loss, heat = float(plant.rate[place]), float(plant.rate[place]) * belief.offset
     for acting in plant.steady:
@@ -159,24 +199,23 @@ def _steady_step(
             if np.isfinite(gained) and np.isfinite(lost):
                 loss, heat = loss + float(lost), heat + float(gained)
     dt = time - belief.time
-    key = (place, loss, round(dt, DIGITS))
-    step = plant.memo.get(key)
-    if step is None:
-        d = plant.size
-        answer = respond(plant, np.array([loss]), plant.couplings[[place]], np.array([dt]), 1)
-        transition, noise = np.eye(d + 1), np.zeros((d + 1, d + 1))
-        transition[:d, :d] = answer.phi[0]
-        transition[:d, d] = answer.poly[0, :, 0] * plant.drive[place]
-        noise[:d, :d] = answer.noise[0] * plant.noise[place] ** 2
-        if answer.disturbed is not None:
-            noise[:d, :d] += answer.disturbed[0]
-        if len(plant.memo) >= MOST_STEPS:
-            plant.memo.clear()
-        step = plant.memo[key] = _SteadyStep(transition, noise, answer.poly[0, :, 0])
-    after = (step.transition @ mean)[: plant.size] + step.unit * heat
+    if len(plant.memo) >= MOST_STEPS:
+        plant.memo.clear()
+    spacing = plant.memo.get((place, loss, inf))
+    if spacing is None:
+        spacing = plant.memo[place, loss, inf] = _node_spacing(plant, place, loss)
+    key = (place, loss, spacing * round(dt / spacing))
+    steps = plant.memo.get(key)
+    if steps is None:
+        steps = plant.memo[key] = _steady_steps(plant, *key)
+    transition, noise, unit = steps.at(dt)
+    after = transition @ mean + unit * heat
     sha, x = plant.sha, float(after[0])
-    limited = abs(x - float(mean[0])) > sha.max_rate * dt
-    return None if limited or not sha.low <= x <= sha.high else (step, after)
+    if abs(x - float(mean[0])) > sha.max_rate * dt or not sha.low <= x <= sha.high:
+        return None
+    carried = transition @ covariance @ transition.T + noise
+    # Rounding makes the product slightly unsymmetric, and that grows from step to step.
+    return after, (carried + carried.T) / 2.0
 
 
 def corrected(plant: Plant, belief: Belief, error: float, variance: float) -> Belief:
@@ -212,16 +251,20 @@ def _states(belief: Belief) -> tuple[Hidden, Array, Array]:
     return belief.hidden, np.array(belief.hidden.mean), np.array(belief.hidden.covariance)
 
 
-def _with_states(plant: Plant, belief: Belief, mean: Array, covariance: Array, hidden: Hidden) -> Belief:
-    """The belief with these states; its temperature is what the sensor would read."""
+def _with_states(
+    plant: Plant, belief: Belief, mean: Array, covariance: Array, hidden: Hidden, time: float | None = None
+) -> Belief:
+    """The belief with these states, at `time` if it is given; its temperature is what the sensor would read."""
     d, read = plant.size, plant.sensed
-    states = replace(hidden, mean=tuple(mean.tolist()), covariance=tuple(tuple(row) for row in covariance.tolist()))
-    return replace(
-        belief,
-        x=float(mean[read]) + sensor_offset(plant.sha, belief.time),
-        m=float(mean[d]),
-        xx=max(float(covariance[read, read]), 0.0),
-        xm=float(covariance[read, d]),
-        mm=max(float(covariance[d, d]), 0.0),
+    time = belief.time if time is None else time
+    means, rows = mean.tolist(), covariance.tolist()
+    states = Hidden(tuple(means), tuple(map(tuple, rows)), hidden.opened, hidden.since, hidden.pending)
+    return belief.estimated(
+        time=time,
+        x=means[read] + sensor_offset(plant.sha, time),
+        m=means[d],
+        xx=max(rows[read][read], 0.0),
+        xm=rows[read][d],
+        mm=max(rows[d][d], 0.0),
         hidden=states,
     )

@@ -196,58 +196,75 @@ def _filtered(
     if table.shape[0] < 2:
         return scores, states
     # All that does not depend on the state is made for all knots at once, in the order in which the loop meets them:
-    # its rounds are many and their arrays small, so that what counts there is the number of operations.
+    # its rounds are many and their arrays small, so that what counts there is the number of operations and their
+    # overhead. One in place, of arrays of the same shape, takes a third of the time of one that has to broadcast.
     inside = table[1:] >= 0
     knots, ends = table[1:][inside], np.cumsum(inside.sum(axis=1))
-    a, p = steps.decay[knots][:, None], steps.pull[knots][:, None]
+
+    def wide(values: Array) -> Array:
+        return np.repeat(values[knots][:, None], width, axis=1)
+
+    a, p, drift, reading = wide(steps.decay), wide(steps.pull), wide(steps.drift), wide(steps.reading)
     aa, ap, pp = a * a, 2 * a * p, p * p
-    drift, reading = steps.drift[knots][:, None], steps.reading[knots][:, None]
     added = steps.density[knots][:, None] * process[steps.group[knots]] ** 2
     drawn, noise = scatter[steps.place[knots]] ** 2, sensor**2
     counted = steps.repeats[knots][:, None] * noise
     # A new stay draws its m anew, and so does a chunk's first step: what the stay before it knew is given up.
-    fresh = (steps.stay[knots] != steps.stay[knots - 1])[:, None]
+    fresh = np.repeat((steps.stay[knots] != steps.stay[knots - 1])[:, None], width, axis=1)
     fresh[: ends[0]] = True
     known = np.isfinite(reading)
-    x = np.repeat(steps.reading[table[0]][:, None], width, axis=1)
-    m = np.zeros_like(x)
-    xx, xm, mm = m + noise, m, m
-    d, xd, md, dd = m, m, m, m + rough**2
     heat = steps.heat
     if heat is not None:
-        keeps, carries = heat.keep[knots][:, None], heat.carried[knots][:, None]
+        keep, carry = wide(heat.keep), wide(heat.carried)
         new_xx, new_xd, new_dd = (part[knots][:, None] * rough**2 for part in (heat.xx, heat.xd, heat.dd))
+        twice, squared, kept = 2.0 * carry, carry * carry, keep * keep
     innovation, variance = np.empty((knots.size, width)), np.empty((knots.size, width))
     after, begins = np.zeros((9, knots.size, width)), np.append(0, ends[:-1])
     anew = np.logical_or.reduceat(fresh[:, 0], begins).tolist()
     full = np.logical_and.reduceat(known[:, 0], begins).tolist()
+    x, m, d, xx, xm, mm, xd, md, dd = state = np.zeros((9, table.shape[1], width))
+    x[:], xx[:], dd[:] = steps.reading[table[0]][:, None], noise, rough**2
     for begin, end, some_fresh, all_known in zip(begins.tolist(), ends.tolist(), anew, full, strict=True):
-        at, size = slice(begin, end), end - begin
-        x, m, xx, xm, mm = x[:size], m[:size], xx[:size], xm[:size], mm[:size]
-        if heat is not None:
-            d, xd, md, dd = d[:size], xd[:size], md[:size], dd[:size]
+        at = slice(begin, end)
+        if len(x) != end - begin:
+            x, m, d, xx, xm, mm, xd, md, dd = state = state[:, : end - begin]
         if some_fresh:
             # A fresh m is independent of X: mean 0, variance that of its location, no covariance with what was before.
             new = fresh[at]
-            m, xm, mm = np.where(new, 0.0, m), np.where(new, 0.0, xm), np.where(new, drawn[at], mm)
-            md = np.where(new, 0.0, md) if heat is not None else md
+            np.copyto(mm, drawn[at], where=new)
+            for gone in (m, xm, md):
+                np.copyto(gone, 0.0, where=new)
         # The prediction, by the step's own closed form; its innovation is scored before the reading is taken in.
         carried, pulled = a[at], p[at]
-        x = carried * x + pulled * m + drift[at]
-        xx = aa[at] * xx + ap[at] * xm + pp[at] * mm + added[at]
-        xm = carried * xm + pulled * mm
+        xx *= aa[at]
+        xx += ap[at] * xm
+        xx += pp[at] * mm
+        xx += added[at]
+        xm *= carried
+        xm += pulled * mm
+        x *= carried
+        x += pulled * m
+        x += drift[at]
         if heat is not None:
-            carry, keep = carries[at], keeps[at]
-            x, d = x + carry * d, keep * d
-            # D's covariances with X and m come before the step here: `moved` is that of D with the rest of X'.
-            moved = carried * xd + pulled * md
-            xx = xx + 2.0 * carry * moved + carry * carry * dd + new_xx[at]
-            xm = xm + carry * md
-            xd = keep * (moved + carry * dd) + new_xd[at]
-            md, dd = keep * md, keep * keep * dd + new_dd[at]
-        error = innovation[at] = reading[at] - x
+            # D's covariances with X and m come before the step here: `xd` is at first that of D with the rest of X'.
+            moved, left = carry[at], keep[at]
+            xd *= carried
+            xd += pulled * md
+            xx += twice[at] * xd
+            xx += squared[at] * dd
+            xx += new_xx[at]
+            x += moved * d
+            xm += moved * md
+            xd += moved * dd
+            xd *= left
+            xd += new_xd[at]
+            d *= left
+            md *= left
+            dd *= kept[at]
+            dd += new_dd[at]
+        error = np.subtract(reading[at], x, out=innovation[at])
         # Scored is what the reading was expected to be; what it corrects counts the memory of the sensor's error.
-        variance[at] = xx + noise
+        variance[at] = xx
         total = xx + counted[at]
         # The scalar update needs no inverse.
         gain, turn = xx / total, xm / total
@@ -255,15 +272,20 @@ def _filtered(
             # Without a reading gain and turn are 0, and the prediction stands.
             gain, turn = np.where(known[at], gain, 0.0), np.where(known[at], turn, 0.0)
             error = np.where(known[at], error, 0.0)
+        rest = 1.0 - gain
         if heat is not None:
             warm = xd / total if all_known else np.where(known[at], xd / total, 0.0)
-            d, md, dd = d + warm * error, md - turn * xd, dd - warm * xd
-            xd = (1.0 - gain) * xd
-            after[2, at], after[6, at], after[7, at], after[8, at] = d, xd, md, dd
-        x, m, mm, left = x + gain * error, m + turn * error, mm - turn * xm, 1 - gain
-        xx, xm = left * xx, left * xm
-        after[0, at], after[1, at], after[3, at], after[4, at], after[5, at] = x, m, xx, xm, mm
-    scores[knots], states[:, knots] = _log_score(innovation, variance), after
+            d += warm * error
+            md -= turn * xd
+            dd -= warm * xd
+            xd *= rest
+        x += gain * error
+        m += turn * error
+        mm -= turn * xm
+        xx *= rest
+        xm *= rest
+        after[:, at] = state
+    scores[knots], states[:, knots] = _log_score(innovation, variance + noise), after
     return scores, states
 
 

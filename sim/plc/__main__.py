@@ -6,8 +6,8 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ import click
 from sim.plc.control import describe as commands_table
 from sim.plc.control import listen_on_loopback, listen_to_stdin, say
 from sim.plc.faces import Face, face_options, make_faces, with_faces
-from sim.plc.modbus import ModbusServer
+from sim.plc.machines import machine_options
+from sim.plc.modbus import BehindFace, ModbusServer, UnitsBehind
 from sim.plc.program import (
     LIVE_PLANTS,
     EmulatorClock,
@@ -44,9 +45,12 @@ CANNOT_LISTEN = 3
 
 @dataclass(frozen=True, slots=True)
 class EmulatorOptions:
-    """The command line."""
+    """The command line, or one machine's part of it."""
 
-    map_path: Path
+    name: str
+    map_path: Path | None
+    unit: int | None
+    behind: str | None
     trace: Path | None
     plant: str | None
     trip: float
@@ -94,7 +98,7 @@ def _renamed(_: click.Context, __: click.Parameter, given: str | None) -> None:
 
 @with_faces
 @click.command(context_settings={"show_default": True, "help_option_names": ["-h", "--help"]})
-@click.option("--device", "map_path", type=click.Path(path_type=Path), required=True, help="Register map (TOML).")
+@click.option("--device", "map_path", type=click.Path(path_type=Path), help="Register map (TOML).  [required]")
 @click.option("--map", hidden=True, expose_value=False, callback=_renamed)
 @click.option("--trace", type=click.Path(path_type=Path), help="Trace to replay (wide CSV, first column time).")
 @click.option("--plant", type=click.Choice(tuple(LIVE_PLANTS)), help="A live plant instead: it reacts to what is fed.")
@@ -104,6 +108,10 @@ def _renamed(_: click.Context, __: click.Parameter, given: str | None) -> None:
 )
 @click.option("--host", default="127.0.0.1", help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="TCP port; 0 takes a free one.")
+@click.option("--unit", type=click.IntRange(0, 255), help="The Modbus unit id.  [default: the map's]")
+@click.option("--behind", metavar="NAME", help="Be one more unit behind the port and the line of this machine.")
+@click.option("--plant-file", type=click.Path(path_type=Path), help="Several machines: [[machine]] tables (TOML).")
+@click.option("--machine", multiple=True, metavar="KEY=VALUE,...", help="One of several: name=north,port=15020, ...")
 @click.option("--speed", type=float, default=1.0, help="Plant seconds per second.")
 @click.option("--epoch", type=float, help="Plant time (s UTC) at --monotonic.  [default: the wall clock now]")
 @click.option("--monotonic", type=float, help="Moment of the epoch on CLOCK_MONOTONIC.  [default: now]")
@@ -131,25 +139,77 @@ def _renamed(_: click.Context, __: click.Parameter, given: str | None) -> None:
 @click.option(
     "--explain", is_flag=True, is_eager=True, expose_value=False, callback=_explain, help="List faults and commands."
 )
-def main(**options: Any) -> None:
-    """Run a software PLC that replays a trace and serves it over Modbus TCP, and whatever other face is asked for."""
-    faces = face_options(options)
+@click.pass_context
+def main(context: click.Context, /, **options: Any) -> None:
+    """Run a software PLC that replays a trace and serves it over Modbus TCP, and whatever other face is asked for.
+
+    With --plant-file or --machine it is several machines in one process; a machine's keys are these options.
+    """
     try:
-        sys.exit(run(EmulatorOptions(**{name: options[name] for name in options if name not in faces}, faces=faces)))
+        several = machine_options(context)
+        sys.exit(run([_emulator_options(own) for own in several or [{"name": "", **options}]]))
     except InputError as error:
         complain(str(error))
         sys.exit(UNUSABLE_INPUT)
 
 
-def run(options: EmulatorOptions) -> int:
-    """Build the PLC and run it to its end; gives the exit code. Raises InputError for input that cannot be used."""
+def _emulator_options(given: Mapping[str, Any]) -> EmulatorOptions:
+    """One machine's options. Raises InputError without a register map."""
+    if given["map_path"] is None and not given["name"]:
+        raise click.MissingParameter(param_type="option", param_hint="'--device'")
+    if given["map_path"] is None:
+        raise InputError(f"machine {given['name']}: key 'device': is missing; give the path of its register map")
+    faces = face_options(given)
+    own = {name: value for name, value in given.items() if name not in (*faces, "plant_file", "machine")}
+    return EmulatorOptions(**own, faces=faces)
+
+
+@dataclass(slots=True)
+class EmulatedMachine:
+    """One machine of the process: its program, what serves it, and where its name begins a complaint."""
+
+    options: EmulatorOptions
+    plc: Plc
+    recorder: PlcRecorder | None
+    complain: Callable[[str], None]
+    faces: list[Face] = field(default_factory=list)
+    closed: bool = False
+
+
+def run(machines: Sequence[EmulatorOptions]) -> int:
+    """Build the PLCs and run them to their end; gives the exit code. Raises InputError for what cannot be used."""
+    options = machines[0]
     if not 0 < options.speed < float("inf"):
         raise InputError(f"--speed: {options.speed} is not positive; give plant seconds per second, such as 1 or 60")
     start = time.monotonic()
     origin = start if options.monotonic is None else options.monotonic
     epoch = time.time() if options.epoch is None else options.epoch
     clock = EmulatorClock(epoch, origin, options.speed)
+    records = [other.record for other in machines if other.record is not None]
+    if shared := next((path for path in records if records.count(path) > 1), None):
+        raise InputError(f"--record: {shared} is given to several machines; give each a file of its own")
+    built: list[EmulatedMachine] = []
+    try:
+        for own in machines:
+            built.append(_built(own, clock))
+        return asyncio.run(_live(built))
+    finally:
+        for machine in built:
+            if machine.recorder is not None:
+                machine.recorder.close()
+
+
+def _built(options: EmulatorOptions, clock: EmulatorClock) -> EmulatedMachine:
+    """One machine, not yet begun. Raises InputError."""
+
+    def say_whose(sentence: str) -> None:
+        complain(f"{options.name}: {sentence}" if options.name else sentence)
+
+    if options.map_path is None:
+        raise InputError("--device: is missing; give the path of a register map")
     registers = read_map(options.map_path)
+    if options.unit is not None:
+        registers = replace(registers, unit=options.unit)
     table = plant = None
     if options.plant is not None:
         if options.trace is not None or options.loop:
@@ -174,7 +234,7 @@ def run(options: EmulatorOptions) -> int:
         challenge=options.challenge or int(4 * time.time()) % 0xFFFF + 1,
         reduced_feed=options.reduced_feed,
     )
-    recorder = PlcRecorder(options.record, complain) if options.record else None
+    recorder = PlcRecorder(options.record, say_whose) if options.record else None
     plc = Plc(
         registers,
         clock,
@@ -183,13 +243,9 @@ def run(options: EmulatorOptions) -> int:
         plant=plant,
         faults=faults,
         record=recorder or record_nothing,
-        complain=complain,
+        complain=say_whose,
     )
-    try:
-        return asyncio.run(_live(plc, options, recorder))
-    finally:
-        if recorder is not None:
-            recorder.close()
+    return EmulatedMachine(options, plc, recorder, say_whose)
 
 
 def read_faults(path: Path) -> list[OrderedFault]:
@@ -219,69 +275,126 @@ def parse_stretch(text: str) -> Place:
     return Place(table, address, end - address + 1)
 
 
-async def _live(plc: Plc, options: EmulatorOptions, recorder: PlcRecorder | None) -> int:
+def _give_faces(machines: Sequence[EmulatedMachine]) -> None:
+    """Make every machine's faces; those that tell units apart are made once for all behind them. Raises InputError."""
+    behind: dict[str, tuple[UnitsBehind, ModbusServer]] = {}
+    for machine in sorted(machines, key=lambda machine: machine.options.behind is not None):
+        options, plc, said = machine.options, machine.plc, machine.complain
+        settings = {**options.faces, "host": options.host, "max_clients": options.max_clients}
+        where = f"machine {options.name}: key 'behind'"
+        ports = {(other.host, other.port): units for units, other in behind.values() if other.port}
+        taken = ports.get((options.host, options.port)) if options.behind is None else None
+        if options.behind is None and taken is None:
+            units = UnitsBehind(plc)
+            server = ModbusServer(units, options.host, options.port, options.max_clients, said)
+            behind[options.name] = (units, server)
+            machine.faces = [server, *make_faces(plc, settings, said, units)]
+            continue
+        front = options.behind or next(name for name, (units, _) in behind.items() if units is taken)
+        if front not in behind:
+            known = ", ".join(behind) or "none"
+            raise InputError(f"{where}: {front!r} is no machine with a port of its own; known are {known}")
+        units, server = behind[front]
+        if not units.add(plc):
+            raise InputError(
+                f"machine {options.name}: key 'unit': {plc.registers.unit} is taken behind {front}; give it another one"
+            )
+        machine.faces = [BehindFace(plc, units, server.ready), *make_faces(plc, settings, said, None)]
+
+
+async def _live(machines: Sequence[EmulatedMachine]) -> int:
     loop = asyncio.get_running_loop()
-    server = ModbusServer(plc, options.host, options.port, options.max_clients, complain)
-    face_settings = {**options.faces, "host": options.host, "max_clients": options.max_clients}
-    faces: list[Face] = [server, *make_faces(plc, face_settings, complain)]
-    line = plc.begin(plc.clock.monotonic(), hold=options.hold)
+    options, clock = machines[0].options, machines[0].plc.clock
+    programs = {machine.options.name: machine.plc for machine in machines}
+    _give_faces(machines)
+    lines = [machine.plc.begin(clock.monotonic(), hold=options.hold) for machine in machines]
     try:
-        for face in faces:
-            await face.open()
-        control = None if options.control_port is None else await listen_on_loopback(plc, options.control_port)
+        for machine in machines:
+            for face in machine.faces:
+                await face.open()
+        control = None if options.control_port is None else await listen_on_loopback(programs, options.control_port)
     except OSError as error:
         complain(f"cannot listen ({error.strerror or error}); choose another --host, --port or --control-port")
         return CANNOT_LISTEN
+
+    def stop() -> None:
+        for plc in programs.values():
+            plc.stopping = True
+
     for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, lambda: setattr(plc, "stopping", True))
-    if ignored := plc.ignored_signals():
-        complain(f"the trace's signals {', '.join(ignored)} have no register in {options.map_path} and are ignored")
+        loop.add_signal_handler(number, stop)
     # Before the ready line: whoever reads that may connect at once, and finds the faces as the first cycle has them.
-    for face in faces:
-        await face.apply(line.at(face.name))
-    say(_ready(plc, faces, options, control))
-    if options.stdin:
-        listen_to_stdin(plc, loop)
-    # Cycles on absolute deadlines until the PLC is to stop; a missed cycle is skipped, never made up for.
-    due = plc.clock.monotonic()
-    while not plc.stopping:
-        now = plc.clock.monotonic()
-        line = plc.cycle(now)
-        for face in faces:
+    for machine, line in zip(machines, lines, strict=True):
+        if ignored := machine.plc.ignored_signals():
+            path = machine.options.map_path
+            machine.complain(f"the trace's signals {', '.join(ignored)} have no register in {path} and are ignored")
+        for face in machine.faces:
             await face.apply(line.at(face.name))
-        if plc.replay is not None and not plc.ended and not plc.replay.held and plc.replay.ended(now):
-            plc.ended = True
-            plc.event("end of trace", now)
-            say({"event": "end_of_trace", "position": plc.replay.at(now), "plant_time": plc.clock.at(now)})
-        due = max(due + options.cycle, plc.clock.monotonic())
-        await asyncio.sleep(due - plc.clock.monotonic())
-    plc.event("stopped", plc.clock.monotonic())
+    say(_ready(machines, control))
+    if options.stdin:
+        listen_to_stdin(programs, loop)
+    # Cycles on absolute deadlines until all PLCs are to stop; a missed cycle is skipped, never made up for.
+    due = clock.monotonic()
+    while not all(machine.closed for machine in machines):
+        for machine in machines:
+            if machine.plc.stopping and not machine.closed:
+                await _close(machine)
+            elif not machine.closed:
+                await _cycle(machine)
+        due = max(due + options.cycle, clock.monotonic())
+        await asyncio.sleep(due - clock.monotonic())
     if control is not None:
         control.close()
-    for face in faces:
-        await face.close()
-    say({"event": "stopped", "lost_rows": recorder.lost if recorder else 0})
+    say({"event": "stopped", "lost_rows": sum(machine.recorder.lost for machine in machines if machine.recorder)})
     return 0
 
 
-def _ready(
-    plc: Plc, faces: Sequence[Face], options: EmulatorOptions, control: asyncio.Server | None
-) -> dict[str, object]:
-    clock = {"epoch": plc.clock.epoch, "monotonic": plc.clock.start, "speed": plc.clock.speed}
-    where = {**faces[0].ready(), "unit": plc.registers.unit, "pid": os.getpid()}
+async def _cycle(machine: EmulatedMachine) -> None:
+    """One cycle of a machine's program, and what it makes of its faces."""
+    plc = machine.plc
+    now = plc.clock.monotonic()
+    line = plc.cycle(now)
+    for face in machine.faces:
+        await face.apply(line.at(face.name))
+    if plc.replay is not None and not plc.ended and not plc.replay.held and plc.replay.ended(now):
+        plc.ended = True
+        plc.event("end of trace", now)
+        whose = {"machine": machine.options.name} if machine.options.name else {}
+        place = {"position": plc.replay.at(now), "plant_time": plc.clock.at(now)}
+        say({"event": "end_of_trace", **place, **whose})
+
+
+async def _close(machine: EmulatedMachine) -> None:
+    """The end of one machine."""
+    machine.plc.event("stopped", machine.plc.clock.monotonic())
+    for face in machine.faces:
+        await face.close()
+    machine.closed = True
+
+
+def _ready(machines: Sequence[EmulatedMachine], control: asyncio.Server | None) -> dict[str, object]:
+    clock = machines[0].plc.clock
     ports: Sequence[Any] = () if control is None else control.sockets
+    told = {"epoch": clock.epoch, "monotonic": clock.start, "speed": clock.speed}
+    process = {"pid": os.getpid(), **told, "control_port": ports[0].getsockname()[1] if ports else None}
+    if not machines[0].options.name:
+        return {"event": "ready", **process, **_place(machines[0])}
+    return {"event": "ready", **process, "machines": {machine.options.name: _place(machine) for machine in machines}}
+
+
+def _place(machine: EmulatedMachine) -> dict[str, object]:
+    """Where a machine serves, and what it replays."""
+    plc, faces = machine.plc, machine.faces
     replay: dict[str, object] | None = None
     if plc.replay is not None:
         table, since = plc.replay.table, plc.clock.at(plc.replay.since)
         rows = {"rows": len(table.times), "duration": table.duration, "ignored": plc.ignored_signals()}
         replay = {**rows, "held": plc.replay.held, "position": plc.replay.position, "plant_time": since}
-    record = None if options.record is None else str(options.record)
+    record = None if machine.options.record is None else str(machine.options.record)
     return {
-        "event": "ready",
-        **where,
-        **clock,
+        **faces[0].ready(),
+        "unit": plc.registers.unit,
         "faces": {face.name: face.ready() for face in faces},
-        "control_port": ports[0].getsockname()[1] if ports else None,
         "replay": replay,
         "record": record,
     }

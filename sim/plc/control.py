@@ -6,6 +6,9 @@
 `id` is optional and comes back as it was. A command that cannot be done answers `"ok": false` and one sentence in
 `error`; nothing has changed then. What a command changes is in the image after the next cycle. The commands are the
 keys of COMMANDS; `describe` lists them with their keys.
+
+Where the process is several machines, the key `machine` says which one is meant; without it a command is for all of
+them, and the reply holds `machines`: each one's own.
 """
 
 import asyncio
@@ -16,7 +19,9 @@ from collections.abc import Callable, Mapping
 from drivers import json_lines
 from drivers.json_lines import NoObject
 from sim.plc.program import (
+    BlockLayout,
     InputError,
+    Intake,
     Plc,
     TraceReplay,
     checked_arguments,
@@ -29,6 +34,7 @@ from sim.plc.program import (
 
 Outcome = dict[str, object]
 _LONGEST = 65536
+_OF_A_REPLY = frozenset({"event", "id", "command"})
 
 
 def _replay(plc: Plc) -> TraceReplay:
@@ -106,11 +112,13 @@ def _permit(plc: Plc, now: float, *, on: bool) -> Outcome:
     return {"permit": on}
 
 
-def _acknowledge(plc: Plc, now: float, *, bits: int) -> Outcome:
-    """Set the word of acknowledge bits."""
+def _acknowledge(plc: Plc, now: float, *, bits: int, block: str = "") -> Outcome:
+    """Set the word of acknowledge bits; `block` is a further block's suffix, for its own word."""
     if not 0 <= bits <= 0xFFFF:
         raise InputError(f"key 'bits': {bits} is no word; give 0 to 65535")
-    plc.acknowledged = bits
+    if block not in plc.acknowledged:
+        raise InputError(f"key 'block': there is no block {block!r}; known are {listed(tuple(plc.acknowledged))}")
+    plc.acknowledged[block] = bits
     return {"bits": bits}
 
 
@@ -137,21 +145,11 @@ def _feed(plc: Plc, now: float, *, share: float) -> Outcome:
 
 def _status(plc: Plc, now: float) -> Outcome:
     """Where the replay is, what the PLC makes of the gateway, which faults are ordered."""
-    intake = plc.intake
-    blocks = {"accepted": intake.accepted, "refused": intake.refused, "last_refusal": intake.last_refusal}
-    session = intake.session
-    writers = {"session": session.writer if session else 0, "refused": intake.refused_writer}
-    layout = plc.registers.block
-    why = "" if layout is None else unusable(layout, intake, now, plc.permit)
-    verdict = {
-        "usable": plc.usable,
-        "unusable": "" if plc.usable else why,
-        "permit": plc.permit,
-        "acknowledged": plc.acknowledged,
-        "block": dict(intake.block),
-        "challenge": intake.challenge,
-        "writers": writers,
-    }
+    blocks = [
+        _account(plc, now, layout, intake, usable)
+        for layout, intake, usable in zip(plc.layouts, plc.intakes, plc.usables, strict=True)
+    ]
+    verdict = {"permit": plc.permit, "acknowledged": plc.acknowledged[""]}
     faults = [
         {"number": entry.number, "kind": entry.fault.kind, "in_force": entry.in_force(now), "hits": entry.hits}
         for entry in plc.schedule.entries
@@ -164,7 +162,30 @@ def _status(plc: Plc, now: float) -> Outcome:
         "faults": faults,
         "plant": plant_status(plc.plant),
     }
-    return {**(_where(plc, now) if plc.replay else {"plant_time": plc.clock.at(now)}), **own, **blocks, **verdict}
+    return {
+        **(_where(plc, now) if plc.replay else {"plant_time": plc.clock.at(now)}),
+        **own,
+        **blocks[0],
+        **verdict,
+        "blocks": blocks,
+    }
+
+
+def _account(plc: Plc, now: float, layout: BlockLayout | None, intake: Intake, usable: bool) -> dict[str, object]:
+    """What the PLC makes of one block."""
+    why = "" if layout is None or usable else unusable(layout, intake, now, plc.permit)
+    return {
+        "temperature": layout.temperature if layout else "",
+        "suffix": layout.suffix if layout else "",
+        "accepted": intake.accepted,
+        "refused": intake.refused,
+        "last_refusal": intake.last_refusal,
+        "usable": usable,
+        "unusable": why,
+        "block": dict(intake.block),
+        "challenge": intake.challenge,
+        "writers": {"session": intake.session.writer if intake.session else 0, "refused": intake.refused_writer},
+    }
 
 
 def _values(plc: Plc, now: float) -> Outcome:
@@ -225,6 +246,27 @@ def obey(plc: Plc, line: str | bytes, now: float) -> Outcome:
     return {"event": "reply", "id": number, "command": name, "ok": True, **outcome}
 
 
+def obey_for(machines: Mapping[str, Plc], line: str | bytes, now: float) -> Outcome:
+    """As `obey`, for the machine that the line names, or for all of them. One without a name is obeyed as it is."""
+    if "" in machines:
+        return obey(machines[""], line, now)
+    try:
+        order = json_lines.parsed(line)
+    except NoObject as error:
+        return {"event": "reply", "id": None, "command": None, "ok": False, "error": str(error)}
+    name = order.pop("machine", None)
+    if name is None:
+        replies = {name: obey(plc, json_lines.packed(order), now) for name, plc in machines.items()}
+        ok = all(reply["ok"] for reply in replies.values())
+        own = {name: {key: reply[key] for key in reply if key not in _OF_A_REPLY} for name, reply in replies.items()}
+        reply = {"event": "reply", "id": order.get("id"), "command": order.get("command"), "ok": ok, "machines": own}
+        return reply if ok else {**reply, "error": next(str(r["error"]) for r in replies.values() if not r["ok"])}
+    if not isinstance(name, str) or name not in machines:
+        unknown = f"key 'machine': there is no {name!r}; known are {listed(tuple(machines))}"
+        return {"event": "reply", "id": order.get("id"), "command": order.get("command"), "ok": False, "error": unknown}
+    return {**obey(machines[name], json_lines.packed(order), now), "machine": name}
+
+
 def say(message: Mapping[str, object]) -> None:
     """One line on stdout, unbuffered; silently nowhere when nobody reads it any more."""
     try:
@@ -233,14 +275,15 @@ def say(message: Mapping[str, object]) -> None:
         return
 
 
-def listen_to_stdin(plc: Plc, loop: asyncio.AbstractEventLoop) -> None:
+def listen_to_stdin(machines: Mapping[str, Plc], loop: asyncio.AbstractEventLoop) -> None:
     """Obey the lines of stdin from a thread of its own; the end of stdin stops the PLC."""
 
     def obey_line(line: bytes) -> None:
-        say(obey(plc, line, plc.clock.monotonic()))
+        say(obey_for(machines, line, next(iter(machines.values())).clock.monotonic()))
 
     def stop() -> None:
-        plc.stopping = True
+        for plc in machines.values():
+            plc.stopping = True
 
     def listen() -> None:
         rest = b""
@@ -257,11 +300,11 @@ def listen_to_stdin(plc: Plc, loop: asyncio.AbstractEventLoop) -> None:
     threading.Thread(target=listen, name="stdin", daemon=True).start()
 
 
-async def listen_on_loopback(plc: Plc, port: int) -> asyncio.Server:
+async def listen_on_loopback(machines: Mapping[str, Plc], port: int) -> asyncio.Server:
     """Obey the lines of every connection to 127.0.0.1:port. Raises OSError."""
 
     async def answer(line: bytes) -> Outcome:
-        return obey(plc, line, plc.clock.monotonic())
+        return obey_for(machines, line, next(iter(machines.values())).clock.monotonic())
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await json_lines.serve(reader, writer, answer)

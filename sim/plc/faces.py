@@ -13,7 +13,8 @@ from typing import Any, Protocol
 
 import click
 
-from sim.plc.program import CycleFaults, Plc
+from sim.plc.modbus import UnitsBehind
+from sim.plc.program import CycleFaults, InputError, Plc
 
 Complain = Callable[[str], None]
 _FILE = click.Path(path_type=Path)
@@ -45,6 +46,8 @@ class Face(Protocol):
 class FaceKind:
     """A kind of face: `make` is "module:function", called (plc, options, complain) when option `option` is given.
 
+    `units`: it tells machines apart by unit, and so serves those behind this one too.
+
     `make` gets the options of all faces by their parameters' names, with `host` and `max_clients`. It raises
     InputError.
     """
@@ -52,6 +55,7 @@ class FaceKind:
     option: str
     make: str
     options: tuple[click.Option, ...]
+    units: bool = False
 
 
 def _option(*names: str, **rest: Any) -> click.Option:
@@ -63,6 +67,7 @@ FACES: dict[str, FaceKind] = {
         "rtu_tcp",
         "sim.plc.modbus.server:make_rtu_tcp",
         (_option("--rtu-tcp", type=click.IntRange(0, 65535), help="Modbus RTU frames on this port; 0: a free one."),),
+        units=True,
     ),
     "serial": FaceKind(
         "serial",
@@ -73,6 +78,7 @@ FACES: dict[str, FaceKind] = {
             _option("--parity", type=click.Choice(["N", "E", "O"]), default="E", help="Parity of --serial."),
             _option("--serial-echo", is_flag=True, help="The line gives back what is sent, as some RS-485 adapters."),
         ),
+        units=True,
     ),
     "tls": FaceKind(
         "tls",
@@ -82,11 +88,15 @@ FACES: dict[str, FaceKind] = {
             _option("--tls-port", type=click.IntRange(0, 65535), default=0, help="Port of --tls; 0: a free one."),
             _option("--tls-role", multiple=True, metavar="ROLE=read|write", help="What a client's role may do."),
         ),
+        units=True,
     ),
     "canopen": FaceKind(
         "canopen",
         "sim.plc.canopen.face:make",
-        (_option("--canopen", type=_FILE, metavar="MAP", help="A CANopen node by this device file and its EDS."),),
+        (
+            _option("--canopen", type=_FILE, metavar="MAP", help="A CANopen node by this device file and its EDS."),
+            _option("--node", type=click.IntRange(1, 63), help="Its node id.  [default: the file's]"),
+        ),
     ),
     "can": FaceKind(
         "can",
@@ -113,11 +123,18 @@ def face_options(options: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if name in names}
 
 
-def make_faces(plc: Plc, options: Mapping[str, Any], complain: Complain) -> list[Face]:
-    """The faces that the options ask for. Raises InputError."""
+def make_faces(plc: Plc, options: Mapping[str, Any], complain: Complain, units: UnitsBehind | None) -> list[Face]:
+    """The faces that the options ask for; those that tell units apart serve `units`.
+
+    A machine behind another one has none of these (`units` is None). Raises InputError.
+    """
     faces: list[Face] = []
     for kind in FACES.values():
         if options.get(kind.option) is not None:
+            if kind.units and units is None:
+                option = kind.option.replace("_", "-")
+                raise InputError(f"--{option}: a machine behind another one answers over its faces; leave it out here")
             module, _, function = kind.make.partition(":")
-            faces.append(getattr(import_module(module), function)(plc, options, complain))
+            served = units if kind.units else plc
+            faces.append(getattr(import_module(module), function)(served, options, complain))
     return faces

@@ -18,7 +18,6 @@ from sim.sha.flows import FIXED, FLOWS, RELAXING, Coefficients, check_flow, coef
 from sim.sha.model import Correction, Model, PlainMember, Provenance, Stay, plain_model
 from sim.sha.semi_markov import MOST_STAYS, Chain, Indices, Paths, compile_chain, draw_paths, input_moments, known_paths
 from sim.sha.trace import (
-    DEGREES,
     UNKNOWN,
     Array,
     Event,
@@ -26,9 +25,9 @@ from sim.sha.trace import (
     Trace,
     content_hash,
     joint_hash,
-    shown_unit,
     unit_of,
 )
+from sim.units import DEGREES, shown_unit
 
 __all__ = [
     "DECANTER",

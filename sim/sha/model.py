@@ -6,7 +6,7 @@ from math import inf, isfinite
 
 from sim.sha.automaton import SHA, Distribution, Edge, Effect, Flow, Location
 from sim.sha.events import Alphabet, alphabet_symbols
-from sim.sha.trace import DEGREES
+from sim.units import DEGREES
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,13 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.units import DEGREES
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 UNKNOWN = "unknown"
 """The encoder's own symbol: from here on the plant's state is not known. It is never a hold and never "stopped"."""
-
-DEGREES = "degC"
-"""The unit of what a model follows, where nobody says another one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +84,6 @@ def unit_of(traces: Iterable[Trace], signal: str, otherwise: str = DEGREES) -> s
             f"{signal!r} is in {one} in trace {first!r} and in {other} in trace {second!r}; convert one of them"
         )
     return next(iter(said), otherwise)
-
-
-def shown_unit(unit: str) -> str:
-    """A unit as people read it: °C for degC."""
-    return unit.replace(DEGREES, "°C")
 
 
 def content_hash(trace: Trace) -> str:

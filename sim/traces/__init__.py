@@ -1,15 +1,22 @@
 """Traces from somebody's CSV: columns, clocks, cells, and an account of every row."""
 
-from sim.traces.auto_thresholds import Levels, levels_of, round_to
-from sim.traces.cells import SWITCH_WORDS, booleans, numbers
-from sim.traces.channel_use import ChannelUse, channel_uses
-from sim.traces.clock import read_clock
-from sim.traces.column_map import ClockColumns, ColumnMap, load_map, parse_map
-from sim.traces.cycles import split_cycles
-from sim.traces.load_report import LoadReport, TraceError, listed
-from sim.traces.text_table import SEPARATORS, decode_head
-from sim.traces.trace_file import write_trace
-from sim.traces.traces import load_traces, units
+from typing import TYPE_CHECKING
+
+from sim.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from sim.traces.auto_thresholds import Levels, levels_of, round_to
+    from sim.traces.cells import SWITCH_WORDS, booleans, numbers
+    from sim.traces.channel_use import ChannelUse, channel_uses
+    from sim.traces.clock import read_clock
+    from sim.traces.column_map import ClockColumns, ColumnMap, load_map, parse_map
+    from sim.traces.cycles import split_cycles
+    from sim.traces.load_report import LoadReport, TraceError, listed
+    from sim.traces.text_table import SEPARATORS, decode_head
+    from sim.traces.trace_file import write_trace
+    from sim.traces.traces import load_traces, units
+else:
+    __getattr__ = opened_at_use(__name__)
 
 __all__ = [
     "SEPARATORS",

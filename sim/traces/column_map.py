@@ -8,8 +8,9 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from drivers.errors import did_you_mean
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
-from drivers.settings import did_you_mean, first_sentence
+from drivers.settings import first_sentence
 from sim.sha import Alphabet
 from sim.traces.alphabet_table import DECANTER_AUTO, alphabet_from_table
 from sim.traces.load_report import TraceError

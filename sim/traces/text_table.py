@@ -14,8 +14,8 @@ from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 
+from drivers.errors import did_you_mean
 from drivers.named_files import regular
-from drivers.settings import did_you_mean
 from sim.traces.cells import numbers
 from sim.traces.column_map import ColumnMap, Names
 from sim.traces.load_report import FileReport, TraceError, listed

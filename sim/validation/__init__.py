@@ -12,6 +12,7 @@ from sim.validation.fitness import (
     fitness_sentence,
     judge,
     limits_of,
+    why,
 )
 from sim.validation.metrics import QUANTILES
 from sim.validation.output_folder import CAMPAIGN, LEARNED, check_folder, claim_folder, held, read_results
@@ -21,7 +22,7 @@ from sim.validation.results import TraceResult
 from sim.validation.seen import TRAINED_ON, Seen
 from sim.validation.stage_records import load_stage
 from sim.validation.stages import Prepared, Wanted, prepare, relabelled
-from sim.validation.trace_run import TROUBLE, TraceRunSettings
+from sim.validation.trace_run import TROUBLE, TraceJob, TraceRunSettings, run_job
 from sim.validation.verdicts import gain, summaries, verdict
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "Prepared",
     "Progress",
     "Seen",
+    "TraceJob",
     "TraceResult",
     "TraceRunSettings",
     "Wanted",
@@ -65,7 +67,9 @@ __all__ = [
     "read_results",
     "relabelled",
     "run_here",
+    "run_job",
     "summaries",
     "unread",
     "verdict",
+    "why",
 ]

@@ -7,12 +7,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from benchmarks import skill
 from benchmarks.figures import Figure, as_table
 from benchmarks.latency import Scan, follow
+from benchmarks.peers.plcs import judged
 from benchmarks.processes import CURRENT, MAP, TEMPERATURE, learned_model
 from sim.plc.program.encoding import encode
 from sim.plc.program.registers import read_map
@@ -56,6 +58,12 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
     assert figures["peak resident size of the gateway"]["value"] > figures["peak resident size of the gateway"]["other"]
 
 
+def test_a_newcomers_hour_ends_with_a_prediction_and_a_shadow_block(model_folder: Path) -> None:
+    """From `decanter docs --examples` on, with the installed program and without the learning."""
+    figures = by_name(said("first_hour", "--quick", "--model-folder", str(model_folder / "model"))["figures"])
+    assert figures["commands"]["value"] == 9 <= figures["commands"]["other"]
+
+
 def test_the_campaigns_benchmark_times_all_four_models(model_folder: Path) -> None:
     options = ("--quick", "--traces", "1", "--runs", "50", "--model-folder", str(model_folder))
     figures = said("campaign", *options)["figures"]
@@ -82,10 +90,35 @@ def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_wi
         ("can", ("--quick",)),
         ("can_logs", ("--quick", "--repeats", "1")),
         ("guess", ("--cases", "10")),
+        ("units", ("--quick",)),
+        ("isolation", ("--quick",)),
     ],
 )
 def test_a_benchmark_prints_its_figures_as_json(name: str, options: Sequence[str]) -> None:
     assert by_name(said(name, *options)["figures"])
+
+
+def test_peers_sets_the_gateway_against_the_loop_in_c_on_the_same_plcs() -> None:
+    options = ("--count", "2", "--seconds", "1", "--only", "gateway", "--only", "C loop")
+    figures = by_name(said("peers.__main__", *options)["figures"])
+    for name in ("gateway", "C loop"):
+        assert figures[f"2 PLCs, {name}: polls done"]["other"] == 20
+        assert 0 < figures[f"2 PLCs, {name}: polls done"]["value"] <= 20
+    assert figures["polls a second that the PLCs answer"]["ratio"] > 1
+
+
+def test_peers_counts_a_deadline_once_and_against_the_grid_that_suits_the_contender() -> None:
+    # Ten deadlines from 100.03 on; the third poll is 20 ms late, the fifth is not there, the seventh comes twice.
+    moments = [100.03 + 0.1 * number for number in range(10) if number != 4]
+    moments[2] += 0.02
+    moments.append(moments[5] + 0.01)
+    polls = judged([np.array(sorted(moments))], 0.1, 100.0, 101.0)
+    assert (polls.due, polls.done) == (10, 9)
+    assert sorted(polls.lateness) == pytest.approx([0.0] * 8 + [0.02], abs=1e-9)
+    # One that is late by more than half a period does not make the others late.
+    moments[2] += 0.04
+    assert sorted(judged([np.array(sorted(moments))], 0.1, 100.0, 101.0).lateness)[-2] < 1e-9
+    assert judged([np.empty(0)], 0.1, 100.0, 101.0).done == 0
 
 
 def test_run_gives_the_figures_of_all_and_the_machine() -> None:

@@ -1,5 +1,7 @@
 """Files that are made once for all tests of the command line: a synthetic trace and a model learned from one."""
 
+import fcntl
+import os
 from pathlib import Path
 
 import pytest
@@ -17,9 +19,14 @@ def traces(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def model(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
-    """A model directory, learned from cd17."""
-    folder = tmp_path_factory.mktemp("learned") / "model"
-    assert decanter("model", "learn", "--traces", traces / "cd17.csv", "--out", folder).exit_code == 0
+    """A model directory, learned from cd17 by the first of pytest's processes that needs it, for all of them."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "learned_for_the_commands"
+    with folder.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            arguments = ("--traces", traces / "cd17.csv", "--out", folder)
+            assert decanter("model", "learn", *arguments).exit_code == 0
     return folder
 
 

@@ -11,10 +11,10 @@ from click.testing import Result
 from drivers.tag import Quality, Sample, Tag
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
-from gateway.store.historian import open_historian
 from sim.traces.column_map import load_map
 from sim.traces.traces import load_traces
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
+from tests.gateway.support import one_machine
 
 EXAMPLES = [
     line[2:]
@@ -38,8 +38,8 @@ def _historian(path: Path, file: Path, rows: int = 400) -> None:
     """What a gateway would have kept of the first rows of a trace."""
     (trace,), _ = load_traces(str(file), load_map(ROOT / "config" / "traces" / "decanter.toml"))
     tags = {name: Tag(name, f"holding:{number}") for number, name in enumerate(trace.signals)}
-    historian, numbers = open_historian(path, tags.values())
-    keeper = Keeper(tags, numbers, 60.0)
+    store, historian = one_machine(path, tags.values())
+    keeper = Keeper(tags, 60.0)
     last: dict[str, float] = {}
     for row, time in enumerate(trace.times[:rows].tolist()):
         last |= {name: float(column[row]) for name, column in trace.signals.items() if np.isfinite(column[row])}
@@ -47,7 +47,7 @@ def _historian(path: Path, file: Path, rows: int = 400) -> None:
         scan = Scan(row, time, samples, 0, 0.01)
         historian.put("scans", [(scan.time, scan.duration, scan.missed)])
         historian.put("samples", keeper.rows(scan))
-    assert historian.close()
+    assert store.close()
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda line: line.removeprefix("decanter model check model ")[:60])

@@ -41,6 +41,8 @@ def performed_by_a_process(folder: Path, *arguments: object) -> dict[str, Any]:
 def sane(data: dict[str, Any]) -> None:
     """What every demonstration must have come to, whatever the trace."""
     assert data["wrong_good"] == 0 and data["judged"] > 100
+    assert data["fitness"]["word"] in ("fit", "limited", "unfit")
+    assert bool(data["fitness"]["why"]) == (data["fitness"]["word"] != "fit")
     assert data["events"] > 0 and data["samples"] > 0
     for error in data["errors"].values():
         assert 0 < error["mae"] <= error["rmse"] < 50

@@ -10,7 +10,6 @@ from drivers.tag import Quality, Sample, Tag
 from gateway.lab.diagnose import roles_of
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
-from gateway.store.historian import open_historian
 from gateway.store.read_back import recent
 from sim.artefacts.formats.find import find_model
 from sim.discrepancy.workflow import diagnose
@@ -23,20 +22,21 @@ from sim.sha.trace import Trace
 from sim.traces.column_map import load_map
 from sim.traces.traces import load_traces
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
+from tests.gateway.support import one_machine
 
 
 def kept(path: Path, trace: Trace) -> Path:
     """A gateway's historian with the rows of a trace, one a scan."""
     tags = [Tag(name, f"holding:{number}") for number, name in enumerate(trace.signals)]
-    historian, numbers = open_historian(path, tags)
-    keeper = Keeper({tag.name: tag for tag in tags}, numbers, 5.0)
+    store, historian = one_machine(path, tags)
+    keeper = Keeper({tag.name: tag for tag in tags}, 5.0)
     historian.put("runs", [(float(trace.times[0]), "TCuscinettiRiduttore", "", 1.0, 5.0)])
     for row, time in enumerate(trace.times.tolist()):
         readings = {name: float(column[row]) for name, column in trace.signals.items()}
         good = {name: Sample(name, value, Quality.GOOD, time, time) for name, value in readings.items()}
         historian.put("scans", [(time, 0.0, 0)])
         historian.put("samples", keeper.rows(Scan(row, time, good, 0, 0.0)))
-    assert historian.close()
+    assert store.close()
     return path
 
 

@@ -54,11 +54,14 @@ def test_the_plan_shows_every_word_with_both_addresses_and_sends_nothing(tmp_pat
     done = decanter(tmp_path, "plan", "--write", *nobody, "--json")
     assert done.exit_code == 0
     words = json.loads(done.stdout)["words"]
-    assert len(words) == 26
+    assert len(words) == 2 * 26 and [words[at]["block"] for at in (0, 26)] == [
+        "TCuscinettiRiduttore",
+        "TCuscinettiAlimentazione",
+    ]
     assert (words[7]["address"], words[7]["reference"], words[7]["unknown"]) == ("holding:407", "40408", "0x8000")
     assert words[1]["unknown"] == "" and json.loads(done.stdout)["armed"] is None
     text = decanter(tmp_path, "plan", "--write", *nobody).stdout
-    assert "holding:425" in text and "40426" in text and "not armed" in text
+    assert "holding:425" in text and "40426" in text and "holding:455" in text and "not armed" in text
 
 
 def test_the_plan_says_what_stands_in_the_way(tmp_path: Path) -> None:
@@ -107,11 +110,14 @@ def test_armed_the_loop_tests_run_each_answer_is_kept_and_disarming_ends_it(
     place = at(plc[0].port)
     armed = decanter(tmp_path, "arm", "--reason", "loop test", "--minutes", "5", *place)
     assert armed.exit_code == 0 and "ARMED until" in armed.stdout and "Ada" in armed.stdout
-    asked = decanter(tmp_path, "test", "alarms", "--ask", *place, told="y\ny\nn\ny\ny\ny\ny\ny\ny\ny\n")
-    assert asked.exit_code == 1 and "'AnomalyFound' the first" in asked.stderr
+    asked = decanter(tmp_path, "test", "alarms", "--ask", *place, told="y\ny\nn\ny\ny\ny\ny\ny\ny\ny\n" + 10 * "y\n")
+    assert asked.exit_code == 1 and "TCuscinettiRiduttore: 1 of 10 alarm bits failed, 'AnomalyFound'" in asked.stderr
+    assert "of TCuscinettiAlimentazione" in asked.output, "each question says of which block"
     assert decanter(tmp_path, "test", "alarms", *place).exit_code == 0
     beats = decanter(tmp_path, "test", "heartbeat", "--no-watchdog", *place, "--json")
-    assert beats.exit_code == 0 and [row["ok"] for row in json.loads(beats.stdout)["rows"]] == [True] * 3
+    assert beats.exit_code == 0 and [row["ok"] for row in json.loads(beats.stdout)["rows"]] == [True] * 6, (
+        "three of each block"
+    )
     done = decanter(tmp_path, "disarm", "--reason", "enough", *place)
     assert done.exit_code == 0 and "validity 0 was written" in done.stdout
     assert "nothing was armed" in decanter(tmp_path, "disarm", *place).stdout

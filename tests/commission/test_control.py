@@ -93,7 +93,7 @@ async def test_a_guess_goes_through_the_gateway_too(gateway: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("command", "keys", "words"),
     [
-        ("open the door", {}, "known are status, read"),
+        ("open the door", {}, "known are status, plant, read"),
         ("read", {"tags": ["nobody"]}, "'nobody' is no tag"),
         ("read", {"tags": 7}, "tags: must be a list, got 7; give a list of at most 10000"),
         ("read", {"addresses": [{"where": 1}]}, r"addresses\[0\].address: is missing"),

@@ -206,3 +206,18 @@ def test_the_test_s_own_floats_are_what_they_should_be() -> None:
     tag = Tag("", "holding:100", DType.FLOAT32, Order.CDAB)
     high, low = struct.unpack(">2H", struct.pack(">f", 72.5))
     assert stored(tag, 72.5) == {100: low, 101: high}
+
+
+def test_what_the_source_rounds_to_holds_for_all_readings() -> None:
+    """Twice a multiple of a half in one order, and twice something that only the neighbour's word makes of it."""
+    words = ({99: 0, 100: 0xC158, 101: 0x35B5}, "-13.5"), ({99: 0, 100: 0xC190, 101: 0x16C6}, "-18.0")
+    one, two = (shown(stored_words, text) for stored_words, text in words)
+    shares = [{(row.address, row.order): row.share for row in rank(seen, 100)} for seen in ([one], [one, two])]
+    ratios = [each[99, Order.CDAB] / each[100, Order.ABCD] for each in shares]
+    assert ratios[1] > 0.5 * ratios[0]
+
+
+@pytest.mark.parametrize(("raw", "best"), [(812, DType.INT16), (17503, DType.UINT16), (35557, DType.UINT16)])
+def test_a_type_of_its_size_comes_before_a_wider_or_a_fuller_one(raw: int, best: DType) -> None:
+    seen = [Observation(100, (word, 4711), ShownNumber(word / 10, 0.1)) for word in (raw, raw - 90)]
+    assert rank(seen, 100)[0].dtype is best

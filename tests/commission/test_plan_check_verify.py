@@ -50,12 +50,14 @@ def test_a_plan_shows_each_request_with_both_numbers_and_the_worst_case(tmp_path
     data = answer(tmp_path, "plan", "--device", DECANTER, "--host", "10.0.0.1", "--timeout", 0.2, "--set",
                   "max_registers=11", "--set", "max_write_registers=100")  # fmt: skip
     assert data["ok"], data
-    first, second = data["requests"]
+    first, second, third = data["requests"]  # the third: what the PLC answers the second block with
     assert (first["place"], first["count"], first["reference"]) == ("holding:100", 11, "40101-40111")
     assert (second["place"], second["count"]) == ("holding:111", 11)
-    assert data["worst_read_s"] == pytest.approx(0.4)
-    assert [one["kind"] for one in data["writes"]] == ["write", "read back", "read back", "read back"]
-    assert data["worst_cycle_s"] == pytest.approx(0.4 + 4 * 0.2)
+    assert (third["place"], third["count"]) == ("holding:122", 8)
+    assert data["worst_read_s"] == pytest.approx(0.6)
+    assert [one["kind"] for one in data["writes"]] == 2 * ["write", "read back", "read back", "read back"]
+    assert {one["place"] for one in data["writes"] if one["kind"] == "write"} == {"holding:400", "holding:430"}
+    assert data["worst_cycle_s"] == pytest.approx(0.6 + 2 * 4 * 0.2)
 
 
 def test_a_scan_that_can_take_longer_than_its_period_fails_the_check_and_says_what_would_fit(tmp_path: Path) -> None:
@@ -63,14 +65,14 @@ def test_a_scan_that_can_take_longer_than_its_period_fails_the_check_and_says_wh
     where = (*where, "--set", "max_write_registers=100")
     result = plc(tmp_path, "plan", *where, "--period", 1.0)
     assert result.exit_code == 1
-    assert "1.2 s" in result.stderr and "scan.period" in result.stderr and "timeout to 0.5 s" in result.stderr
+    assert "1.8 s" in result.stderr and "scan.period" in result.stderr and "timeout to 0.33 s" in result.stderr
 
 
 def test_a_serial_line_needs_the_time_of_its_bytes_besides(tmp_path: Path) -> None:
     where = ("--device", DECANTER, "--serial", "/dev/ttyS9", "--timeout", 0.2, "--set", "longest_reply=0.2")
     slow = answer(tmp_path, "plan", *where, "--baud", 1200)["worst_read_s"]
     fast = answer(tmp_path, "plan", *where, "--baud", 115_200)["worst_read_s"]
-    assert slow - fast == pytest.approx((8 + 5 + 2 * 22) * 11 * (1 / 1200 - 1 / 115_200), rel=1e-6)
+    assert slow - fast == pytest.approx((8 + 5 + 2 * 30) * 11 * (1 / 1200 - 1 / 115_200), rel=1e-6)
 
 
 def test_tags_that_share_registers_are_named(tmp_path: Path) -> None:
@@ -101,7 +103,7 @@ def test_a_plant_in_order_passes_over_every_link(device: tuple[Process, Path], t
     assert data["ok"], data
     states = {step["step"]: step["state"] for step in data["steps"]}
     assert states["reading"] == states["heartbeat"] == states["files"] == "ok"
-    assert len(data["readings"]) == 25
+    assert len(data["readings"]) == 33, "25, and eight by which the PLC answers the second block"
 
 
 def test_a_refused_tag_and_a_standing_heartbeat_fail_the_check(tmp_path: Path) -> None:

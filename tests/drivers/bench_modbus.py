@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+from drivers.connections import Connections
 from drivers.driver import Driver, open_driver
 from tests.drivers.benches import Bench, Tags
 from tests.drivers.certified import folder, server_context
@@ -18,14 +19,22 @@ LINE = {"longest_reply": 0.2, "timeout": 0.2}
 """A scripted device answers at once or not at all."""
 
 
-def _driver(**settings: Any) -> Driver:
-    return open_driver("modbus", settings, clock=time.time, write_map=Tags().write_map)
+def _driver(connections: Connections | None = None, **settings: Any) -> Driver:
+    write_map = Tags().write_map
+    return open_driver("modbus", settings, clock=time.time, write_map=write_map, connections=connections)
 
 
 async def modbus_bench() -> AsyncIterator[Bench]:
     """Modbus TCP."""
     plc = ScriptedPlc(registers=dict(REGISTERS))
     async for bench in _networked(plc, {}):
+        yield bench
+
+
+async def shared_bench() -> AsyncIterator[Bench]:
+    """Modbus TCP, on a connection that other units may join."""
+    plc = ScriptedPlc(registers=dict(REGISTERS))
+    async for bench in _networked(plc, {}, Connections()):
         yield bench
 
 
@@ -39,9 +48,11 @@ async def tls_bench() -> AsyncIterator[Bench]:
             yield bench
 
 
-async def _networked(plc: ScriptedPlc, settings: dict[str, Any]) -> AsyncIterator[Bench]:
+async def _networked(
+    plc: ScriptedPlc, settings: dict[str, Any], connections: Connections | None = None
+) -> AsyncIterator[Bench]:
     await plc.start()
-    driver = _driver(host="127.0.0.1", port=plc.port, **settings)
+    driver = _driver(connections, host="127.0.0.1", port=plc.port, **settings)
 
     def echo_only(request: bytes, honest: bytes) -> bytes:
         plc.registers.update({20: 0, 21: 0})

@@ -30,11 +30,12 @@ def rtu(unit: int, pdu: bytes) -> bytes:
 class ScriptedLine:
     """The memory of a ScriptedPlc at the far end of a line; `bend(line, request, honest)` puts instead of the reply.
 
-    `away`: nobody is there; requests go nowhere.
+    `away`: nobody is there; requests go nowhere. `others`: units that answer from the same memory.
     """
 
     memory: ScriptedPlc = field(default_factory=ScriptedPlc)
     unit: int = 1
+    others: frozenset[int] = frozenset()
     echo: bool = False
     away: bool = False
     bend: Bend | None = None
@@ -57,10 +58,10 @@ class ScriptedLine:
     def _take(self, request: bytes) -> None:
         assert rtu(request[0], request[1:-2]) == request, "the driver's CRC is wrong"
         self.requests.append(request)
-        if self.away or request[0] != self.unit:
+        if self.away or request[0] not in (self.unit, *self.others):
             return
         start, count = struct.unpack(">HH", request[2:6])
-        honest = rtu(self.unit, self.memory.pdu(request[1], start, count, request[7:-2]))
+        honest = rtu(request[0], self.memory.pdu(request[1], start, count, request[7:-2]))
         if self.bend is None:
             self.put(honest)
         else:

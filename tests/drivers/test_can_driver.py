@@ -11,6 +11,8 @@ from typing import Any
 import can
 import pytest
 
+from drivers.can import driver as can_driver
+from drivers.can.bus.access import open_bus
 from drivers.can.driver import CanDriver, open_can
 from drivers.driver import Explains, Streams
 from drivers.errors import AddressError, DriverError, LinkDown, ReplyTimeout, WriteForbidden, WriteUnverified
@@ -131,16 +133,21 @@ async def test_bus_off_is_told_nothing_is_sent_and_the_restarted_bus_is_used_aga
 
 
 async def test_a_bus_that_stays_off_is_not_called_connected_and_no_write_goes_out(
-    device: CanDevice, make: Make
+    device: CanDevice, make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    off = False
+
+    def opened_off(*arguments: Any, **settings: Any) -> can.BusABC:
+        bus = open_bus(*arguments, **settings)
+        if off:
+            # Off again before it can hear or send anything: an error frame for each time might come too late.
+            bus._state = can.BusState.ERROR
+        return bus
+
+    monkeypatch.setattr(can_driver, "open_bus", opened_off)
     driver = await opened(make())
-
-    async def keep_off() -> None:
-        while True:
-            device.put(error_frame(BUS_OFF))
-            await asyncio.sleep(0.01)
-
-    off = asyncio.create_task(keep_off())
+    off = True
+    device.put(error_frame(BUS_OFF))
     await until_not_good(driver, CAN_TAGS.level)
     device.heard.clear()
     for _ in range(10):
@@ -148,8 +155,8 @@ async def test_a_bus_that_stays_off_is_not_called_connected_and_no_write_goes_ou
             await driver.write([(CAN_TAGS.mode, 9)])
         assert not (await driver.read([CAN_TAGS.level]))[0].quality.is_good
         await asyncio.sleep(0.02)
-    off.cancel()
-    await asyncio.wait({off})
+    assert [frame for frame in device.heard if not frame.is_error_frame] == []
+    off = False
     await read_until_good(driver, CAN_TAGS.level, within=2.0)
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.codec import decode, encode, registers_needed
+from drivers.codec import decode, encode, reader, registers_needed
 from drivers.errors import AddressError, EncodingError
 from drivers.tag import DType, Order, Quality, Tag
 
@@ -271,3 +271,25 @@ def test_what_cannot_be_encoded_is_refused_in_one_sentence_that_names_the_tag(
 def test_a_tag_that_cannot_be_is_an_address_error(tag: Tag) -> None:
     with pytest.raises(AddressError, match="x: "):
         registers_needed(tag)
+
+
+@given(data=st.data(), order=orders, words=st.lists(st.integers(0, 65535), min_size=1, max_size=4))
+def test_a_reader_says_what_decode_says(data: st.DataObject, order: Order, words: list[int]) -> None:
+    numbers = st.floats(-1e5, 1e5).map(lambda number: round(number, 2))
+    limits = sorted(data.draw(st.lists(numbers, min_size=2, max_size=2)))
+    tag = Tag(
+        "t",
+        "holding:0",
+        data.draw(st.sampled_from([dtype for dtype in DType if dtype is not DType.STRING])),
+        order,
+        scale=data.draw(st.sampled_from([1.0, 0.1, -2.0, 1e304])),
+        offset=data.draw(st.sampled_from([0.0, 0.5, 10.0])),
+        low=data.draw(st.sampled_from([None, limits[0], 0.0])),
+        high=data.draw(st.sampled_from([None, limits[1], 0.0])),
+        sentinel=data.draw(st.sampled_from([None, -1, 0, 0xFFFF, words[0]])),
+        labels=data.draw(st.sampled_from([{}, {1: "one"}])),
+        unit="A",
+    )
+    for registers in (tuple(words), tuple(words[: registers_needed(tag)])):
+        said, reference = reader(tag)(registers), decode(tag, registers)
+        assert repr(said) == repr(reference) and type(said[0]) is type(reference[0])

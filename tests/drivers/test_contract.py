@@ -12,7 +12,7 @@ from drivers.errors import DriverError, LinkDown, WriteForbidden, WriteUnverifie
 from drivers.tag import DType, Quality, Tag
 from tests.drivers.bench_can import can_bench
 from tests.drivers.bench_canopen import canopen_bench
-from tests.drivers.bench_modbus import modbus_bench, rtu_bench, rtu_tcp_bench, tls_bench
+from tests.drivers.bench_modbus import modbus_bench, rtu_bench, rtu_tcp_bench, shared_bench, tls_bench
 from tests.drivers.bench_soft import soft_bench
 from tests.drivers.benches import Bench, Tags
 from tests.drivers.conftest import read_until_good
@@ -21,6 +21,7 @@ BENCHES: dict[str, Callable[[], AsyncIterator[Bench]]] = {
     "can": can_bench,
     "canopen": canopen_bench,
     "modbus": modbus_bench,
+    "modbus over a shared connection": shared_bench,
     "modbus over TLS": tls_bench,
     "modbus over RTU": rtu_bench,
     "modbus over RTU and TCP": rtu_tcp_bench,

@@ -159,7 +159,13 @@ def go_on(name: str, inputs: int, number: int) -> None:
 
 
 def main() -> int:
-    """TARGET, INPUTS, SEED and JOBS come from the environment; without TARGET all of the table in its order."""
+    """TARGET, INPUTS, SEED and JOBS come from the environment; without TARGET all of the table in its order.
+
+    `--list` prints the targets and how many there are, and runs none.
+    """
+    if sys.argv[1:] == ["--list"]:
+        sys.stdout.write("\n".join([*TARGETS, f"{len(TARGETS)} targets"]) + "\n")
+        return 0
     inputs, number = int(os.environ.get("INPUTS", "100000")), int(os.environ.get("SEED", "0"))
     if len(sys.argv) > 1:
         go_on(sys.argv[1], inputs, number)

@@ -21,7 +21,7 @@ from drivers.modbus import rtu
 from drivers.modbus.tls import load_identity, sentence
 from drivers.modbus.verify import split_frames
 from gateway.machine import Machine
-from gateway.plant.control import answer
+from gateway.plant.control import ControlScope, answer
 from gateway.plant.log import open_log
 from gateway.plant.status import snapshot
 from sim.plc.control import obey
@@ -254,7 +254,7 @@ def gateway_control(folder: Path) -> Iterator[Run]:
         machine = Machine(config, driver=as_driver(Bench(config, clock)), clock=clock, log=log, rng=Random(0))
 
         def run(data: bytes) -> object:
-            reply = strict(runner.run(answer(machine, data, snapshot)))
+            reply = strict(runner.run(answer(ControlScope({"decanter": machine}, snapshot), data)))
             json_lines.packed(reply)
             if not reply["ok"]:
                 check_sentence(reply["reason"])

@@ -14,11 +14,12 @@ from drivers.canopen.place import ObjectPlace, from_bytes
 from drivers.canopen.sdo import Transfer
 from drivers.errors import EncodingError
 from drivers.modbus import rtu
-from drivers.modbus.verify import Asked, check_reply, split_frames
+from drivers.modbus.verify import Asked, check_reply, split_frames, words_of
 from drivers.tag import DType, Tag
 from drivers.vehicle.isotp import Reassembler
 from drivers.vehicle.j1939_transport import Key, TransportSessions
 from drivers.vehicle.obd import ObdListener
+from gateway.serving import PeerServer
 from sim.plc.canopen.node import SDO_ANSWER, CanopenNode
 from sim.plc.canopen.objects import read_layout
 from sim.plc.canopen.pdo import RPDO
@@ -52,7 +53,24 @@ def rtu_client(data: bytes) -> object:
         return None
     check_reply(asked, rtu.unwrapped(asked, data[:length]))
     assert length == 9 and rtu.crc(data[:7]) == data[7:9]
-    return rtu.words_of(asked, data[:length])
+    return words_of(asked, data[3 : length - 2])
+
+
+class _Numbered:
+    """Every address below 1000 holds its own number; the others are not there."""
+
+    def read(self, table: str, start: int, count: int) -> list[int] | int:
+        return list(range(start, start + count)) if start + count <= 1000 else 2
+
+
+def peer_server(data: bytes) -> object:
+    """A unit and a request's PDU: the reply is of its function and fits a frame; only a read is answered."""
+    if len(data) < 2:
+        return None
+    reply = PeerServer("127.0.0.1", 0, {1: _Numbered()}).answer(data[0], data[1:])
+    assert reply[0] & 0x7F == data[1] & 0x7F and len(reply) <= 253
+    assert reply[0] & 0x80 or data[1] in (1, 2, 3, 4)
+    return reply
 
 
 def modbus_server(framed: framing.Framing) -> Callable[[Path], AbstractContextManager[Run]]:
@@ -108,9 +126,7 @@ def sdo_client(transfer: Callable[[], Transfer]) -> Run:
 def canopen_node(_: Path) -> Iterator[Run]:
     """The software PLC's node: SDO requests, and where bit 7 of the first byte says so, NMT, SYNC and RPDO frames."""
     plc = plc_of(DECANTER)
-    block = plc.registers.block
-    assert block is not None
-    layout = read_layout(ROOT / "config/devices/decanter_canopen.toml", plc.registers.tags, block.place.words)
+    layout = read_layout(ROOT / "config/devices/decanter_canopen.toml", plc.registers.tags, plc.registers.blocks)
     node = CanopenNode(layout, plc)
 
     def run(data: bytes) -> object:

@@ -242,6 +242,10 @@ TARGETS: dict[str, FuzzTarget] = {
     ),
     "modbus-server": FuzzTarget(_requests, sides.modbus_server(framing.HEADED)),
     "modbus-server-tcp": FuzzTarget(_requests, live.plc_over_tcp(live.make_tcp), most=20_000),
+    "peer-server": FuzzTarget(
+        lambda: [bytes((1, 3, 0, 0, 0, 5)), bytes((1, 1, 0, 9, 0, 20)), bytes((1, 16, 0, 0, 0, 1, 2, 0, 7))],
+        plain(sides.peer_server),
+    ),
     "rtu-client": FuzzTarget(
         _rtu(b"\1\3\4\0\1\0\2", b"\1\3\4\xff\xff\0\0"),
         plain(sides.rtu_client),

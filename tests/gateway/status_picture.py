@@ -17,6 +17,7 @@ def alarm(name: str, state: str = "unacknowledged", *, active: bool = True, sinc
 def picture(**changes: Any) -> dict[str, Any]:
     """The status with some of its keys others; `link__alive=False` changes one key of a table."""
     status: dict[str, Any] = {
+        "machine": "decanter",
         "time": EPOCH,
         "phase": "running",
         "speed": 1.0,
@@ -34,6 +35,7 @@ def picture(**changes: Any) -> dict[str, Any]:
         },
         "links": [{"name": "main", "active": True}],
         "scan": {"count": 1000, "early": 0, "missed": 3, "period": 1.0, "age": 0.2, "late": False},
+        "further": [],
         "values": {TEMPERATURE: tag(45.678), "Assorbimento": tag(210.0)},
         "prediction": {
             "time": EPOCH - 0.2,

@@ -2,15 +2,16 @@
 
 import asyncio
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from drivers.driver import BeforeSending, Driver, anyhow, open_driver
-from drivers.tag import Quality, Sample, Value
+from drivers.tag import Quality, Sample, Tag, Value
 from gateway.machine.reading.scan import Scan
 from gateway.settings.config import Config, load_config
+from gateway.store import Historian, HistorianView, open_historian
 from sim.artefacts.model_json import model_text
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER, Alphabet
@@ -35,6 +36,12 @@ class JumpClock:
     async def sleep_until(self, moment: float) -> None:
         await asyncio.sleep(0)
         self.time = max(self.time, moment)
+
+
+def one_machine(path: Path, tags: Iterable[Tag] = (), **options: Any) -> tuple[Historian, HistorianView]:
+    """The historian of a gateway with one machine: what is opened and closed, and the machine's view of it."""
+    store = open_historian(path, **options)
+    return store, store.of("decanter", tags)
 
 
 def two_modes(gap: float = 30.0) -> Model:
@@ -112,8 +119,7 @@ class Bench:
     written: list[dict[str, Value]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        layout = self.config.map.writeback
-        words = layout.words if layout and self.armed else ()
+        words = self.config.map.block_words if self.armed else ()
         self.soft: Any = open_driver("soft", {"values": at_rest(self.config)}, clock=self.clock.now, write_map=words)
 
     async def open(self) -> None:

@@ -166,7 +166,7 @@ async def test_stale_readings_clear_the_validity_and_a_frozen_device_is_no_permi
 async def test_a_part_that_fails_is_logged_and_begun_anew_and_the_plc_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gateway.plant.app.RESTART_SECONDS", 0.0)
+    monkeypatch.setattr("gateway.plant.fleet.RESTART_SECONDS", 0.0)
     whole, calls = Predictor.step, []
 
     def broken(self: Predictor, scan: Scan) -> Any:
@@ -278,7 +278,7 @@ async def test_a_broken_model_file_is_one_sentence(tmp_path: Path) -> None:
 
 async def test_a_second_gateway_on_the_same_historian_does_not_start(tmp_path: Path) -> None:
     config = config_in(tmp_path)
-    holder, _ = open_historian(config.historian.path, config.map.tags)
+    holder = open_historian(config.historian.path)
     with pytest.raises(HistorianError, match="another gateway"):
         await run(config, clock=JumpClock(), driver=Bench(config, JumpClock()))
     holder.close()

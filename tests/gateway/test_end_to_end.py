@@ -134,7 +134,7 @@ from gateway.machine.reading.clock import PlantClock
 from gateway.settings.config import load_config
 config = load_config(Path(sys.argv[1]), {"device.port": int(sys.argv[2]), "clock.speed": float(sys.argv[5])})
 clock = PlantClock(float(sys.argv[3]), float(sys.argv[4]), float(sys.argv[5]))
-serve(config, clock=clock, status_path=Path(sys.argv[6]), console=False)
+serve([config], clock=clock, status_path=Path(sys.argv[6]), console=False)
 """
 
 

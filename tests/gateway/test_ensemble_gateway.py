@@ -34,6 +34,7 @@ from tests.gateway.support import (
     Bench,
     config_in,
     logged,
+    one_machine,
     plant_file,
     scan_of,
     two_modes,
@@ -258,12 +259,12 @@ async def test_a_corrected_model_predicts_what_the_sensor_reads(tmp_path: Path) 
 
 def test_a_historian_of_an_earlier_gateway_gets_the_table_of_the_guards(tmp_path: Path) -> None:
     path = tmp_path / "old.sqlite"
-    open_historian(path, [])[0].close()
+    open_historian(path).close()
     with sqlite3.connect(path) as connection:
         connection.execute("DROP TABLE guards")
     connection.close()
     assert scorecard(path).guards == {}
-    again, _ = open_historian(path, [])
+    again_store, again = one_machine(path, [])
     again.put("guards", [(1.0, "{}")])
     assert again.flush()
-    again.close()
+    again_store.close()

@@ -19,7 +19,7 @@ from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
 from gateway.store.historian import Historian, HistorianError, open_historian
 from gateway.store.read_back import history, reading, samples, to_trace
-from tests.gateway.support import EPOCH, ROOT
+from tests.gateway.support import EPOCH, ROOT, one_machine
 
 TAGS = (Tag("T", "holding:1", unit="degC"), Tag("A", "holding:2", deadband=0.5))
 
@@ -35,13 +35,13 @@ def count(path: Path, table: str) -> int:
 
 def stored(path: Path, rows: list[tuple[Sample, ...]], max_interval: float = 5.0) -> None:
     """Each row is a scan, at the time of its first sample."""
-    historian, numbers = open_historian(path, TAGS)
-    keeper = Keeper({tag.name: tag for tag in TAGS}, numbers, max_interval)
+    store, historian = one_machine(path, TAGS)
+    keeper = Keeper({tag.name: tag for tag in TAGS}, max_interval)
     for number, row in enumerate(rows):
         scan = Scan(number, EPOCH + number, {sample.tag: sample for sample in row}, 0, 0.01)
         historian.put("scans", [(scan.time, scan.duration, scan.missed)])
         historian.put("samples", keeper.rows(scan))
-    assert historian.close()
+    assert store.close()
 
 
 readings = st.lists(st.one_of(st.none(), st.sampled_from([20.0, 20.1, 21.5, -3.25])), min_size=1, max_size=40)
@@ -97,7 +97,7 @@ def test_what_a_deadband_drops_lies_within_it_of_what_is_kept(
     readings: list[tuple[float, Quality]], gaps: list[float], deadband: float
 ) -> None:
     """At each scan: the quality that was read, NaN where NaN was read, and nothing older than the interval."""
-    keeper = Keeper({"A": Tag("A", "holding:2", deadband=deadband)}, {"A": 1}, 5.0)
+    keeper = Keeper({"A": Tag("A", "holding:2", deadband=deadband)}, 5.0)
     kept, now = (0.0, 0.0, -1), EPOCH
     for number, ((value, quality), gap) in enumerate(zip(readings, gaps, strict=False)):
         now += gap
@@ -124,29 +124,29 @@ def test_a_stale_value_does_not_overwrite_the_good_reading_that_it_repeats(tmp_p
 
 def test_what_was_flushed_is_there_for_others_while_the_gateway_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
-    historian, _ = open_historian(path, TAGS)
+    store, historian = one_machine(path, TAGS)
     historian.put("scans", [(EPOCH + n, 0.0, 0) for n in range(5)])
     assert historian.flush()
     with reading(path) as one, reading(path) as two:
         historian.put("scans", [(EPOCH + 9, 0.0, 0)])
         assert historian.flush()
         assert [c.execute("SELECT count(*) FROM scans").fetchone()[0] for c in (one, two)] == [6, 6]
-    assert historian.close() and historian.close(), "closing twice is allowed"
+    assert store.close() and store.close(), "closing twice is allowed"
 
 
 def test_a_second_gateway_on_the_same_historian_is_refused_and_the_lock_dies_with_its_owner(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
-    first, _ = open_historian(path, TAGS)
+    first = open_historian(path)
     with pytest.raises(HistorianError, match="another gateway is running on this historian"):
-        open_historian(path, TAGS)
+        open_historian(path)
     first.close()
-    second, _ = open_historian(path, TAGS)
+    second = open_historian(path)
     second.close()
 
 
 def refused(path: Path) -> str:
     with pytest.raises(HistorianError) as caught:
-        open_historian(path, TAGS)
+        open_historian(path)
     sentence = str(caught.value)
     assert sentence.startswith(str(path)) and "\n" not in sentence and "; " in sentence
     return sentence
@@ -168,7 +168,7 @@ def test_a_directory_another_file_and_a_database_of_something_else_are_refused_a
 
 def test_a_historian_of_another_layout_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
-    open_historian(path, TAGS)[0].close()
+    open_historian(path).close()
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("PRAGMA user_version = 99")
     assert "has layout 99" in refused(path)
@@ -182,55 +182,55 @@ def test_a_path_below_a_file_cannot_be_made_and_one_sentence_says_so(tmp_path: P
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_read_only_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
-    open_historian(path, TAGS)[0].close()
+    open_historian(path).close()
     path.chmod(0o444)
     assert "give a path that this user may write" in refused(path)
 
 
 def test_a_full_disk_stops_nothing_and_what_waited_is_stored_once_there_is_room(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
-    historian, _ = open_historian(path, TAGS, max_mb=1.0)
+    store, historian = one_machine(path, TAGS, max_mb=1.0)
     row = "x" * 1000
     historian.put("audit", [(EPOCH, row, "Ada", "fill") for _ in range(2000)])
     assert not historian.flush(timeout=1.5)
     assert "full" in historian.failure and str(path) in historian.failure
-    for connection in (historian._normal, historian._full):
+    for connection in (store._normal, store._full):
         connection.execute("PRAGMA max_page_count = 100000").fetchone()
     assert historian.flush(timeout=10.0)
     assert historian.failure == ""
-    assert historian.close()
+    assert store.close()
     assert count(path, "audit") == 2000
 
 
 def test_rows_given_up_at_the_end_are_admitted(tmp_path: Path) -> None:
-    historian, _ = open_historian(tmp_path / "h.sqlite", TAGS, max_mb=1.0)
+    store, historian = one_machine(tmp_path / "h.sqlite", TAGS, max_mb=1.0)
     historian.put("audit", [(EPOCH, "x" * 1000, "Ada", "fill") for _ in range(2000)])
-    assert not historian.close()
+    assert not store.close()
 
 
 def test_a_full_queue_drops_new_measurements_and_counts_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gateway.store.historian.QUEUE", 10)
     monkeypatch.setattr(Historian, "_commit", lambda *_args, **_keys: False)
-    historian, _ = open_historian(tmp_path / "h.sqlite", TAGS)
+    store, historian = one_machine(tmp_path / "h.sqlite", TAGS)
     historian.put("scans", [(EPOCH + n, 0.0, 0) for n in range(25)])
     historian.put("audit", [audit(0)])
     assert historian.dropped == 15
-    assert not historian.close()
+    assert not store.close()
 
 
 def test_old_measurements_are_deleted_and_alarms_and_audit_stay(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
-    historian, numbers = open_historian(path, TAGS)
+    store, historian = one_machine(path, TAGS)
     historian.put("scans", [(EPOCH + n, 0.0, 0) for n in range(12_000)])
-    historian.put("samples", [(numbers["T"], EPOCH + n, 20.0, 0, None) for n in range(12_000)])
+    historian.put("samples", [("T", EPOCH + n, 20.0, 0, None) for n in range(12_000)])
     historian.put("events", [(EPOCH + n, "W_ON", "on") for n in range(10)])
     historian.put("audit", [audit(n) for n in range(10)])
     assert historian.flush()
-    historian.forget_before(EPOCH + 11_990)
+    store.forget_before(EPOCH + 11_990)
     deadline = time.monotonic() + 20.0
-    while count(path, "samples") > 10 and time.monotonic() < deadline:
+    while (count(path, "samples") > 10 or count(path, "events")) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert historian.close()
+    assert store.close()
     assert {t: count(path, t) for t in ("scans", "samples", "events", "audit")} == {
         "scans": 10,
         "samples": 10,
@@ -243,7 +243,7 @@ WRITER = """
 import sys
 from pathlib import Path
 from gateway.store.historian import open_historian
-historian, _ = open_historian(Path(sys.argv[1]), ())
+historian = open_historian(Path(sys.argv[1])).of('decanter')
 first = int(sys.argv[2])
 for n in range(first, first + 1_000_000):
     historian.put("scans", [(float(n), 0.0, 0)])
@@ -284,10 +284,10 @@ def test_reading_what_is_no_historian_is_one_sentence(tmp_path: Path) -> None:
 
 
 def test_a_saved_state_comes_back_and_the_newest_one_wins(tmp_path: Path) -> None:
-    historian, _ = open_historian(tmp_path / "h.sqlite", TAGS)
+    store, historian = one_machine(tmp_path / "h.sqlite", TAGS)
     historian.save("belief", EPOCH, {"x": float("-inf")})
     historian.save("belief", EPOCH + 1, {"x": [1, None, "°C"]})
     assert historian.flush()
     assert historian.load("belief") == (EPOCH + 1, {"x": [1, None, "°C"]})
     assert historian.load("nothing") is None
-    historian.close()
+    store.close()

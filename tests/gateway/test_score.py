@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 
 from drivers.tag import Tag
-from gateway.store.historian import open_historian
 from gateway.store.read_back import matured
 from gateway.store.score import error, scorecard
-from tests.gateway.support import EPOCH
+from tests.gateway.support import EPOCH, one_machine
 
 LEVELS = [0.05, 0.25, 0.5, 0.75, 0.95]
 
 
 def filled(path: Path) -> Path:
     """Measured = 20 + n; one-step is 0.5 too low, the free run 2 too high; forecasts of 10 s say +9 within 1."""
-    historian, _ = open_historian(path, (Tag("T", "holding:1"),))
+    store, historian = one_machine(path, (Tag("T", "holding:1"),))
     for n in range(60):
         measured = None if n == 30 else 20.0 + n
         row = (EPOCH + n, "on", 1, measured, 19.5 + n, 18.9 + n, 20.1 + n, 22.0 + n if n > 4 else None, 0.1, "green")
@@ -30,7 +29,7 @@ def filled(path: Path) -> Path:
     for latency in (1.0, 2.0, 3.0, 40.0):
         historian.put("writes", [(EPOCH, 1, "armed", "written", 31, latency, "", b"")])
     historian.put("writes", [(EPOCH, 1, "armed", "failed", 31, None, "no reply", b"")])
-    assert historian.close()
+    assert store.close()
     return path
 
 

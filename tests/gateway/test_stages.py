@@ -11,7 +11,7 @@ import pytest
 
 from drivers.supervision import Supervisor
 from gateway.machine.alarms.board import AlarmBoard
-from gateway.machine.alarms.conditions import make_conditions
+from gateway.machine.alarms.conditions import acknowledge_words, make_conditions
 from gateway.machine.model.loading import load_model
 from gateway.machine.model.predict import Predictor
 from gateway.machine.model.unit import ModelUnit
@@ -19,10 +19,10 @@ from gateway.machine.pipeline import Machine
 from gateway.machine.reading.link_health import LinkHealth
 from gateway.machine.records import Keeper, Records
 from gateway.machine.writing.block import Validity
-from gateway.machine.writing.block_stage import BlockStage
+from gateway.machine.writing.writeback_stage import WritebackStage, open_audit_trail
 from gateway.plant.log import open_log
 from gateway.settings.config import Config
-from gateway.store.historian import Historian, open_historian
+from gateway.store.historian import HistorianView
 from tests.gateway.support import (
     CURRENT,
     EPOCH,
@@ -33,6 +33,7 @@ from tests.gateway.support import (
     at_rest,
     config_in,
     logged,
+    one_machine,
     scan_of,
     two_modes,
 )
@@ -41,14 +42,14 @@ FORECAST = {"forecast__horizons": [10.0], "forecast__runs": 20}
 
 
 @contextmanager
-def stored(config: Config) -> Iterator[tuple[Historian, Any]]:
+def stored(config: Config) -> Iterator[tuple[HistorianView, Any]]:
     """A historian and a log for one stage."""
-    historian, _ = open_historian(config.historian.path, config.map.tags)
+    store, historian = one_machine(config.historian.path, config.map.tags)
     with open_log(config.log.path, "debug") as log:
         try:
             yield historian, log
         finally:
-            historian.close()
+            store.close()
 
 
 def rows(config: Config, query: str) -> list[tuple[Any, ...]]:
@@ -73,13 +74,15 @@ def test_alarms_the_threshold_needs_no_model_and_findings_come_after_it(tmp_path
     config = config_in(tmp_path, model=two_modes())
     with stored(config) as (historian, log):
         conditions = make_conditions(config, (TEMPERATURE,))
-        board = AlarmBoard(conditions, watched=config.watched, historian=historian, log=log, now=EPOCH)
+        board = AlarmBoard(
+            conditions, watched=config.watched, words=acknowledge_words(config), historian=historian, log=log, now=EPOCH
+        )
         board.on_measured(scan_of({TEMPERATURE: 85.0, "AcknowledgeBits": 0}, EPOCH))
-        assert board.word == 1
+        assert board.word("") == 1
         board.on_predictions(scan_of({TEMPERATURE: 85.0}, EPOCH), {"predicted over limit": 0.9, "inputs bad": 0.0})
-        assert board.word == 3
+        assert board.word("") == 3
         board.on_measured(scan_of({TEMPERATURE: 85.0, "AcknowledgeBits": 1}, EPOCH + 1))
-        assert board.alarms[f"over limit {TEMPERATURE}"].state == "acknowledged" and board.word == 3
+        assert board.alarms[f"over limit {TEMPERATURE}"].state == "acknowledged" and board.word("") == 3
     stored_states = rows(config, "SELECT state FROM alarms ORDER BY id")
     assert [state for (state,) in stored_states] == ["unacknowledged", "unacknowledged", "acknowledged"]
 
@@ -88,7 +91,9 @@ def test_alarms_bits_that_could_not_be_read_are_no_edge(tmp_path: Path) -> None:
     config = config_in(tmp_path)
     with stored(config) as (historian, log):
         conditions = make_conditions(config, (TEMPERATURE,))
-        board = AlarmBoard(conditions, watched=config.watched, historian=historian, log=log, now=EPOCH)
+        board = AlarmBoard(
+            conditions, watched=config.watched, words=acknowledge_words(config), historian=historian, log=log, now=EPOCH
+        )
         for second, bits in enumerate((0, None, 1)):
             board.on_measured(scan_of({TEMPERATURE: 85.0, "AcknowledgeBits": bits}, EPOCH + second))
         assert board.alarms[f"over limit {TEMPERATURE}"].state == "unacknowledged"
@@ -125,30 +130,33 @@ async def test_block_without_a_prediction_nothing_in_it_is_valid_but_the_alarms_
     assert layout is not None
     with stored(config) as (historian, log):
         bench = Bench(config, clock)
-        stage = BlockStage(
+        trail = open_audit_trail(config, historian=historian, supervisor=Supervisor(), log=log)
+        writing = WritebackStage(
             config,
-            layout,
+            [layout],
+            trail,
             clock=clock,
             driver=bench,
             historian=historian,
+            of_blocks=[historian],
             supervisor=Supervisor(),
             log=log,
             rng=Random(0),
         )
+        (stage,) = writing.blocks
         await stage.take(scan_of(at_rest(config), EPOCH), None, None, alarms=5)
         assert stage.attempt is not None and stage.attempt.verdict == "shadow"
         words = dict(zip((field.name for field in layout.fields), stage.attempt.block.words, strict=True))
         assert stage.attempt.block.validity is Validity.SHADOW and words["alarms"] == 5 and words["input_quality"] == 0
-        assert stage.audit.close()
+        assert trail.close(clock.now())
     assert rows(config, "SELECT verdict FROM writes") == [("shadow",)]
 
 
 def test_records_of_a_scan_without_a_model_are_its_readings(tmp_path: Path) -> None:
     config = config_in(tmp_path)
     with stored(config) as (historian, _):
-        numbers = {tag.name: number for number, tag in enumerate(config.map.tags, start=1)}
-        records = Records(historian, Keeper(config.map.by_name, numbers, 5.0))
-        records.take(scan_of({TEMPERATURE: 25.0}, EPOCH), None)
+        records = Records(historian, Keeper(config.map.by_name, 5.0))
+        records.take(scan_of({TEMPERATURE: 25.0}, EPOCH))
     assert rows(config, "SELECT time, value FROM samples") == [(EPOCH, 25.0)]
     assert rows(config, "SELECT count(*) FROM predictions") == [(0,)]
 

@@ -17,7 +17,7 @@ from gateway.store.files import HistorianError
 from gateway.store.historian import open_historian
 from gateway.store.read_back import events, history, matured, reading, samples, stored_rows, to_trace, trend
 from gateway.store.score import scorecard
-from tests.gateway.support import EPOCH
+from tests.gateway.support import EPOCH, one_machine
 from tests.rig.layout_1 import FormerStore
 
 TAGS = (Tag("T", "holding:1"), Tag("A", "holding:2"), Tag("Text", "holding:3"))
@@ -114,13 +114,13 @@ def test_a_file_of_layout_1_is_converted_after_a_copy_and_says_the_same(tmp_path
     path = tmp_path / "h.sqlite"
     former_file(path)
     before, data = everything(path), path.read_bytes()
-    historian, numbers = open_historian(path, (*TAGS, Tag("New", "holding:9")))
-    assert numbers["T"] == 1 and numbers["New"] == 4 and historian.load("belief") == (EPOCH, {})
-    assert historian.close()
+    store, historian = one_machine(path, (*TAGS, Tag("New", "holding:9")), heir="decanter")
+    assert historian.load("belief") is None and store.of("decanter", temperature="T").load("belief") == (EPOCH, {})
+    assert store.close()
     assert everything(path) == before
     copy = tmp_path / "h.sqlite.layout1"
     assert everything(copy) == before
-    assert table(path, "PRAGMA user_version") == [(2,)] and table(path, "PRAGMA integrity_check") == [("ok",)]
+    assert table(path, "PRAGMA user_version") == [(3,)] and table(path, "PRAGMA integrity_check") == [("ok",)]
     assert table(path, "SELECT count(*) FROM alarms") == [(1,)]
     assert len(data) == copy.stat().st_size, "the copy is whole"
 
@@ -132,22 +132,22 @@ def test_a_conversion_that_fails_leaves_the_file_as_it_was(tmp_path: Path) -> No
         connection.execute("CREATE TABLE former (x)")
     before = everything(path)
     with pytest.raises(HistorianError):
-        open_historian(path, TAGS)
+        open_historian(path)
     assert everything(path) == before
 
 
 def test_what_is_packed_reads_as_what_was_put(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
-    historian, numbers = open_historian(path, TAGS)
+    store, historian = one_machine(path, TAGS)
     rng, seconds = np.random.default_rng(2), 16_000
     values = np.round(20.0 + np.cumsum(rng.normal(0, 0.1, seconds)), 1).tolist()
     good = (rng.random(seconds) > 0.01).tolist()
     for second in range(seconds):
         now = EPOCH + second
         value, quality = (values[second], 0) if good[second] else (None, int(Quality.TIMEOUT))
-        rows = [(numbers["T"], now, value, quality, now - 0.01 if good[second] else None)]
-        rows += [(numbers["A"], now, float(second % 2), 0, now - 0.01)]
-        rows += [(numbers["Text"], now, f"recipe {second}", 0, now - 0.01)] if second % 100 == 0 else []
+        rows = [("T", now, value, quality, now - 0.01 if good[second] else None)]
+        rows += [("A", now, float(second % 2), 0, now - 0.01)]
+        rows += [("Text", now, f"recipe {second}", 0, now - 0.01)] if second % 100 == 0 else []
         historian.put("samples", rows)
         historian.put("scans", [(now, 0.0123456789, 0)])
         historian.put("writes", [(now, second & 0xFFFF, "armed", "written", 31, 4.0123456, "", b"\1\2" * 24)])
@@ -156,7 +156,7 @@ def test_what_is_packed_reads_as_what_was_put(tmp_path: Path) -> None:
     deadline = time.monotonic() + 30.0
     while len(table(path, "SELECT rowid FROM writes")) >= 3_000 and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert historian.close() and (historian.refused, historian.dropped) == (0, 0)
+    assert store.close() and (historian.refused, historian.dropped) == (0, 0)
     with reading(path) as connection:
         packed = dict(connection.execute("SELECT kind, sum(rows) FROM chunks GROUP BY kind").fetchall())
         assert packed["samples"] >= 20_000 and packed["scans"] >= 10_000 and packed["writes"] >= 10_000

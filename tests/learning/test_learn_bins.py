@@ -86,11 +86,13 @@ def test_a_known_automaton_is_learned_back(which: str, truth: Truth, request: py
 def test_the_right_flow_is_chosen(truth: Truth, seeds: int, least: int) -> None:
     # One standard error lets a needless gain pass in about one of ten cases (27 of the 30 seeds from 100 on are right):
     # fewer than 7 of 10 has a probability of 1.3 % then. A gain of 0.1 degC/A was found with all 30.
-    chosen = []
+    flow, right = "driven" if truth.gain else "constant", 0
     for seed in range(100, 100 + seeds):
         runs, base = bins._ground(simulate(truth, seed), DECANTER, "T")
-        chosen.append(bins._select(runs, base, CANDIDATES, lambda _stage, _share: None)[1].flow)
-    assert chosen.count("driven" if truth.gain else "constant") >= least
+        right += bins._select(runs, base, CANDIDATES, lambda _stage, _share: None)[1].flow == flow
+        if right == least:
+            break  # the others could change nothing
+    assert right >= least
 
 
 def test_separate_rates_are_found_where_the_plant_has_them() -> None:

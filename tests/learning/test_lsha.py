@@ -101,7 +101,12 @@ def found_again(seed: int) -> bool:
 def test_a_known_automaton_comes_back_for_nearly_every_seed() -> None:
     # alpha = 0.05 family-wise says that one in twenty may have a location too many; 37 of the 40 seeds from 100 on came
     # back. With that share fewer than 4 of 5 have a probability of 4 %; these five seeds are what they are.
-    assert sum(found_again(seed) for seed in range(110, 115)) >= 4
+    right = 0
+    for seed in range(110, 115):
+        right += found_again(seed)
+        if right == 4:
+            break  # a fifth could change nothing
+    assert right >= 4
 
 
 @pytest.mark.parametrize("seed", [1000, 1001, 1003])

@@ -19,7 +19,10 @@ from tests.plc.bench import DECANTER, block
 
 MAP = DECANTER.parent / "decanter_canopen.toml"
 START, STOP, PRE, RESET = b"\1\1", b"\2\1", b"\x80\1", b"\x81\1"
-TPDOS = {0x181: 8, 0x281: 6, 0x381: 6, 0x481: 8, 0x1C1: 6, 0x2C1: 8, 0x4C1: 8}
+TPDOS = {0x181: 8, 0x281: 6, 0x381: 6, 0x481: 8, 0x1C1: 6, 0x2C1: 8, 0x4C1: 8, 0x1A1: 8, 0x3A1: 6}
+"""The last two answer the second block."""
+SYNCED = [0x3C1, 0x2A1]
+"""The TPDOs that are sent with SYNC: the counts of either block."""
 WELL = NodeDisturbance()
 
 
@@ -31,7 +34,7 @@ class Bench:
         registers = read_map(DECANTER)
         self.plc = Plc(registers, EmulatorClock(0.0, 0.0, monotonic=lambda: self.now))
         assert registers.block is not None
-        self.node = CanopenNode(read_layout(MAP, registers.tags, registers.block.place.words), self.plc)
+        self.node = CanopenNode(read_layout(MAP, registers.tags, registers.blocks), self.plc)
         self.plc.begin(self.now)
         assert self.node.boot(self.now) == [(0x701, b"\0")]
 
@@ -122,8 +125,9 @@ def test_the_inhibit_time_keeps_changes_apart(bench: Bench) -> None:
 
 def test_a_synchronous_tpdo_is_sent_with_sync_only(bench: Bench) -> None:
     bench.take(0x000, START)
-    assert all(0x3C1 not in identifiers(bench.step()) for _ in range(100))
-    assert identifiers(bench.take(0x080)) == [0x3C1]
+    assert all(set(SYNCED).isdisjoint(identifiers(bench.step())) for _ in range(100))
+    assert identifiers(bench.take(0x080)) == SYNCED
+    bench.write(0x1809, 2, 0, 1)
     bench.write(0x1806, 2, 3, 1)
     assert [identifiers(bench.take(0x080)) for _ in range(6)] == [[], [], [0x3C1], [], [], [0x3C1]]
     bench.write(0x1806, 2, 0, 1)
@@ -279,7 +283,7 @@ def test_a_device_file_that_cannot_be_used_is_one_sentence(tmp_path: Path, old: 
     path = spoiled(tmp_path, lambda text: text.replace(old, new, 1))
     known = read_map(DECANTER)
     with pytest.raises(InputError, match=sentence):
-        read_layout(path, known.tags, 26)
+        read_layout(path, known.tags, known.blocks)
 
 
 @pytest.mark.parametrize(

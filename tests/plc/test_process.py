@@ -186,10 +186,12 @@ def test_only_the_block_and_the_test_registers_can_be_written() -> None:
     with running("--writable", "holding:300-301") as plc, client(plc.port) as raw:
         assert raw.write(300, [1, 2]) == struct.pack(">BHH", 16, 300, 2)
         assert raw.words(300, 2) == [1, 2]
-        for address in (100, 302, BLOCK - 1, BLOCK + 1):
+        # Four registers lie between the two blocks, and none behind the second.
+        for address in (100, 302, BLOCK - 1, BLOCK + 1, BLOCK + 29, BLOCK + 31):
             assert raw.write(address, [1] * BLOCK_WORDS) == bytes((0x90, 2)), address
-        assert raw.ask(struct.pack(">BHH", 3, 122, 1)) == bytes((0x83, 2))
+        assert raw.ask(struct.pack(">BHH", 3, 130, 1)) == bytes((0x83, 2))
         assert raw.words(BLOCK, BLOCK_WORDS) == [0] * BLOCK_WORDS
+        assert raw.write(BLOCK + 30, [1] * BLOCK_WORDS) == struct.pack(">BHH", 16, BLOCK + 30, BLOCK_WORDS)
 
 
 def test_the_gateways_block_is_judged_stored_counted_and_timed_out(tmp_path: Path) -> None:

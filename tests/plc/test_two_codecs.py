@@ -44,7 +44,7 @@ def test_a_bit_lies_where_the_driver_looks_for_it(bit: int, order: Order, value:
         heartbeat=None,
         tags={"t": tag},
         places={"t": Place("holding", 0)},
-        block=None,
+        blocks=(),
     )
     plc = Plc(registers, EmulatorClock(0.0, 0.0))
     plc.begin(0.0)

@@ -80,7 +80,8 @@ def test_the_watchdog_runs_out_unless_a_block_with_a_new_heartbeat_is_accepted(p
     assert plc.image.truth["PredictionUsable"] is True
     plc.cycle(5.001)
     assert plc.image.truth["PredictionUsable"] is False
-    assert tell(plc, block(3, 2, challenge=2), 6.0)["PredictionUsable"] is True
+    # Of two blocks each has every second number for its challenges.
+    assert tell(plc, block(3, 2, challenge=3), 6.0)["PredictionUsable"] is True
 
 
 def test_validity_zero_and_a_withdrawn_permit_make_it_unusable_at_once(plc: Plc) -> None:

@@ -1,6 +1,6 @@
 /* The function block as matiec has compiled it, on a clock of the test's own: commands on stdin, an account on stdout.
-   p N: the permit; w OFFSET COUNT WORDS...: words of the block's area; c COUNT: so many cycles; a: the PLC's account.
-   MAIN is the program's instance; BLOCK and ACCOUNT are where the gateway writes and where the PLC answers. */
+   p N: the permit; w BLOCK OFFSET COUNT WORDS...: words of a block's area; c COUNT: so many cycles; a BLOCK: the PLC's
+   account of it. MAIN is the program's instance; BLOCKS and ACCOUNTS are where the gateway writes and the PLC answers. */
 #include <stdio.h>
 #include <string.h>
 #include "accessor.h"
@@ -20,16 +20,17 @@ static WORD I_words[65536], Q_words[65536], M_words[65536];
 enum { ACCOUNT_WORDS = 7, CYCLE_MS = 20 };
 
 int main(void) {
+    WORD *const blocks[] = {BLOCKS}, *const accounts[] = {ACCOUNTS};
     unsigned long tick = 0;
     char command;
     config_init__();
     while (scanf(" %c", &command) == 1) {
-        int first = 0, count = 0, word = 0;
+        int block = 0, first = 0, count = 0, word = 0;
         if (command == 'p' && scanf("%d", &count) == 1) {
             MAIN.PERMITSWITCH.value = count != 0;
-        } else if (command == 'w' && scanf("%d %d", &first, &count) == 2) {
+        } else if (command == 'w' && scanf("%d %d %d", &block, &first, &count) == 3) {
             for (int place = 0; place < count && scanf("%d", &word) == 1; place++)
-                BLOCK[first + place] = (WORD)word;
+                blocks[block][first + place] = (WORD)word;
         } else if (command == 'c' && scanf("%d", &count) == 1) {
             while (count-- > 0) {
                 unsigned long ms = ++tick * CYCLE_MS;
@@ -37,9 +38,9 @@ int main(void) {
                 __CURRENT_TIME.tv_nsec = (long)(ms % 1000) * 1000000L;
                 config_run__(tick);
             }
-        } else if (command == 'a') {
+        } else if (command == 'a' && scanf("%d", &block) == 1) {
             for (int place = 0; place < ACCOUNT_WORDS; place++)
-                printf("%d ", ACCOUNT[place]);
+                printf("%d ", accounts[block][place]);
             printf("\n");
             fflush(stdout);
         }

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Protocol
 
-from gateway.commission.writeback.block_writer import ACCOUNT_TAGS
+from drivers.device_file import STATUS_TAGS
 from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.suite import Account, in_session
 from gateway.commission.writeback.vectors import SuiteStep
@@ -37,19 +38,18 @@ class Emulated:
     async def permit(self, on: bool) -> None:
         self.plc.permit = on
 
-    async def write(self, offset: int, words: Sequence[int]) -> None:
-        layout = self.plc.registers.block
-        assert layout is not None
-        self.plc.write("suite", layout.place.table, layout.place.address + offset, words, self.now)
+    async def write(self, offset: int, words: Sequence[int], block: int = 0) -> None:
+        place = self.plc.registers.blocks[block].place
+        self.plc.write("suite", place.table, place.address + offset, words, self.now)
 
     async def wait(self, seconds: float) -> None:
         self.now += seconds
 
-    async def account(self) -> Account:
+    async def account(self, block: int = 0) -> Account:
         self.now += CYCLE_MS / 1000
         self.plc.cycle(self.now)
-        truth = self.plc.image.truth
-        accepted, refused, code, usable, *session = (int(truth[name] or 0) for name in ACCOUNT_TAGS)
+        truth, suffix = self.plc.image.truth, self.plc.registers.blocks[block].suffix
+        accepted, refused, code, usable, *session = (int(truth[f"{name}{suffix}"] or 0) for name in STATUS_TAGS)
         return Account(accepted, refused, code, bool(usable), *session)
 
 
@@ -78,9 +78,8 @@ class Compiled:
     async def permit(self, on: bool) -> None:
         self.program.values["permitswitch"] = on
 
-    async def write(self, offset: int, words: Sequence[int]) -> None:
-        assert self.device.writeback is not None
-        for tag, word in zip(self.device.writeback.words[offset:], words, strict=False):
+    async def write(self, offset: int, words: Sequence[int], block: int = 0) -> None:
+        for tag, word in zip(self.device.writebacks[block].words[offset:], words, strict=False):
             self.program.values[self.by_place[f"%MW{tag.address.partition(':')[2]}"]] = word
 
     async def wait(self, seconds: float) -> None:
@@ -91,7 +90,36 @@ class Compiled:
             self.ms += CYCLE_MS
             self.program.call(self.ms)
 
-    async def account(self) -> Account:
+    async def account(self, block: int = 0) -> Account:
         self.run(1)
-        accepted, refused, code, usable, *session = (self.word(name) for name in ACCOUNT_TAGS)
+        layout = self.device.writebacks[block]
+        accepted, refused, code, usable, *session = (self.word(layout.tag(name)) for name in STATUS_TAGS)
         return Account(accepted, refused, code, bool(usable & 1), *session)
+
+
+class SeveralBlocks(Protocol):
+    """A PLC under test with its blocks by number."""
+
+    async def permit(self, on: bool) -> None: ...
+    async def write(self, offset: int, words: Sequence[int], block: int) -> None: ...
+    async def wait(self, seconds: float) -> None: ...
+    async def account(self, block: int) -> Account: ...
+
+
+class Beside:
+    """One block of a PLC as a side of its own: one program and one clock for all."""
+
+    def __init__(self, plc: SeveralBlocks, block: int) -> None:
+        self.plc, self.block = plc, block
+
+    async def permit(self, on: bool) -> None:
+        await self.plc.permit(on)
+
+    async def write(self, offset: int, words: Sequence[int]) -> None:
+        await self.plc.write(offset, words, self.block)
+
+    async def wait(self, seconds: float) -> None:
+        await self.plc.wait(seconds)
+
+    async def account(self) -> Account:
+        return await self.plc.account(self.block)

@@ -300,7 +300,7 @@ def _arithmetic(rule: str, left: Typed, right: Typed) -> Typed:
     kind = _common(left, right)
     if kind not in NUMBERS:
         raise Mistake(f"{rule} of a {kind}")
-    act = {"add": operator.add, "subtract": operator.sub, "multiply": operator.mul}[rule]
+    act = {"add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "modulo": operator.mod}[rule]
     if kind == "REAL":
         return kind, single(act(single(left[1]), single(right[1])))
     return kind, _fits(kind, act(left[1], right[1]))
@@ -309,7 +309,7 @@ def _arithmetic(rule: str, left: Typed, right: Typed) -> Typed:
 _OPERATORS: dict[str, Callable[[str, Typed, Typed], Typed]] = {
     **dict.fromkeys(("and_", "or_", "xor_"), _logic),
     **dict.fromkeys(("equal", "unequal", "less", "greater", "at_most", "at_least"), _comparison),
-    **dict.fromkeys(("add", "subtract", "multiply"), _arithmetic),
+    **dict.fromkeys(("add", "subtract", "multiply", "modulo"), _arithmetic),
 }
 
 

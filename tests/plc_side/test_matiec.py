@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from gateway.commission.writeback.structured_text import Program, generate
-from gateway.commission.writeback.suite import Account, Result, put_through
+from gateway.commission.writeback.suite import Account, Result, put_through, put_together
 from gateway.commission.writeback.targets import TARGETS
-from gateway.commission.writeback.vectors import vectors
+from gateway.commission.writeback.vectors import together, vectors
 from gateway.settings.devices import BLOCK_FIELDS, load_device
-from tests.plc_side.sides import CYCLE_MS
+from tests.plc_side.sides import CYCLE_MS, Beside
 from tests.plc_side.test_conformance import MUTANTS
 from tests.plc_side.test_structured_text import PLC
 
@@ -37,14 +37,14 @@ class CompiledByMatiec:
     async def permit(self, on: bool) -> None:
         self.tell(f"p {int(on)}")
 
-    async def write(self, offset: int, words: Sequence[int]) -> None:
-        self.tell(f"w {offset} {len(words)} {' '.join(map(str, words))}")
+    async def write(self, offset: int, words: Sequence[int], block: int = 0) -> None:
+        self.tell(f"w {block} {offset} {len(words)} {' '.join(map(str, words))}")
 
     async def wait(self, seconds: float) -> None:
         self.tell(f"c {round(1000 * seconds / CYCLE_MS)}")
 
-    async def account(self) -> Account:
-        self.tell("c 1\na")
+    async def account(self, block: int = 0) -> Account:
+        self.tell(f"c 1\na {block}")
         assert self.process.stdout is not None
         accepted, refused, code, usable, *session = map(int, self.process.stdout.readline().split())
         return Account(accepted, refused, code, bool(usable & 1), *session)
@@ -52,19 +52,27 @@ class CompiledByMatiec:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where a target's text has what the harness reaches for: the configuration, the instance, two areas of words."""
+    """Where a target's text has what the harness reaches for: the configuration, the instance, each block's areas."""
 
     configuration: str
     resource: str
-    block: str
-    account: str
+    blocks: str
+    accounts: str
 
 
 LAYOUTS = {
-    "plain": Layout("GATEWAY_BLOCK_CONFIGURATION", "MainResource", "&M_words[400]", "&M_words[115]"),
-    "openplc": Layout("Config0", "Res0", "&Q_words[400]", "&Q_words[115]"),
+    "plain": Layout(
+        "GATEWAY_BLOCK_CONFIGURATION",
+        "MainResource",
+        "&M_words[400],&M_words[430]",
+        "&M_words[115],&M_words[123]",
+    ),
+    "openplc": Layout("Config0", "Res0", "&Q_words[400],&Q_words[430]", "&Q_words[115],&Q_words[123]"),
     "codesys": Layout(
-        "GATEWAY_BLOCK_CONFIGURATION", "MainResource", "MAIN.AREA.value.table", "MAIN.ANSWERS.value.table + 3"
+        "GATEWAY_BLOCK_CONFIGURATION",
+        "MainResource",
+        "MAIN.AREA.value.table,MAIN.AREAALIMENTAZIONE.value.table",
+        "MAIN.ANSWERS.value.table+3,MAIN.ANSWERS.value.table+11",
     ),
 }
 
@@ -84,7 +92,7 @@ def text_of(target: str) -> str:
         # CODESYS keeps its tasks in the project, and locates whole arrays, which matiec does not: the harness finds
         # the arrays in the program's instance, and the configuration is that of the plain text.
         content = (
-            re.sub(r" AT %[IQ]W0", "", content)
+            re.sub(r" AT %[IQ]W\d+", "", content)
             + generate(device, "GATEWAY_BLOCK", Program()).partition("END_PROGRAM\n")[2]
         )
     return content
@@ -107,8 +115,8 @@ def compiled(iec2c: str, folder: Path, content: str, layout: Layout) -> Iterator
     includes = [f"-I{Path(iec2c).resolve().parent / 'lib' / 'C'}", "-I."]
     names = [
         f"-DMAIN={layout.resource.upper()}__MAININSTANCE",
-        f"-DBLOCK=({layout.block})",
-        f"-DACCOUNT=({layout.account})",
+        f"-DBLOCKS={layout.blocks}",
+        f"-DACCOUNTS={layout.accounts}",
     ]
     sources = [str(HARNESS), f"{layout.configuration}.c", f"{layout.resource}.c"]
     done = subprocess.run(
@@ -127,16 +135,21 @@ def compiled(iec2c: str, folder: Path, content: str, layout: Layout) -> Iterator
 
 
 async def results_of(iec2c: str, folder: Path, target: str, change: tuple[str, str] = ("", "")) -> list[Result]:
+    """The steps of every block by itself, and of all together."""
     device = load_device(PLC)
     assert device.writeback is not None
     content = text_of(target)
     assert change[0] in content
-    with compiled(iec2c, folder, content.replace(*change) if change[0] else content, LAYOUTS[target]) as side:
-        return await put_through(vectors(device.writeback), side, device.refusals, BLOCK_FIELDS)
+    with compiled(iec2c, folder, content.replace(*change) if change[0] else content, LAYOUTS[target]) as plc:
+        sides = [Beside(plc, layout.place) for layout in device.writebacks]
+        results = []
+        for side in sides:
+            results += await put_through(vectors(device.writeback), side, device.refusals, BLOCK_FIELDS)
+        return results + await put_together(together(device.writeback), sides, device.refusals, BLOCK_FIELDS)
 
 
 @pytest.mark.parametrize("target", LAYOUTS)
-async def test_the_text_that_matiec_has_compiled_passes_the_whole_suite(
+async def test_the_text_that_matiec_has_compiled_passes_the_whole_suite_for_each_block_and_for_both(
     iec2c: str, tmp_path: Path, target: str
 ) -> None:
     results = await results_of(iec2c, tmp_path, target)

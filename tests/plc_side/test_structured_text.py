@@ -66,11 +66,11 @@ def test_a_kept_parser_that_is_not_ours_reads_it_too() -> None:
     assert parse_source_code(text(target="codesys", permit_at="%IX0.0")).exception is None
 
 
-async def test_the_text_for_codesys_takes_two_arrays_and_passes_the_suite() -> None:
-    """Its program has the areas as two arrays, so that two addresses are all that is to be set."""
+async def test_the_text_for_codesys_takes_arrays_and_passes_the_suite() -> None:
+    """Its program has its areas as arrays, one a block and one of the answers: all that is to be set are addresses."""
     device = load_device(PLC)
     program = Text(text(target="codesys")).new("DECANTER_WRITEBACK_MAIN")
-    assert program.places == {"area": "%IW0", "answers": "%QW0"}
+    assert program.places == {"area": "%IW0", "areaalimentazione": "%IW30", "answers": "%QW0"}
     block = next(step for step in vectors(device.writeback) if step.words)
     program.values["permitswitch"] = True
     program.call(0)
@@ -88,7 +88,7 @@ def test_the_text_for_tia_is_the_plain_one_in_siemens_spelling() -> None:
     block, _, program = written.partition("END_FUNCTION_BLOCK\n")
     assert 'Gateway : "DECANTER_WRITEBACK";' in program and "Permit := %I0.0" in program
     assert '"DECANTER_WRITEBACK_REGISTERS".Holding[119] := UINT_TO_WORD(#Gateway.Challenge);' in program
-    assert "Holding : Array[0..425] of Word;" in program and "CONFIGURATION" not in written and " AT " not in block
+    assert "Holding : Array[0..455] of Word;" in program and "CONFIGURATION" not in written and " AT " not in block
     declared = set(re.findall(r"^    (\w+)(?: \{.*\})? : ", block.partition("\nBEGIN\n")[0], re.MULTILINE))
     body = re.sub(r"\(\*.*?\*\)", "", block.partition("\nBEGIN\n")[2], flags=re.DOTALL)
     bare = {name for name in re.findall(r"(?<![#.\w])[A-Za-z]\w*", body) if name in declared}

@@ -2,6 +2,7 @@
 
 import asyncio
 import random
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from tests.drivers.benches import Bench
 from tests.gateway.support import scan_of
 
 USABLE = Validity(31)
-
+PATIENCE_S = 10.0
 
 PERMITTED = {"WritePermit": True, "Challenge": 77.0}
 
@@ -52,7 +53,10 @@ class Disarms:
 
 
 async def disarmed_at_random(bench: Bench, folder: Path, rng: random.Random, moments: int, span: float) -> Disarms:
-    """Arm, wait up to `span` seconds, disarm, and watch what leaves afterwards; so many `moments` times."""
+    """Arm, wait up to `span` seconds, disarm, and watch what leaves afterwards; so many `moments` times.
+
+    The first of them waits for a usable block instead, so that there is one to be taken back on a slow machine too.
+    """
     await bench.open()
     driver, clock = bench.driver, plant_clock()
     assert isinstance(driver, Writes)
@@ -72,8 +76,11 @@ async def disarmed_at_random(bench: Bench, folder: Path, rng: random.Random, mom
     offering = asyncio.create_task(offers())
     before = overtaken = usable = 0
     try:
-        for _ in range(moments):
+        for moment in range(moments):
             writer.arm(tap, Arming("Ada", "campaign", clock.now() + 600.0))
+            patience = time.monotonic() + PATIENCE_S
+            while moment == 0 and not any(word & 1 for word in tap.sent) and time.monotonic() < patience:
+                await asyncio.sleep(span / 4)
             await asyncio.sleep(rng.uniform(0.0, span))
             # As often as not somebody else arms or disarms in the same moment.
             second = asyncio.create_task(writer.disarm(clock.now(), "Cai", "too")) if rng.random() < 0.5 else None

@@ -48,6 +48,10 @@ class FormerStore:
         self.connection.executemany("INSERT INTO tags (name, unit) VALUES (?, '')", [(name,) for name in names])
         self.numbers = {name: number for number, name in enumerate(names, start=1)}
 
+    def numbered(self, table: str, rows: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+        """Rows as they are put now, with the number of a sample's tag instead of its name."""
+        return [(self.numbers[row[0]], *row[1:]) if table == "samples" else row for row in rows]
+
     def commit(self, batch: Mapping[str, Iterable[tuple[Any, ...]]]) -> None:
         """One batch."""
         durable = not {"alarms", "writes", "audit", "runs"}.isdisjoint(batch)

@@ -25,6 +25,7 @@ from sim.engine.belief import (
     with_inputs,
 )
 from sim.engine.moment_equations import moments
+from sim.engine.plant import compile_plant
 from sim.engine.schedules import schedule
 from sim.engine.tracker import Tracker
 from sim.sha.automaton import Effect
@@ -177,3 +178,21 @@ def test_an_event_without_an_edge_is_counted_when_it_is_felt() -> None:
 def test_the_gateway_reads_the_signals_of_effects() -> None:
     model = Model(plant("linear", EFFECTS["pump with sink"]), Alphabet((Switch("on", "W_ON", "W_OFF"),)), "T", 0.1)
     assert {"P", "Ta"} <= set(Predictor(model, "T").inputs)
+
+
+STEADY = sorted(kind for kind, effects in EFFECTS.items() if compile_plant(plant("exponential", effects)).steady_linear)
+
+
+@pytest.mark.parametrize("kind", STEADY)
+def test_steps_of_a_clock_that_jitters_are_exact_and_made_once(kind: str) -> None:
+    tracker = tracker_of("exponential", EFFECTS[kind])
+    assert tracker.plant is not None
+    lengths = np.random.default_rng(1).uniform(0.099, 0.101, 400)
+    times = np.concatenate([[0.0], np.cumsum(lengths)])
+    begun = start(tracker, 0.0, 21.0)
+    whole, stepped = advance(tracker, begun, float(times[-1])), begun
+    tracker.plant.memo.clear()
+    for time in times.tolist():
+        stepped = advance(tracker, stepped, time)
+    assert (stepped.x, stepped.xx) == pytest.approx((whole.x, whole.xx), rel=1e-10)
+    assert len(tracker.plant.memo) <= 4

@@ -102,6 +102,12 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
     report.append(ReportTable(columns, tuple(rows), tuple(states), widths))
 
     report.append(Heading("Writing", 2))
+    # A report that was made before there were several blocks does not name them.
+    if written := data.get("blocks"):
+        of_each = tuple(
+            (block["temperature"] or "not named", block["address"], str(block["words"])) for block in written
+        )
+        report.append(ReportTable(("block of", "from", "words"), of_each, widths=(0.5, 0.34, 0.16)))
     if not audit["rows"] and not audit["problem"]:
         report.append(Text("Nothing was armed and nothing was written: there is no audit log."))
     else:

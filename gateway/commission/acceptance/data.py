@@ -15,6 +15,7 @@ from gateway.store import (
     DISARMED,
     EXPIRED,
     WitnessPlaces,
+    armed_subjects,
     examine,
     given_words,
     over,
@@ -119,6 +120,7 @@ def gather(
         "machines": sorted({record.machine for record in records}),
         "configuration": configuration,
         "versions": records[-1].versions,
+        "blocks": _blocks(records),
         "audit": audit,
         "records": {
             "path": str(records_path),
@@ -127,6 +129,19 @@ def gather(
             "rows": [{"number": number, **asdict(record)} for number, record in enumerate(records, start=1)],
         },
     }
+
+
+def _blocks(records: Sequence[CommandRecord]) -> list[dict[str, Any]]:
+    """The blocks of the newest `plan --write`: which temperature each speaks of, where it begins, how long it is."""
+    planned = [record for record in records if record.command in ("plan --write", EARLIER_NAMES["plan --write"])]
+    words = _dicts(planned[-1].result.get("words")) if planned else []
+    of_each: dict[str, list[Mapping[str, Any]]] = {}
+    for word in words:
+        of_each.setdefault(str(word.get("block", "")), []).append(word)
+    return [
+        {"temperature": name, "address": str(own[0].get("address", "")), "words": len(own)}
+        for name, own in of_each.items()
+    ]
 
 
 def _checked(check: ReportCheck, records: Sequence[CommandRecord], *, writing: bool) -> dict[str, Any]:
@@ -211,10 +226,12 @@ def _audit(places: WitnessPlaces, now: float) -> dict[str, Any]:
     rows = [] if checked.broken else read(path)
     armings = [{"row": row.id, **asdict(row.entry)} for row in rows if row.entry.kind in (ARMED, DISARMED, EXPIRED)]
     # Confirmed or not: what looks armed is a point to look at, and to see that needs no key.
-    row = None if checked.broken else next(iter(given_words(path)), None)
-    if row is not None and (row.entry.kind != ARMED or over(path, row, now, uptime())):
-        row = None
-    sentence = f"by {row.entry.who} ({row.entry.reason}) until {at(row.entry.detail['until'])}" if row else ""
+    standing = []
+    for subject in [] if checked.broken else armed_subjects(path):
+        row = next(iter(given_words(path, subject=subject)), None)
+        if row is not None and row.entry.kind == ARMED and not over(path, row, now, uptime()):
+            about = f"{subject}: " if subject else ""
+            standing.append(f"{about}by {row.entry.who} ({row.entry.reason}) until {at(row.entry.detail['until'])}")
     return {
         **empty,
         "rows": checked.rows,
@@ -223,6 +240,6 @@ def _audit(places: WitnessPlaces, now: float) -> dict[str, Any]:
         "end": checked.end,
         "kinds": dict(Counter(row.entry.kind for row in rows)),
         "armings": armings,
-        "standing": sentence,
+        "standing": "; ".join(standing),
         "names": sorted({row["who"] for row in armings if row["who"]}),
     }

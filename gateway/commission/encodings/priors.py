@@ -24,14 +24,18 @@ TYPES: dict[DType, float] = {
     DType.INT8: 0.003,
     DType.UINT8: 0.003,
 }
-ROOMY: dict[DType, tuple[float, float]] = {
-    DType.INT32: (0.2, 2.0**15 - 1),
-    DType.UINT32: (0.2, 2.0**15 - 1),
-    DType.BCD32: (0.2, 9999.0),
-    DType.INT64: (0.05, 2.0**31 - 1),
-    DType.UINT64: (0.05, 2.0**31 - 1),
+ROOMY: dict[DType, tuple[float, float, float]] = {
+    DType.INT32: (0.2, -(2.0**15), 2.0**16 - 1),
+    DType.UINT32: (0.2, 0.0, 2.0**16 - 1),
+    DType.BCD32: (0.2, 0.0, 9999.0),
+    DType.INT64: (0.05, -(2.0**31), 2.0**32 - 1),
+    DType.UINT64: (0.05, 0.0, 2.0**32 - 1),
 }
-"""How often these hold a signal although a type of half the size would have been enough, and what that one holds."""
+"""How often these hold a signal although a type of half the size would have been enough, signed or not, and the least
+and the greatest number that one of these holds."""
+HALF_FULL: dict[DType, float] = {DType.INT16: 2.0**14, DType.INT32: 2.0**30, DType.INT64: 2.0**62}
+SIGNED_THOUGH_TIGHT = 0.5
+"""How often a signal that takes up more than half of a signed type, and never goes below 0, is kept in it."""
 FLOATS = frozenset({DType.FLOAT32, DType.FLOAT64})
 
 ONE_REGISTER: dict[Order, float] = {Order.ABCD: 0.95, Order.BADC: 0.05}

@@ -6,8 +6,9 @@ For an encoding e, words w and readings r the weight is, in logarithms,
 
 P0 is the chance of a register that has nothing to do with the value. The resolution (engineering units between
 neighbouring raw numbers) is the chance of just these words given the value: a coarse encoding that hits is believed
-sooner than one so fine that it hits somewhere anyway. A float that is a round decimal number was most likely rounded
-before it was stored, and has the resolution of that. Words that stand still from one reading to the next count once.
+sooner than one so fine that it hits somewhere anyway. Floats that are round decimal numbers were most likely rounded
+before they were stored, all of them by the same source to the same, and have the resolution of that. Words that stand
+still from one reading to the next count once.
 
 An encoding that explains every reading by rounding or cutting is never below one that needs a value that moved; and as
 long as another one does too, none is believed by more than MOST_BELIEVED.
@@ -174,16 +175,21 @@ def _weighed(
     if any(raw is None for raw in raws):
         return []
     # A type with more room than any of the numbers needs is less likely to have been chosen.
-    chance, enough = priors.ROOMY.get(layout.dtype, (1.0, 0.0))
-    roomy = math.log(chance) if all(abs(raw[0]) <= enough for raw in raws if raw is not None) else 0.0
-    total = weights + layout.weight + roomy
+    chance, low, high = priors.ROOMY.get(layout.dtype, (1.0, 0.0, 0.0))
+    numbers = [raw[0] for raw in raws if raw is not None]
+    roomy = math.log(chance) if low <= min(numbers) and max(numbers) <= high else 0.0
+    # A signed type that is more than half used up, and never by a negative number: an unsigned one was chosen as often.
+    full = priors.HALF_FULL.get(layout.dtype, math.inf)
+    tight = math.log(priors.SIGNED_THOUGH_TIGHT) if min(numbers) >= 0 and max(numbers) > full else 0.0
+    total = weights + layout.weight + roomy + tight
     exact = np.ones(total.shape, dtype=np.bool_)
     # Bayes' rule for all scales and offsets at once: log prior + the log likelihood ratio of each observation against
     # registers that have nothing to do with the value. The likelihood of the words is the density of the value over
     # one raw step; words that were read before are no new evidence.
     before: list[tuple[int, ...]] = []
+    fresh: list[tuple[float, float]] = []
     for raw, seen in zip(raws, observations, strict=True):
-        number, resolution = raw or (0.0, 1.0)
+        number, step = raw or (0.0, 1.0)
         words = _covered(layout, seen)
         logs, explained = _log_shown(number * scales + offsets, seen.shown)
         total, exact = total + logs, exact & explained
@@ -191,8 +197,10 @@ def _weighed(
             return []
         if words not in before:
             former = before[-1] if before else None
-            total = total + np.log(resolution * scales) - _log_background(words, former, layout.dtype)
+            total = total + np.log(scales) - _log_background(words, former, layout.dtype)
+            fresh.append((number, step))
         before.append(words)
+    total = total + _log_resolution(layout, fresh)
     kept = np.flatnonzero(np.isfinite(total) & (total > np.max(total) - HOPELESS))
     return [
         _WeighedEncoding(
@@ -218,14 +226,25 @@ def _raw(layout: _EncodingLayout, seen: Observation) -> tuple[float, float] | No
         return number, 1.0
     # One unit in the last place of the mantissa (IEEE 754), which no measurable number has below that of 1e-30.
     single = layout.dtype is DType.FLOAT32
-    last = 2.0 ** (math.floor(math.log2(max(abs(number), MEASURABLE[0]))) - (23 if single else 52))
-    resolution = (1.0 - sum(priors.GRAINS.values())) * last
-    # A number that is the nearest float to a multiple of a grain was most likely rounded to it.
+    return number, 2.0 ** (math.floor(math.log2(max(abs(number), MEASURABLE[0]))) - (23 if single else 52))
+
+
+def _log_resolution(layout: _EncodingLayout, raws: Sequence[tuple[float, float]]) -> float:
+    """log of the product of the raw numbers' resolutions, each number given with the step to its neighbour.
+
+    Of floats the mean over what their source may have rounded them to: numbers that are all the nearest floats to
+    multiples of one grain were most likely rounded to it, and one that is not says that the others are so by chance.
+    """
+    if layout.dtype not in priors.FLOATS:
+        return sum(math.log(step) for _, step in raws)
+    likelihood = (1.0 - sum(priors.GRAINS.values())) * math.prod(step for _, step in raws)
     for grain, share in priors.GRAINS.items():
-        multiple = round(round(number / grain) * grain, 2)
-        if number == (float(np.float32(multiple)) if single else multiple):
-            resolution += share * max(grain, last)
-    return number, resolution
+        multiples = [round(round(number / grain) * grain, 2) for number, _ in raws]
+        if layout.dtype is DType.FLOAT32:
+            multiples = [float(np.float32(multiple)) for multiple in multiples]
+        if all(number == multiple for (number, _), multiple in zip(raws, multiples, strict=True)):
+            likelihood += share * math.prod(max(grain, step) for _, step in raws)
+    return math.log(likelihood)
 
 
 def _covered(layout: _EncodingLayout, seen: Observation) -> tuple[int, ...]:

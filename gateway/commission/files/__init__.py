@@ -7,8 +7,10 @@ from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit
 from gateway.commission.files.first_folder import FirstFolder
 from gateway.commission.files.io_list import IoList, Reading, read_io_list
 from gateway.commission.files.io_words import COLUMNS, flag_of
+from gateway.commission.files.machines import with_machine, without_machine
 from gateway.commission.files.plan_files import Files, find_files, settings_of
 from gateway.commission.files.recording import ScanRecorder, SiteRecording, read_recording
+from gateway.commission.files.toml_edit import Edit, commit
 
 __all__ = [
     "COLUMNS",
@@ -18,6 +20,7 @@ __all__ = [
     "KEEP",
     "Binding",
     "BlockPlace",
+    "Edit",
     "FileChange",
     "Files",
     "FirstFolder",
@@ -28,6 +31,7 @@ __all__ = [
     "ScanRecorder",
     "SiteRecording",
     "carry_out",
+    "commit",
     "edit_files",
     "find_files",
     "flag_of",
@@ -38,4 +42,6 @@ __all__ = [
     "read_sheet",
     "settings_of",
     "template",
+    "with_machine",
+    "without_machine",
 ]

@@ -30,10 +30,11 @@ class SiteRecording:
         return self.times[-1] - self.times[0]
 
 
-def read_recording(path: Path, start: float = -1e18, end: float = 1e18) -> SiteRecording:
+def read_recording(path: Path, start: float = -1e18, end: float = 1e18, *, machine: str | None = None) -> SiteRecording:
     """The readings in a CSV (first column `time`) or a gateway's historian, from `start` to `end` (s).
 
-    Raises ListError or HistorianError, in one sentence, for what cannot be used.
+    Of a historian they are those of one `machine`, None: of the only one. Raises ListError or HistorianError, in one
+    sentence, for what cannot be used.
     """
     try:
         with regular(path).open("rb") as stream:
@@ -41,7 +42,7 @@ def read_recording(path: Path, start: float = -1e18, end: float = 1e18) -> SiteR
         if historian:
             from gateway.store import to_trace
 
-            trace = to_trace(path, path.stem, start, end)
+            trace = to_trace(path, path.stem, start, end, machine=machine)
             columns = {name: column.tolist() for name, column in trace.signals.items()}
             recording = SiteRecording(path, trace.times.tolist(), columns)
         else:

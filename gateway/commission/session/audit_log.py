@@ -9,7 +9,7 @@ import click
 
 from gateway.commission.session.options import SharedOptions
 from gateway.commission.session.target import Target
-from gateway.settings import load_config
+from gateway.settings import load_plant
 
 AUDIT = "audit.sqlite"
 
@@ -32,7 +32,7 @@ def audit_path(audit: Path | None, given: SharedOptions, target: Target | None =
     if target is not None and target.config is not None:
         return target.config.audit
     if target is None and given.plant is not None:
-        return load_config(given.plant).audit
+        return load_plant(given.plant)[0].audit
     return given.records.with_name(AUDIT)
 
 

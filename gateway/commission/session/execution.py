@@ -42,7 +42,7 @@ def perform(
     """
     if target is None:
         with sentences():
-            target = make_target(given.plant, given.device, given.link, given.settings)
+            target = make_target(given.plant, given.device, given.link, given.settings, given.machine)
             check_writable(given.records)
     begun, clock = time.time(), time.monotonic()
     with sentences(), closing(FrameEvidence(given.pcap, target.medium)) as evidence:

@@ -11,7 +11,7 @@ from gateway.status import ControlError, GatewayLine, connect
 
 def running_gateway(target: Target) -> GatewayLine | None:
     """The gateway that runs with the target's plant file; None without a plant file, and where none runs."""
-    return None if target.config is None else connect(target.config.control_socket)
+    return None if target.config is None else connect(target.config.control_socket, machine=target.config.machine)
 
 
 def running_for(target: Target) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from drivers.named_files import parse_toml
 from gateway.connection import CONNECTION_OPTIONS, RECORD_OPTIONS
@@ -22,6 +23,7 @@ class SharedOptions:
     plant: Path | None
     device: Path | None
     link: str | None
+    machine: str | None
     settings: Mapping[str, Any]
     as_json: bool
     pcap: Path | None
@@ -69,12 +71,20 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with --json, --records and --by alone, for one that speaks to no device; it gets `given` too."""
+    """The command with --json, --records and --by alone, for one that speaks to no device; it gets `given` too.
+
+    Where neither --config, --audit nor --records says whose account is meant, it is the working folder's plant file's.
+    """
 
     @wraps(command)
     def with_given(**options: Any) -> Any:
-        filled = {"plant": None, "device": None, "link": None, "others": (), **options}
-        return command(given=_given(filled), **filled)
+        filled = {"plant": None, "device": None, "link": None, "machine": None, "others": (), **options}
+        given = _given(filled)
+        default = click.get_current_context().get_parameter_source("records") is ParameterSource.DEFAULT
+        if default and given.plant is None and filled.get("audit") is None:
+            with suppress(ValueError):  # without one the audit log lies beside the records
+                given = replace(given, plant=find_plant_file())
+        return command(given=given, **filled)
 
     wrapped: Callable[..., Any] = with_given
     for option in reversed(RECORD_OPTIONS):
@@ -89,7 +99,8 @@ def _given(options: dict[str, Any]) -> SharedOptions:
         name: str(value) if isinstance(value, Path) else value for name, value in values.items() if value is not None
     }
     settings |= dict(map(_other, options.pop("others", ())))
-    kept = {name: options.pop(name, None) for name in ("plant", "device", "link", "as_json", "pcap", "records", "by")}
+    names = ("plant", "device", "link", "machine", "as_json", "pcap", "records", "by")
+    kept = {name: options.pop(name, None) for name in names}
     return SharedOptions(settings=settings, **kept)
 
 

@@ -55,7 +55,6 @@ def device_of(site: Site) -> DeviceMap:
 
 
 def words_of(site: Site) -> tuple[Tag, ...]:
-    """The words of the block, where something may be written."""
-    layout = device_of(site).writeback
+    """The words of all blocks, where something may be written."""
     config = site.target.config
-    return () if layout is None or (config is not None and config.writeback.mode == "off") else layout.words
+    return () if config is not None and config.writeback.mode == "off" else device_of(site).block_words

@@ -48,6 +48,11 @@ class Target:
         return f"{self.kind}, {sentence}" if sentence else self.kind
 
     @property
+    def subject(self) -> str:
+        """Whose armings in the audit log are its own: its machine's, where the plant file has several."""
+        return self.config.subject if self.config is not None else ""
+
+    @property
     def capabilities(self) -> Capabilities:
         """What its device is like. Raises DriverError for a driver that is not known."""
         return capabilities(self.driver)
@@ -86,8 +91,11 @@ def make_target(
     device: Path | None = None,
     link: str | None = None,
     given: Mapping[str, Any] | None = None,
+    machine: str | None = None,
 ) -> Target:
-    """The device by a plant file (`link` then names one of its links), a device file, or settings alone.
+    """The device by a plant file, a device file, or settings alone.
+
+    Of a plant file `machine` names one of several machines, and `link` one of its links.
 
     `given` are settings that win over those of the files. Raises TargetError or ConfigError.
     """
@@ -97,8 +105,10 @@ def make_target(
         settings = {**LINKS["modbus-tls"].settings, **settings}
     if plant is not None and device is not None:
         raise TargetError("--config and --device exclude each other: a plant file names its device files itself")
+    if machine is not None and plant is None:
+        raise TargetError("--machine names one of a plant file: give that with --config")
     if plant is not None:
-        config = load_config(plant)
+        config = load_config(plant, machine=machine)
         row = config.links[0]
         if link is not None:
             # By its own name, else by its kind; of several of a kind the first one is meant (hence the reversal).

@@ -20,7 +20,7 @@ from gateway.commission.session import (
     perform,
     running_gateway,
 )
-from gateway.commission.writeback.block_writer import gateway_runs, layout_of, open_block_writer
+from gateway.commission.writeback.block_writer import gateway_runs, layouts_of, open_block_writers
 from gateway.machine.writing import (
     ArmingError,
     arm_in_log,
@@ -36,11 +36,19 @@ from gateway.store import head, open_audit
 
 
 async def start_arming(
-    site: Site, audit_path: Path, by: str, reason: str, minutes: float, *, acknowledged: Sequence[str] = ()
+    site: Site,
+    audit_path: Path,
+    by: str,
+    reason: str,
+    minutes: float,
+    *,
+    acknowledged: Sequence[str] = (),
 ) -> CommandResult:
-    """Arm for some minutes; `acknowledged` are heads of lost rows. Raises ArmingError, AuditError, ValueError or
-    OSError."""
-    layout_of(site)
+    """Arm a machine for some minutes; `acknowledged` are heads of lost rows.
+
+    Raises ArmingError, AuditError, ValueError or OSError.
+    """
+    layouts_of(site)
     now = time.time()
     arming = signed(by, reason, minutes, now)
     if (config := site.target.config) is not None and config.writeback.mode == "off":
@@ -54,7 +62,7 @@ async def start_arming(
             clear_for_arming(places, audit.record, by=arming.by, now=now, acknowledged=acknowledged)
         finally:
             audit.close()
-        arm_in_log(audit_path, arming, now, key=places.key)
+        arm_in_log(audit_path, arming, now, key=places.key, subject=site.target.subject)
         countersign(places, now)
     place = "the audit log" if reply is None else f"the running gateway (pid {reply['pid']})"
     until = arming.until if reply is None else float(reply["until"])
@@ -63,9 +71,9 @@ async def start_arming(
 
 
 async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> CommandResult:
-    """Take the arming back, then write validity 0 if that can be done; say what the next start of the gateway will do.
+    """Take the arming of a machine back, then write validity 0 if that can be done.
 
-    Raises ArmingError, AuditError, ValueError or OSError.
+    The result says what the next start of the gateway will do. Raises ArmingError, AuditError, ValueError or OSError.
     """
     reply = _ask_gateway(site, "disarm", by=by, reason=reason)
     if reply is not None:
@@ -74,7 +82,7 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
         # On record first: what another command sends after this finds no arming, and the block is the last word.
         config = site.target.config
         stamp = config.path.stat().st_mtime if config is not None else None
-        row = disarm_in_log(audit_path, by, reason, time.time(), stamp)
+        row = disarm_in_log(audit_path, by, reason, time.time(), stamp, subject=site.target.subject)
         try:
             countersign(places_for(audit_path, config), time.time())
         except ArmingError as error:
@@ -82,9 +90,10 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
         was, sentence = row is not None, "nothing was armed"
         if row is not None:
             try:
-                async with open_block_writer(site, audit_path, taking_back=row) as writer:
-                    await writer.block()
-                    writer.written = 0  # this block takes everything back already
+                async with open_block_writers(site, audit_path, taking_back=row) as writers:
+                    for writer in writers:
+                        await writer.block()
+                        writer.written = 0  # this block takes everything back already
                 sentence = "validity 0 was written"
             except (DriverError, ValueError) as error:
                 sentence = f"validity 0 was not written ({error}); the PLC's own timer covers it"

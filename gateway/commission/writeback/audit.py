@@ -11,7 +11,7 @@ from gateway.commission.session import SharedOptions, at, audit_option, audit_pa
 from gateway.console import emit, table
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.writing import places_for
-from gateway.settings import load_config
+from gateway.settings import load_plant
 from gateway.store import examine, numbered_files, read, trusted_key
 
 _PATH = click.Path(path_type=Path)
@@ -21,7 +21,12 @@ _PATH = click.Path(path_type=Path)
 @click.option("--head", default="", metavar="HASH", help="A hash kept from before, which has to be in the log.")
 @click.option("--last", type=click.IntRange(0), default=20, show_default=True, help="So many of the newest rows.")
 @click.option("--kind", "kinds", multiple=True, help="Only rows of this kind, such as 'armed' or 'write refused'.")
-@click.option("--config", "plant", type=_PATH, help="The plant file whose audit log it is.")
+@click.option(
+    "--config",
+    "plant",
+    type=_PATH,
+    help="The plant file whose audit log it is.  [default: plant.toml, config/plant.toml]",
+)
 @click.option("--public-key", type=_PATH, help="The gateway's public key; without it the key beside the log.")
 @click.option("--heads", type=_PATH, help="A file of signed heads.  [default: the plant file's, or beside the log]")
 @click.option("--historian", type=_PATH, help="A historian that holds a signed head.  [default: the plant file's]")
@@ -46,7 +51,7 @@ def audit(
     are checked by the gateway's key, which others must not be able to read, or the public key alone (--public-key).
     """
     with sentences():
-        config = load_config(given.plant) if given.plant is not None else None
+        config = load_plant(given.plant)[0] if given.plant is not None else None
         places = places_for(audit_path(audit, given), config)
         places = replace(
             places,

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random, SystemRandom
 from struct import pack
+from typing import Any
 
+from drivers.device_file import STATUS_TAGS
 from drivers.driver import Driver, Writes, capabilities
 from drivers.errors import DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Sample
@@ -52,25 +54,16 @@ _POLL_S = 0.02
 _WITHOUT_HEARTBEAT_S = 0.5
 NOTHING: Mapping[str, float | None] = {"input_quality": 2.0, "zone": 0.0, "alarms": 0.0}
 """The values of a block that takes everything back."""
-ACCOUNT_TAGS = (
-    "BlocksAccepted",
-    "BlocksRefused",
-    "LastRefusal",
-    "PredictionUsable",
-    "Challenge",
-    "SessionWriter",
-    "RefusedWriter",
-)
 Ask = Callable[[str], bool]
 Progress = Callable[[str, float], None]
 
 
-def in_force(places: WitnessPlaces, now: float) -> Arming:
-    """The arming in force. Raises WriteForbidden without one, AuditError, SigningKeyError."""
+def in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arming:
+    """The arming of a subject in force. Raises WriteForbidden without one, AuditError, SigningKeyError."""
     path = places.audit
-    row = standing(path, now, uptime(), key=places.key)
+    row = standing(path, now, uptime(), key=places.key, subject=subject)
     if row is None:
-        _note_the_end(places, now)
+        _note_the_end(places, now, subject)
         raise WriteForbidden(
             f"not armed: nothing is written; arm first: decanter plc arm --by NAME --reason WHY --minutes N (audit log "
             f"{path})"
@@ -78,28 +71,28 @@ def in_force(places: WitnessPlaces, now: float) -> Arming:
     return arming_of(row)
 
 
-def _note_the_end(places: WitnessPlaces, now: float) -> None:
+def _note_the_end(places: WitnessPlaces, now: float, subject: str) -> None:
     """Put on record that an arming is over, so that it stays so whatever the clock does after this."""
     path = places.audit
-    last = next(armings(path, places.key), None)
+    last = next(armings(path, places.key, subject=subject), None)
     if last is None or last.entry.kind != ARMED:
         return
     why = over(path, last, now, uptime())
     audit = open_audit(path)
     try:
-        audit.record(AuditEntry(now, EXPIRED, last.entry.who, why))
+        audit.record(AuditEntry(now, EXPIRED, last.entry.who, why).of(subject))
     finally:
         audit.close()
 
 
-def layout_of(site: Site) -> tuple[DeviceMap, WritebackLayout]:
-    """The device file and its block. Raises ValueError where there is none."""
+def layouts_of(site: Site) -> tuple[DeviceMap, tuple[WritebackLayout, ...]]:
+    """The device file and its blocks. Raises ValueError where there is none."""
     device = site.target.map
     if device is None:
         raise ValueError("which block? Give the device file (--device FILE) or the plant file (--config FILE)")
-    if device.writeback is None:
+    if not device.writebacks:
         raise ValueError(f"{device.path}: has no [writeback] table; there is no block to write")
-    return device, device.writeback
+    return device, device.writebacks
 
 
 def gateway_runs(historian: Path) -> bool:
@@ -117,10 +110,11 @@ def gateway_runs(historian: Path) -> bool:
 
 @dataclass(slots=True)
 class BlockWriter:
-    """One command that writes blocks as writer `number`; `key` is the gateway's, which confirms armings. `ask` asks the
-    person, None where nobody is to be asked.
+    """One command that writes the block `layout` as writer `number`; `key` is the gateway's, which confirms armings.
 
+    `ask` asks the person, None where nobody is to be asked.
     `taking_back`: the arming has been taken back already, and the only block left to write is that which says so.
+    `subject` is what its arming and its rows of the audit log are about.
     """
 
     device: DeviceMap
@@ -133,6 +127,7 @@ class BlockWriter:
     number: int
     ask: Ask | None = None
     taking_back: bool = False
+    subject: str = ""
     sequence: int = 0
     heartbeat: int = 0
     written: int = field(default=0, init=False)
@@ -177,7 +172,7 @@ class BlockWriter:
         """Write the next whole block; with `beat` False its heartbeat is the last one's. Raises as `send`."""
         self.sequence = (self.sequence + 1) & 0xFFFF
         self.heartbeat = next_heartbeat(self.heartbeat) if beat else self.heartbeat
-        (challenge,) = await self.numbers("Challenge")
+        (challenge,) = await self.numbers(self.layout.tag("Challenge"))
         session = SessionWords(
             challenge=challenge, writer=self.number, sequence=self.sequence, heartbeat=self.heartbeat
         )
@@ -189,7 +184,8 @@ class BlockWriter:
         if self.taking_back:
             return
         now = time.time()
-        if now >= self.arming.until or standing(self.audit.path, now, uptime(), key=self.key) is None:
+        row = standing(self.audit.path, now, uptime(), key=self.key, subject=self.subject)
+        if now >= self.arming.until or row is None:
             raise WriteForbidden("the arming is over; nothing was sent")
 
     async def permitted(self) -> bool:
@@ -203,7 +199,9 @@ class BlockWriter:
 
     def _entry(self, kind: str, words: Sequence[int], reason: str, offset: int) -> AuditEntry:
         detail = {"words": pack(f">{len(words)}H", *words).hex(), "offset": offset, "via": "command"}
-        return AuditEntry(time.time(), kind, self.arming.by, reason, detail)
+        if self.layout.suffix:
+            detail["block"] = self.layout.suffix
+        return AuditEntry(time.time(), kind, self.arming.by, reason, detail).of(self.subject)
 
     # ---------------------------------------------------------------- reading
 
@@ -246,7 +244,9 @@ class BlockWriter:
     async def account(self) -> Account:
         """What the PLC says of the blocks, once it has looked at them."""
         await self.wait_for_scans()
-        accepted, refused, code, usable, challenge, session, other = await self.numbers(*ACCOUNT_TAGS)
+        accepted, refused, code, usable, challenge, session, other = await self.numbers(
+            *(self.layout.tag(name) for name in STATUS_TAGS)
+        )
         return Account(
             accepted=accepted,
             refused=refused,
@@ -288,72 +288,108 @@ class BlockWriter:
 
 
 @asynccontextmanager
-async def open_block_writer(
+async def open_block_writers(
     site: Site,
     audit_path: Path,
     ask: Ask | None = None,
     *,
     taking_back: AuditRow | None = None,
     rng: Random | None = None,
-) -> AsyncIterator[BlockWriter]:
-    """The writer of one command, with a connection; at its end a block of validity 0 is written if any was.
+) -> AsyncIterator[tuple[BlockWriter, ...]]:
+    """The writers of one command, one for each block, with one connection.
 
-    `taking_back` is the arming that has just been taken back, for the one block that says so to the PLC. `rng` draws
-    its number as a writer, by default from the system's randomness. Raises WriteForbidden where it is not armed or a
-    gateway runs, AuditError, DriverError, ValueError.
+    At their end a block of validity 0 is written by each that has written any. `taking_back` is the arming that has
+    just been taken back, for the one block that says so to the PLC. `rng` draws their number as a writer, by default
+    from the system's randomness. Raises WriteForbidden where it is not armed or a gateway runs, AuditError,
+    DriverError, ValueError.
     """
-    device, layout = layout_of(site)
-    places = places_for(audit_path, site.target.config)
-    arming = arming_of(taking_back) if taking_back is not None else in_force(places, time.time())
+    device, layouts = layouts_of(site)
+    places, subject = places_for(audit_path, site.target.config), site.target.subject
+    arming = arming_of(taking_back) if taking_back is not None else in_force(places, time.time(), subject)
     if site.target.config is not None and gateway_runs(site.target.config.historian.path):
         raise ValueError("a gateway runs with this plant file and writes the same block; stop it for this test")
     audit = open_audit(audit_path)
     try:
-        async with site.target.opened(layout.words) as driver:
+        async with site.target.opened(device.block_words) as driver:
             if not isinstance(driver, Writes):
                 raise WriteForbidden("this driver cannot write")
             begun = int(time.time()) & 0xFFFF  # where the last command left off is not known
-            writer = BlockWriter(
-                device=device,
-                layout=layout,
-                driver=driver,
-                writes=driver,
-                audit=audit,
-                arming=arming,
-                key=places.key,
-                number=(rng or SystemRandom()).randint(1, 0xFFFF),
-                ask=ask,
-                taking_back=taking_back is not None,
-                sequence=begun,
-                heartbeat=begun or 1,
+            number = (rng or SystemRandom()).randint(1, 0xFFFF)
+            writers = tuple(
+                BlockWriter(
+                    device=device,
+                    layout=layout,
+                    driver=driver,
+                    writes=driver,
+                    audit=audit,
+                    arming=arming,
+                    key=places.key,
+                    number=number,
+                    ask=ask,
+                    taking_back=taking_back is not None,
+                    subject=subject,
+                    sequence=begun,
+                    heartbeat=begun or 1,
+                )
+                for layout in layouts
             )
             try:
-                yield writer
+                yield writers
             finally:
-                if writer.written:
-                    # The PLC's own timer covers a last block that cannot be written; the audit log has the reason.
-                    with suppress(DriverError, ValueError):
-                        await writer.block()
+                for writer in writers:
+                    if writer.written:
+                        # The PLC's timer covers a last block that cannot be written; the audit log has the reason.
+                        with suppress(DriverError, ValueError):
+                            await writer.block()
                 site.count(driver.statistics())
     finally:
         audit.close()
 
 
-def with_block_writer(
+def with_block_writers(
     given: SharedOptions,
     audit: Path | None,
     title: str,
-    work: Callable[[BlockWriter, Progress], Awaitable[CommandResult]],
+    work: Callable[[Sequence[BlockWriter], Progress], Awaitable[CommandResult]],
     *,
     ask: bool = False,
 ) -> Callable[[Site], Awaitable[CommandResult]]:
-    """The work with a writer of blocks, and a bar on a terminal where nobody is asked."""
+    """The work with the writers of all blocks, and a bar on a terminal where nobody is asked."""
 
     async def carried_out(site: Site) -> CommandResult:
-        async with open_block_writer(site, audit_path(audit, given, site.target), questions(ask)) as writer:
+        async with open_block_writers(site, audit_path(audit, given, site.target), questions(ask)) as writers:
             if ask:
-                return await work(writer, lambda _name, _share: None)
+                return await work(writers, lambda _name, _share: None)
             with progress(title) as report:
-                return await work(writer, report)
+                return await work(writers, report)
 
     return carried_out
+
+
+def of_each_block(
+    work: Callable[[BlockWriter, Progress], Awaitable[CommandResult]],
+) -> Callable[[Sequence[BlockWriter], Progress], Awaitable[CommandResult]]:
+    """The work for one block after the other, as one result: all rows, each with its block where there are several."""
+
+    async def carried_out(writers: Sequence[BlockWriter], report: Progress) -> CommandResult:
+        results = [(writer.layout.temperature or "", await work(writer, report)) for writer in writers]
+        return results[0][1] if len(results) == 1 else joined(results)
+
+    return carried_out
+
+
+def joined(results: Sequence[tuple[str, CommandResult]]) -> CommandResult:
+    """Results of several blocks as one: their rows with the block's name, their counts summed, the first complaint."""
+    data: dict[str, Any] = {}
+    for _, result in results:
+        for key, value in result.data.items():
+            is_count = isinstance(value, int) and not isinstance(value, bool)
+            data[key] = data.get(key, 0) + value if is_count else data.get(key, value)
+    data["rows"] = [{**row, "block": name} for name, result in results for row in result.data["rows"]]
+    failed = [f"{name}: {result.complaint}" for name, result in results if result.complaint]
+    return CommandResult(data, max(result.code for _, result in results), "; ".join(failed))
+
+
+def block_column(data: Mapping[str, Any]) -> list[list[str]]:
+    """For each row of a result the cells that say of which block it is: one where there are several, else none."""
+    return [[row["block"]] if "block" in row else [] for row in data["rows"]]

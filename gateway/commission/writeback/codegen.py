@@ -8,7 +8,7 @@ import click
 from drivers.named_files import writing
 from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.targets import TARGETS
-from gateway.commission.writeback.vectors import plain, vectors
+from gateway.commission.writeback.vectors import plain
 from gateway.console import config_dir, emit
 from gateway.entry import sentences
 from gateway.settings import load_device
@@ -85,12 +85,13 @@ def write_suite(device: Path, out: Path) -> None:
     device_map = load_device(device)
     if device_map.writeback is None:
         raise ValueError(f"{device}: has no [writeback] table; there is no block to check")
-    content = plain(device_map.writeback, vectors(device_map.writeback), device_map.refusals)
-    steps = ",\n  ".join(json.dumps(step) for step in content.pop("steps"))
+    content = plain(device_map.writebacks, device_map.refusals)
+    lists = {key: ",\n  ".join(json.dumps(step) for step in content.pop(key)) for key in ("steps", "together")}
     head = json.dumps(content, indent=1)[:-2]
     out.parent.mkdir(parents=True, exist_ok=True)
+    tail = ",\n".join(f' "{key}": [\n  {steps}\n ]' for key, steps in lists.items())
     with writing(out):
-        out.write_text(f'{head},\n "steps": [\n  {steps}\n ]\n}}\n', encoding="utf-8")
+        out.write_text(f"{head},\n{tail}\n}}\n", encoding="utf-8")
 
 
 def _show(text: str, out: Path | None, suite: Path | None) -> None:

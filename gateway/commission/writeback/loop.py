@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.errors import WriteUnverified
 from gateway.commission.session import CommandResult
-from gateway.commission.writeback.block_writer import NOTHING, SETTLE_S, BlockWriter
+from gateway.commission.writeback.block_writer import NOTHING, SETTLE_S, BlockWriter, block_column
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS
 from gateway.commission.writeback.suite import Account
 from gateway.console import table
@@ -33,6 +33,7 @@ async def alarm_loop(writer: BlockWriter, progress: Progress) -> CommandResult:
     if all(field.name != "alarms" for field in writer.layout.fields):
         raise ValueError(f"{writer.device.path}: the block has no field 'alarms'; there are no alarm bits to test")
     rows = []
+    of = f" of {writer.layout.temperature}" if writer.layout.blocks > 1 else ""
     before = await writer.account()
     for bit, name in enumerate((*ALARM_BITS, "")):
         progress(name or "none", bit / (len(ALARM_BITS) + 1))
@@ -45,13 +46,13 @@ async def alarm_loop(writer: BlockWriter, progress: Progress) -> CommandResult:
         }
         seen: bool | None = None  # nobody was asked
         if writer.ask is not None and name:
-            seen = writer.ask(f"Does the HMI show bit {bit}, {name} ({ALARM_MEANINGS[name]}), and no other?")
+            seen = writer.ask(f"Does the HMI show bit {bit}{of}, {name} ({ALARM_MEANINGS[name]}), and no other?")
         elif writer.ask is not None:
-            seen = writer.ask("Does the HMI show no alarm of the gateway now?")
+            seen = writer.ask(f"Does the HMI show no alarm{of} of the gateway now?")
         row |= {"accepted": _accepted(before, after, 1), "seen": seen}
         # After the question: what the person acknowledged at the HMI meanwhile shows in it.
-        known = "AcknowledgeBits" in writer.device.by_name
-        row["acknowledge_bits"] = (await writer.numbers("AcknowledgeBits"))[0] if known else None
+        word = writer.layout.acknowledge_bits
+        row["acknowledge_bits"] = (await writer.numbers(word))[0] if word in writer.device.by_name else None
         rows.append({**row, "ok": row["accepted"] and row["seen"] is not False})
         before = after
     return _outcome(rows, {"asked": writer.ask is not None}, "alarm bits")
@@ -117,14 +118,15 @@ async def _still(writer: BlockWriter) -> dict[str, Any]:
 async def _timer(writer: BlockWriter) -> dict[str, Any]:
     """The PLC's timer runs out when the blocks cease."""
     name, timeout = "the PLC's timer runs out when the blocks cease", writer.layout.timeout
+    usable = writer.layout.tag("PredictionUsable")
     await writer.block(_HARMLESS, _USABLE)
     # Timed from the block: the wait until the PLC holds it for usable is part of what its timer has counted.
     begun = time.monotonic()
-    while not (await writer.numbers("PredictionUsable"))[0]:
+    while not (await writer.numbers(usable))[0]:
         if time.monotonic() - begun > SETTLE_S:
             return _row(name, False, "the PLC does not hold a whole, valid block for usable")
         await asyncio.sleep(0.02)
-    while (await writer.numbers("PredictionUsable"))[0]:
+    while (await writer.numbers(usable))[0]:
         if time.monotonic() - begun > 2 * timeout + TIMER_TOLERANCE_S:
             return _row(
                 name, False, f"it still runs after {time.monotonic() - begun:.1f} s; it should after {timeout:g} s"
@@ -155,16 +157,23 @@ def show_alarms(data: Mapping[str, Any]) -> None:
     """The result of `alarm_loop` for a person."""
     seen = {True: "yes", False: "NO", None: "not asked"}
     rows = []
-    for row in data["rows"]:
+    for row, block in zip(data["rows"], block_column(data), strict=True):
         accepted = "accepted" if row["accepted"] else "NOT ACCEPTED"
-        rows.append([_state(row), row["name"], accepted, seen[row["seen"]], row["meaning"]])
-    table("loop test of the alarm bits", ("", "bit", "the PLC", "seen at the HMI", "meaning"), rows)
+        rows.append([_state(row), *block, row["name"], accepted, seen[row["seen"]], row["meaning"]])
+    table("loop test of the alarm bits", ("", *_several(data), "bit", "the PLC", "seen at the HMI", "meaning"), rows)
 
 
 def show_heartbeats(data: Mapping[str, Any]) -> None:
     """The result of `heartbeat_loop` for a person."""
-    rows = [[_state(row), row["step"], row["sentence"]] for row in data["rows"]]
-    table("loop test of the heartbeats", ("", "step", "seen"), rows)
+    rows = [
+        [_state(row), *block, row["step"], row["sentence"]]
+        for row, block in zip(data["rows"], block_column(data), strict=True)
+    ]
+    table("loop test of the heartbeats", ("", *_several(data), "step", "seen"), rows)
+
+
+def _several(data: Mapping[str, Any]) -> tuple[str, ...]:
+    return ("block",) if any(block_column(data)) else ()
 
 
 def _state(row: Mapping[str, Any]) -> str:

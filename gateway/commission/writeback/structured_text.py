@@ -51,16 +51,9 @@ _RESERVED = frozenset(
 )
 _FORMS = re.compile(r"^(END|VAR)_\w+$|_TO_|_TRUNC_")
 _VARIABLE = re.compile(r"^ +(\w+)(?: AT \S+)?(?: \{[^}]*\})? : ", re.MULTILINE)
-# What the program may answer in the PLC's own area, by tag: a truth value, or a number.
-_TRUTHS = {"WritePermit": "PermitSwitch", "PredictionUsable": "Gateway.Usable"}
-_NUMBERS = {
-    "BlocksAccepted": "Gateway.BlocksAccepted",
-    "BlocksRefused": "Gateway.BlocksRefused",
-    "LastRefusal": "Gateway.LastRefusal",
-    "Challenge": "Gateway.Challenge",
-    "SessionWriter": "Gateway.SessionWriter",
-    "RefusedWriter": "Gateway.RefusedWriter",
-}
+_PERMIT, _USABLE = "WritePermit", "PredictionUsable"
+_NUMBERS = ("BlocksAccepted", "BlocksRefused", "LastRefusal", "Challenge", "SessionWriter", "RefusedWriter")
+"""The tags that the program answers with, by the function block's outputs of the same names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +69,7 @@ class Program:
 def generate(
     device: DeviceMap, name: str = "", program: Program | None = None, target: PlcTool = TARGETS["plain"]
 ) -> str:
-    """The function block for a device's write-back area; with `program` also an example that calls it.
+    """The function block for a device's write-back areas; with `program` also an example with an instance for each.
 
     `name` is the block's identifier, made from the device's name by default. Raises ValueError for a device file
     without [writeback], for a name that is no identifier or one of the text's own, and for a location that the target
@@ -89,7 +82,7 @@ def generate(
     block = {**_block(device, layout, name), "dialect": target.dialect}
     text = _template("function_block.st.j2").render(block)
     if program is not None:
-        text += _template(target.template).render(_program(device, layout, name, program, target))
+        text += _template(target.template).render(_program(device, name, program, target))
     if name in {own.upper() for own in _VARIABLE.findall(text)}:
         raise ValueError(f"{name!r} is a variable within the text; give the block another name")
     return target.spelling(text)
@@ -150,6 +143,8 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
         "source": _said(device.path.name),
         "digest": hashlib.sha256(device.path.read_bytes()).hexdigest(),
         "version": layout.version,
+        "blocks": layout.blocks,
+        "turns": 0x10000 // layout.blocks - 1,  # the last of them gives no challenge beyond 65535
         "count": len(layout.fields),
         "last": len(layout.fields) - 1,
         "timer": round(layout.timeout * 1000),
@@ -182,16 +177,28 @@ def _real(value: float) -> str:
 # ---------------------------------------------------------------- the example program
 
 
-def _program(
-    device: DeviceMap, layout: WritebackLayout, name: str, program: Program, target: PlcTool
-) -> dict[str, Any]:
+def _program(device: DeviceMap, name: str, program: Program, target: PlcTool) -> dict[str, Any]:
     """All that an example program's template asks for. `declared` rows are variables of their own in the program."""
     prefix = target.prefix(program.prefix)
     configuration, resource = target.names or (f"{name}_CONFIGURATION", "MainResource")
-    words: list[dict[str, Any]] = [
-        {"variable": f"Word{place:02d}", "field": field.name, "address": _said(tag.address), "tag": tag}
-        for place, (field, tag) in enumerate(zip(layout.fields, layout.words, strict=True))
+    instances: list[dict[str, Any]] = [
+        {
+            "suffix": layout.suffix,
+            "place": layout.place,
+            "speaks_of": _said(f", for {layout.temperature}") if layout.blocks > 1 else "",
+            "words": [
+                {
+                    "variable": f"Word{layout.suffix}{place:02d}",
+                    "field": field.name,
+                    "address": _said(tag.address),
+                    "tag": tag,
+                }
+                for place, (field, tag) in enumerate(zip(layout.fields, layout.words, strict=True))
+            ],
+        }
+        for layout in device.writebacks
     ]
+    words: list[dict[str, Any]] = [word for instance in instances for word in instance["words"]]
     answers = list(_answers(device))
     located = all(_register(word["tag"]) is not None for word in words)
     content = {
@@ -202,6 +209,8 @@ def _program(
         "cycle": program.cycle,
         "configuration": configuration,
         "resource": resource,
+        "blocks": len(instances),
+        "instances": instances,
         "words": words,
         "answers": answers,
     }
@@ -229,10 +238,14 @@ def _program(
         content |= {
             "first": first,
             "last": max(numbers) - first if numbers else None,
-            "area_at": f" AT {prefix}0" if located else "",
             "answers_at": f" AT {answering}0",
             "moved": any(_register(row["tag"]) is not None for row in answers),
         }
+        begin = _register(words[0]["tag"]) or 0
+        for instance in instances:
+            # The first area is where the server's registers begin; another one as far behind as in the map.
+            behind = (_register(instance["words"][0]["tag"]) or 0) - begin
+            instance["area_at"] = f" AT {prefix}{max(behind, 0)}" if located else ""
     return content
 
 
@@ -244,17 +257,21 @@ def _register(tag: Tag, tables: tuple[str, ...] = ("holding",)) -> int | None:
 
 def _answers(device: DeviceMap) -> Iterator[dict[str, Any]]:
     """The words of the PLC's own area that the program answers in, each with the tags in it."""
-    numbers = {**_NUMBERS, **({device.heartbeat: "Gateway.PlcHeartbeat"} if device.heartbeat else {})}
-    answered = [tag for tag in device.tags if tag.name in numbers or tag.name in _TRUTHS]
+    numbers = {device.heartbeat: "Gateway.PlcHeartbeat"} if device.heartbeat else {}
+    truths = {_PERMIT: "PermitSwitch"}
+    for layout in device.writebacks:
+        truths[layout.tag(_USABLE)] = f"Gateway{layout.suffix}.Usable"
+        numbers |= {layout.tag(name): f"Gateway{layout.suffix}.{name}" for name in _NUMBERS}
+    answered = [tag for tag in device.tags if tag.name in numbers or tag.name in truths]
     for address in dict.fromkeys(tag.address for tag in answered):
         own = [tag for tag in answered if tag.address == address]
         bits, number = [], ""
         for tag in own:
             # The tag's bit is counted after the bytes were put in order; in the PLC's own word they are swapped.
             swapped = tag.order in _SWAPPED
-            if tag.name in _TRUTHS:
+            if tag.name in truths:
                 bit = tag.bit or 0
-                bits.append({"source": _TRUTHS[tag.name], "mask": 1 << (bit ^ 8 if swapped else bit)})
+                bits.append({"source": truths[tag.name], "mask": 1 << (bit ^ 8 if swapped else bit)})
             if tag.name in numbers and not number:
                 if tag.dtype is not DType.UINT16 or tag.scale != 1 or tag.offset != 0:
                     raise ValueError(

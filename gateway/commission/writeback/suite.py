@@ -70,11 +70,23 @@ async def put_through(
     progress: Callable[[str, float], None] = lambda _name, _share: None,
 ) -> list[Result]:
     """The result of every step; `names` are the block's fields. Raises DriverError where the PLC cannot be reached."""
+    return await put_together(steps, [side], codes, names, progress)
+
+
+async def put_together(
+    steps: Sequence[SuiteStep],
+    sides: Sequence[PlcSide],
+    codes: Mapping[str, int],
+    names: Sequence[str],
+    progress: Callable[[str, float], None] = lambda _name, _share: None,
+) -> list[Result]:
+    """As `put_through`, with one PLC's several blocks: each step is put to its `block`, and all of them are watched."""
     results: list[Result] = []
     sent: dict[str, tuple[int, ...]] = {}
-    before = await side.account()
+    before = [await side.account() for side in sides]
     for number, step in enumerate(steps):
         progress(step.name, number / len(steps))
+        side = sides[step.block]
         try:
             # The permit before the pause, the pause before the block: the PLC's timer runs while nothing is written.
             if step.permit is not None:
@@ -90,14 +102,30 @@ async def put_through(
             if words:
                 sent[step.name] = words
                 await side.write(step.offset, words)
-            after = await side.account()
+            after = [await each.account() for each in sides]
         except Unable as reason:
             results.append(Result(step.name, skipped=str(reason)))
-            before = await side.account()
+            before = [await each.account() for each in sides]
             continue
-        results.append(Result(step.name, judge(step, before, after, codes)))
+        wrong = [judge(step, before[step.block], after[step.block], codes)]
+        wrong += [
+            spilt(before[other], after[other], after[step.block]) for other in range(len(sides)) if other != step.block
+        ]
+        results.append(Result(step.name, "; ".join(filter(None, wrong))))
         before = after
     return results
+
+
+def spilt(before: Account, after: Account, own: Account) -> str:
+    """What a step has wrongly done to a block that it was not put to, in words; `own` is its own block's account."""
+    faults = []
+    if (after.accepted, after.refused) != (before.accepted, before.refused):
+        faults.append("another block counts it too")
+    if after.usable and not before.usable:
+        faults.append("another block has become usable by it")
+    if after.challenge == own.challenge:
+        faults.append(f"two blocks have the challenge {own.challenge}")
+    return "; ".join(faults)
 
 
 def in_session(step: SuiteStep, names: Sequence[str], challenge: int) -> tuple[int, ...]:

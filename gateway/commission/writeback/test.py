@@ -1,6 +1,6 @@
 """`decanter plc test`: what is written on purpose to see that the PLC's side of the write-back works."""
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -8,15 +8,15 @@ from typing import Any
 import click
 
 from gateway.commission.session import CommandResult, SharedOptions, audit_option, link_options, perform
-from gateway.commission.writeback.block_writer import BlockWriter, with_block_writer
-from gateway.commission.writeback.conformance import conform, show_conformance
+from gateway.commission.writeback.block_writer import BlockWriter, of_each_block, with_block_writers
+from gateway.commission.writeback.conformance import conform_all, show_conformance
 from gateway.commission.writeback.loop import alarm_loop, heartbeat_loop, show_alarms, show_heartbeats
 
-Test = Callable[[BlockWriter, Callable[[str, float], None]], Awaitable[CommandResult]]
+Test = Callable[[Sequence[BlockWriter], Callable[[str, float], None]], Awaitable[CommandResult]]
 TESTS: dict[str, tuple[Test, Callable[[Mapping[str, Any]], None], tuple[str, ...]]] = {
-    "alarms": (alarm_loop, show_alarms, ("ask",)),
-    "heartbeat": (heartbeat_loop, show_heartbeats, ("watchdog",)),
-    "conformance": (conform, show_conformance, ("ask",)),
+    "alarms": (of_each_block(alarm_loop), show_alarms, ("ask",)),
+    "heartbeat": (of_each_block(heartbeat_loop), show_heartbeats, ("watchdog",)),
+    "conformance": (conform_all, show_conformance, ("ask",)),
 }
 """What can be tested -> the test, how its result is shown, and which of the command's options it takes."""
 
@@ -45,5 +45,5 @@ def test(given: SharedOptions, what: str, audit: Path | None, **options: bool | 
     ask, watchdog = bool(options["ask"]), options["watchdog"] is not False
     arguments = {"ask": ask} if "ask" in taken else {"watchdog": watchdog}
     if what == "heartbeat":
-        work = partial(heartbeat_loop, watchdog=watchdog)
-    perform(given, f"test {what}", arguments, with_block_writer(given, audit, f"test {what}", work, ask=ask), show)
+        work = of_each_block(partial(heartbeat_loop, watchdog=watchdog))
+    perform(given, f"test {what}", arguments, with_block_writers(given, audit, f"test {what}", work, ask=ask), show)

@@ -13,12 +13,12 @@ own of that moment, XOR this mask, in the field `challenge`, then with the check
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from random import Random
-from typing import Any
+from typing import Any, Literal
 
 from gateway.machine.writing import SessionWords, Validity, build
 from gateway.settings import WritebackLayout
 
-FORMAT = 2
+FORMAT = 3
 FLIPS = 24
 _USABLE = Validity(31)
 _VERSION, _CHECKSUM, _STILL = ("layout version",), ("CRC",), ("heartbeat did not change",)
@@ -51,6 +51,7 @@ class SuiteStep:
     `reasons` are the refusals that are right, by the contract's words; `usable` is what the PLC must say at the end.
     `renews`: the challenge must be another one afterwards, or must not (None: either); `session_writer` and
     `refused_writer` are the numbers that the PLC must give (None: any). `challenge`, `turned` and `again` as above.
+    `block` is which of the PLC's blocks it is put to, from 0; what was sent to one may be sent `again` to another.
     """
 
     name: str
@@ -68,6 +69,7 @@ class SuiteStep:
     renews: bool | None = None
     session_writer: int | None = None
     refused_writer: int | None = None
+    block: int = 0
 
 
 class _Story:
@@ -261,20 +263,78 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
     return tuple(steps)
 
 
-def plain(layout: WritebackLayout, steps: Sequence[SuiteStep], codes: Mapping[str, int]) -> dict[str, Any]:
-    """The suite as JSON can carry it, so that another program can put a PLC through it."""
-    words = zip((field.name for field in layout.fields), (tag.address for tag in layout.words), strict=True)
+ROUNDS = 3
+"""So many sessions of the other block are tried with a recording: a PLC may count its challenges anew for each."""
+
+
+def together(layout: WritebackLayout) -> tuple[SuiteStep, ...]:
+    """The steps for a PLC's further blocks beside the first: what is sent to one never makes another one usable."""
+    steps: list[SuiteStep] = []
+    for other in range(1, layout.blocks):
+        first, second = _Story(layout, 0), _Story(layout, 0)
+
+        def accepted(name: str, words: tuple[int, ...], block: int, *, usable: bool = True, **more: Any) -> None:
+            steps.append(SuiteStep(name, words, accepted=1, usable=usable, challenge=0, block=block, **more))
+
+        def replayed(name: str, again: str, block: int, *, usable: bool) -> None:
+            steps.append(
+                SuiteStep(name, again=again, refused=1, reasons=_CHALLENGE, usable=usable, renews=False, block=block)
+            )
+
+        which, begins = f"block {other + 1}", f"block 1 beside block {other + 1} is accepted"
+        steps.append(SuiteStep(f"before {which} the timers have run out", wait_s=1.3 * layout.timeout, permit=True))
+        steps.append(SuiteStep(f"{which} is not usable either", block=other))
+        accepted(begins, first.block(), 0)
+        replayed(f"the block of block 1 is refused as {which}", begins, other, usable=False)
+        accepted(f"{which} has a session of its own", second.block(), other)
+        accepted(f"block 1 goes on beside {which}", first.block(), 0)
+        replayed(f"the block of {which} is refused as block 1", f"{which} has a session of its own", 0, usable=True)
+        accepted(f"{which} goes on beside block 1", second.block(), other)
+        replayed(f"the newest of block 1 is refused as {which}", f"block 1 goes on beside {which}", other, usable=True)
+        ending = f"validity 00000 ends the session of block 1 beside {which}"
+        accepted(ending, first.block(Validity.NONE), 0, usable=False, renews=True)
+        steps.append(SuiteStep(f"{which} stays usable", block=other, usable=True, renews=False))
+        for number in range(1, ROUNDS + 1):
+            accepted(
+                f"session {number} of {which} is ended", second.block(Validity.NONE), other, usable=False, renews=True
+            )
+            replayed(
+                f"block 1 is refused as {which} after session {number}",
+                begins,
+                other,
+                usable=False,
+            )
+    return tuple(steps)
+
+
+def plain(layouts: Sequence[WritebackLayout], codes: Mapping[str, int]) -> dict[str, Any]:
+    """The suite of a PLC's blocks as JSON can carry it, so that another program can put a PLC through it.
+
+    `steps` are for each block by itself, `together` for all of them.
+    """
+    layout = layouts[0]
     return {
         "format": FORMAT,
         "layout_version": layout.version,
         "timeout_s": layout.timeout,
-        "words": [{"field": name, "address": address} for name, address in words],
+        "blocks": [
+            {
+                "temperature": block.temperature,
+                "suffix": block.suffix,
+                "words": [
+                    {"field": field.name, "address": tag.address}
+                    for field, tag in zip(block.fields, block.words, strict=True)
+                ],
+            }
+            for block in layouts
+        ],
         "refusals": dict(codes),
-        "steps": [asdict(step) for step in steps],
+        "steps": [asdict(step) for step in vectors(layout)],
+        "together": [asdict(step) for step in together(layout)],
     }
 
 
-def parse(suite: Mapping[str, Any]) -> tuple[SuiteStep, ...]:
+def parse(suite: Mapping[str, Any], key: Literal["steps", "together"] = "steps") -> tuple[SuiteStep, ...]:
     """The steps of a suite that `plain` made and JSON carried. Raises ValueError for another format."""
     if suite.get("format") != FORMAT:
         raise ValueError(f"the suite has format {suite.get('format')!r}, this program reads {FORMAT}")
@@ -287,5 +347,5 @@ def parse(suite: Mapping[str, Any]) -> tuple[SuiteStep, ...]:
                 "turned": None if step["turned"] is None else tuple(step["turned"]),
             }
         )
-        for step in suite["steps"]
+        for step in suite[key]
     )

@@ -7,15 +7,16 @@ from typing import Any
 
 import click
 
+from drivers.device_file import STATUS_TAGS
 from drivers.driver import Writes
 from drivers.errors import DriverError
 from gateway.commission.session import CommandResult, Site, at
 from gateway.commission.survey import reference_of
-from gateway.commission.writeback.block_writer import ACCOUNT_TAGS, layout_of
+from gateway.commission.writeback.block_writer import layouts_of
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
 from gateway.console import table
 from gateway.machine.writing import places_for, uptime
-from gateway.settings import LEAST_BLOCKS, DeviceMap, WritebackLayout
+from gateway.settings import LEAST_BLOCKS, DeviceMap
 from gateway.store import standing
 
 LEAST_BLOCKS_IN_TIMER = 3.0
@@ -27,35 +28,40 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
 
     Raises ValueError for a device file without a block, AuditError.
     """
-    device, layout = layout_of(site)
-    problems = list(problems_of(site, device, layout))
+    device, layouts = layouts_of(site)
+    problems = list(problems_of(site, device))
     config = site.target.config
-    row = standing(audit_path, time.time(), uptime(), key=places_for(audit_path, config).key)
+    row = standing(
+        audit_path, time.time(), uptime(), key=places_for(audit_path, config).key, subject=site.target.subject
+    )
     words = []
-    for field, tag in zip(layout.fields, layout.words, strict=True):
-        unit, meaning = MEANINGS[field.name]
-        unknown = None if field.name in ALWAYS_KNOWN else unknown_word(field, layout)
-        words.append(
-            {
-                "field": field.name,
-                "address": tag.address,
-                "reference": reference_of(tag.address),
-                "type": "int16" if field.signed else "uint16",
-                "scale": field.scale,
-                "unit": unit,
-                "unknown": "" if unknown is None else f"0x{unknown:04X}",
-                "meaning": meaning,
-            }
-        )
+    for layout in layouts:
+        for field, tag in zip(layout.fields, layout.words, strict=True):
+            unit, meaning = MEANINGS[field.name]
+            unknown = None if field.name in ALWAYS_KNOWN else unknown_word(field, layout)
+            words.append(
+                {
+                    "block": layout.temperature or "",
+                    "field": field.name,
+                    "address": tag.address,
+                    "reference": reference_of(tag.address),
+                    "type": "int16" if field.signed else "uint16",
+                    "scale": field.scale,
+                    "unit": unit,
+                    "unknown": "" if unknown is None else f"0x{unknown:04X}",
+                    "meaning": meaning,
+                }
+            )
     data: dict[str, Any] = {
+        "blocks": len(layouts),
         "words": words,
         "alarm_bits": [
             {"bit": bit, "name": name, "meaning": ALARM_MEANINGS[name]} for bit, name in enumerate(ALARM_BITS)
         ],
         "mode": config.writeback.mode if config else None,
         "armed": {"by": row.entry.who, "reason": row.entry.reason, "until": row.entry.detail["until"]} if row else None,
-        "layout_version": layout.version,
-        "plc_timer_s": layout.timeout,
+        "layout_version": layouts[0].version,
+        "plc_timer_s": layouts[0].timeout,
         "period_s": config.scan.period if config else None,
         "most_per_second": config.blocks_per_second if config else LEAST_BLOCKS,
         "audit": str(audit_path),
@@ -65,29 +71,31 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
     return CommandResult(data, int(bool(problems)), complaint)
 
 
-def problems_of(site: Site, device: DeviceMap, layout: WritebackLayout) -> Iterator[str]:
-    """What stands in the way of writing, one sentence each."""
+def problems_of(site: Site, device: DeviceMap) -> Iterator[str]:
+    """What stands in the way of writing the device's blocks, one sentence each."""
     known, config = device.by_name, site.target.config
     if "WritePermit" not in known:
         yield f"{device.path} has no tag WritePermit: without the PLC's permit nothing is ever written"
     if device.heartbeat is None:
         yield f"{device.path} names no heartbeat: a PLC that stands still could not be told from one that runs"
-    for name in ACCOUNT_TAGS:
-        if name not in known:
-            yield f"{device.path} has no tag {name}: what the PLC makes of the blocks could not be seen"
-    words = {tag.address for tag in layout.words}
+    for layout in device.writebacks:
+        for name in map(layout.tag, STATUS_TAGS):
+            if name not in known:
+                yield f"{device.path} has no tag {name}: what the PLC makes of the blocks could not be seen"
+    words = {tag.address for tag in device.block_words}
     for tag in device.tags:
         if tag.address in words:
             yield f"{tag.name} lies at {tag.address}, within the block; move one of them"
         if tag.writable:
             yield f"{tag.name} is marked writable; the gateway writes the block and nothing else"
-    if config is not None and layout.timeout < LEAST_BLOCKS_IN_TIMER * config.scan.period:
+    timeout = device.writebacks[0].timeout  # one program keeps it for all blocks
+    if config is not None and timeout < LEAST_BLOCKS_IN_TIMER * config.scan.period:
         yield (
-            f"the PLC's timer of {layout.timeout:g} s is shorter than {LEAST_BLOCKS_IN_TIMER:g} scans of "
+            f"the PLC's timer of {timeout:g} s is shorter than {LEAST_BLOCKS_IN_TIMER:g} scans of "
             f"{config.scan.period:g} s: one lost block would make it run out"
         )
     try:
-        if not isinstance(site.target.make_driver(layout.words), Writes):
+        if not isinstance(site.target.make_driver(device.block_words), Writes):
             yield f"driver {device.driver!r} cannot write"
     except DriverError as error:
         yield f"the driver refuses the write map: {error}"
@@ -96,10 +104,14 @@ def problems_of(site: Site, device: DeviceMap, layout: WritebackLayout) -> Itera
 def show_writing(data: Mapping[str, Any]) -> None:
     """The result of `plan_writing` for a person."""
     columns = ("field", "address", "reference", "type", "scale", "unit", "unknown", "meaning")
-    rows = [
-        [word[column] if column != "scale" else f"{word['scale']:g}" for column in columns] for word in data["words"]
-    ]
-    table(f"the closed write map: {len(rows)} words, layout version {data['layout_version']}", columns, rows)
+    for block in dict.fromkeys(word["block"] for word in data["words"]):
+        rows = [
+            [word[column] if column != "scale" else f"{word['scale']:g}" for column in columns]
+            for word in data["words"]
+            if word["block"] == block
+        ]
+        of = f" of {block}" if block else ""
+        table(f"the closed write map{of}: {len(rows)} words, layout version {data['layout_version']}", columns, rows)
     bits = ", ".join(f"{bit['bit']} {bit['name']}" for bit in data["alarm_bits"])
     click.echo(f"alarm bits: {bits}")
     period = f"a block a scan ({data['period_s']:g} s)" if data["period_s"] else "a block a scan"

@@ -16,7 +16,7 @@ from gateway.machine.alarms.states import (
     word,
 )
 from gateway.machine.reading import Scan
-from gateway.store import Historian, saved_state
+from gateway.store import HistorianView, saved_state
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -26,7 +26,8 @@ class AlarmBoard:
     """All alarms of a machine, in two stages of a scan: `on_measured` before the model, `on_predictions` after it.
 
     What changes is on record and in the log at once: an alarm waits for nothing that comes later in the scan. The
-    alarms go on as they were when the gateway last ran; what cannot be read begins as normal, and is logged.
+    alarms go on as they were when the gateway last ran; what cannot be read begins as normal, and is logged. `words`
+    are the PLC's words of acknowledge bits, by tag, each with the temperatures whose alarms it acknowledges.
     """
 
     def __init__(
@@ -34,13 +35,14 @@ class AlarmBoard:
         conditions: Mapping[str, AlarmCondition],
         *,
         watched: Sequence[str],
-        historian: Historian,
+        words: Mapping[str, frozenset[str]],
+        historian: HistorianView,
         log: FilteringBoundLogger,
         now: float,
     ) -> None:
-        self.conditions, self.watched = conditions, watched
+        self.conditions, self.watched, self._words = conditions, watched, words
         self._historian, self._log = historian, log
-        self._acknowledged: int | None = None
+        self._acknowledged: dict[str, int | None] = {}
         self.alarms = {name: new_alarm(condition, now) for name, condition in conditions.items()}
         saved = saved_state(historian, "alarms", log) or (now, {})
         for name, plain in saved[1].items():
@@ -50,23 +52,34 @@ class AlarmBoard:
                 except (KeyError, TypeError, ValueError) as error:
                     log.warning("a saved alarm cannot be read and begins as normal", alarm=name, reason=str(error))
 
-    @property
-    def word(self) -> int:
-        """The alarm word of the block."""
-        return word(self.conditions, self.alarms)
+    def word(self, temperature: str) -> int:
+        """The alarm word of the block of a temperature."""
+        return word(self.conditions, self.alarms, temperature)
 
     def on_measured(self, scan: Scan) -> None:
         """The PLC's acknowledge bits, then the thresholds: they need neither model nor forecast."""
-        bits = scan.good("AcknowledgeBits")
-        if bits is not None:
-            before = dict(self.alarms)
-            self.alarms = acknowledge(
-                self.conditions, before, before=self._acknowledged, bits=int(bits), now=scan.time, by="PLC"
-            )
-            for name, alarm in self.alarms.items():
-                self._note(before[name], alarm, None, scan.time)
-        # Bits that could not be read leave no edge to be seen when they can be again.
-        self._acknowledged = None if bits is None else int(bits)
+        for tag, temperatures in self._words.items():
+            bits = scan.good(tag)
+            if bits is not None:
+                before = dict(self.alarms)
+                own = {
+                    name: condition
+                    for name, condition in self.conditions.items()
+                    if not condition.temperature or condition.temperature in temperatures
+                }
+                former = self._acknowledged.get(tag)
+                self.alarms |= acknowledge(
+                    own,
+                    {name: before[name] for name in own if name in before},
+                    before=former,
+                    bits=int(bits),
+                    now=scan.time,
+                    by="PLC",
+                )
+                for name, alarm in self.alarms.items():
+                    self._note(before[name], alarm, None, scan.time)
+            # Bits that could not be read leave no edge to be seen when they can be again.
+            self._acknowledged[tag] = None if bits is None else int(bits)
         self._step({f"over limit {name}": scan.good(name) for name in self.watched}, scan.time)
 
     def on_predictions(self, scan: Scan, findings: Mapping[str, float | None]) -> None:

@@ -47,7 +47,8 @@ class AlarmCondition:
 
     It stands above `limit` and is over below `limit` - `deadband`; in between nothing changes. `on_delay` and
     `off_delay` (s) are how long it must stand or be over before the alarm follows. `bit` is its place in the block's
-    alarm word and in the PLC's acknowledge bits, `priority` 1 is the most urgent.
+    alarm word and in the PLC's acknowledge bits, `priority` 1 is the most urgent. Of a machine with several blocks it
+    is in that of one `temperature` only; "": in all.
     """
 
     name: str
@@ -59,6 +60,7 @@ class AlarmCondition:
     off_delay: float = 0.0
     priority: int = 2
     response: str = ""
+    temperature: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +130,10 @@ def acknowledge(
     }
 
 
-def word(conditions: Mapping[str, AlarmCondition], alarms: Mapping[str, Alarm]) -> int:
-    """The alarm word of the block: the bits of the alarms that are active."""
-    return sum({1 << conditions[name].bit for name, alarm in alarms.items() if alarm.active})
+def word(conditions: Mapping[str, AlarmCondition], alarms: Mapping[str, Alarm], temperature: str = "") -> int:
+    """The alarm word of the block of a `temperature`: the bits of the alarms that are active and belong to it."""
+    active = (conditions[name] for name, alarm in alarms.items() if alarm.active)
+    return sum({1 << condition.bit for condition in active if condition.temperature in ("", temperature)})
 
 
 def to_plain(alarm: Alarm) -> dict[str, Any]:

@@ -59,6 +59,16 @@ def load_members(config: Config, first: LoadedModel | None) -> tuple[LoadedModel
     return loaded
 
 
+LoadedModels = tuple[LoadedModel | None, tuple[LoadedModel, ...]]
+"""The model of a followed temperature (None without one), and those of an ensemble beside it."""
+
+
+def load_models(config: Config) -> tuple[LoadedModels, ...]:
+    """The models of each of a machine's temperatures, in their order. Raises ConfigError as `load_model` does."""
+    loaded = ((one, load_model(one)) for one in config.followed)
+    return tuple((model, load_members(one, model)) for one, model in loaded)
+
+
 def _load(config: Config, path: Path, key: str) -> LoadedModel:
     """The model at `path`, which the configuration gives under `key`."""
     try:

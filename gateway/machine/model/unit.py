@@ -13,7 +13,7 @@ from gateway.machine.model.pickup import Pickup, ReadyModel
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.reading import Scan
 from gateway.settings import Config
-from gateway.store import Historian, saved_state
+from gateway.store import HistorianView, saved_state
 from sim.forecast import Forecast
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class ModelUnit:
         loaded: LoadedModel,
         members: tuple[LoadedModel, ...],
         *,
-        historian: Historian,
+        historian: HistorianView,
         log: FilteringBoundLogger,
         supervisor: Supervisor | None = None,
     ) -> None:

@@ -90,7 +90,8 @@ def judge(
     if beat is not None and beat.quality.is_good and isinstance(beat.value, int):
         count = int(beat.value)
         moved = bool(age.beat) and count != age.beat and count != 0
-        age = replace(age, beat=count, beat_changed=now if moved else None if count == 0 else age.beat_changed)
+        changed = now if moved else None if count == 0 else age.beat_changed
+        age = DeviceAge(age.tags, age.garbled, count, changed)
     image = _image(age, now, rules) if rules.heartbeat else None
     histories, garbled = dict(age.tags), dict(age.garbled)
     judged: dict[str, Sample] = {}
@@ -112,7 +113,7 @@ def judge(
             elif sample.quality.is_good:
                 sample = replace(sample, quality=quality, reason=reason)
         judged[tag.name] = sample
-    return replace(age, tags=histories, garbled=garbled), judged
+    return DeviceAge(histories, garbled, age.beat, age.beat_changed), judged
 
 
 def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, str] | None:

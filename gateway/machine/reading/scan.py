@@ -7,6 +7,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from dataclasses import dataclass
 from math import floor
+from typing import Any
 
 from drivers.driver import Driver, Streams
 from drivers.supervision import Supervisor
@@ -99,16 +100,16 @@ async def scans(
 
 async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, stream: DeviceStream | None) -> str:
     """Wait for the moment, the stop or something urgent; "tick", "stop" or "news", whichever comes first."""
-    waits = {
-        "stop": asyncio.ensure_future(stop.wait()),
-        "tick": asyncio.ensure_future(clock.sleep_until(moment)),
-    }
-    if stream is not None:
-        waits["news"] = asyncio.ensure_future(stream.urgent_change())
+    stopping = asyncio.ensure_future(stop.wait())
+    tick: asyncio.Future[None] = asyncio.ensure_future(clock.sleep_until(moment))
+    news = None if stream is None else asyncio.ensure_future(stream.urgent_change())
+    waits: list[asyncio.Future[Any]] = [stopping, tick] if news is None else [stopping, tick, news]
     try:
-        await asyncio.wait(waits.values(), return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         # Several may be done: the stop goes before all, the tick before the news, since it reads everything anyway.
-        return "stop" if stop.is_set() else next(name for name, wait in waits.items() if wait.done())
+        return "stop" if stop.is_set() else "tick" if tick.done() else "news"
     finally:
-        for wait in waits.values():
-            wait.cancel()
+        stopping.cancel()
+        tick.cancel()
+        if news is not None:
+            news.cancel()

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gateway.doors import opened_at_use
+from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
     from gateway.machine.writing.arming import (
@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from gateway.machine.writing.block_stage import BlockStage
     from gateway.machine.writing.witnessing import clear_for_arming, countersign, places_for, places_of
     from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
+    from gateway.machine.writing.writeback_stage import AuditTrail, WritebackStage, open_audit_trail
 else:
-    __getattr__ = opened_at_use(__name__, __file__)
+    __getattr__ = opened_at_use(__name__)
 
 __all__ = [
     "FAILED",
@@ -38,10 +39,12 @@ __all__ = [
     "WRITE",
     "Arming",
     "ArmingError",
+    "AuditTrail",
     "BlockStage",
     "NextStart",
     "SessionWords",
     "Validity",
+    "WritebackStage",
     "arm_in_log",
     "arming_of",
     "build",
@@ -51,6 +54,7 @@ __all__ = [
     "disarm_in_log",
     "next_heartbeat",
     "next_start",
+    "open_audit_trail",
     "places_for",
     "places_of",
     "signed",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
@@ -47,7 +47,7 @@ from gateway.store import (
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
-    from gateway.store import Historian
+    from gateway.store import HistorianView
 
 
 LONGEST = 200
@@ -91,12 +91,12 @@ def arming_of(row: AuditRow) -> Arming:
     return Arming(row.entry.who, row.entry.reason, float(row.entry.detail["until"]))
 
 
-def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = None) -> None:
-    """Arm where no gateway runs: for the commands that write, and for a gateway that starts meanwhile.
+def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = None, subject: str = "") -> None:
+    """Arm a subject where no gateway runs: for the commands that write, and for a gateway that starts meanwhile.
 
     `key` is the gateway's key file, by default the one beside the log. Raises ArmingError, AuditError, SigningKeyError.
     """
-    entry = entry_of(arming, now, "command")
+    entry = entry_of(arming, now, "command").of(subject)
     late = "the disk did not take it in time"
     signing = load_or_make_key(key or key_beside(path))
     audit = open_audit(path)
@@ -104,7 +104,7 @@ def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = Non
         row = audit.record(entry, undo=cancelling(entry, late))
         # Nothing is in force by then, so that the confirming row is waited for, and taken back by a disarming.
         stored = row is not None and audit.record(
-            confirmation(row, signing, now), undo=AuditEntry(now, DISARMED, "", late)
+            confirmation(row, signing, now), undo=AuditEntry(now, DISARMED, "", late).of(subject)
         )
     finally:
         known = audit.close()
@@ -114,19 +114,22 @@ def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = Non
         raise ArmingError(f"nothing has changed, as the audit log does not take it: {why}{doubt}")
 
 
-def disarm_in_log(path: Path, by: str, reason: str, now: float, stamp: float | None = None) -> AuditRow | None:
-    """Take back what is in force, and what a plant file of the time of change `stamp` would arm at the next start.
+def disarm_in_log(
+    path: Path, by: str, reason: str, now: float, stamp: float | None = None, *, subject: str = ""
+) -> AuditRow | None:
+    """Take back what is in force of a subject, and what a plant file saved at `stamp` would arm at the next start.
 
     Gives the arming that was in force, None where there was none; the row is written all the same. Raises ArmingError
     or AuditError.
     """
     # Confirmed or not: to take it back at the PLC needs no key.
-    row = next(iter(given_words(path)), None)
+    row = next(iter(given_words(path, subject=subject)), None)
     if row is not None and (row.entry.kind != ARMED or over(path, row, now, uptime())):
         row = None
     audit = open_audit(path)
     try:
-        if not audit.record(AuditEntry(now, DISARMED, by, reason, {} if stamp is None else {"stamp": stamp})):
+        entry = AuditEntry(now, DISARMED, by, reason, {} if stamp is None else {"stamp": stamp})
+        if not audit.record(entry.of(subject)):
             why = audit.failure or "the disk does not answer"
             raise ArmingError(f"nothing has changed, as the audit log does not take it: {why}")
     finally:
@@ -153,17 +156,17 @@ class NextStart:
 
 
 def next_start(config: Config, path: Path, now: float, count: Uptime) -> NextStart:
-    """What a start at `now` does with this configuration and the audit log at `path`.
+    """What a start at `now` does about its machine with this configuration and the audit log at `path`.
 
     The file's words count once: their time runs from their first use, restarts included. A disarming wins over every
     file that was saved before it. Raises AuditError.
     """
-    section, rows = config.writeback, given_words(path)
+    section, rows = config.writeback, given_words(path, subject=config.subject)
     words = {"by": section.armed_by, "reason": section.reason, "minutes": section.minutes, "stamp": config.stamp}
     if section.mode == "off":
         return NextStart(None, "writeback.mode is 'off'")
     try:
-        last = next(armings(path, config.audit_key), None)
+        last = next(armings(path, config.audit_key, subject=config.subject), None)
     except SigningKeyError as error:
         return NextStart(None, str(error))
     # Confirmed or not, a row of the file's words uses them up.
@@ -216,82 +219,101 @@ def _who(row: AuditRow) -> str:
 # ---------------------------------------------------------------- the running gateway
 
 
-def open_writer(
+def open_writers(
     config: Config,
-    layout: WritebackLayout,
+    layouts: Sequence[WritebackLayout],
     *,
     clock: Clock,
     driver: Driver,
-    historian: Historian,
+    historian: HistorianView,
     audit: Audit,
     log: FilteringBoundLogger,
     rng: Random,
     obstacle: Callable[[], str] = lambda: "",
-) -> Writer:
-    """The writer of the block `layout`, in the configured mode, which is not off.
+) -> tuple[Writer, ...]:
+    """The writers of the blocks `layouts` of one machine, in the configured mode, which is not off.
 
-    It is armed by the configuration, or by `decanter plc arm` before the gateway began; only while that lasts, and only
-    once the audit log has it. `obstacle` says why nothing may be armed at all, `rng` draws the number of this start.
-    Raises ConfigError for a driver that cannot write.
+    They have one arming and one number: by the configuration, or by `decanter plc arm` before the gateway began; only
+    while that lasts, and only once the audit log has it. `obstacle` says why nothing may be armed at all, `rng` draws
+    the number of this start. Raises ConfigError for a driver that cannot write.
     """
     section, now = config.writeback, clock.now()
-    pace, number = Pace(config.blocks_per_second), rng.randint(1, 0xFFFF)
-    writer = Writer(layout, clock, "shadow", number, pace=pace, audit=audit, max_age=config.block_max_age)
+    number, rate = rng.randint(1, 0xFFFF), config.blocks_per_second
+    writers = tuple(
+        Writer(
+            layout,
+            clock,
+            "shadow",
+            number,
+            pace=Pace(rate),
+            audit=audit,
+            max_age=config.block_max_age,
+            subject=config.subject,
+        )
+        for layout in layouts
+    )
     if not isinstance(driver, Writes):
         if section.mode == "armed":
             reason = f"{config.map.driver!r} cannot write; set writeback.mode to 'shadow'"
             raise ConfigError([f"{config.map.path}: device.driver: {reason}"])
-        return writer
+        return writers
     if audit.failure:
         log.error("not armed", reason=audit.failure)
-        return writer
+        return writers
     start = next_start(config, audit.path, now, uptime())
     arming = start.arming
     if start.ended is not None:
         # Its end is a row of its own: what is over stays over, whatever the clock does after this.
-        audit.put(AuditEntry(now, EXPIRED, start.ended.entry.who, start.sentence))
+        audit.put(AuditEntry(now, EXPIRED, start.ended.entry.who, start.sentence).of(config.subject))
     if arming is None:
         if section.mode == "armed" or start.ended is not None:
             log.warning("not armed", reason=start.sentence)
             historian.put("audit", [(now, "arming is over, shadow", start.by, start.sentence)])
-        return writer
+        return writers
     if reason := obstacle():
         log.error("not armed", reason=reason)
-        return writer
+        return writers
     # First on record, then armed: what cannot be accounted for is not written.
     historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
-    entry = entry_of(arming, now, "gateway began", clock.speed, **({} if start.file is None else {"file": start.file}))
+    words = {} if start.file is None else {"file": start.file}
+    entry = entry_of(arming, now, "gateway began", clock.speed, **words).of(config.subject)
     undo = cancelling(entry, "the records could not be stored when the gateway began")
     row = audit.record(entry, undo=undo) if historian.flush() else None
     if row is None:
         log.error("not armed, as the audit record cannot be stored", reason=historian.failure or audit.failure)
-        return writer
-    writer.arm(driver, arming)
+        return writers
+    for writer in writers:
+        writer.arm(driver, arming)
     audit.put(confirmation(row, load_or_make_key(config.audit_key), now))
     log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
-    return writer
+    return writers
 
 
 async def arm(
-    writer: Writer, driver: Driver, *, by: str, reason: str, minutes: float, key: Ed25519PrivateKey
+    writers: Sequence[Writer], driver: Driver, *, by: str, reason: str, minutes: float, key: Ed25519PrivateKey
 ) -> Arming:
-    """Arm a gateway that runs in shadow, or sign its arming anew; `key` confirms it. Raises ArmingError."""
-    if writer.audit is None or not isinstance(driver, Writes):
+    """Arm the blocks of a gateway that runs in shadow, or sign their arming anew; `key` confirms it.
+
+    They share clock and audit log. Raises ArmingError.
+    """
+    audit, clock = writers[0].audit, writers[0].clock
+    if audit is None or not isinstance(driver, Writes):
         raise ArmingError("this driver cannot write")
-    if writer.ending:
+    if any(writer.ending for writer in writers):
         raise ArmingError("it is being disarmed at this moment; arm again once that is done")
-    now, generation = writer.clock.now(), writer.generation
+    now, generations = clock.now(), [writer.generation for writer in writers]
     arming = signed(by, reason, minutes, now)
-    entry = entry_of(arming, now, "command", writer.clock.speed)
-    row = await writer.audit.stored(entry, undo=cancelling(entry, "not armed: the disk did not take it in time"))
+    entry = entry_of(arming, now, "command", clock.speed).of(writers[0].subject)
+    row = await audit.stored(entry, undo=cancelling(entry, "not armed: the disk did not take it in time"))
     if row is None:
-        why = writer.audit.failure or "the disk does not answer"
+        why = audit.failure or "the disk does not answer"
         raise ArmingError(f"not armed, as the audit log does not take it: {why}")
-    if writer.generation != generation:
+    if [writer.generation for writer in writers] != generations:
         # Whoever disarmed did so while this was being stored, and has been told that nothing is written any more.
-        writer.audit.put(cancelling(entry, "not armed: it was disarmed meanwhile"))
+        audit.put(cancelling(entry, "not armed: it was disarmed meanwhile"))
         raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
-    writer.arm(driver, arming)
+    for writer in writers:
+        writer.arm(driver, arming)
     # Shielded: whoever asked may go away, and it is in force all the same.
-    await asyncio.shield(writer.audit.kept(confirmation(row, key, now), CONFIRMED_SECONDS))
+    await asyncio.shield(audit.kept(confirmation(row, key, now), CONFIRMED_SECONDS))
     return arming

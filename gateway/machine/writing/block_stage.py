@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from random import Random
+from collections.abc import Mapping
 from struct import pack
 from typing import TYPE_CHECKING
 
-from drivers.driver import Driver
-from drivers.supervision import Supervisor
 from gateway.machine.model import ZONES, ScanPrediction, block_values
 from gateway.machine.reading import Clock, Scan
-from gateway.machine.writing.arming import ArmingError, arm, open_writer, signed
 from gateway.machine.writing.block import Validity, validity
-from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
-from gateway.machine.writing.writeback import Arming, Attempt
-from gateway.settings import Config, WritebackLayout
-from gateway.store import Historian, open_or_set_aside, saved_state
+from gateway.machine.writing.writeback import Attempt, Writer
+from gateway.settings import Config
+from gateway.store import HistorianView
 from sim.forecast import Forecast
 
 if TYPE_CHECKING:
@@ -27,77 +20,33 @@ if TYPE_CHECKING:
 
 
 LATENCIES = 10_000
-STARTS_KEPT = 8
-"""So many of the gateway's numbers are kept: one that is killed and killed again knows its own by them."""
 
 
 class BlockStage:
-    """The stage that writes, in shadow or armed; a machine that computes nothing for writing has none.
+    """The stage that writes one block, in shadow or armed; the machine's blocks have one `WritebackStage`.
 
     What was tried is on record and in the log at once. `attempt` is the newest one, `latencies` (ms) are those of the
-    newest blocks that were written. Opening it raises ConfigError or AuditError.
+    newest blocks that were written.
     """
 
     def __init__(
-        self,
-        config: Config,
-        layout: WritebackLayout,
-        *,
-        clock: Clock,
-        driver: Driver,
-        historian: Historian,
-        supervisor: Supervisor,
-        log: FilteringBoundLogger,
-        rng: Random,
-        log_failure: Callable[[], str] = lambda: "",
+        self, config: Config, writer: Writer, *, clock: Clock, historian: HistorianView, log: FilteringBoundLogger
     ) -> None:
-        self.config = config
-        self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
-        self._supervisor = supervisor
+        self.config, self.writer = config, writer
+        self._clock, self._historian, self._log = clock, historian, log
         self._refusals: Mapping[int, str] = {code: reason for reason, code in config.map.refusals.items()}
         self._refused = ""
+        # Of several blocks each line of the log says which one it is of.
+        self._which = {"block": writer.layout.temperature} if writer.layout.blocks > 1 else {}
         self.attempt: Attempt | None = None
         self.latencies: deque[float] = deque(maxlen=LATENCIES)
-        self.audit, damaged = open_or_set_aside(config.audit, supervisor)
-        if damaged:
-            log.error("the audit log was damaged", reason=damaged)
-        self.witnessing = HeadWitnessing(config, historian, log)
-        self._signed = clock.now()
-        self._signing: asyncio.Task[None] | None = None
-        opened = False
-        try:
-            self.writer = open_writer(
-                config,
-                layout,
-                clock=clock,
-                driver=driver,
-                historian=historian,
-                audit=self.audit,
-                log=log,
-                rng=rng,
-                obstacle=lambda: log_failure() or obstacle(self.witnessing.places)[0],
-            )
-            writers = saved_state(historian, "writers", log)
-            formers = [int(number) for number in writers[1].get("numbers", ())] if writers else []
-            self.writer.formers = frozenset(formers)
-            historian.save("writers", self._signed, {"numbers": [*formers, self.writer.number][-STARTS_KEPT:]})
-            self.witnessing.sign(self._signed)
-            opened = True
-        finally:
-            if not opened:
-                self.audit.close()
-
-    def _sign(self, now: float) -> None:
-        """Sign the newest head in a thread: no scan waits for the disk."""
-        self._signed = now
-        self._signing = self._supervisor.job("signing", partial(self.witnessing.sign, now))
 
     def take_counts(self, scan: Scan) -> None:
         """Take over what the PLC says of the blocks before this one."""
         refused = self.writer.take_counts(scan, self._refusals)
         # The same refusal of every block is one line; every one is counted, and on record.
         if refused and refused != self._refused and self.writer.armed:
-            self._log.warning("the PLC refuses blocks", reason=refused, writer=self.writer.number)
+            self._log.warning("the PLC refuses blocks", reason=refused, writer=self.writer.number, **self._which)
         self._refused = refused or self._refused
 
     async def take(
@@ -108,18 +57,8 @@ class BlockStage:
         *,
         alarms: int,
         model_hash: str = "",
-        unverified: str = "",
     ) -> None:
-        """Offer the block of this scan: `alarms` is its alarm word, `model_hash` the model's, where one predicts.
-
-        `unverified` says why the model must not write ("" if it may): one that does not verify is never armed.
-        """
-        self.take_counts(scan)
-        if scan.time - self._signed >= SIGN_SECONDS:
-            self._sign(scan.time)
-        # Taking back comes first: no block of an arming that is over may follow it.
-        if over := self._disarming(scan.time, unverified):
-            await self.disarm("", over, scan, alarms)
+        """Offer the block of this scan: `alarms` is its alarm word, `model_hash` the model's, where one predicts."""
         state = Validity.NONE
         if prediction is not None:
             state = validity(
@@ -132,15 +71,7 @@ class BlockStage:
         values = self._values(scan, prediction, forecast, model_hash) | {"alarms": float(alarms)}
         attempt = await self.writer.offer(scan, values, state)
         if attempt is not None:
-            self._record(attempt)
-
-    def _disarming(self, now: float, unverified: str) -> str:
-        """Why the gateway has to disarm itself at this scan; "" if it has not."""
-        if not self.writer.armed:
-            return ""
-        if self.writer.expired(now):
-            return "the arming is over"
-        return f"the model that runs does not verify: {unverified}" if unverified else ""
+            self.record(attempt)
 
     def _values(
         self, scan: Scan, p: ScanPrediction | None, forecast: Forecast | None, model_hash: str
@@ -169,65 +100,13 @@ class BlockStage:
             return
         attempt = await self.writer.withdraw(scan, alarms)
         if attempt is not None:
-            self._record(attempt)
+            self.record(attempt)
         verdict = attempt.verdict if attempt else "off"
         by = self.writer.arming.by if self.writer.arming else ""
         self._historian.put("audit", [(self._clock.now(), f"validity 0: {verdict}", by, why)])
 
-    async def arm(
-        self, by: str, reason: str, minutes: float, *, unverified: str = "", acknowledged: Sequence[str] = ()
-    ) -> Arming:
-        """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError."""
-        if unverified:
-            raise ArmingError(f"the model that runs does not verify: {unverified}")
-        signed(by, reason, minutes, self._clock.now())  # what is not even signed leaves no row
-        witnessing, generation = self.witnessing, self.writer.generation
-        key = await asyncio.to_thread(
-            clear_for_arming,
-            witnessing.places,
-            self.audit.record,
-            by=by,
-            now=self._clock.now(),
-            acknowledged=acknowledged,
-            sinks=witnessing.sinks,
-        )
-        if self.writer.generation != generation:
-            raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
-        arming = await arm(self.writer, self._driver, by=by, reason=reason, minutes=minutes, key=key)
-        self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
-        self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
-        await asyncio.to_thread(witnessing.sign, self._clock.now())
-        return arming
-
-    async def disarm(self, by: str, reason: str, scan: Scan | None, alarms: int) -> bool:
-        """Take back what stands in the PLC, as the last block that leaves, and write no more; False: it was not armed.
-
-        `by` is "" where the gateway disarms itself; `scan` is the newest one.
-        """
-        now, arming = self._clock.now(), self.writer.arming
-        stamp = self.config.path.stat().st_mtime if self.config.path.exists() else self.config.stamp
-        attempt = await self.writer.disarm(now, by, reason, scan=scan, alarms=alarms, stamp=stamp)
-        if attempt is not None:
-            self._record(attempt)
-        # A disarming that could be cut off unnoticed would leave the arming before it as the newest word.
-        self._sign(now)
-        if arming is None:
-            return False
-        who, verdict = by or arming.by, attempt.verdict if attempt else "off"
-        self._historian.put("audit", [(now, f"validity 0: {verdict}", arming.by, reason)])
-        if by:
-            self._historian.put("audit", [(now, "disarmed", by, reason)])
-        self._log.warning("disarmed", by=who, reason=reason)
-        return True
-
-    def close(self) -> bool:
-        """Store what waits, sign the last head and close the audit log; False if entries had to be given up."""
-        complete = self.audit.close()
-        if complete:
-            self.witnessing.sign(self._clock.now())
-        return complete
-
-    def _record(self, attempt: Attempt) -> None:
+    def record(self, attempt: Attempt) -> None:
+        """Put on record what became of a block."""
         before, self.attempt = self.attempt, attempt
         block = attempt.block
         # The words are stored high byte first, as they went on the wire.
@@ -239,4 +118,6 @@ class BlockStage:
         # Every attempt is on record; the log has a line only where something is another than before.
         if before is None or (before.verdict, before.reason) != (attempt.verdict, attempt.reason):
             write_line = self._log.info if attempt.verdict in ("written", "shadow") else self._log.warning
-            write_line("write-back", verdict=attempt.verdict, reason=attempt.reason, sequence=block.sequence)
+            write_line(
+                "write-back", verdict=attempt.verdict, reason=attempt.reason, sequence=block.sequence, **self._which
+            )

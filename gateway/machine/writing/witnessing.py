@@ -36,7 +36,7 @@ from gateway.store import (
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
-    from gateway.store import Historian
+    from gateway.store import HistorianView
 
 
 SIGN_SECONDS = 3600.0
@@ -119,7 +119,7 @@ def countersign(places: WitnessPlaces, now: float, sinks: Sequence[HeadSink] = (
 class HeadWitnessing:
     """Signs the heads of a running gateway's audit log, into its historian and its log too."""
 
-    def __init__(self, config: Config, historian: Historian, log: FilteringBoundLogger) -> None:
+    def __init__(self, config: Config, historian: HistorianView, log: FilteringBoundLogger) -> None:
         self._config, self._historian, self._log = config, historian, log
         self._failure = ""
 

@@ -10,7 +10,7 @@ program can see is a stop of its own process between that look and the system's 
 """
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from struct import pack
 from typing import Any, Literal
@@ -115,14 +115,16 @@ class Pace:
 
 @dataclass(slots=True)
 class Writer:
-    """The one place from which the gateway writes. `driver` is None where nothing can be written (off, shadow).
+    """The one place from which the gateway writes the block `layout`.
+
+    `driver` is None where nothing can be written (off, shadow).
 
     The sequence moves on with every block that may have been sent, so that one that failed is never sent again.
     `number` (1..65535, drawn anew at each start) tells this writer from another; `challenge` is the PLC's that the
     newest block on the wire carried, 0 before the first. `pace` bounds the blocks a second, `audit` takes an
     account of every one. `max_age` (real s) is how old the readings of a block may be, and its permit, when it is
     sent. `generation` counts the disarmings, `ending` those that are under way. `formers` are the numbers of this
-    gateway's starts before.
+    gateway's starts before. `subject` is what its rows of the audit log are about.
     """
 
     layout: WritebackLayout
@@ -138,6 +140,7 @@ class Writer:
     audit: Audit | None = None
     max_age: float = 1.0
     formers: frozenset[int] = frozenset()
+    subject: str = ""
     challenge: int = field(default=0, init=False)
     generation: int = field(default=0, init=False)
     ending: int = field(default=0, init=False)
@@ -179,29 +182,11 @@ class Writer:
     ) -> Attempt | None:
         """Fall back to shadow; with the newest `scan` a block of validity 0 is the last that leaves, and its attempt.
 
-        When this returns nothing usable leaves any more, and the row is on record; also where nothing was armed, so
-        that the newest word of a person is known. `stamp` is the plant file's time of change, where there is one.
+        It is `disarm_together` of this writer alone.
         """
-        former = self.arming
-        # The generation goes first, without waiting: what is on its way to the wire is stopped there.
-        self.mode, self.arming = "shadow" if self.mode == "armed" else self.mode, None
-        self.generation += 1
-        self.ending += 1
-        try:
-            async with self._sending:
-                attempt = None
-                if former is not None and scan is not None:
-                    attempt = await self._attempt(_taking_back(alarms), Validity.NONE, scan, former, last=True)
-                if self.audit is not None and (former is not None or by):
-                    over = former is not None and not by and now >= former.until
-                    who, why = by or (former.by if former else ""), reason or "the arming is over"
-                    entry = AuditEntry(
-                        now, EXPIRED if over else DISARMED, who, why, {} if stamp is None else {"stamp": stamp}
-                    )
-                    await self.audit.kept(entry, DISARMED_SECONDS)
-                return attempt
-        finally:
-            self.ending -= 1
+        return (
+            await disarm_together([self], now, by, reason, scan=scan, alarms=[alarms], audit=self.audit, stamp=stamp)
+        )[0]
 
     async def offer(self, scan: Scan, values: Mapping[str, float | None], validity: Validity) -> Attempt | None:
         """Build the block of this scan and do with it what the mode says; None when the mode is off.
@@ -212,6 +197,13 @@ class Writer:
             return None
         async with self._sending:
             return await self._attempt(values, validity, scan, self.arming)
+
+    async def take_back(self, former: Arming | None, scan: Scan | None, alarms: int) -> Attempt | None:
+        """Write a block of validity 0 as the last one of `former`, an arming that is taken back already."""
+        async with self._sending:  # also where none is to be written: a block that is under way ends first
+            if former is None or scan is None:
+                return None
+            return await self._attempt(_taking_back(alarms), Validity.NONE, scan, former, last=True)
 
     async def withdraw(self, scan: Scan, alarms: int = 0) -> Attempt | None:
         """Write a block of validity 0 once, if armed and permitted: of what stands in the PLC only `alarms` is true."""
@@ -225,22 +217,23 @@ class Writer:
 
         Gives the sentence of a refusal that a person has to know of, "" where there is none.
         """
-        taken, rejected, c = scan.good("BlocksAccepted"), scan.good("BlocksRefused"), self.counters
+        tag, c = self.layout.tag, self.counters
+        taken, rejected = scan.good(tag("BlocksAccepted")), scan.good(tag("BlocksRefused"))
         # Both or neither: the two are an account of the same blocks.
         if taken is None or rejected is None:
             return ""
         accepted, refused = int(taken), int(rejected)
         more = _increase(c.plc_refused, refused)
         # LastRefusal stands until the next one; it says something new only if the count has moved since.
-        code = scan.good("LastRefusal")
+        code = scan.good(tag("LastRefusal"))
         why = refusals.get(int(code), f"code {code:g}") if more and code is not None else c.last_refusal
         # A session may end (timer, permit, restart) between the scan that read its challenge and the block that
         # follows: that block is refused once, and the next scan's challenge opens another session. This is no attack.
-        challenge = _word(scan, "Challenge")
+        challenge = _word(scan, tag("Challenge"))
         ended = bool(more) and why == ANOTHER_CHALLENGE and self.challenge not in (0, challenge)
         other, sentence = c.other_writer, why if more and not ended else ""
         if more and why == ANOTHER_WRITER:
-            session, refused_writer = _word(scan, "SessionWriter"), _word(scan, "RefusedWriter")
+            session, refused_writer = _word(scan, tag("SessionWriter")), _word(scan, tag("RefusedWriter"))
             # Of the two the PLC names, the other is the one that is not this gateway's.
             theirs = refused_writer if session == self.number else session
             other = theirs or other
@@ -252,7 +245,7 @@ class Writer:
                 sentence += "; find the gateway whose status has that number, and disarm one of the two"
                 self._rival = scan.time, sentence
         if sentence and self.armed:
-            detail = {"blocks": more, "sequence": self.sequence}
+            detail = {"blocks": more, "sequence": self.sequence, **self._which}
             self._note(AuditEntry(scan.time, REFUSED_BY_PLC, "PLC", sentence, detail))
         self.counters = replace(
             c,
@@ -286,7 +279,7 @@ class Writer:
         if (age := values.get("age")) is not None:
             values = {**values, "age": age + max(0.0, built - scan.time)}
         marked = validity if armed else validity | Validity.SHADOW
-        challenge = _word(scan, "Challenge")
+        challenge = _word(scan, self.layout.tag("Challenge"))
         session = SessionWords(challenge=challenge, writer=self.number, sequence=sequence, heartbeat=heartbeat)
         block = build(self.layout, values, marked, session)
 
@@ -299,8 +292,8 @@ class Writer:
                 return "not permitted", "it was disarmed meanwhile"
             if arming is not None and now >= arming.until:
                 return "not permitted", "the arming is over"
-            if self.audit is not None and self.audit.complaint:
-                return "not permitted", f"no audit record could be kept: {self.audit.complaint}"
+            if self.audit is not None and (complaint := self.audit.complaint_of(self.subject)):
+                return "not permitted", f"no audit record could be kept: {complaint}"
             if unpermitted := self._unpermitted(scan):
                 return unpermitted
             # From the first request on: a device may have looked at its memory long before its reply was complete.
@@ -329,7 +322,7 @@ class Writer:
             if refused is None and not last and self.pace is not None and not self.pace.allows(asked):
                 refused = "held back", f"more than {self.pace.rate:g} blocks a second"
             if refused is None and self.audit is not None:
-                entry = AuditEntry(scan.time, WRITE, by, "", _plain(block))
+                entry = AuditEntry(scan.time, WRITE, by, "", self._plain(block)).of(self.subject)
                 if not await self.audit.stored(entry, SENDING_SECONDS):
                     if last:
                         self.audit.put(entry)
@@ -362,25 +355,25 @@ class Writer:
         self.counters = _COUNTED[attempt.verdict](self.counters)
         if attempt.verdict in ("failed", "not permitted", "held back"):
             kind = FAILED if attempt.verdict == "failed" else REFUSED
-            self._note(AuditEntry(scan.time, kind, by, attempt.reason, _plain(block)))
+            self._note(AuditEntry(scan.time, kind, by, attempt.reason, self._plain(block)))
         return attempt
 
-    @staticmethod
-    def _unpermitted(scan: Scan) -> tuple[Verdict, str] | None:
+    def _unpermitted(self, scan: Scan) -> tuple[Verdict, str] | None:
         """Why the PLC would not use a block, as this scan read it: no permit, or no challenge to make the block with.
 
         One of doubtful quality is none.
         """
         if scan.good("WritePermit"):
             # By the challenge the PLC knows a block as made after its session began: without one it would refuse it.
-            if _word(scan, "Challenge"):
+            name = self.layout.tag("Challenge")
+            if _word(scan, name):
                 return None
-            sample = scan.samples.get("Challenge")
+            sample = scan.samples.get(name)
             if sample is None:
-                return "not permitted", "the register map has no Challenge, which the PLC's side has to publish"
+                return "not permitted", f"the register map has no {name}, which the PLC's side has to publish"
             if sample.quality.is_good:
                 return "not permitted", "the PLC publishes no challenge yet (0)"
-            return "not permitted", f"Challenge is not known: {sample.reason}"
+            return "not permitted", f"{name} is not known: {sample.reason}"
         permit = scan.samples.get("WritePermit")
         if permit is None:
             return "not permitted", "the register map has no WritePermit"
@@ -388,19 +381,65 @@ class Writer:
             return "not permitted", "the PLC does not permit it"
         return "not permitted", f"WritePermit is not known: {permit.reason}"
 
+    @property
+    def _which(self) -> dict[str, str]:
+        """Which block it is, for the audit log; a row of the first one says nothing of it."""
+        return {"block": self.layout.suffix} if self.layout.suffix else {}
+
+    def _plain(self, block: WritebackBlock) -> dict[str, Any]:
+        """The block as the audit log keeps it: its words high byte first, as they go on the wire."""
+        words = pack(f">{len(block.words)}H", *block.words).hex()
+        return {"sequence": block.sequence, "validity": int(block.validity), "words": words, **self._which}
+
     def _note(self, entry: AuditEntry) -> None:
         if self.audit is not None:
-            self.audit.put(entry)
+            self.audit.put(entry.of(self.subject))
+
+
+async def disarm_together(
+    writers: Sequence[Writer],
+    now: float,
+    by: str = "",
+    reason: str = "",
+    *,
+    alarms: Sequence[int],
+    audit: Audit | None,
+    scan: Scan | None = None,
+    stamp: float | None = None,
+) -> list[Attempt | None]:
+    """Let the writers of one arming fall back to shadow; with the newest `scan` each one's last block has validity 0.
+
+    Gives what became of these blocks; `alarms` are their alarm words. When this returns nothing usable leaves any more,
+    and the row is on record; also where nothing was armed, so that the newest word of a person is known. `stamp` is the
+    plant file's time of change, where there is one.
+    """
+    formers = [writer.arming for writer in writers]
+    former = next((arming for arming in formers if arming is not None), None)
+    # The generations go first, without waiting: what is on its way to the wire is stopped there, whichever block it is.
+    for writer in writers:
+        writer.mode, writer.arming = "shadow" if writer.mode == "armed" else writer.mode, None
+        writer.generation += 1
+        writer.ending += 1
+    try:
+        attempts = await asyncio.gather(
+            *(
+                writer.take_back(arming, scan, word)
+                for writer, arming, word in zip(writers, formers, alarms, strict=True)
+            )
+        )
+        if audit is not None and (former is not None or by):
+            over = former is not None and not by and now >= former.until
+            who, why = by or (former.by if former else ""), reason or "the arming is over"
+            entry = AuditEntry(now, EXPIRED if over else DISARMED, who, why, {} if stamp is None else {"stamp": stamp})
+            await audit.kept(entry.of(writers[0].subject), DISARMED_SECONDS)
+        return attempts
+    finally:
+        for writer in writers:
+            writer.ending -= 1
 
 
 def _taking_back(alarms: int) -> dict[str, float | None]:
     return {"alarms": float(alarms), "zone": 0.0, "input_quality": 2.0}
-
-
-def _plain(block: WritebackBlock) -> dict[str, Any]:
-    """The block as the audit log keeps it: its words high byte first, as they go on the wire."""
-    words = pack(f">{len(block.words)}H", *block.words).hex()
-    return {"sequence": block.sequence, "validity": int(block.validity), "words": words}
 
 
 def _word(scan: Scan, name: str) -> int:

@@ -1,11 +1,19 @@
 """A model's other forms: the public learner's files, found, read, converted, written."""
 
-from sim.artefacts.formats.bundle import SUFFIXES, Artefacts, file_names, read_artefacts, write_artefacts
-from sim.artefacts.formats.find import FoundModel, artefact_base, find_model
-from sim.artefacts.formats.from_model import reported_laws, to_artefacts
-from sim.artefacts.formats.histogram import PRINTED, Histogram, evidence, fit, read_histogram
-from sim.artefacts.formats.report import Report, read_report
-from sim.artefacts.formats.write_model import save, write_model_directory
+from typing import TYPE_CHECKING
+
+from sim.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from sim.artefacts.formats.bundle import Artefacts, file_names, read_artefacts, write_artefacts
+    from sim.artefacts.formats.find import FoundModel, artefact_base, find_model
+    from sim.artefacts.formats.from_model import reported_laws, to_artefacts
+    from sim.artefacts.formats.histogram import PRINTED, Histogram, evidence, fit, read_histogram
+    from sim.artefacts.formats.report import Report, read_report
+    from sim.artefacts.formats.suffixes import SUFFIXES
+    from sim.artefacts.formats.write_model import check_free, save, write_model_directory
+else:
+    __getattr__ = opened_at_use(__name__)
 
 __all__ = [
     "PRINTED",
@@ -15,6 +23,7 @@ __all__ = [
     "Histogram",
     "Report",
     "artefact_base",
+    "check_free",
     "evidence",
     "file_names",
     "find_model",

@@ -1,7 +1,7 @@
 """The artefacts of one automaton in a directory, found by their base name: source, report, histogram, flow file."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,9 +9,9 @@ from sim.artefacts.formats.dot import Source, read_source, source_text
 from sim.artefacts.formats.flow_file import FLOW_FILE, FlowFile, flow_file_text, read_flow_file
 from sim.artefacts.formats.histogram import Histogram, histogram_text, read_histogram
 from sim.artefacts.formats.report import Report, read_report, report_text
+from sim.artefacts.formats.suffixes import SUFFIXES
 from sim.files import ArtefactError, at, refused, replace_durably
 
-SUFFIXES: Mapping[str, str] = {"source": "_source.txt", "report": ".txt", "histogram": "_histogram_values.txt"}
 KINDS = (*SUFFIXES, "flows")
 
 

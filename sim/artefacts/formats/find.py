@@ -1,13 +1,19 @@
 """One door for all commands that take a model: a directory, a store, a version, a JSON file, a set of artefacts."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sim.artefacts import MODEL_FILE, STORE_FILE, load, read_model
-from sim.artefacts.formats.bundle import SUFFIXES, Artefacts, read_artefacts
-from sim.artefacts.formats.convert import Parameter, structure, to_sha
+from sim.artefacts.formats.suffixes import SUFFIXES
 from sim.files import ArtefactError, at
 from sim.sha import SHA, Alphabet, Model, Provenance
+
+if TYPE_CHECKING:
+    from sim.artefacts.formats.bundle import Artefacts
+    from sim.artefacts.formats.convert import Parameter
 
 SOURCE = SUFFIXES["source"]
 OPTIONAL = ("report", "histogram", "flows")
@@ -63,6 +69,10 @@ def find_model(
             others = f"; the artefact sets in {path.parent} are {', '.join(sets)}" if sets else ""
             raise at(path, None, f"there is no model directory, store, file or set of artefacts of this name{others}")
         return FoundModel(model.sha.name, model.sha, model)
+    # The grammars of the artefacts, of which a model of our own needs none.
+    from sim.artefacts.formats.bundle import read_artefacts
+    from sim.artefacts.formats.convert import structure, to_sha
+
     artefacts = read_artefacts(base[0], base[1], OPTIONAL)
     bare = structure(artefacts.source, artefacts.name)
     try:

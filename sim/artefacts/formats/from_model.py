@@ -1,7 +1,9 @@
 """From a model to its artefacts, which public tools and the thesis's readers find, and which read back whole."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from sim.artefacts.formats.bundle import Artefacts
 from sim.artefacts.formats.dot import INIT, Source, SourceLocation
@@ -20,8 +22,10 @@ from sim.artefacts.formats.report import (
 )
 from sim.effects import effect_summary
 from sim.files import ArtefactError
-from sim.learning.lsha import ObservationTable, TableRow
 from sim.sha import FIXED, SHA, Alphabet, Bins, Distribution, Edge, Location, Model, distributions
+
+if TYPE_CHECKING:
+    from sim.learning.lsha import ObservationTable, TableRow
 
 RawValues = Mapping[str, Sequence[float]]
 """The parameter values that the learner saw, by location."""

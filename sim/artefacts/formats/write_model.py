@@ -4,11 +4,13 @@ Apart from reading (`model_directory`, `store`), which the running gateway does 
 formats.
 """
 
+from __future__ import annotations
+
 import json
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sim.artefacts import (
     MANIFEST,
@@ -24,11 +26,12 @@ from sim.artefacts import (
     sha256,
     versions,
 )
-from sim.artefacts.formats.bundle import texts
-from sim.artefacts.formats.from_model import RawValues, to_artefacts
 from sim.files import at, refused, replace_durably, sync_directory, write_durably
-from sim.learning.lsha import ObservationTable
 from sim.sha import Model
+
+if TYPE_CHECKING:
+    from sim.artefacts.formats.from_model import RawValues
+    from sim.learning.lsha import ObservationTable
 
 STORE_TEXT = json.dumps({"format": "decanter-model-store", "version": 1}) + "\n"
 
@@ -40,6 +43,9 @@ def directory_files(
     model: Model, histogram: RawValues | None = None, observations: ObservationTable | None = None
 ) -> dict[str, str]:
     """The content of a model directory by file name, without the manifest. Raises ArtefactError."""
+    from sim.artefacts.formats.bundle import texts
+    from sim.artefacts.formats.from_model import to_artefacts
+
     return {MODEL_FILE: model_text(model)} | texts(to_artefacts(model, histogram, observations))
 
 
@@ -56,6 +62,29 @@ def write_files(directory: Path, files: Mapping[str, str]) -> None:
     for name, content in files.items():
         write_durably(directory / name, content)
     sync_directory(directory)
+
+
+def check_free(out: Path, name: str) -> None:
+    """Raises ArtefactError where a model of that name could not be written into `out`; makes nothing.
+
+    To be asked before a model is learned. `out` may be absent, empty, or a model directory.
+    """
+    from sim.artefacts.formats.bundle import file_names
+
+    file_names(name)
+    try:
+        _present(out)
+    except OSError as error:
+        raise refused(out, error) from None
+
+
+def _present(out: Path) -> set[str]:
+    """The names of what is in `out`; none where it is not there. Raises ArtefactError, OSError."""
+    present = {path.name for path in out.iterdir()} if out.exists() else set[str]()
+    if present.isdisjoint({MANIFEST, MODEL_FILE}) and not all(name.startswith(".") for name in present):
+        some = ", ".join(sorted(present)[:3])
+        raise at(out, None, f"is no model directory (it has {some}); give a new directory or an empty one")
+    return present
 
 
 def write_model_directory(
@@ -77,12 +106,7 @@ def write_model_directory(
     manifest = manifest_text(model, files, {})
     try:
         out.mkdir(parents=True, exist_ok=True)
-        present, stale = {path.name for path in out.iterdir()}, set[str]()
-        if MANIFEST in present:
-            stale = set(listed(out / MANIFEST)) - set(files)
-        elif present and MODEL_FILE not in present and not all(name.startswith(".") for name in present):
-            some = ", ".join(sorted(present)[:3])
-            raise at(out, None, f"is no model directory (it has {some}); give a new directory or an empty one")
+        stale = set(listed(out / MANIFEST)) - set(files) if MANIFEST in _present(out) else set[str]()
         # Without a manifest the directory claims nothing of its files: a kill from here on leaves no wrong claim.
         (out / MANIFEST).unlink(missing_ok=True)
         for name, content in (*files.items(), (MANIFEST, manifest)):

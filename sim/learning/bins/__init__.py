@@ -1,6 +1,13 @@
 """Method `bins`: one location for each combination of channel values."""
 
-from sim.learning.bins.candidates import CANDIDATES
-from sim.learning.bins.learn import Learned, learn_bins
+from typing import TYPE_CHECKING
+
+from sim.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from sim.learning.bins.candidates import CANDIDATES
+    from sim.learning.bins.learn import Learned, learn_bins
+else:
+    __getattr__ = opened_at_use(__name__)
 
 __all__ = ["CANDIDATES", "Learned", "learn_bins"]

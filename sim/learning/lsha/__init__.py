@@ -1,9 +1,16 @@
 """Method `lsha`: L*_SHA, a learner with an observation table and a teacher who answers from traces."""
 
-from sim.learning.lsha.hypothesis import ObservationTable, TableRow
-from sim.learning.lsha.learn import LearnedLsha, learn_lsha
-from sim.learning.lsha.report import report_document, report_text
-from sim.learning.lsha.settings import FLOW_KINDS, LshaSettings
+from typing import TYPE_CHECKING
+
+from sim.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from sim.learning.lsha.hypothesis import ObservationTable, TableRow
+    from sim.learning.lsha.learn import LearnedLsha, learn_lsha
+    from sim.learning.lsha.report import report_document, report_text
+    from sim.learning.lsha.settings import FLOW_KINDS, LshaSettings
+else:
+    __getattr__ = opened_at_use(__name__)
 
 __all__ = [
     "FLOW_KINDS",

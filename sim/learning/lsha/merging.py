@@ -117,7 +117,8 @@ class _PartitionState:
     n_min: int
     most: float = inf
     queries: int = 0
-    known: list[int] = field(default_factory=list)
+    known: dict[int, None] = field(default_factory=dict)
+    """The locations, in the order in which they became ones."""
 
     def find(self, number: int) -> int:
         while self.parent[number] != number:
@@ -143,9 +144,9 @@ class _Fold:
     answers: list[Query] = field(default_factory=list)
 
     def find(self, number: int) -> int:
-        number = self.state.find(number)
-        while number in self.parent:
-            number = self.parent[number]
+        number, parent = self.state.find(number), self.parent
+        while number in parent:
+            number = parent[number]
         return number
 
     def join(self, row: int, location: int, level: float = 0.0) -> Query | None:
@@ -154,35 +155,34 @@ class _Fold:
         A pair whose p stays below `level` even after the correction for as many tests as there can be at all ends it
         at once: most merges are wrong, and the first few pairs show it.
         """
-        certain = level / len(self.state.parent)
+        # Most of the learning's time is spent here: what a round looks up is at hand.
+        state, parent, known, fixed, find = self.state, self.parent, self.state.known, self.state.fixed, self.find
+        certain = level / len(state.parent)
         # The shortest suffixes first: their words have most evidence.
         pairs: deque[tuple[int, int, Suffix]] = deque([(location, row, None)])
         while pairs:
             first, second, suffix = pairs.popleft()
-            keep, absorbed = self.find(first), self.find(second)
+            keep, absorbed = find(first), find(second)
             if keep == absorbed:
                 continue
-            if absorbed in self.state.known and keep not in self.state.known:
+            if absorbed in known and keep not in known:
                 keep, absorbed = absorbed, keep  # a known location keeps its number
-            if absorbed in self.state.fixed or keep in self.state.fixed:
+            if absorbed in fixed or keep in fixed:
                 return Query(None, suffix, (keep, absorbed))
-            kept_evidence, absorbed_evidence = (
-                self.evidence.get(each, self.state.evidence[each]) for each in (keep, absorbed)
-            )
-            if kept_evidence.count and absorbed_evidence.count:
-                query = Query(self.state.compare(kept_evidence, absorbed_evidence), suffix, (keep, absorbed))
+            kept_evidence = self.evidence.get(keep) or state.evidence[keep]
+            absorbed_evidence = self.evidence.get(absorbed) or state.evidence[absorbed]
+            if kept_evidence.sums[0] and absorbed_evidence.sums[0]:
+                query = Query(state.compare(kept_evidence, absorbed_evidence), suffix, (keep, absorbed))
                 if query.p < certain:
                     return query
                 self.answers.append(query)
             self.evidence[keep] = kept_evidence.joined(absorbed_evidence)
             # Consistency: where both sets have an edge on a symbol, determinism makes their targets one as well.
-            kept, lost = (
-                self.edges.get(keep, self.state.edges[keep]),
-                self.edges.get(absorbed, self.state.edges[absorbed]),
-            )
-            pairs += [(kept[symbol], lost[symbol], (suffix, symbol)) for symbol in sorted(kept.keys() & lost.keys())]
+            kept, lost = self.edges.get(keep, state.edges[keep]), self.edges.get(absorbed, state.edges[absorbed])
+            if shared := kept.keys() & lost.keys():
+                pairs += [(kept[symbol], lost[symbol], (suffix, symbol)) for symbol in sorted(shared)]
             self.edges[keep] = {**lost, **kept}
-            self.parent[absorbed] = keep
+            parent[absorbed] = keep
         return None
 
     def worst(self) -> tuple[float, Query | None]:
@@ -214,8 +214,7 @@ class _Fold:
         state = self.state
         for absorbed, keep in self.parent.items():
             state.parent[absorbed] = keep
-            if absorbed in state.known:
-                state.known.remove(absorbed)
+            state.known.pop(absorbed, None)
         for number, edges in self.edges.items():
             state.edges[number] = edges
         for number, evidence in self.evidence.items():
@@ -325,7 +324,7 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
         fold.commit()
         verdict: Verdict = "default" if location == default and evidence.count < state.n_min else "merged"
         return Decision(row=row, verdict=verdict, other=location, evidence=count, answer=answers[location])
-    state.known.append(root)
+    state.known[root] = None
     if refused is not None:
         answer, rival, suffix = refused.answer, equal[0], _spelled(refused.suffix)
         return Decision(row=row, verdict="new", other=root, evidence=count, answer=answer, rival=rival, suffix=suffix)

@@ -1,4 +1,4 @@
-"""The raw-frame CAN face: messages of a DBC file, cyclic and on change, and the write-back block in frames."""
+"""The raw-frame CAN face: messages of a DBC file, cyclic and on change, and the write-back blocks in frames."""
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
@@ -38,6 +38,7 @@ class CanFace:
         self._station = Station(where, self._heard, complain, self._rng)
         self._counters = {sender.message.frame_id: 0 for sender in messages.senders}
         self._disturbances: Sequence[BusDisturbance] = ()
+        self._layouts = {layout.suffix: layout for layout in plc.registers.blocks}
         self._listens = True
 
     # ---------------------------------------------------------------- Face
@@ -107,14 +108,12 @@ class CanFace:
     # ---------------------------------------------------------------- what the PLC hears
 
     def _heard(self, message: can.Message) -> None:
-        block = self._messages.block
-        if message.is_error_frame or message.is_remote_frame or block is None:
+        if message.is_error_frame or message.is_remote_frame or not self._listens or self._station.off:
             return
-        if not self._listens or self._station.off:
-            return
-        same = message.is_extended_id == block.message.is_extended_frame
-        if message.arbitration_id == block.message.frame_id and same and self._plc.running:
-            self._take(block, bytes(message.data))
+        for block in self._messages.blocks if self._plc.running else ():
+            same = message.is_extended_id == block.message.is_extended_frame
+            if message.arbitration_id == block.message.frame_id and same:
+                self._take(block, bytes(message.data))
 
     def _take(self, block: BlockMemory, data: bytes) -> None:
         """One frame of the block: stored, answered by its echo; the last one has the block judged."""
@@ -153,7 +152,7 @@ class CanFace:
 
     def _judge(self, block: BlockMemory, now: float) -> None:
         """The whole block as it now stands in the memory, by the same checks as over every other face."""
-        layout = self._plc.registers.block
+        layout = self._layouts.get(block.suffix)
         if layout is None:
             return
         words = [block.words.get(field.name, 0) for field in layout.fields]

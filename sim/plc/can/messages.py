@@ -1,4 +1,4 @@
-"""The PLC's CAN messages by a DBC file: payloads from the process image, and the write-back block from frames.
+"""The PLC's CAN messages by a DBC file: payloads from the process image, and the write-back blocks from frames.
 
 By a path of its own: cantools packs the bits, and the checksum is worked out here bit by bit, so that a mistake of the
 gateway's decoder cannot cancel itself out in a round trip.
@@ -74,11 +74,15 @@ class Sender:
 
 @dataclass(slots=True)
 class BlockMemory:
-    """The write-back block as frames fill it, by field name; a frame brings the words of its own layout."""
+    """A write-back block as frames fill it, by field name; a frame brings the words of its own layout.
+
+    `suffix` says which of the PLC's blocks it is.
+    """
 
     message: Message
     echo: Message
     fields: Sequence[str]
+    suffix: str = ""
     words: dict[str, int] = field(default_factory=dict)
 
     def put(self, data: bytes, *, store: bool) -> tuple[dict[str, int], bytes] | None:
@@ -107,7 +111,7 @@ class Messages:
 
     path: Path
     senders: tuple[Sender, ...]
-    block: BlockMemory | None
+    blocks: tuple[BlockMemory, ...]
 
 
 def read_messages(path: Path, known: Sequence[str]) -> Messages:
@@ -134,24 +138,26 @@ def read_messages(path: Path, known: Sequence[str]) -> Messages:
     senders = [
         sender for name, rows in by_message.items() for sender in _senders(database.get_message_by_name(name), rows)
     ]
-    block = None
-    if content.writeback is not None:
-        where = f"{path}: [writeback]"
-        match = _BLOCK.fullmatch(content.writeback.address)
-        if match is None:
-            raise InputError(
-                f"{where}: address: {content.writeback.address!r} is no message; give 'dbc:Message.{{field}}'"
-            )
-        name = match[1]
-        if name not in device.echo:
-            raise InputError(f"{where}: [device.echo] names no echo of {name!r}; the PLC answers each frame with one")
-        fields = [row.name for row in content.writeback.fields]
-        for field_name in fields:
-            _signal(database, name, field_name, where)
-            _signal(database, device.echo[name], field_name, where)
-        echo = database.get_message_by_name(device.echo[name])
-        block = BlockMemory(database.get_message_by_name(name), echo, fields)
-    return Messages(path, tuple(senders), block)
+    blocks = []
+    if (first := content.writeback) is not None:
+        fields = [row.name for row in first.fields]
+        places = [(f"{path}: [writeback]", first.address, "")]
+        places += [(f"{path}: [[writeback.blocks]] {row.suffix}", row.address, row.suffix) for row in first.blocks]
+        for where, address, suffix in places:
+            match = _BLOCK.fullmatch(address)
+            if match is None:
+                raise InputError(f"{where}: address: {address!r} is no message; give 'dbc:Message.{{field}}'")
+            name = match[1]
+            if name not in device.echo:
+                raise InputError(
+                    f"{where}: [device.echo] names no echo of {name!r}; the PLC answers each frame with one"
+                )
+            for field_name in fields:
+                _signal(database, name, field_name, where)
+                _signal(database, device.echo[name], field_name, where)
+            echo = database.get_message_by_name(device.echo[name])
+            blocks.append(BlockMemory(database.get_message_by_name(name), echo, fields, suffix))
+    return Messages(path, tuple(senders), tuple(blocks))
 
 
 def _signal(database: Database, message: str, name: str, where: str) -> Signal:

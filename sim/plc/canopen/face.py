@@ -117,9 +117,10 @@ class CanopenFace:
         elif self.node.listens_to(identifier):
             record(self._plc, self.name, identifier, data, sent=False)
             self.node.objects.store = self._struck(0, now)[1].store
-            before = self._plc.intake.accepted
+            before = [intake.accepted for intake in self._plc.intakes]
             self._put_all(self.node.take(identifier, data, now, self._own_disturbance))
-            if self._plc.intake.accepted != before:  # the acknowledge does not wait for the program's next cycle
+            # The acknowledge does not wait for the program's next cycle.
+            if [intake.accepted for intake in self._plc.intakes] != before:
                 self._put_all(self.node.cycle(now, self._own_disturbance))
 
     def _struck(self, function: int, now: float) -> tuple[list[Scheduled], FaultEffect]:
@@ -169,6 +170,5 @@ class CanopenFace:
 
 def make(plc: Plc, options: Mapping[str, Any], complain: Callable[[str], None]) -> CanopenFace:
     """The face that the command line asks for. Raises InputError."""
-    block = plc.registers.block
-    layout = read_layout(Path(options["canopen"]), plc.registers.tags, block.place.words if block else 0)
+    layout = read_layout(Path(options["canopen"]), plc.registers.tags, plc.registers.blocks, options["node"])
     return CanopenFace(plc, layout, (options["can_interface"], options["can_channel"]), complain)

@@ -166,30 +166,30 @@ class CanopenNode:
         return out
 
     def _receive(self, pdo: ActivePdo, data: bytes) -> None:
-        """An RPDO of the right length writes its objects, the words of the block among them together."""
+        """An RPDO of the right length writes its objects, the words of a block among them together."""
         if len(data) != sum(size for _, size in pdo.objects):
             return
         self.counts["rpdos"] += 1
-        words: dict[int, int] = {}
+        words: dict[int, dict[int, int]] = {}
         others: dict[Address, bytes] = {}
         offset = 0
         for place, size in pdo.objects:
             part, offset = data[offset : offset + size], offset + size
-            number = self.objects.word(place)
-            if number is None:
+            word = self.objects.word(place)
+            if word is None:
                 others[place] = part
             else:
-                words[number] = int.from_bytes(part, "little")
+                words.setdefault(word[0], {})[word[1]] = int.from_bytes(part, "little")
         self._put(words, others)
 
-    def _put(self, words: Mapping[int, int], others: Mapping[Address, bytes]) -> None:
+    def _put(self, words: Mapping[int, Mapping[int, int]], others: Mapping[Address, bytes]) -> None:
         for place, part in others.items():
             try:
                 self.objects.write(place, part)
             except Abort:
                 continue  # nobody waits for an answer to an RPDO
-        if words:
-            self.objects.put_words(words)
+        for number, own in words.items():
+            self.objects.put_words(number, own)
 
     def _new_beat(self, seconds: float) -> None:
         self._beat_time = seconds

@@ -1,4 +1,4 @@
-"""The node's object dictionary: the EDS's objects, those of them that show tags of the process image, and the block."""
+"""The node's object dictionary: the EDS's objects, those that show tags of the process image, and the blocks."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -12,6 +12,7 @@ from sim.plc.canopen import pdo, sdo
 from sim.plc.canopen.eds import Address, EdsObject, read_eds
 from sim.plc.canopen.sdo import Abort
 from sim.plc.program import (
+    BlockLayout,
     FileTable,
     InputError,
     Plc,
@@ -24,8 +25,9 @@ from sim.plc.program import (
 )
 
 ERROR_REGISTER, ERRORS, STORE_EDS = (0x1001, 0), 0x1003, (0x1021, 0)
-ACCEPTED_SEQUENCE, WHOLE_BLOCK = (0x2101, 1), (0x2102, 0)
-"""Objects of config/decanter.eds that show no tag: the last accepted block's sequence, and the block as one object."""
+ACCEPTED_SEQUENCE, WHOLE_BLOCK = (1, 1), (2, 0)
+"""Objects of config/decanter.eds that show no tag, counted from the index of a block's words: the last accepted block's
+sequence, and the block as one object."""
 
 _OBJECT = re.compile(r"0x([0-9A-Fa-f]{1,4}):(\d{1,3})")
 
@@ -40,23 +42,29 @@ class _NodeDevice(FileTable):
 
 @dataclass(frozen=True, slots=True)
 class NodeLayout:
-    """What a device file says: node id, the EDS's objects and text, the tags at each object, the block's first word."""
+    """What a device file says: node id, the EDS's objects and text, the tags at each object, each block's first word.
+
+    `blocks` are in the order of the register map's.
+    """
 
     node: int
     entries: Mapping[Address, EdsObject]
     text: str
     tags: Mapping[Address, Sequence[Tag]]
-    block: Address | None
+    blocks: tuple[Address, ...]
 
 
-def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> NodeLayout:
-    """The device file in `path` with its EDS; `known` are the image's tags, `words` the length of its block.
+def read_layout(
+    path: Path, known: Mapping[str, Tag], blocks: Sequence[BlockLayout], node: int | None = None
+) -> NodeLayout:
+    """The device file in `path` with its EDS; `known` are the image's tags, `blocks` the register map's.
 
-    Raises InputError naming file, key, reason and remedy.
+    `node` is another node id than the file's. Raises InputError naming file, key, reason and remedy.
     """
     content = read_device(path)
     device = validated(_NodeDevice, content.device.model_extra or {}, f"{path}: [device]")
-    entries, text = read_eds(path.parent / device.eds, device.node)
+    node = device.node if node is None else node
+    entries, text = read_eds(path.parent / device.eds, node)
     tags: dict[Address, list[Tag]] = {}
     for number, row in enumerate(content.tags, start=1):
         where = f"{path}: tag {number}"
@@ -65,13 +73,16 @@ def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> NodeLayout:
         # An order is of registers: what a node sends has the least byte first, whatever the file says of it.
         tag = replace(row.tag(), order=Order.ABCD)
         tags.setdefault(_address(row.address, entries, where), []).append(tag)
-    block = None
-    if content.writeback is not None:
-        where = f"{path}: [writeback]"
-        block = _address(content.writeback.address, entries, where)
-        if (count := len(content.writeback.fields)) != words:
-            raise InputError(f"{where}: fields: {count} words, and the register map's has {words}")
-    return NodeLayout(device.node, entries, text, tags, block)
+    places: list[Address] = []
+    if (first := content.writeback) is not None:
+        where, count = f"{path}: [writeback]", len(first.fields)
+        addresses = {"": first.address, **{row.suffix: row.address for row in first.blocks}}
+        if list(addresses) != [block.suffix for block in blocks]:
+            raise InputError(f"{where}: blocks: the register map has others; give both files the same, in one order")
+        if wrong := [block.place.words for block in blocks if block.place.words != count]:
+            raise InputError(f"{where}: fields: {count} words, and the register map's has {wrong[0]}")
+        places = [_address(address, entries, where) for address in addresses.values()]
+    return NodeLayout(node, entries, text, tags, tuple(places))
 
 
 def _address(text: str, entries: Mapping[Address, EdsObject], where: str) -> Address:
@@ -92,13 +103,13 @@ class Objects:
         self.error_register, self.errors = 0, [0]
         self.store = True
         self._memory: dict[Address, bytes] = {}
-        self._written: dict[int, int] = {}
+        self._written: list[dict[int, int]] = [{} for _ in layout.blocks]
         self._pdos: dict[int, list[pdo.ActivePdo]] = {}
 
     def reset(self) -> None:
         """Back to the values of power-on."""
         self._memory.clear()
-        self._written.clear()
+        self._written = [{} for _ in self._layout.blocks]
         self._pdos.clear()
         self.error_register, self.errors = 0, [0]
 
@@ -128,9 +139,9 @@ class Objects:
             raise Abort(sdo.WRITE_ONLY)
         if address in self._layout.tags:
             return self._of_tags(self._layout.tags[address], entry)
-        word = self._word(address)
-        if word is not None:
-            return self._block_words(word, 1)
+        if (word := self.word(address)) is not None:
+            number, place = word
+            return self._block_words(number, place, 1)
         return self._own(address, entry)
 
     def write(self, address: Address, data: bytes) -> None:
@@ -142,29 +153,32 @@ class Objects:
             raise Abort(sdo.TOO_LONG if len(data) > entry.size else sdo.TOO_SHORT)
         if address in self._layout.tags:
             raise Abort(sdo.READ_ONLY)
-        word = self._word(address)
-        if word is not None:
-            self.put_words({word: int.from_bytes(data, "little")})
-        elif address == WHOLE_BLOCK:
-            self._put_whole(data)
+        if (word := self.word(address)) is not None:
+            self.put_words(word[0], {word[1]: int.from_bytes(data, "little")})
+        elif (number := self._beside(address, WHOLE_BLOCK)) is not None:
+            self._put_whole(number, data)
         else:
             self._keep(address, entry, data)
 
-    def put_words(self, words: Mapping[int, int]) -> None:
-        """Words of the block by their number from 0: kept until the last one comes, then taken as a whole."""
-        layout = self._plc.registers.block
-        if layout is None or not self._plc.running:
+    def put_words(self, number: int, words: Mapping[int, int]) -> None:
+        """Words of block `number` by their place from 0: kept until the last one comes, then taken as a whole."""
+        if not self._plc.running:
             return
-        self._written |= words
-        if layout.place.words - 1 in words:
-            block = [self._written.get(number, 0) for number in range(layout.place.words)]
-            self._written.clear()
+        place, written = self._plc.registers.blocks[number].place, self._written[number]
+        written |= words
+        if place.words - 1 in words:
+            block = [written.get(word, 0) for word in range(place.words)]
+            written.clear()
             if self.store:
-                self._plc.write("canopen", layout.place.table, layout.place.address, block, self._plc.clock.monotonic())
+                self._plc.write("canopen", place.table, place.address, block, self._plc.clock.monotonic())
 
-    def word(self, address: Address) -> int | None:
-        """Which word of the block an object is, from 0; None for any other object."""
-        return self._word(address)
+    def word(self, address: Address) -> tuple[int, int] | None:
+        """Which block's word an object is, and which of its words, both from 0; None for any other object."""
+        for number, first in enumerate(self._layout.blocks):
+            place = address[1] - first[1]
+            if address[0] == first[0] and 0 <= place < self._plc.registers.blocks[number].place.words:
+                return number, place
+        return None
 
     # ---------------------------------------------------------------- inside
 
@@ -180,11 +194,10 @@ class Objects:
             return bytes([self.error_register])
         if address == STORE_EDS:
             return self._layout.text.encode("utf-8")
-        if address == WHOLE_BLOCK:
-            layout = self._plc.registers.block
-            return b"" if layout is None else self._block_words(0, layout.place.words)
-        if address == ACCEPTED_SEQUENCE:
-            return int(self._plc.intake.block.get("sequence", 0)).to_bytes(2, "little")
+        if (number := self._beside(address, WHOLE_BLOCK)) is not None:
+            return self._block_words(number, 0, self._plc.registers.blocks[number].place.words)
+        if (number := self._beside(address, ACCEPTED_SEQUENCE)) is not None:
+            return int(self._plc.intakes[number].block.get("sequence", 0)).to_bytes(2, "little")
         if address[0] == ERRORS:
             known = [error for error in self.errors if error]
             sub = address[1]
@@ -193,26 +206,23 @@ class Objects:
             )
         return self._memory.get(address, entry.default)
 
-    def _word(self, address: Address) -> int | None:
-        block, layout = self._layout.block, self._plc.registers.block
-        if block is None or layout is None or address[0] != block[0]:
-            return None
-        number = address[1] - block[1]
-        return number if 0 <= number < layout.place.words else None
+    def _beside(self, address: Address, offset: Address) -> int | None:
+        """The block whose words' index this object follows at the offset; None if it is no such object."""
+        for number, first in enumerate(self._layout.blocks):
+            if address == (first[0] + offset[0], offset[1]):
+                return number
+        return None
 
-    def _block_words(self, first: int, count: int) -> bytes:
-        layout = self._plc.registers.block
-        if layout is None:
-            raise Abort(sdo.NO_OBJECT)
-        words = self._plc.image.read(layout.place.table, layout.place.address + first, count)
+    def _block_words(self, number: int, first: int, count: int) -> bytes:
+        place = self._plc.registers.blocks[number].place
+        words = self._plc.image.read(place.table, place.address + first, count)
         return b"".join(word.to_bytes(2, "little") for word in words)
 
-    def _put_whole(self, data: bytes) -> None:
+    def _put_whole(self, number: int, data: bytes) -> None:
         words = [int.from_bytes(data[at : at + 2], "little") for at in range(0, len(data), 2)]
-        layout = self._plc.registers.block
-        if layout is None or len(data) != 2 * layout.place.words:
+        if len(data) != 2 * self._plc.registers.blocks[number].place.words:
             raise Abort(sdo.LENGTH)
-        self.put_words(dict(enumerate(words)))
+        self.put_words(number, dict(enumerate(words)))
 
     def _keep(self, address: Address, entry: EdsObject, data: bytes) -> None:
         value = int.from_bytes(data, "little")

@@ -1,5 +1,6 @@
 """The Modbus faces of the software PLC."""
 
 from sim.plc.modbus.server import ModbusServer
+from sim.plc.modbus.units import BehindFace, UnitsBehind
 
-__all__ = ["ModbusServer"]
+__all__ = ["BehindFace", "ModbusServer", "UnitsBehind"]

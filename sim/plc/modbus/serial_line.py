@@ -15,7 +15,8 @@ from typing import Any
 import serial
 
 from sim.plc.modbus.framing import RTU
-from sim.plc.program import CycleFaults, InputError, ModbusReply, ModbusRequest, Plc
+from sim.plc.modbus.units import ServedProgram
+from sim.plc.program import CycleFaults, InputError, ModbusReply, ModbusRequest
 
 OWN_PAIR = "pty"
 _LARGEST = 4096
@@ -29,7 +30,7 @@ class SerialFace:
 
     name = "serial"
 
-    def __init__(self, plc: Plc, options: Mapping[str, Any], complain: Callable[[str], None]) -> None:
+    def __init__(self, plc: ServedProgram, options: Mapping[str, Any], complain: Callable[[str], None]) -> None:
         self.path = str(options["serial"])
         self._plc, self._complain = plc, complain
         self._speed = (options["baud"], options["parity"])
@@ -133,7 +134,7 @@ class SerialFace:
             self._complain(sentence)
 
 
-def make(plc: Plc, options: Mapping[str, Any], complain: Callable[[str], None]) -> SerialFace:
+def make(plc: ServedProgram, options: Mapping[str, Any], complain: Callable[[str], None]) -> SerialFace:
     """The serial face. Raises InputError for a port that is not there."""
     path = str(options["serial"])
     if path != OWN_PAIR and not Path(path).exists():

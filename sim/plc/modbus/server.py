@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from sim.plc.modbus.framing import HEADED, RTU, Framing
-from sim.plc.program import CycleFaults, ModbusReply, ModbusRequest, Plc
+from sim.plc.modbus.units import ServedProgram
+from sim.plc.program import CycleFaults, ModbusReply, ModbusRequest
 
 _RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER on, 0 s: close sends RST
 _PAUSE_S = 0.002  # between the pieces of a split reply, so that each is a segment of its own
@@ -52,7 +53,7 @@ class ModbusServer:
 
     def __init__(
         self,
-        plc: Plc,
+        plc: ServedProgram,
         host: str,
         port: int,
         max_clients: int,
@@ -185,7 +186,7 @@ class ModbusServer:
         self._plc.event(what, self._plc.clock.monotonic(), about)
 
 
-def make_rtu_tcp(plc: Plc, options: Mapping[str, Any], complain: Callable[[str], None]) -> ModbusServer:
+def make_rtu_tcp(plc: ServedProgram, options: Mapping[str, Any], complain: Callable[[str], None]) -> ModbusServer:
     """The face of RTU frames over TCP, as serial device servers speak them."""
     place = (options["host"], options["rtu_tcp"], options["max_clients"])
     return ModbusServer(plc, *place, complain, name="rtu-tcp", framing=RTU)

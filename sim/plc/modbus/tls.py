@@ -13,7 +13,8 @@ from typing import Any
 from cryptography import x509
 
 from sim.plc.modbus.server import ModbusServer, Security
-from sim.plc.program import ILLEGAL_FUNCTION, InputError, Plc
+from sim.plc.modbus.units import ServedProgram
+from sim.plc.program import ILLEGAL_FUNCTION, InputError
 
 ROLE = x509.ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
 DEFAULT_ROLES = ("Gateway=write", "Viewer=read")
@@ -22,7 +23,7 @@ _READING = frozenset({1, 2, 3, 4, 43})
 _UTF8_STRING = 0x0C
 
 
-def make(plc: Plc, options: Mapping[str, Any], complain: Callable[[str], None]) -> ModbusServer:
+def make(plc: ServedProgram, options: Mapping[str, Any], complain: Callable[[str], None]) -> ModbusServer:
     """The secured face. Raises InputError for certificates that cannot be used and roles that make no sense."""
     roles = parse_roles(options["tls_role"] or DEFAULT_ROLES)
     security = Security(server_context(options["tls"]), lambda peer: _rights(peer, roles))

@@ -20,22 +20,24 @@ from sim.plc.program.live import LIVE_PLANTS, LivePlant, live_plant
 from sim.plc.program.live import status as plant_status
 from sim.plc.program.pdu import HEADER, ILLEGAL_FUNCTION, MAX_PDU, ModbusReply, ModbusRequest, crc
 from sim.plc.program.plc import Plc, PlcSettings, record_nothing
-from sim.plc.program.registers import Place, parse_address, read_map
+from sim.plc.program.registers import BlockLayout, Place, parse_address, read_map
 from sim.plc.program.replay import TraceReplay, read_trace
 from sim.plc.program.schedule import CycleFaults, Scheduled
-from sim.plc.program.writeback import unusable
+from sim.plc.program.writeback import Intake, unusable
 
 __all__ = [
     "HEADER",
     "ILLEGAL_FUNCTION",
     "LIVE_PLANTS",
     "MAX_PDU",
+    "BlockLayout",
     "BusDisturbance",
     "CycleFaults",
     "EmulatorClock",
     "FaultEffect",
     "FileTable",
     "InputError",
+    "Intake",
     "LivePlant",
     "ModbusReply",
     "ModbusRequest",

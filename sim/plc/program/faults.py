@@ -40,6 +40,7 @@ class FaultEffect:
     deafen: bool = False
     over: bool = False
     frozen: frozenset[str] = frozenset()
+    swapped: frozenset[str] = frozenset()
     refused: tuple[tuple[str, int], ...] = ()
     code: int | None = None
     answer: Alter | None = None
@@ -203,6 +204,12 @@ def frozen(_: float, *, tags: list[str] | None = None) -> FaultEffect:
     return FaultEffect(frozen=frozenset(tags or [ALL_TAGS]))
 
 
+@fault(only_at=("tcp", "tls", "serial", "rtu-tcp"))
+def swapped_words(_: float, *, tags: list[str] | None = None) -> FaultEffect:
+    """The words of the numbers in `tags`, without `tags` of all, come last to first, as after another download."""
+    return FaultEffect(swapped=frozenset(tags or [ALL_TAGS]))
+
+
 @fault()
 def restart(elapsed_s: float, *, down_s: float = 1.0, zeros_s: float = 1.0) -> FaultEffect:
     """The PLC restarts: connections reset, nobody listens for `down_s`, then zeros for `zeros_s`, then it runs again.
@@ -354,7 +361,7 @@ def parse_fault(data: object, where: str) -> OrderedFault:
         raise InputError(f"{where} ({entry.kind}): count, probability and functions are of faults that strike requests")
     for register, _ in effect(0.0).refused:
         parse_address(register, f"{where} ({entry.kind}): registers")
-    if entry.face and (not effect(0.0).run or effect(0.0).frozen):
+    if entry.face and (not effect(0.0).run or effect(0.0).frozen or effect(0.0).swapped):
         raise InputError(f"{where} ({entry.kind}): face: it strikes the program behind all faces; leave it out")
     return OrderedFault(
         kind=entry.kind,
@@ -377,6 +384,7 @@ def merged(effects: Iterable[FaultEffect]) -> FaultEffect:
             run=whole.run and effect.run,
             store=whole.store and effect.store,
             frozen=whole.frozen | effect.frozen,
+            swapped=whole.swapped | effect.swapped,
             refused=whole.refused + effect.refused,
             code=effect.code if whole.code is None else whole.code,
             abort=effect.abort if whole.abort is None else whole.abort,

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 
-from drivers.tag import Tag, Value
+from drivers.tag import DType, Tag, Value
 from sim.plc.program.encoding import Unrepresentable, decode, encode, encode_absent
 from sim.plc.program.registers import BIT_TABLES, WORD_TABLES, Place, RegisterMap
 
@@ -19,8 +19,9 @@ class ProcessImage:
     """Four tables of addresses, and the tags in them.
 
     `truth` is what the PLC's program knows of each tag; the tables are what a client reads. They differ only while a
-    tag is frozen. Everything happens in one synchronous step, so that no client ever sees half of an update. Unused
-    registers between two used ones, at most `max_gap` of them, read as 0: that is what the map promises of them.
+    tag is frozen or its words are swapped. Everything happens in one synchronous step, so that no client ever sees half
+    of an update. Unused registers between two used ones, at most `max_gap` of them, read as 0: that is what the map
+    promises of them.
     """
 
     def __init__(self, registers: RegisterMap, writable: Iterable[Place] = (), complain: Complain = lambda _: None):
@@ -28,11 +29,14 @@ class ProcessImage:
         self.truth: dict[str, Value | None] = {}
         self.version = 0
         self._served: dict[str, Value | None] = {}
+        self._swapped: set[str] = set()
         self._complain = complain
         self._complained: set[str] = set()
         own = [registers.places[name] for name, tag in registers.tags.items() if tag.writable]
-        block = [registers.block.place] if registers.block else []
-        self._writable = frozenset((place.table, at) for place in (*own, *block, *writable) for at in place.addresses())
+        blocks = [block.place for block in registers.blocks]
+        self._writable = frozenset(
+            (place.table, at) for place in (*own, *blocks, *writable) for at in place.addresses()
+        )
         # Several tags may share a register, each with a bit of its own.
         self._owners: dict[tuple[str, int], list[str]] = {}
         for name, place in registers.places.items():
@@ -55,12 +59,17 @@ class ProcessImage:
         self.version += bool(changed)
         return changed
 
-    def serve(self, frozen: Callable[[str], bool] = lambda _: False) -> None:
-        """Bring the tables to the truth, but for the tags that are frozen."""
+    def serve(
+        self, frozen: Callable[[str], bool] = lambda _: False, swapped: Callable[[str], bool] = lambda _: False
+    ) -> None:
+        """Bring the tables to the truth, but for the tags that are frozen; numbers that are swapped last word first."""
         for name, value in self.truth.items():
-            if self._served.get(name, _NEVER) != value and not frozen(name):
-                self._store(self.registers.tags[name], value)
+            turned = swapped(name)
+            stands = self._served.get(name, _NEVER) == value and turned == (name in self._swapped)
+            if not stands and not frozen(name):
+                self._store(self.registers.tags[name], value, swapped=turned)
                 self._served[name] = value
+                (self._swapped.add if turned else self._swapped.discard)(name)
 
     @property
     def served(self) -> Mapping[str, Value | None]:
@@ -116,7 +125,7 @@ class ProcessImage:
         place = self.registers.places[name]
         return decode(self.registers.tags[name], self.read(place.table, place.address, place.words))
 
-    def _store(self, tag: Tag, value: Value | None) -> None:
+    def _store(self, tag: Tag, value: Value | None, *, swapped: bool) -> None:
         place = self.registers.places[tag.name]
         cells = self._tables[place.table]
         if place.table in BIT_TABLES:
@@ -126,7 +135,9 @@ class ProcessImage:
             cells[place.address] = word & ~_mask(tag) | (_mask(tag) if value else 0)
         else:
             words = encode_absent(tag) if value is None else encode(tag, value)
-            cells.update(zip(place.addresses(), words, strict=True))
+            cells.update(
+                zip(place.addresses(), words[::-1] if swapped and tag.dtype != DType.STRING else words, strict=True)
+            )
 
 
 _NEVER = object()

@@ -1,4 +1,4 @@
-"""The PLC's program: each cycle it moves its heartbeat, reads its signals, watches the gateway's block, and answers.
+"""The PLC's program: each cycle it moves its heartbeat, reads its signals, watches the gateway's blocks, and answers.
 
 Everything here is synchronous and gets the moment as an argument; the server and the main loop only carry bytes and
 time. Time limits (the watchdog, faults) are wall seconds, whatever the speed of the replay.
@@ -19,7 +19,7 @@ from sim.plc.program.faults import ALL_TAGS, FaultEffect, OrderedFault, merged, 
 from sim.plc.program.image import ProcessImage, Undefined
 from sim.plc.program.live import LivePlant
 from sim.plc.program.pdu import ModbusRefusal, ModbusReply, ModbusRequest
-from sim.plc.program.registers import Place, RegisterMap
+from sim.plc.program.registers import BlockLayout, Place, RegisterMap
 from sim.plc.program.replay import TraceReplay
 from sim.plc.program.schedule import CycleFaults, FaultSchedule
 from sim.plc.program.writeback import Intake
@@ -55,8 +55,8 @@ class PlcSettings:
 class Plc:
     """The state of the PLC, moved on by `cycle` and by the requests that `exchange` answers.
 
-    With a live `plant`, whose table `replay` runs over, the program also acts: it feeds less once a usable block says
-    that the limit will be reached, and keeps to that until an operator gives the feed back.
+    With a live `plant`, whose table `replay` runs over, the program also acts: it feeds less once a usable block, of
+    whichever bearing, says that the limit will be reached, and keeps to that until an operator gives the feed back.
     """
 
     def __init__(
@@ -76,10 +76,14 @@ class Plc:
         self.plant, self._trips = plant, 0
         self.image = ProcessImage(registers, settings.writable, complain)
         self.schedule = FaultSchedule(settings.seed)
-        self.intake = Intake(challenge=settings.challenge, permitted=settings.permit)
-        self.permit, self.acknowledged = settings.permit, 0
+        # Without a block there is still an account of none.
+        self.layouts: tuple[BlockLayout | None, ...] = registers.blocks or (None,)
+        self.intakes = [writeback.begun(layout, settings.challenge, permit=settings.permit) for layout in self.layouts]
+        self.permit = settings.permit
+        self.acknowledged = {layout.suffix if layout else "": 0 for layout in self.layouts}
         self.forced: dict[str, Value | None] = {}
-        self.heartbeat, self.running, self.usable = 0, True, False
+        self.heartbeat, self.running = 0, True
+        self.usables = [False for _ in self.layouts]
         self.started, self.ended, self.stopping = False, False, False
         self.connections = 0
         self.record = record
@@ -87,9 +91,20 @@ class Plc:
         self._faults = tuple(faults)
         self._row: tuple[int, Mapping[str, Value | None]] = (-1, MappingProxyType({}))
         self._at_rest = {name: value_at_rest(tag) for name, tag in registers.tags.items()}
-        self._own = {registers.heartbeat, *writeback.STATUS_TAGS}
+        self._own = {registers.heartbeat, writeback.PERMIT}
+        self._own |= {f"{name}{suffix}" for name in writeback.STATUS_TAGS for suffix in self.acknowledged}
         for fault in faults:
             self.check_fault(fault)
+
+    @property
+    def intake(self) -> Intake:
+        """What has become of the first block."""
+        return self.intakes[0]
+
+    @property
+    def usable(self) -> bool:
+        """The verdict on the first block."""
+        return self.usables[0]
 
     # ---------------------------------------------------------------- the cycle
 
@@ -130,7 +145,10 @@ class Plc:
             self._follow(now)
             self._learn(self._values(now), now)
             self._control(now)
-            self.image.serve(lambda name: name in effect.frozen or ALL_TAGS in effect.frozen)
+            self.image.serve(
+                lambda name: name in effect.frozen or ALL_TAGS in effect.frozen,
+                lambda name: name in effect.swapped or ALL_TAGS in effect.swapped,
+            )
         return self.schedule.line(begun, now)
 
     def _control(self, now: float) -> None:
@@ -138,10 +156,13 @@ class Plc:
         plant = self.plant
         if plant is None:
             return
-        if self.usable and plant.feed > self.settings.reduced_feed and writeback.predicts_limit(self.intake):
-            plant.feed = self.settings.reduced_feed
-            minutes = self.intake.block["minutes_median"]
-            self.event("feed reduced", now, {"feed": plant.feed, "minutes_median": minutes})
+        for layout, intake, usable in zip(self.layouts, self.intakes, self.usables, strict=True):
+            if usable and plant.feed > self.settings.reduced_feed and writeback.predicts_limit(intake):
+                plant.feed = self.settings.reduced_feed
+                minutes = intake.block["minutes_median"]
+                self.event(
+                    "feed reduced", now, {"feed": plant.feed, "minutes_median": minutes, **writeback.named(layout)}
+                )
         if plant.trips > self._trips:
             self._trips = plant.trips
             self.event("drum tripped", now)
@@ -150,7 +171,11 @@ class Plc:
         """The program stops (memory to 0, nothing is true any more but the heartbeat's 0) or begins anew."""
         self.running = run
         # The counter of sessions survives, as retained memory does in a warm start.
-        self.heartbeat, self.intake = 0, writeback.ended(Intake(self.intake.challenge, self.permit))
+        self.heartbeat = 0
+        self.intakes = [
+            writeback.ended(Intake(intake.challenge, intake.number, intake.count, permitted=self.permit))
+            for intake in self.intakes
+        ]
         self.event("program runs" if run else "program stopped", now)
         dark: dict[str, Value | None] = dict.fromkeys(self.registers.tags)
         if self.registers.heartbeat is not None:
@@ -159,9 +184,11 @@ class Plc:
         self.image.clear()
 
     def _follow(self, now: float) -> None:
-        """Let the session of the write-back end where its timer or the permit has ended it."""
-        if self.registers.block is not None:
-            self.intake = writeback.followed(self.registers.block, self.intake, now, permit=self.permit)
+        """Let the sessions of the write-back end where their timer or the permit has ended them."""
+        self.intakes = [
+            intake if layout is None else writeback.followed(layout, intake, now, permit=self.permit)
+            for layout, intake in zip(self.layouts, self.intakes, strict=True)
+        ]
 
     def _learn(self, values: Mapping[str, Value | None], now: float) -> None:
         """The record comes first: what a client can see is in the recording already."""
@@ -170,13 +197,16 @@ class Plc:
             self.record("truth", now, {"version": self.image.version, "values": changed})
 
     def _values(self, now: float) -> dict[str, Value | None]:
-        own = writeback.status(self.registers, self.intake, now, permit=self.permit, acknowledged=self.acknowledged)
-        usable = bool(own.get("PredictionUsable", False))
-        if usable != self.usable:
-            self.usable = usable
-            layout = self.registers.block
-            why = "" if usable or layout is None else writeback.unusable(layout, self.intake, now, self.permit)
-            self.event("prediction usable" if usable else "prediction not usable", now, {"reason": why} if why else {})
+        own: dict[str, Value | None] = {}
+        for place, (layout, intake) in enumerate(zip(self.layouts, self.intakes, strict=True)):
+            bits = self.acknowledged[layout.suffix if layout else ""]
+            own |= writeback.status(self.registers, intake, now, permit=self.permit, acknowledged=bits, layout=layout)
+            why = "" if layout is None else writeback.unusable(layout, intake, now, self.permit)
+            usable = layout is not None and not why
+            if usable != self.usables[place]:
+                self.usables[place] = usable
+                detail = {**({"reason": why} if why else {}), **writeback.named(layout)}
+                self.event("prediction usable" if usable else "prediction not usable", now, detail)
         if self.registers.heartbeat is not None:
             own[self.registers.heartbeat] = self.heartbeat
         return {**self._signals(now), **own, **self.forced}
@@ -249,19 +279,25 @@ class Plc:
         changed = self.image.write(table, address, values)
         if changed:
             self.record("truth", now, {"version": self.image.version, "values": changed})
-        layout = self.registers.block
-        if layout is None or table != layout.place.table or not self.running:
+        if not self.running:
             return
-        if set(layout.place.addresses()).isdisjoint(range(address, address + len(values))):
-            return
-        # A write comes between two cycles: what has ended since the last one has ended for it.
-        self._follow(now)
-        before = self.intake.accepted
-        reason = writeback.verdict(layout, self.intake, address, values)
-        self.intake = writeback.taken(layout, self.intake, address, values, now)
-        fields = None if reason == writeback.LENGTH else writeback.decoded(layout, values)
-        written = {"peer": peer, "address": address, "words": list(values), "fields": fields}
-        self.record("block", now, {**written, "verdict": reason, "accepted": self.intake.accepted > before})
+        # A write that reaches into several blocks is judged by each of them, and is none to any.
+        touched = [
+            layout
+            for layout in self.registers.blocks
+            if table == layout.place.table
+            and not set(layout.place.addresses()).isdisjoint(range(address, address + len(values)))
+        ]
+        if touched:
+            # A write comes between two cycles: what has ended since the last one has ended for it.
+            self._follow(now)
+        for layout in touched:
+            intake = self.intakes[layout.number]
+            reason = writeback.verdict(layout, intake, address, values)
+            taken = self.intakes[layout.number] = writeback.taken(layout, intake, address, values, now)
+            fields = None if reason == writeback.LENGTH else writeback.decoded(layout, values)
+            written = {"peer": peer, "address": address, "words": list(values), "fields": fields}
+            self.record("block", now, {**written, "verdict": reason, "accepted": taken.accepted > intake.accepted})
 
     # ---------------------------------------------------------------- what others ask
 
@@ -274,8 +310,9 @@ class Plc:
         return [] if self.replay is None else [name for name in self.replay.table.columns if not self.serves(name)]
 
     def check_fault(self, fault: OrderedFault) -> None:
-        """Raises InputError if the fault freezes a tag that is not there."""
-        self._check_tags(fault.effect(0.0).frozen - {ALL_TAGS})
+        """Raises InputError if the fault freezes a tag that is not there, or swaps its words."""
+        effect = fault.effect(0.0)
+        self._check_tags((effect.frozen | effect.swapped) - {ALL_TAGS})
 
     def force(self, name: str, value: Value | None) -> None:
         """Hold a tag at a value (None: not available) whatever the trace says. Raises InputError."""

@@ -39,12 +39,20 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class BlockLayout:
-    """Where the gateway writes its block, what it holds, and for how long (s, real time) the PLC trusts it."""
+    """Where the gateway writes a block, what it holds, and for how long (s, real time) the PLC trusts it.
+
+    It is block `number` (from 0) of `count` that the PLC takes in; the names of its own status tags end in `suffix`.
+    `temperature` is the tag that it speaks of, "" where the file does not say.
+    """
 
     place: Place
     version: int
     timeout_s: float
     fields: tuple[BlockField, ...]
+    number: int = 0
+    count: int = 1
+    suffix: str = ""
+    temperature: str = ""
 
     def index(self, name: str) -> int:
         """The position of a field, counted from 0."""
@@ -53,7 +61,7 @@ class BlockLayout:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegisterMap:
-    """A device: its tags, where each lies, its limits, and the block that the gateway may write."""
+    """A device: its tags, where each lies, its limits, and the blocks that the gateway may write."""
 
     path: Path
     device: str
@@ -63,7 +71,12 @@ class RegisterMap:
     heartbeat: str | None
     tags: Mapping[str, Tag]
     places: Mapping[str, Place]
-    block: BlockLayout | None
+    blocks: tuple[BlockLayout, ...]
+
+    @property
+    def block(self) -> BlockLayout | None:
+        """The first block; None where the PLC takes none in."""
+        return self.blocks[0] if self.blocks else None
 
 
 class _ServedDevice(FileTable):
@@ -84,22 +97,41 @@ def read_map(path: Path) -> RegisterMap:
     for number, tag in enumerate(tags.values(), start=1):
         _check_tag(tag, f"{path}: tag {number} ({tag.name})")
     places = {name: place_of(tag, str(path)) for name, tag in tags.items()}
-    block = None
-    if content.writeback is not None:
-        where, count = f"{path}: [writeback]", len(content.writeback.fields)
-        table, address = parse_address(content.writeback.address, f"{where}: address")
-        if table != "holding":
-            raise InputError(f"{where}: address: a {table} cannot be written by function 16; give 'holding:N'")
-        if count > MOST_WORDS:
-            raise InputError(f"{where}: fields: there are {count}, and function 16 writes {MOST_WORDS}; leave some out")
-        if address + count > 0x10000:
-            raise InputError(f"{where}: address: {count} registers from {address} run beyond 65535")
-        fields = tuple(row.field() for row in content.writeback.fields)
-        place = Place(table, address, count)
-        block = BlockLayout(place, content.writeback.layout_version, content.writeback.timeout_s, fields)
+    blocks: list[BlockLayout] = []
+    if (first := content.writeback) is not None:
+        count, fields = len(first.fields), tuple(row.field() for row in first.fields)
+        rows = [("[writeback]", first.address, "", first.temperature)]
+        rows += [
+            (f"[[writeback.blocks]] {row.suffix}", row.address, row.suffix, row.temperature) for row in first.blocks
+        ]
+        for number, (name, text, suffix, temperature) in enumerate(rows):
+            where = f"{path}: {name}"
+            table, address = parse_address(text, f"{where}: address")
+            if table != "holding":
+                raise InputError(f"{where}: address: a {table} cannot be written by function 16; give 'holding:N'")
+            if count > MOST_WORDS:
+                raise InputError(
+                    f"{where}: fields: there are {count}, and function 16 writes {MOST_WORDS}; leave some out"
+                )
+            if address + count > 0x10000:
+                raise InputError(f"{where}: address: {count} registers from {address} run beyond 65535")
+            blocks.append(
+                BlockLayout(
+                    Place(table, address, count),
+                    first.layout_version,
+                    first.timeout_s,
+                    fields,
+                    number=number,
+                    count=len(rows),
+                    suffix=suffix,
+                    temperature=temperature or "",
+                )
+            )
     # Bits of one register may be tags of their own: what two of them must not share is a bit, not an address.
     owners: dict[tuple[str, int, int], str] = {}
-    covered: list[tuple[str, Place, int | None]] = [("[writeback]", block.place, None)] if block else []
+    covered: list[tuple[str, Place, int | None]] = [
+        (f"[writeback] {block.suffix}".strip(), block.place, None) for block in blocks
+    ]
     covered += [(name, places[name], tag.bit) for name, tag in tags.items()]
     for name, place, bit in covered:
         for spot in product((place.table,), place.addresses(), range(16) if bit is None else (bit,)):
@@ -124,7 +156,7 @@ def read_map(path: Path) -> RegisterMap:
         heartbeat=device.heartbeat,
         tags=tags,
         places=places,
-        block=block,
+        blocks=tuple(blocks),
     )
 
 

@@ -34,8 +34,8 @@ REFUSALS = {
     SEQUENCE: 8,
     NO_PERMIT: 9,
 }
+PERMIT = "WritePermit"
 STATUS_TAGS = (
-    "WritePermit",
     "AcknowledgeBits",
     "BlocksAccepted",
     "BlocksRefused",
@@ -45,6 +45,7 @@ STATUS_TAGS = (
     "SessionWriter",
     "RefusedWriter",
 )
+"""The names of a block's own tags; those of a further block end in its suffix. The permit is common to all."""
 _ALL_USABLE = 1  # bit 0 of the validity word
 _PARTS = {2: "its inputs are not good", 4: "it does not know the location", 8: "no fresh forecast", 16: "no model"}
 """What lacks where another bit of the validity word is not set."""
@@ -65,10 +66,13 @@ class Intake:
     """What the PLC has made of the blocks so far; `accepted_at` is monotonic, `block` the last accepted one.
 
     `challenge` (1..65535) is another number after each session, which only the blocks made since then can carry;
-    `session` is None between two, `permitted` the permit as the program saw it last.
+    `session` is None between two, `permitted` the permit as the program saw it last. It is intake `number` (from 0) of
+    `count` in this PLC.
     """
 
     challenge: int = 1
+    number: int = 0
+    count: int = 1
     permitted: bool = False
     session: WriterSession | None = None
     refused_writer: int = 0
@@ -98,9 +102,24 @@ def decoded(layout: BlockLayout, words: Sequence[int]) -> dict[str, float]:
     }
 
 
+def begun(layout: BlockLayout | None, counter: int, *, permit: bool) -> Intake:
+    """The state at the start of the program, whose retained counter of challenges stands at `counter` (1..65535)."""
+    number, count = (0, 1) if layout is None else (layout.number, layout.count)
+    return Intake(_challenge(counter - 1, number, count), number, count, permitted=permit)
+
+
+def _challenge(turn: int, number: int, count: int) -> int:
+    """The challenge of a block's session `turn` (from 0): of `count` blocks each has every count-th number for itself.
+
+    So no two blocks of a PLC ever give the same challenge, and what was made for one is never new to another.
+    """
+    return turn % (0xFFFF // count) * count + number + 1
+
+
 def ended(intake: Intake) -> Intake:
     """The state after the end of a session: the next challenge, so that nothing made before counts any more."""
-    return replace(intake, session=None, challenge=intake.challenge % 0xFFFF + 1)
+    turn = (intake.challenge - 1) // intake.count + 1
+    return replace(intake, session=None, challenge=_challenge(turn, intake.number, intake.count))
 
 
 def followed(layout: BlockLayout, intake: Intake, now: float, *, permit: bool) -> Intake:
@@ -178,17 +197,31 @@ def usable(layout: BlockLayout, intake: Intake, now: float, permit: bool) -> boo
     return not unusable(layout, intake, now, permit)
 
 
+def named(layout: BlockLayout | None) -> dict[str, str]:
+    """Which block an event is of; one of the first says nothing of it."""
+    return {"block": layout.suffix} if layout is not None and layout.suffix else {}
+
+
 def predicts_limit(intake: Intake) -> bool:
     """True if the newest accepted block says that the limit will be reached."""
     return bool(int(intake.block["alarms"]) & _PREDICTED_OVER_LIMIT) if intake.block else False
 
 
 def status(
-    registers: RegisterMap, intake: Intake, now: float, *, permit: bool, acknowledged: int
+    registers: RegisterMap,
+    intake: Intake,
+    now: float,
+    *,
+    permit: bool,
+    acknowledged: int,
+    layout: BlockLayout | None = None,
 ) -> dict[str, Value | None]:
-    """The PLC-to-gateway tags that the map has. Counters are words and wrap; a refusal's code is its label's."""
+    """The PLC-to-gateway tags of one block (by default the first) that the map has.
+
+    Counters are words and wrap; a refusal's code is its label's.
+    """
+    layout = layout or registers.block
     values: dict[str, Value | None] = {
-        "WritePermit": permit,
         "AcknowledgeBits": acknowledged,
         "BlocksAccepted": intake.accepted & 0xFFFF,
         "BlocksRefused": intake.refused & 0xFFFF,
@@ -196,9 +229,10 @@ def status(
         "Challenge": intake.challenge,
         "SessionWriter": 0 if intake.session is None else intake.session.writer,
         "RefusedWriter": intake.refused_writer,
-        "PredictionUsable": registers.block is not None and usable(registers.block, intake, now, permit),
+        "PredictionUsable": layout is not None and usable(layout, intake, now, permit),
     }
-    return {name: value for name, value in values.items() if name in registers.tags}
+    own = {f"{name}{layout.suffix if layout else ''}": value for name, value in values.items()}
+    return {name: value for name, value in {PERMIT: permit, **own}.items() if name in registers.tags}
 
 
 def refusal_code(registers: RegisterMap, reason: str) -> int:

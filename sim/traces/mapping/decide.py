@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from drivers.settings import did_you_mean
+from drivers.errors import did_you_mean
 from sim.traces import TraceError, listed, numbers
 from sim.traces.mapping.clocks import FoundClock, clocks_of, counted_clock, is_time, pure_date, pure_time
 from sim.traces.mapping.columns import FoundColumn, decimal_of, has_levels, is_slow

@@ -11,9 +11,8 @@ import pytest
 from gateway.machine.trust import ClockCheck
 from gateway.plant.app import run
 from gateway.settings.config import Config
-from gateway.store.historian import open_historian
 from gateway.store.read_back import recent, to_trace
-from tests.gateway.support import EPOCH, TEMPERATURE, Bench, JumpClock, config_in
+from tests.gateway.support import EPOCH, TEMPERATURE, Bench, JumpClock, config_in, one_machine
 
 DAY = 86_400.0
 
@@ -96,12 +95,12 @@ async def test_a_clock_set_back_neither_overwrites_nor_hides_rows_and_the_alarm_
 def test_rows_of_a_clock_that_had_lost_its_time_are_not_old(tmp_path: Path) -> None:
     """1970 at boot, put right at the next one: what was measured an hour ago is not 50 years old."""
     path = tmp_path / "h.sqlite"
-    historian, _ = open_historian(path, ())
+    store, historian = one_machine(path, ())
     historian.put("scans", [(EPOCH + n, 0.0, 0) for n in range(4000)])
     historian.put("scans", [(float(n), 0.0, 0) for n in range(4000)])
     historian.put("scans", [(EPOCH + 5000.0 + n, 0.0, 0) for n in range(100)])
     assert historian.flush()
-    historian.forget_before(EPOCH + 100.0)
+    store.forget_before(EPOCH + 100.0)
     assert historian.flush() and historian.flush()
-    assert historian.close()
+    assert store.close()
     assert to_trace(path).times.size >= 8000 - 100 + 100

@@ -15,19 +15,19 @@ from gateway.plant.app import run
 from gateway.settings.config import Config
 from gateway.store.files import PAGE, HistorianError
 from gateway.store.historian import open_historian
-from tests.gateway.support import EPOCH, TEMPERATURE, Bench, JumpClock, config_in, logged
+from tests.gateway.support import EPOCH, TEMPERATURE, Bench, JumpClock, config_in, logged, one_machine
 
 ROWS = 4_000
 
 
 def written(path: Path, rows: int = ROWS) -> None:
     """A historian with rows of every kind, packed ones among them, and all of it in the main file."""
-    historian, numbers = open_historian(path, ())
+    store, historian = one_machine(path, ())
     historian.put("scans", [(EPOCH + n, 0.0, 0) for n in range(rows)])
     historian.put("events", [(EPOCH + n, "W_ON", "on") for n in range(rows)])
     historian.put("alarms", [(EPOCH + n, "over limit", "T", 1, "normal", 81.0, "") for n in range(300)])
     historian.put("audit", [(EPOCH + n, f"entry {n}", "Ada", "test") for n in range(300)])
-    assert historian.close() and not numbers
+    assert store.close()
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
@@ -140,9 +140,9 @@ def test_what_can_be_read_is_recovered(tmp_path: Path, damage: Callable[[Path], 
     path = tmp_path / "h.sqlite"
     written(path)
     damage(path)
-    historian, _ = open_historian(path, (), mend=True)
+    store, historian = one_machine(path, (), mend=True)
     assert "rows of it were recovered" in historian.note
-    assert historian.close()
+    assert store.close()
     audit = [row[0] for row in table(path, "SELECT what FROM audit ORDER BY id")]
     assert audit == sorted(audit, key=lambda what: int(what.split()[1])), "in their order"
     if damage in (one_page, strange_wal):
@@ -154,7 +154,7 @@ def test_what_can_be_read_is_recovered(tmp_path: Path, damage: Callable[[Path], 
 def test_a_table_that_goes_bad_while_the_gateway_runs_costs_that_table(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
     written(path)
-    historian, _ = open_historian(path, ())
+    store, historian = one_machine(path, ())
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("DROP TABLE scans")
         connection.execute("DROP TABLE events")
@@ -163,7 +163,7 @@ def test_a_table_that_goes_bad_while_the_gateway_runs_costs_that_table(tmp_path:
     assert historian.flush() and historian.failure == "" and "is damaged (no such table" in historian.complaint
     historian.put("scans", [(EPOCH + 5001, 0.0, 0)])
     historian.put("events", [(EPOCH + 5001, "W_ON", "on")])
-    assert historian.close()
+    assert store.close()
     assert table(path, "SELECT time FROM scans") == [(EPOCH + 5000,), (EPOCH + 5001,)]
     assert table(path, "SELECT count(*) FROM audit") == [(301,)]
 
@@ -171,12 +171,12 @@ def test_a_table_that_goes_bad_while_the_gateway_runs_costs_that_table(tmp_path:
 def test_a_file_that_is_taken_away_under_it_is_begun_anew_and_said(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
     written(path)
-    historian, _ = open_historian(path, (), mend=True)
+    store, historian = one_machine(path, (), mend=True)
     for ending in ("", "-wal", "-shm"):
         path.with_name(path.name + ending).unlink(missing_ok=True)
     historian.put("audit", [(EPOCH, "after", "Ada", "test")])
     assert historian.flush() and "was taken away" in historian.complaint
-    assert historian.close()
+    assert store.close()
     assert table(path, "SELECT what FROM audit") == [("after",)]
 
 
@@ -193,13 +193,13 @@ async def test_where_nothing_can_be_written_the_gateway_runs_and_the_alarms_stan
 def test_once_it_can_be_written_what_waited_is_stored_under_the_right_tag(tmp_path: Path) -> None:
     folder = tmp_path / "disk"
     folder.write_text("not mounted yet")
-    historian, numbers = open_historian(folder / "h.sqlite", (Tag("A", "holding:1"), Tag("B", "holding:2")), mend=True)
-    historian.put("samples", [(numbers["B"], EPOCH, 2.0, 0, None)])
+    store, historian = one_machine(folder / "h.sqlite", (Tag("A", "holding:1"), Tag("B", "holding:2")), mend=True)
+    historian.put("samples", [("B", EPOCH, 2.0, 0, None)])
     assert not historian.flush(0.2) and "cannot be made" in historian.complaint
     folder.unlink()
     folder.mkdir()
     assert historian.flush(10.0) and historian.failure == ""
-    assert historian.close()
+    assert store.close()
     query = "SELECT name, value FROM samples JOIN tags ON tags.id = samples.tag"
     assert table(folder / "h.sqlite", query) == [("B", 2.0)]
 
@@ -210,9 +210,9 @@ def test_a_database_of_something_else_and_a_newer_layout_are_refused_and_left_al
         connection.execute("CREATE TABLE t (x)")
     written(newer, 10)
     with closing(sqlite3.connect(newer)) as connection:
-        connection.execute("PRAGMA user_version = 3")
-    for path, reason in ((foreign, "is a database of something else"), (newer, "has layout 3")):
+        connection.execute("PRAGMA user_version = 4")
+    for path, reason in ((foreign, "is a database of something else"), (newer, "has layout 4")):
         before = path.read_bytes()
         with pytest.raises(HistorianError, match=reason):
-            open_historian(path, (), mend=True)
+            open_historian(path, mend=True)
         assert path.read_bytes() == before

@@ -72,15 +72,15 @@ async def test_once_the_folder_takes_it_the_audit_log_is_made_and_what_waited_is
     with open_log(tmp_path / "log.jsonl") as log:
         machine = Machine(config, driver=bench, clock=bench.clock, log=log, rng=Random(1))
     try:
-        assert machine.block is not None and "cannot be made" in machine.block.audit.complaint
+        assert machine.writing is not None and "cannot be made" in machine.writing.audit.complaint
         with pytest.raises(ArmingError):
             await machine.arm("Ada", "test", 10.0)
         assert await machine.disarm("Bea", "to be sure") is False
         refusing.unlink()
         async with asyncio.timeout(5.0):
-            while machine.block.audit.complaint:
+            while machine.writing.audit.complaint:
                 await asyncio.sleep(0.01)
-        assert (await machine.arm("Ada", "test", 10.0)).by == "Ada" and machine.block.writer.armed
+        assert (await machine.arm("Ada", "test", 10.0)).by == "Ada" and machine.writing.armed
     finally:
         assert machine.close()
     assert not verify(config.audit).problem

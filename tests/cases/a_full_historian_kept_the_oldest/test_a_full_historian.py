@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from drivers.tag import Tag
-from gateway.store.historian import open_historian
 from gateway.store.read_back import reading, stored_rows, to_trace, trend
-from tests.gateway.support import EPOCH
+from tests.gateway.support import EPOCH, one_machine
 
 TAGS = (Tag("T", "holding:1"), Tag("A", "holding:2"))
 MB = 2.0
@@ -29,11 +28,11 @@ def noise(seconds: int) -> Iterator[tuple[int, float, float]]:
 def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A historian of 2 MB that was given more than twice as much, with an alarm, a write and an entry now and then."""
     path = tmp_path_factory.mktemp("full") / "h.sqlite"
-    historian, numbers = open_historian(path, TAGS, max_mb=MB)
+    store, historian = one_machine(path, TAGS, max_mb=MB)
     for second, first, other in noise(SECONDS):
         time = EPOCH + second
         historian.put("scans", [(time, 0.01, 0)])
-        historian.put("samples", [(numbers["T"], time, first, 0, time), (numbers["A"], time, other, 0, time)])
+        historian.put("samples", [("T", time, first, 0, time), ("A", time, other, 0, time)])
         if second % 100 == 0:
             historian.put("writes", [(time, second & 0xFFFF, "armed", "written", 31, 4.0, "", b"\1\2" * 24)])
         if second % 1000 == 0:
@@ -42,7 +41,7 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if second % 3000 == 0:
             assert historian.flush(20.0), historian.failure
             assert historian.complaint == ""
-    assert historian.close()
+    assert store.close()
     assert (historian.dropped, historian.refused) == (0, 0)
     return path
 
@@ -78,14 +77,14 @@ def test_the_tiers_tell_of_what_has_gone(full: Path) -> None:
 def test_with_nothing_left_that_may_go_an_alarm_still_has_its_row(tmp_path: Path) -> None:
     """Full of alarms and entries, which stay, up to what measurements may take: the reserve is for the next alarm."""
     path = tmp_path / "h.sqlite"
-    historian, numbers = open_historian(path, TAGS, max_mb=1.0)
+    store, historian = one_machine(path, TAGS, max_mb=1.0)
     with pytest.raises(sqlite3.OperationalError, match="full"):
         while True:
-            historian._normal.execute("INSERT INTO audit VALUES (NULL, 0, ?, 'Ada', 'fill')", ("x" * 2000,))
-    historian.put("samples", [(numbers["T"], EPOCH + n, float(n) + 0.1, 0, EPOCH) for n in range(5000)])
+            store._normal.execute("INSERT INTO audit VALUES (NULL, 0, ?, 'Ada', 'fill', 0)", ("x" * 2000,))
+    historian.put("samples", [("T", EPOCH + n, float(n) + 0.1, 0, EPOCH) for n in range(5000)])
     assert not historian.flush(1.2) and "full" in historian.complaint
     historian.put("alarms", [(EPOCH, "over limit", "T", 1, "unacknowledged", 80.5, "")])
     assert not historian.flush(1.2), "the measurements wait"
     with closing(sqlite3.connect(path)) as connection:
         assert connection.execute("SELECT value FROM alarms").fetchall() == [(80.5,)]
-    assert not historian.close(), "what had no place is admitted"
+    assert not store.close(), "what had no place is admitted"

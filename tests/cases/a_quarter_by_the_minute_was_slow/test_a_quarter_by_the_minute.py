@@ -13,11 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Tag
-from gateway.store.historian import open_historian
 from gateway.store.read_back import Trend, trend
 from gateway.store.retention import STRETCHES, ended_tiers, make_room, means, merged, pack_tier, pages, tier_kind
 from gateway.store.schema import PACKED
-from tests.gateway.support import EPOCH
+from tests.gateway.support import EPOCH, one_machine
 
 TAGS = (Tag("T", "holding:1"), Tag("A", "holding:2"))
 DAY = 86_400.0
@@ -38,10 +37,12 @@ def same(one: Trend, other: Trend) -> bool:
 def by_rows(tmp_path: Path) -> Iterator[tuple[Path, sqlite3.Connection]]:
     """A file as it was before: ten days of both tiers as rows."""
     path = tmp_path / "h.sqlite"
-    historian, numbers = open_historian(path, TAGS)
-    connection, rng = historian._normal, np.random.default_rng(3)
+    store, historian = one_machine(path, TAGS)
+    historian.put("samples", [(tag.name, MIDNIGHT, None, int(Quality.TIMEOUT), None) for tag in TAGS])
+    assert historian.flush(20.0)
+    connection, rng = store._normal, np.random.default_rng(3)
     connection.execute("BEGIN")
-    for number in numbers.values():
+    for (number,) in connection.execute("SELECT id FROM tags").fetchall():
         for width in (60, 3600):
             for start in np.arange(MIDNIGHT, MIDNIGHT + 10 * DAY, width).tolist():
                 low, mean, high = np.sort(rng.normal(60.0, 5.0, 3)).tolist()
@@ -49,7 +50,7 @@ def by_rows(tmp_path: Path) -> Iterator[tuple[Path, sqlite3.Connection]]:
                 connection.execute("INSERT INTO tiers VALUES (?, ?, ?, 60, ?, ?, ?)", row)
     connection.execute("COMMIT")
     yield path, connection
-    historian.close()
+    store.close()
 
 
 def test_what_is_over_is_packed_while_it_runs_and_today_stays_as_rows(
@@ -58,12 +59,12 @@ def test_what_is_over_is_packed_while_it_runs_and_today_stays_as_rows(
     monkeypatch.setattr("gateway.store.historian.BATCH_SECONDS", 0.01)
     monkeypatch.setitem(PACKED, "samples", 1_000)  # type: ignore[misc]
     path, days = tmp_path / "h.sqlite", 4
-    historian, numbers = open_historian(path, TAGS)
+    store, historian = one_machine(path, TAGS)
     minutes = MIDNIGHT + 60.0 * np.arange(days * STRETCHES)
     values = np.random.default_rng(1).normal(60.0, 1.0, minutes.size)
     for minute, value in zip(minutes.tolist(), values.tolist(), strict=True):
         quality = int(Quality.TIMEOUT) if value > 62.0 else 0
-        historian.put("samples", [(number, minute, value, quality, minute) for number in numbers.values()])
+        historian.put("samples", [(tag.name, minute, value, quality, minute) for tag in TAGS])
         historian.put("scans", [(minute, 0.01, 0)])
     assert historian.flush(20.0)
     deadline = time.monotonic() + 30.0
@@ -71,7 +72,7 @@ def test_what_is_over_is_packed_while_it_runs_and_today_stays_as_rows(
     while counted(path, "samples") >= 1_500 or counted(path, "tiers WHERE width = 60 AND start < ?", today):
         assert time.monotonic() < deadline
         time.sleep(0.02)
-    assert historian.close()
+    assert store.close()
     assert 0 < counted(path, "tiers WHERE width = 60") <= len(TAGS) * STRETCHES
     assert counted(path, "chunks WHERE kind = ?", tier_kind(60)) == len(TAGS) * (days - 1)
     good = values <= 62.0
@@ -95,13 +96,13 @@ def test_a_file_whose_tiers_are_rows_is_read_as_it_is_and_says_the_same_when_pac
         return [trend(path, tag.name, MIDNIGHT, end, width=width) for tag in TAGS for width in (60, 3600)]
 
     before = all_of_it()
-    ended = ended_tiers(connection, end - 1.0)
+    ended = ended_tiers(connection, end - 1.0, 0)
     assert len([one for one in ended if one[1] == 60]) == len(TAGS) * 9, "the day that goes on stays"
     for number, stretch in enumerate(ended):
         pack_tier(connection, *stretch)
         if number in (0, len(ended) // 2, len(ended) - 1):
             assert all(map(same, all_of_it(), before)), "to the last bit, however much of it is packed"
-    assert ended_tiers(connection, end - 1.0) == []
+    assert ended_tiers(connection, end - 1.0, 0) == []
 
 
 def test_a_packing_that_is_cut_short_leaves_the_rows(
@@ -138,7 +139,7 @@ def test_a_day_that_is_told_again_by_a_clock_set_back_is_joined(by_rows: tuple[P
 
 def test_a_full_file_gives_up_packed_minutes_before_hours(by_rows: tuple[Path, sqlite3.Connection]) -> None:
     path, connection = by_rows
-    for stretch in ended_tiers(connection, MIDNIGHT + 100 * DAY):
+    for stretch in ended_tiers(connection, MIDNIGHT + 100 * DAY, 0):
         pack_tier(connection, *stretch)
     assert make_room(connection, pages(connection)[1] + 1)
     oldest = trend(path, "A", MIDNIGHT, MIDNIGHT + 10 * DAY, width=60)

@@ -93,13 +93,13 @@ def test_openplc_keeps_the_second_thousand_registers_in_its_memory_and_has_no_th
     for start, words in (("1024", "Word00 AT %MW0 : WORD;"), ("1010", "Word13 AT %QW1023 : WORD;")):
         path = tmp_path / f"at_{start}.toml"
         path.write_text(
-            content.replace('[writeback]\naddress = "holding:400"', f'[writeback]\naddress = "holding:{start}"'),
+            content.replace('\naddress = "holding:400"', f'\naddress = "holding:{start}"'),
             encoding="utf-8",
         )
         assert words in generate(load_device(path), "", Program(), TARGETS["openplc"])
     path = tmp_path / "far.toml"
     path.write_text(
-        content.replace('[writeback]\naddress = "holding:400"', '[writeback]\naddress = "holding:2030"'),
+        content.replace('\naddress = "holding:400"', '\naddress = "holding:2030"'),
         encoding="utf-8",
     )
     done = codegen("--target", "openplc", "--device", str(path))

@@ -25,7 +25,7 @@ from gateway.machine.pipeline import Machine
 from gateway.machine.reading.device_stream import DeviceStream
 from gateway.machine.writing.witnessing import HeadWitnessing
 from gateway.plant.app import run
-from gateway.plant.control import Control
+from gateway.plant.control import Control, ControlScope
 from gateway.settings.config import load_config
 from tests.drivers.bench_can import can_bench
 from tests.drivers.bench_canopen import canopen_bench
@@ -39,7 +39,7 @@ POOL = "asyncio_"
 @pytest.fixture(autouse=True)
 def _prompt(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.supervision.FIRST_PAUSE", 0.01)
-    monkeypatch.setattr("gateway.plant.app.RESTART_SECONDS", 0.0)
+    monkeypatch.setattr("gateway.plant.fleet.RESTART_SECONDS", 0.0)
     monkeypatch.setattr("gateway.plant.control.LOOK_SECONDS", 0.01)
 
 
@@ -209,7 +209,7 @@ async def test_a_part_that_dies_is_in_status_log_and_alarm_and_is_begun_anew(
     async def opened() -> None:
         # Not before it runs: what is opened at the start is refused there.
         owner, name = PARTS[part]
-        monkeypatch.setattr("gateway.machine.writing.block_stage.SIGN_SECONDS", 1.0)
+        monkeypatch.setattr("gateway.machine.writing.writeback_stage.SIGN_SECONDS", 1.0)
         if owner is None:
             await thrown()
         else:
@@ -334,8 +334,8 @@ def leave() -> None:
 
 async def test_a_control_socket_that_was_removed_is_made_anew(tmp_path: Path) -> None:
     path, lines = tmp_path / "socket", []
-    machine = SimpleNamespace(log=SimpleNamespace(warning=lambda *args, **keys: lines.append(keys)))
-    control = Control(machine, path, lambda _machine: {})  # type: ignore[arg-type]
+    log = SimpleNamespace(warning=lambda *args, **keys: lines.append(keys))
+    control = Control(ControlScope({}, lambda _machine: {}), path, log)  # type: ignore[arg-type,return-value]
     serving = asyncio.create_task(control.serve())
     try:
         async with asyncio.timeout(5.0):
@@ -356,6 +356,6 @@ async def test_a_control_socket_that_was_removed_is_made_anew(tmp_path: Path) ->
 def test_the_exit_code_says_that_a_part_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parts = {"device: node": {"running": True, "restarts": 2, "failure": "LookupError('x')"}}
     ended = {"historian": {"failure": "", "dropped": 0, "refused": 0}, "parts": parts}
-    monkeypatch.setattr("gateway.cli.run.serve", lambda *_args, **_keys: ended)
+    monkeypatch.setattr("gateway.plant.serve", lambda *_args, **_keys: ended)
     result = CliRunner().invoke(run_command, ["--config", str(plant_file(tmp_path))])
     assert result.exit_code == 1 and "device: node (2): LookupError('x')" in result.stderr

@@ -103,7 +103,7 @@ async def test_a_model_that_takes_over_in_the_middle_of_a_write_writes_from_the_
     with open_log(None, "error") as log:
         machine = Machine(config, driver=bench, clock=bench.clock, log=log, rng=Random(0))
         loaded = load_model(config)
-        assert loaded is not None and machine.model is not None and machine.block is not None
+        assert loaded is not None and machine.model is not None and machine.writing is not None
         other = replace(loaded, hash="f" * len(loaded.hash), version="another")
         model, sent = machine.model, bench.write
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from gateway.machine import Machine
-from gateway.plant.control import LONGEST, Control
+from gateway.plant.control import LONGEST, Control, ControlScope
 from gateway.plant.log import open_log
 from gateway.plant.status import snapshot
 from tests.gateway.support import Bench, JumpClock, as_driver, config_in
@@ -60,7 +60,7 @@ async def test_every_request_gets_one_reply_with_a_reason_and_the_next_is_served
     config, clock, said = config_in(tmp_path), JumpClock(), io.StringIO()
     with open_log(None, "debug", said) as log:
         machine = Machine(config, driver=as_driver(Bench(config, clock)), clock=clock, log=log, rng=Random(0))
-        control = Control(machine, tmp_path / "s", snapshot)
+        control = Control(ControlScope({"decanter": machine}, snapshot), tmp_path / "s", log)
         await control.open()
         try:
             reader, writer = await asyncio.open_unix_connection(tmp_path / "s", limit=4 * LONGEST)

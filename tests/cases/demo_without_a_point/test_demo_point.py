@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gateway.demo.heat import alarm_rows, headline, started
-from gateway.demo.lead_time import TRUE_WITHIN_S, raised, score, trend_alarm
+from gateway.demo.lead_time import TRUE_WITHIN_S, ChancesAlong, raised, score, trend_alarm
 from sim.plant import heat_day, heat_day_uncontrolled, heat_history
 from sim.plc.control import obey
 from sim.plc.program.clock import EmulatorClock
@@ -123,6 +123,21 @@ def test_lead_false_and_missed() -> None:
     quiet = score("a", (early,), None)
     assert (quiet.lead_s, quiet.missed, quiet.false) == (None, False, 1)
     assert score("a", (2000.0 - TRUE_WITHIN_S,), 2000.0).false == 0
+
+
+def test_an_alarm_of_the_forecast_has_its_horizon_and_its_chance_and_looks_at_every_scan() -> None:
+    times = np.array([0.0, 30.0, 60.0, 90.0])
+    seen = ChancesAlong(
+        times=times,
+        chances=np.array([[0.0, 0.0], [0.0, 0.2], [0.3, 0.6], [0.3, 0.9]]),
+        horizons=(300.0, 900.0),
+        scans=np.arange(-10.0, 100.0, 10.0),
+        familiar=np.arange(-10.0, 100.0, 10.0) >= 80.0,
+    )
+    assert seen.alarm(ahead=900.0, p_limit=0.5) == ((60.0,), (80.0,))
+    assert seen.alarm(ahead=900.0, p_limit=0.1)[0] == (30.0,)
+    assert seen.alarm(ahead=300.0, p_limit=0.1) == ((60.0,), (80.0,))
+    assert seen.alarm(ahead=300.0, p_limit=0.3) == ((), ())
 
 
 def test_a_trend_alarm_is_a_line_through_the_last_minutes() -> None:

@@ -76,12 +76,12 @@ async def test_who_arms_while_somebody_disarms_is_refused_and_a_restart_knows_it
     offer = asyncio.create_task(writer.offer(scan(), {}, USABLE))
     await wire.waiting.wait()
     # One arms and is stored, the other disarms meanwhile; a third comes while that is under way.
-    arming = asyncio.create_task(arm(writer, wire, by="Cai", reason="at once", minutes=5, key=KEY))  # type: ignore[arg-type]
+    arming = asyncio.create_task(arm([writer], wire, by="Cai", reason="at once", minutes=5, key=KEY))  # type: ignore[arg-type]
     await asyncio.sleep(0)
     disarming = asyncio.create_task(writer.disarm(CLOCK.now(), "Bea", "enough", scan=scan()))
     await asyncio.sleep(0)
     with pytest.raises(ArmingError, match="being disarmed at this moment"):
-        await arm(writer, wire, by="Dan", reason="at once", minutes=5, key=KEY)  # type: ignore[arg-type]
+        await arm([writer], wire, by="Dan", reason="at once", minutes=5, key=KEY)  # type: ignore[arg-type]
     wire.go.set()
     with pytest.raises(ArmingError, match="disarmed meanwhile"):
         await arming

@@ -110,10 +110,10 @@ def test_a_restore_over_a_gateway_needs_to_be_told_keeps_what_was_there_and_show
     refused = decanter("restore", folder)
     assert refused.exit_code == 2 and "nothing is overwritten without --overwrite" in refused.output
     assert {path: path.read_bytes() for path in before} == before
-    historian, _ = open_historian(config.historian.path, config.map.tags)
+    store = open_historian(config.historian.path)
     running = decanter("restore", folder, "--overwrite")
     assert running.exit_code == 2 and "a gateway runs on it" in running.output
-    historian.close()
+    store.close()
     newest = config.audit.read_bytes()
     done = decanter("restore", folder, "--overwrite")
     assert done.exit_code == 0, done.output

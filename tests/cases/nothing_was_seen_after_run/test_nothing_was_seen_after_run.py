@@ -57,8 +57,14 @@ def shown(sighting: Sighting, width: int = 80, **options: Any) -> str:
     return captured.get()
 
 
+def sighted(plain: dict[str, Any], age: float) -> Sighting:
+    """A sighting of a gateway of one machine."""
+    status = read_status(plain)
+    return Sighting(status, age, machines={status.machine: status})
+
+
 def now(**changes: Any) -> Sighting:
-    return Sighting(read_status(picture(**changes)), 0.1)
+    return sighted(picture(**changes), 0.1)
 
 
 # ------------------------------------------------------------------ a run, and those who look at it
@@ -119,7 +125,7 @@ def test_a_run_from_the_command_line_begins_with_three_lines(tmp_path: Path, mon
         say("model  x")
         return {"historian": {"failure": "", "dropped": 0, "refused": 0}, "parts": {}}
 
-    monkeypatch.setattr("gateway.cli.run.serve", serve)
+    monkeypatch.setattr("gateway.plant.serve", serve)
     result = CliRunner().invoke(main, ["run", "--config", str(plant_file(tmp_path))])
     assert result.exit_code == 0 and "model  x" in result.output
     result = CliRunner().invoke(main, ["run", "--watch", "--quiet", "--config", str(plant_file(tmp_path))])
@@ -145,7 +151,9 @@ async def test_what_was_not_read_any_more_is_no_longer_good_in_the_status(tmp_pa
             stale = read_status(strict(snapshot(machine)))
             assert stale.values[TEMPERATURE].quality == "LAST_USABLE" and stale.values[TEMPERATURE].age >= 4.0
             assert stale.scan.late and health_of(stale) is Health.NO_READINGS
-            assert "has not been read for 4.0 s" in " ".join(shown(Sighting(stale, 0.0)).split())
+            assert "has not been read for 4.0 s" in " ".join(
+                shown(Sighting(stale, 0.0, machines={"decanter": stale})).split()
+            )
             clock.time += 8.0
             dead = snapshot(machine).values[TEMPERATURE]
             assert dead.value is None and dead.quality == "NO_DATA"
@@ -171,7 +179,7 @@ def answering(path: Path, replies: list[dict[str, Any] | None]) -> Iterator[None
             if reply is None:
                 client.shutdown(socket.SHUT_RDWR)
                 return
-            client.sendall(json.dumps({"ok": True, "status": reply}).encode() + b"\n")
+            client.sendall(json.dumps({"ok": True, "statuses": {"decanter": reply}}).encode() + b"\n")
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()

@@ -13,9 +13,9 @@ from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample, Tag
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
-from gateway.store.historian import Historian, open_historian
+from gateway.store.historian import Historian
 from gateway.store.read_back import samples, to_trace
-from tests.gateway.support import EPOCH
+from tests.gateway.support import EPOCH, one_machine
 
 TAGS = (Tag("Count", "holding:1"), Tag("T", "holding:5"))
 
@@ -30,12 +30,12 @@ def until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
 @pytest.mark.parametrize("value", [(1 << 63) - 1, 1 << 63, (1 << 64) - 1, -(1 << 63) - 1, 10**40])
 def test_a_whole_number_of_any_size_is_read_back_exactly(tmp_path: Path, value: int) -> None:
     path = tmp_path / "h.sqlite"
-    historian, numbers = open_historian(path, TAGS)
-    keeper = Keeper({tag.name: tag for tag in TAGS}, numbers, 5.0)
+    store, historian = one_machine(path, TAGS)
+    keeper = Keeper({tag.name: tag for tag in TAGS}, 5.0)
     scan = Scan(0, EPOCH, {"Count": Sample("Count", value, Quality.GOOD, EPOCH, EPOCH)}, 0, 0.0)
     historian.put("scans", [(EPOCH, 0.0, 0)])
     historian.put("samples", keeper.rows(scan))
-    assert historian.close() and (historian.refused, historian.failure) == (0, "")
+    assert store.close() and (historian.refused, historian.failure) == (0, "")
     assert [sample.value for sample in samples(path)] == [value]
     assert to_trace(path).signals["Count"].tolist() == [float(value)]
 
@@ -55,7 +55,7 @@ BAD_ROWS: dict[str, tuple[str, tuple[Any, ...]]] = {
 def test_a_row_that_cannot_be_stored_costs_that_row_and_is_counted_and_said(tmp_path: Path, what: str) -> None:
     table, bad = BAD_ROWS[what]
     path = tmp_path / "h.sqlite"
-    historian, _ = open_historian(path, TAGS)
+    store, historian = one_machine(path, TAGS)
     historian.put("scans", [(EPOCH + n, 0.0, 0) for n in range(5)])
     historian.put("audit", [(EPOCH, "before", "Ada", "test")])
     historian.put(table, [bad])
@@ -64,7 +64,7 @@ def test_a_row_that_cannot_be_stored_costs_that_row_and_is_counted_and_said(tmp_
     assert (historian.refused, historian.dropped, historian.failure) == (1, 0, "")
     assert f"a row of {table} cannot be stored" in historian.complaint
     historian.put("scans", [(EPOCH + 5, 0.0, 0)])
-    assert historian.close() and historian.refused == 1
+    assert store.close() and historian.refused == 1
     with closing(sqlite3.connect(path)) as connection:
         assert connection.execute("SELECT count(*) FROM scans").fetchone() == (6,)
         assert connection.execute("SELECT what FROM audit ORDER BY id").fetchall() == [("before",), ("after",)]
@@ -83,14 +83,14 @@ def test_whatever_ends_the_thread_it_is_begun_anew_and_no_row_is_lost(
 
     monkeypatch.setattr(Historian, "_store", failing)
     supervisor = Supervisor()
-    historian, _ = open_historian(tmp_path / "h.sqlite", TAGS, supervisor=supervisor)
+    store, historian = one_machine(tmp_path / "h.sqlite", TAGS, supervisor=supervisor)
     historian.put("audit", [(EPOCH, "a row", "Ada", "test")])
     until(lambda: len(calls) == 3)
     assert historian.flush()
     part = supervisor.report()["historian"]
     assert part["restarts"] == 2 and part["running"] and "nobody has thought of" in str(part["failure"])
     assert "nobody has thought of" in supervisor.complaint
-    assert historian.close()
+    assert store.close()
     assert not supervisor.report()["historian"]["running"]
     with closing(sqlite3.connect(tmp_path / "h.sqlite")) as connection:
         assert connection.execute("SELECT count(*) FROM audit").fetchone() == (1,)

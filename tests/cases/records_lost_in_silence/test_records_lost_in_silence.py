@@ -60,7 +60,7 @@ async def go(config: Config, bench: Bench, reads: int) -> dict[str, Any]:
 def test_the_exit_code_says_whether_rows_were_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, records: dict[str, Any], code: int
 ) -> None:
-    monkeypatch.setattr("gateway.cli.run.serve", lambda *_args, **_keys: {"historian": records, "parts": {}})
+    monkeypatch.setattr("gateway.plant.serve", lambda *_args, **_keys: {"historian": records, "parts": {}})
     assert CliRunner().invoke(run_command, ["--config", str(plant_file(tmp_path))]).exit_code == code
 
 

@@ -53,7 +53,7 @@ async def test_an_arming_that_was_refused_is_not_there_once_the_disk_takes_rows_
     writer, wire = await armed()
     writer.mode, writer.arming, writer.audit = "shadow", None, open_audit(tmp_path / "audit.sqlite")
     with refusing(writer.audit), pytest.raises(ArmingError, match="does not take it"):
-        await arm(writer, wire, by="Ada", reason="test", minutes=10, key=KEY)  # type: ignore[arg-type]
+        await arm([writer], wire, by="Ada", reason="test", minutes=10, key=KEY)  # type: ignore[arg-type]
     assert not writer.armed
     assert writer.audit.record(AuditEntry(EPOCH, "write refused"))
     assert writer.audit.close()

@@ -4,19 +4,19 @@ import ast
 import sys
 from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
+from inspect import getsource
 from typing import Any
 
 
-def opened_at_use(package: str, file: str) -> Callable[[str], Any]:
-    """The `__getattr__` of the package whose `__init__` is `file` and has its imports under `if TYPE_CHECKING:`.
+def opened_at_use(package: str) -> Callable[[str], Any]:
+    """The `__getattr__` of a package whose `__init__` has its imports under `if TYPE_CHECKING:`.
 
     Those imports are the only list: type checker and import contracts read them as they stand, and here they say
     where a name lies.
     """
     places = {
         alias.name: node.module
-        for node in ast.walk(ast.parse(Path(file).read_text(encoding="utf-8")))
+        for node in ast.walk(ast.parse(getsource(sys.modules[package])))
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(f"{package}.")
         for alias in node.names
     }

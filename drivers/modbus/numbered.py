@@ -1,0 +1,257 @@
+"""One TCP or TLS connection that carries several requests at once, each known by its transaction id.
+
+pymodbus asks one thing at a time over a client, and a unit that is silent behind a gateway would hold up all others.
+So the bytes are moved here, by asyncio; pymodbus still makes the requests' bytes, and each reply is checked against
+its request as on every other connection (`drivers.modbus.verify`).
+"""
+
+import asyncio
+import ssl
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from pymodbus.pdu import ModbusPDU
+
+from drivers.driver import BeforeSending, Clock, anyhow
+from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
+from drivers.modbus.verify import Asked, asked, check_reply, split_frames, words_of
+from drivers.modbus.wire import FLOOD, Secured, WireReply, discard, keep_alive, no_connection, socket_place
+from drivers.tap import current, moved
+
+KEPT_S = 600.0
+"""So long an id is not used again after a question without an answer."""
+_IDS = 0x10000
+
+
+@dataclass(slots=True)
+class _Question:
+    """One request on the connection; `reply` is what waits for its answer, None once nobody does.
+
+    `at` is the loop's time of sending, `sent` the clock's. `again`: an answer to the same question, asked earlier, is
+    its answer too.
+    """
+
+    asked: Asked
+    sent: float
+    at: float
+    again: bool
+    reply: "asyncio.Future[WireReply] | None"
+
+
+class NumberedWire(asyncio.Protocol):
+    """A connection, from `connect` to `abandon`.
+
+    `on_lost` hears why it broke, `on_late` of which unit a reply came when nobody waited for it any more.
+    `last` is the unit and the PDU of the last reply that answered a request.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        clock: Clock,
+        on_lost: Callable[[str], None],
+        on_late: Callable[[int], None],
+        secured: Secured | None = None,
+    ) -> None:
+        self._host, self._port, self._secured = host, port, secured
+        self._clock, self._on_lost, self._on_late = clock, on_lost, on_late
+        self._transport: asyncio.Transport | None = None
+        self._questions: dict[int, _Question] = {}
+        self._number = 0
+        self._stream = b""
+        self._unasked = 0
+        # Questions by unit since anything was answered.
+        self._since_answer: Counter[int] = Counter()
+        self._any_answer = asyncio.Event()
+        self._answered = False
+        self.foreign = 0
+        self.last = b""
+        self.fault = LinkFault.OTHER
+        self._tap = current()
+
+    async def connect(self) -> None:
+        """Connect; the caller sets the deadline by cancelling. Raises LinkDown with the system's own reason."""
+        secured = self._secured
+        context, name = (secured.context, secured.name) if secured else (None, None)
+        loop = asyncio.get_running_loop()
+        try:
+            await loop.create_connection(lambda: self, self._host, self._port, ssl=context, server_hostname=name)
+        except (OSError, ValueError) as error:  # ValueError: a host name that DNS or TLS cannot even be asked for
+            raise no_connection(f"{self._host}:{self._port}", error, secured) from error
+        if self._transport is not None:
+            keep_alive(self._transport)
+
+    @property
+    def alive(self) -> bool:
+        """False once the connection is gone. True says nothing about the peer."""
+        return self._transport is not None
+
+    def abandon(self) -> None:
+        """Close at once. What an unanswered request left in the send buffer is discarded, not delivered late."""
+        transport, self._transport = self._transport, None
+        if transport is not None:
+            discard(transport, [question.asked for question in self._questions.values()])
+        self._fail(LinkDown("the connection is closed"))
+
+    async def ask(
+        self,
+        request: ModbusPDU,
+        deadline: float,
+        before_sending: BeforeSending = anyhow,
+        *,
+        again: bool = False,
+        most_open: int = 2,
+    ) -> WireReply:
+        """Send the request once and wait up to `deadline` seconds for the reply that answers it.
+
+        `again`: it is the very request that this unit was asked last and did not answer; a late reply to that one is
+        its answer. Any other waits while nothing at all has been answered since `most_open` questions to this unit: a
+        peer that stands still shall not collect them, and a silent unit keeps no other from being asked.
+
+        Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
+        understood any more (then `alive` is False).
+        """
+        transport = self._live()
+        loop = asyncio.get_running_loop()
+        if self._since_answer[request.dev_id] >= most_open and not again:
+            began = loop.time()
+            await self._any_reply(deadline)
+            deadline -= loop.time() - began
+            transport = self._live()
+        before_sending()
+        number = self._free_number(loop.time())
+        pdu = bytes((request.dev_id, request.function_code)) + request.encode()
+        frame = number.to_bytes(2, "big") + b"\0\0" + len(pdu).to_bytes(2, "big") + pdu
+        reply: asyncio.Future[WireReply] = loop.create_future()
+        foreign = self.foreign
+        question = _Question(asked(frame), self._clock(), loop.time(), again, reply)
+        self._questions[number] = question
+        self._unasked = 0
+        self._since_answer[request.dev_id] += 1
+        transport.write(frame)
+        self._tell(frame, sent=True)
+        try:
+            async with asyncio.timeout(deadline):
+                return await reply
+        except TimeoutError:
+            others = self.foreign - foreign
+            dropped = f" ({others} with another transaction id dropped)" if others else ""
+            raise ReplyTimeout(f"{question.asked}: no reply within {deadline:.3g} s{dropped}") from None
+        finally:
+            question.reply = None  # and the question stays: its id is not used again, and its late reply is known
+
+    def _live(self) -> asyncio.Transport:
+        if self._transport is None:
+            raise LinkDown("the connection is closed")
+        return self._transport
+
+    async def _any_reply(self, deadline: float) -> None:
+        """Wait until something is answered. Raises ReplyTimeout, or LinkDown where the connection ends."""
+        self._any_answer.clear()
+        try:
+            async with asyncio.timeout(deadline):
+                await self._any_answer.wait()
+        except TimeoutError:
+            raise ReplyTimeout(
+                f"{self._since_answer.total()} questions have no reply yet; nothing else is asked before one comes"
+            ) from None
+
+    def _free_number(self, now: float) -> int:
+        """The next id that no question without an answer has. Raises LinkDown where all are taken."""
+        for number in [number for number, old in self._questions.items() if old.at < now - KEPT_S]:
+            del self._questions[number]
+        if len(self._questions) >= _IDS:
+            self._break("every transaction id waits for an answer")
+            raise LinkDown("every transaction id waits for an answer")
+        self._number = (self._number + 1) % _IDS
+        while self._number in self._questions:
+            self._number = (self._number + 1) % _IDS
+        return self._number
+
+    # ------------------------------------------------------------ called by asyncio
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        if isinstance(transport, asyncio.Transport):
+            self._transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        self._tell(data, sent=False)
+        try:
+            frames, self._stream = split_frames(self._stream + data)
+        except ReplyMismatch as error:
+            self._break(str(error), LinkFault.FOREIGN)
+            return
+        for frame in frames:
+            self._take(frame)
+        if self._unasked > FLOOD:
+            self._break("the peer floods the line with frames that nobody asked for")
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._transport is None:
+            return
+        where = " in the middle of a reply" if self._stream else ""
+        reason, fault = f"the peer closed the connection{where}", LinkFault.CLOSED
+        if self._secured is not None and isinstance(exc, ssl.SSLError):
+            reason, fault = self._secured.sentence(exc), LinkFault.OTHER
+        elif self._secured is not None and not self._answered and not where:
+            # As in `drivers.modbus.wire`: in TLS 1.3 a refused certificate shows only as an end after the handshake.
+            reason = "the peer closed the connection after the TLS handshake: it may not accept our certificate"
+            fault = LinkFault.OTHER
+        self._break(reason, fault)
+
+    # ------------------------------------------------------------ replies
+
+    def _take(self, frame: bytes) -> None:
+        """One whole frame: the answer to who waits for it, or counted as nobody's."""
+        question = self._questions.pop(int.from_bytes(frame[:2], "big"), None)
+        if question is not None:
+            self._since_answer.clear()
+            self._any_answer.set()
+        waiting = question
+        if question is not None and question.reply is None:
+            # Late. Who has asked the same unit the same thing again takes it, and no one else.
+            same = replace(question.asked, transaction=0)
+            waiting = next(
+                (
+                    other
+                    for other in self._questions.values()
+                    if other.again and other.reply is not None and replace(other.asked, transaction=0) == same
+                ),
+                None,
+            )
+            if frame[6] == question.asked.unit:
+                self._on_late(question.asked.unit)
+        if question is None or waiting is None or waiting.reply is None or waiting.reply.done():
+            self.foreign += 1
+            self._unasked += len(frame)
+            return
+        received, self._unasked, self._answered = self._clock(), 0, True
+        try:
+            check_reply(question.asked, frame)
+        except (ReplyMismatch, DeviceException) as error:
+            waiting.reply.set_exception(error)
+            return
+        self.last = frame[6:]
+        waiting.reply.set_result(WireReply(words_of(question.asked, frame[9:]), question.sent, received))
+
+    def _tell(self, data: bytes, *, sent: bool) -> None:
+        """Let the evidence know, where somebody gathers it."""
+        if self._tap is not None and self._transport is not None:
+            ends = [socket_place(self._transport.get_extra_info(name)) for name in ("peername", "sockname")]
+            self._tap(moved("tcp", ends[0], data, sent=sent, local=ends[1]))
+
+    def _break(self, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
+        self.fault = fault
+        self._fail(LinkDown(reason, fault=fault))
+        self.abandon()
+        self._on_lost(reason)
+
+    def _fail(self, error: DriverError) -> None:
+        """The connection ends for all who wait."""
+        self._any_answer.set()
+        for question in self._questions.values():
+            if question.reply is not None and not question.reply.done():
+                question.reply.set_exception(error)

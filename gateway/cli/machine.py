@@ -1,0 +1,21 @@
+"""`decanter machine`: the machines of a plant file."""
+
+import click
+
+from gateway.entry import LazyGroup, Table
+
+COMMANDS: Table = {
+    "list": ("gateway.cli.plant_machines:list_machines", "List the machines, and how they are where a gateway runs."),
+    "add": ("gateway.cli.plant_machines:add", "Add a machine to the plant file."),
+    "remove": ("gateway.cli.plant_machines:remove", "Take a machine out of the plant file; its records stay."),
+}
+EXAMPLES = {
+    "list": "machine list --config plant.toml",
+    "add": "machine add decanter2 --host 192.168.1.11 --config plant.toml",
+    "remove": "machine remove decanter2 --config plant.toml",
+}
+
+
+@click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES)
+def machine() -> None:
+    """List, add and remove the machines of a plant."""

@@ -1,0 +1,71 @@
+"""`decanter plc served`: where peers find each tag, its quality and its age, if the gateway serves them."""
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.console import emit, find_plant_file, json_option, table
+from gateway.entry import sentences
+from gateway.serving import served_rows
+from gateway.settings import load_config
+
+_COLUMNS = ("tag", "table", "address", "count", "dtype", "order", "scale", "offset", "units", "quality", "age")
+
+
+@click.command(short_help="Where peers find each tag, its quality and its age, if the gateway serves them.")
+@click.option("--csv", "as_csv", is_flag=True, help="The table as CSV, for the peer's own import.")
+@click.option(
+    "--config", "path", type=click.Path(path_type=Path), help="The plant file.  [default: ./plant.toml, then ./config]"
+)
+@json_option
+def served(path: Path | None, as_csv: bool, as_json: bool) -> None:
+    """Where a peer of the gateway (a SCADA system, another PLC) finds each tag, its quality and its age.
+
+    The gateway serves them where the plant file has a [serve] table with a port: Modbus TCP, functions 1 to 4, by PDU
+    addresses from 0. Nothing is asked of the device or of a running gateway.
+    """
+    with sentences():
+        config = load_config(path or find_plant_file())
+        rows = [
+            {
+                "tag": row.tag.name,
+                "table": row.table,
+                "address": row.start,
+                "count": row.count,
+                "dtype": str(row.tag.dtype) if row.tag.bit is None else f"bit {row.tag.bit}",
+                "order": str(row.tag.order),
+                "scale": row.tag.scale,
+                "offset": row.tag.offset,
+                "units": row.tag.unit,
+                "quality": row.quality,
+                "age": row.age,
+            }
+            for row in served_rows(config)
+        ]
+    serve = config.serve
+    if as_csv:
+        text = io.StringIO()
+        writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        click.echo(text.getvalue(), nl=False)
+        return
+    place = {"host": serve.host, "port": serve.port, "unit": serve.unit, "state": serve.address}
+    emit({"ok": True, **place, "tags": rows}, lambda: _show(place, rows), as_json_line=as_json)
+
+
+def _show(place: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+    where = (
+        f"{place['host']}:{place['port']} unit {place['unit']}" if place["port"] else "not served: [serve] has no port"
+    )
+    shown = [[f"{row['table']}:{row['address']}", *(row[key] for key in _COLUMNS if key not in ("table", "address"))]
+             for row in rows]  # fmt: skip
+    table(where, ("place", "tag", "count", "dtype", "order", "scale", "offset", "units", "quality", "age"), shown)
+    state = place["state"]
+    click.echo(
+        f"holding and input registers {state}: layout, {state + 1}: scans, {state + 2}: age of the last scan in 0.1 s, "
+        f"{state + 3}: tags; then quality (OPC UA, upper half: 0 good) and age in 0.1 s of each"
+    )

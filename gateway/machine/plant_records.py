@@ -1,0 +1,56 @@
+"""What the machines of a gateway have in common to be on record: the historian, the audit log, and its witnesses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from drivers.supervision import Supervisor
+from gateway.machine.reading import Clock
+from gateway.machine.writing import AuditTrail, open_audit_trail
+from gateway.settings import Config
+from gateway.store import open_historian
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
+
+class PlantRecords:
+    """Opened records. `trail` is None while nothing is computed for writing; `log_failure` says why the log's file
+    cannot be written ("": it can).
+
+    Raises HistorianError.
+    """
+
+    def __init__(
+        self,
+        configs: Sequence[Config],
+        *,
+        clock: Clock,
+        log: FilteringBoundLogger,
+        supervisor: Supervisor,
+        log_failure: Callable[[], str] = lambda: "",
+    ) -> None:
+        first = configs[0]
+        self.supervisor, self.log_failure = supervisor, log_failure
+        self.historian = open_historian(
+            first.historian.path,
+            max_mb=first.historian.max_mb,
+            mend=True,
+            supervisor=supervisor,
+            heir=first.machine,
+        )
+        self.trail: AuditTrail | None = None
+        self._clock, self._log = clock, log
+
+    def open_trail(self, config: Config) -> AuditTrail:
+        """The audit log of all machines, opened with the first one that writes, or might. Raises AuditError."""
+        if self.trail is None:
+            historian = self.historian.of(config.machine)
+            self.trail = open_audit_trail(config, historian=historian, supervisor=self.supervisor, log=self._log)
+        return self.trail
+
+    def close(self) -> bool:
+        """Store what waits and close all; False if records had to be given up."""
+        accounted = self.trail is None or self.trail.close(self._clock.now())
+        return self.historian.close() and accounted

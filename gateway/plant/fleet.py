@@ -1,0 +1,320 @@
+"""The machines of one gateway: each is read, supervised and stopped by itself, on records that all have in common.
+
+A machine that fails, is slow or loses its device costs the others nothing: it has a task, a link, deadlines and a
+supervisor of its own. What is common is opened before the first machine and closed after the last.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from contextlib import aclosing, suppress
+from functools import partial
+from random import Random
+from typing import TYPE_CHECKING, Any
+
+from drivers.connections import Connections
+from drivers.driver import Cautions, Driver
+from drivers.errors import DriverError
+from drivers.settings import ConfigError
+from drivers.supervision import Supervisor
+from gateway.machine import Machine, PlantRecords
+from gateway.machine.model import LoadedModels, load_models
+from gateway.machine.reading import Clock, QualityRules, Scan, scans
+from gateway.plant.device import make_driver, scans_on_change
+from gateway.serving import DeviceImage
+from gateway.settings import Config, changed_machines, load_plant
+from gateway.status import ControlError
+
+if TYPE_CHECKING:
+    from structlog.typing import FilteringBoundLogger
+
+
+RESTART_SECONDS = 1.0
+LAST_WORD_SECONDS = 0.1
+
+
+class Fleet:
+    """The machines of a running gateway, by name in the order of the file; `start` it within a running loop.
+
+    `images` are what peers are shown of them, by their unit numbers.
+
+    Raises ConfigError, HistorianError or AuditError for what cannot be opened; nothing is left open then. `driver` is
+    used for the first machine, by default all have those of their configurations. `read_anew` gives the configurations
+    as they are in the file by now.
+    """
+
+    def __init__(
+        self,
+        configs: Sequence[Config],
+        *,
+        clock: Clock,
+        log: FilteringBoundLogger,
+        rng: Random,
+        log_failure: Callable[[], str] = lambda: "",
+        driver: Driver | None = None,
+        read_anew: Callable[[], Sequence[Config]] | None = None,
+    ) -> None:
+        self.clock, self.log, self._rng = clock, log, rng
+        self._read_anew = read_anew or partial(load_plant, configs[0].path)
+        self._reloading = asyncio.Lock()
+        self.supervisor = Supervisor(self._note_failure)
+        self.machines: dict[str, Machine] = {}
+        self._running: dict[str, _Running] = {}
+        self._stop = asyncio.Event()
+        # Units behind one gateway take turns on its connection; a device that is alone has its own.
+        self._connections = Connections() if configs[0].several else None
+        self.images: dict[int, DeviceImage] = {}
+        others = configs[1 if driver else 0 :]
+        drivers = {config.machine: make_driver(config, clock, self._connections) for config in others}
+        if driver is not None:
+            drivers[configs[0].machine] = driver
+        # What can be refused is read first: a model that does not suit its machine leaves no records behind.
+        models = {config.machine: load_models(config) for config in configs}
+        self.records = PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
+        opened = False
+        try:
+            for config in configs:
+                name = config.machine
+                self.machines[name] = self._opened(config, drivers[name], models[name], alone=len(configs) == 1)
+            opened = True
+        finally:
+            if not opened:
+                self.records.close()
+
+    def _opened(self, config: Config, driver: Driver, models: Sequence[LoadedModels], *, alone: bool) -> Machine:
+        """A machine on the common records. A gateway's only one needs no name in front of what is said of its parts."""
+        log = self.log if alone else self.log.bind(machine=config.machine)
+        supervisor = self.supervisor if alone else Supervisor()
+        if not alone:
+            self.supervisor.include(config.machine, supervisor)
+        machine = Machine(
+            config,
+            driver=driver,
+            clock=self.clock,
+            log=log,
+            rng=self._rng,
+            models=models,
+            records=self.records,
+            supervisor=supervisor,
+        )
+        if config.serve.port is not None:
+            self.images[config.serve.unit] = DeviceImage(config, self.clock.now)
+        return machine
+
+    def _note_failure(self, part: str, error: BaseException) -> None:
+        message = "a part of the gateway failed and is begun anew"
+        self.log.error(message, part=part, reason=repr(error), exc_info=error)
+
+    def start(self, stop: asyncio.Event) -> None:
+        """Begin to read all machines, until `stop` is set: no scan begins after that.
+
+        They begin a part of the period apart, so that their requests do not all come at one moment.
+        """
+        self._stop = stop
+        for place, (name, machine) in enumerate(self.machines.items()):
+            pause = place / len(self.machines) * machine.config.scan.period
+            self._running[name] = _Running(machine, stop, self._image_of(machine), pause=pause)
+
+    async def reload(self, *, apply: bool = True) -> dict[str, Any]:
+        """Read the plant file anew and take over what it changes; a machine that it does not touch loses no scan.
+
+        Gives the changes as sentences by machine, and whether they were taken over. Raises ControlError, and everything
+        goes on as it was, for a file that cannot be used and for a change of what all machines have in common.
+        """
+        async with self._reloading:
+            models: dict[str, Sequence[LoadedModels]] = {}
+            try:
+                configs = {config.machine: config for config in await asyncio.to_thread(self._read_anew)}
+                before = {name: machine.config for name, machine in self.machines.items()}
+                changes = changed_machines(before, configs)
+                # What a start would refuse is refused now, while the former configuration runs.
+                for config in (configs[name] for name in changes if name in configs):
+                    models[config.machine] = await asyncio.to_thread(load_models, config)
+                    make_driver(config, self.clock)
+            except ConfigError as error:
+                raise ControlError(f"the file is refused and everything goes on as it was: {error}") from None
+            if apply:
+                for name in changes:
+                    await self._replace(name, configs.get(name), before.get(name), models.get(name))
+                # In the order of the file from now on.
+                order = [name for name in configs if name in self.machines]
+                for name in order:
+                    self.machines[name] = self.machines.pop(name)
+                if changes:
+                    self.log.warning("the plant file was read anew", machines=", ".join(changes))
+            return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}
+
+    async def _replace(
+        self, name: str, after: Config | None, before: Config | None, models: Sequence[LoadedModels] | None
+    ) -> None:
+        """Stop a machine and begin it anew as the file has it now, with its models; where that fails, as it was."""
+        if before is not None:
+            await self._running.pop(name).stop()
+            self.supervisor.exclude(name)
+            del self.machines[name]
+            self.images.pop(before.serve.unit, None)
+        for config in () if after is None else (after, before):
+            if config is None:
+                continue
+            try:
+                driver = make_driver(config, self.clock, self._connections)
+                # In a thread: to read and verify models takes longer than the other machines' scans may wait.
+                self.machines[name] = await asyncio.to_thread(
+                    self._opened, config, driver, models or load_models(config), alone=False
+                )
+                machine = self.machines[name]
+                self._running[name] = _Running(machine, self._stop, self._image_of(machine))
+            except (ConfigError, OSError) as error:
+                self.log.error("a machine cannot be begun as the file has it now", machine=name, reason=str(error))
+                models = None
+                continue
+            return
+
+    @property
+    def several(self) -> bool:
+        """Whether the plant file has [[machine]] tables."""
+        return any(machine.config.several for machine in self.machines.values())
+
+    def _image_of(self, machine: Machine) -> DeviceImage | None:
+        """What peers are shown of a machine; None where nothing is served."""
+        return self.images.get(machine.config.serve.unit)
+
+    def stopping(self) -> None:
+        """Say of every machine that it is being stopped."""
+        for machine in self.machines.values():
+            machine.phase = "stopping"
+
+    async def stop(self) -> None:
+        """Stop all machines, then close what they have in common."""
+        ended = await asyncio.gather(*(one.stop() for one in self._running.values()), return_exceptions=True)
+        complete = await asyncio.to_thread(self.records.close)
+        for machine in self.machines.values():
+            machine.phase = "stopped"
+        counts = [machine.counters for machine in self.machines.values()]
+        if complete:
+            self.log.info("stopped", scans=sum(c.scans for c in counts), events=sum(c.events for c in counts))
+        else:
+            trail = self.records.trail
+            failure = self.records.historian.complaint or (trail.audit.failure if trail else "")
+            self.log.error("stopped, with records that could not be stored", reason=failure)
+        # What one machine's end has raised keeps no other one from ending well.
+        for error in ended:
+            if isinstance(error, BaseException):
+                raise error
+
+
+class _Running:
+    """A machine that is being read, from its making until `stop`; the first scan comes after `pause` (plant s).
+
+    No scan begins once the whole `gateway` is to stop; what has to be done then `stop` does.
+    """
+
+    def __init__(
+        self, machine: Machine, gateway: asyncio.Event, image: DeviceImage | None, *, pause: float = 0.0
+    ) -> None:
+        self._machine, self._image, self._pause = machine, image, pause
+        self._stop, self._over = _Stop(gateway), asyncio.Event()
+        tasks = {"scans": self._scan_until_stopped, "stop": self._stop.follow}
+        self._tasks = {machine.supervisor.task(name, work) for name, work in tasks.items()}
+
+    async def stop(self) -> None:
+        """Stop reading; then everything is taken back at the PLC, and kept, as far as it can be reached."""
+        machine = self._machine
+        machine.phase = "stopping"
+        self._stop.set()
+        await self._over.wait()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.wait(self._tasks)
+        # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in there.
+        await _withdrawn(machine, "stop")
+        writing = machine.writing
+        if writing is not None and writing.armed and machine.link.alive:
+            # What the PLC says of the last blocks, once its program has had a cycle's time to count them.
+            await asyncio.sleep(max(LAST_WORD_SECONDS, machine.config.device.heartbeat_period))
+            now = machine.clock.now()
+            samples = {sample.tag: sample for sample in await machine.driver.read(machine.config.map.tags)}
+            last = Scan(number=machine.counters.scans, time=now, samples=samples, missed=0, duration=0.0)
+            for block in writing.blocks:
+                block.take_counts(last)
+        await machine.finish()
+        await machine.driver.close()
+
+    async def _scan_until_stopped(self) -> None:
+        """Scan until the stop; whatever fails is logged, made known to the PLC, and begun anew a second later."""
+        machine, stop = self._machine, self._stop
+        config, clock, log = machine.config, machine.clock, machine.log
+        for caution in machine.driver.cautions() if isinstance(machine.driver, Cautions) else ():
+            log.warning("this works today and should not stay so", reason=caution)
+        try:
+            await machine.driver.open()
+        except DriverError as error:
+            log.warning("the device does not answer yet; it is tried again all the time", reason=str(error))
+        if self._pause:
+            await _paused(stop, self._pause / clock.speed)
+        while not stop.is_set():
+            try:
+                rules = QualityRules(
+                    config.scan.period, config.map.heartbeat, config.device.heartbeat_period * clock.speed
+                )
+                machine.phase = "running"
+                urgent = machine.urgent if scans_on_change(config) else None
+                # Closed here and now, not when the collector comes by: no two streams of scans shall read the device.
+                async with aclosing(
+                    scans(
+                        machine.driver,
+                        config.map.tags,
+                        clock,
+                        rules,
+                        stop=stop,
+                        urgent=urgent,
+                        supervisor=machine.supervisor,
+                    )
+                ) as stream:
+                    async for scan in stream:
+                        if self._image is not None:
+                            self._image.take(scan)
+                        await machine.take(scan)
+            except Exception as error:  # noqa: BLE001 - the supervisor's part for the scans: it is said, and begun anew
+                machine.supervisor.failed("scans", error)
+                machine.counters.failures, machine.counters.last_failure = machine.counters.failures + 1, repr(error)
+                machine.begin_anew()
+                # The PLC is told before the pause: for this second nobody stands behind what the last block said.
+                await _withdrawn(machine, "failure")
+                await _paused(stop, RESTART_SECONDS)
+        # A part that returned would be begun anew by its supervisor: this one is over when `stop` ends it.
+        self._over.set()
+        await asyncio.Future()
+
+
+async def _paused(stop: asyncio.Event, seconds: float) -> None:
+    """Wait so long (real s), or until the stop."""
+    with suppress(TimeoutError):
+        await asyncio.wait_for(stop.wait(), seconds)
+
+
+class _Stop(asyncio.Event):
+    """Set when a machine is to stop, by itself or with the whole gateway; `follow` wakes those who wait."""
+
+    def __init__(self, gateway: asyncio.Event) -> None:
+        super().__init__()
+        self._gateway = gateway
+
+    def is_set(self) -> bool:
+        """Whether either is to stop."""
+        return super().is_set() or self._gateway.is_set()
+
+    async def follow(self) -> None:
+        """Be set with the gateway's."""
+        await self._gateway.wait()
+        self.set()
+        await asyncio.Future()
+
+
+async def _withdrawn(machine: Machine, why: str) -> None:
+    """Validity 0 if possible; the PLC's own timer covers the rest."""
+    try:
+        await machine.withdraw(why)
+    except (DriverError, OSError) as error:
+        machine.log.warning("validity 0 could not be written", reason=str(error))
