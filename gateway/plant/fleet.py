@@ -62,11 +62,9 @@ class Fleet:
         self.machines: dict[str, Machine] = {}
         self._running: dict[str, _Running] = {}
         self._stop = asyncio.Event()
-        # Units behind one gateway take turns on its connection; a device that is alone has its own.
-        self._connections = Connections() if configs[0].several else None
+        self._connections = Connections()
         self.images: dict[int, DeviceImage] = {}
-        others = configs[1 if driver else 0 :]
-        drivers = {config.machine: make_driver(config, clock, self._connections) for config in others}
+        drivers = {config.machine: self._driver(config) for config in configs[1 if driver else 0 :]}
         if driver is not None:
             drivers[configs[0].machine] = driver
         # What can be refused is read first: a model that does not suit its machine leaves no records behind.
@@ -81,6 +79,10 @@ class Fleet:
         finally:
             if not opened:
                 self.records.close()
+
+    def _driver(self, config: Config) -> Driver:
+        """A machine's driver: units behind one gateway take turns on its connection, the only device has its own."""
+        return make_driver(config, self.clock, self._connections if config.several else None)
 
     def _opened(self, config: Config, driver: Driver, models: Sequence[LoadedModels], *, alone: bool) -> Machine:
         """A machine on the common records. A gateway's only one needs no name in front of what is said of its parts."""
@@ -158,11 +160,10 @@ class Fleet:
             if config is None:
                 continue
             try:
-                driver = make_driver(config, self.clock, self._connections)
-                # In a thread: to read and verify models takes longer than the other machines' scans may wait.
-                self.machines[name] = await asyncio.to_thread(
-                    self._opened, config, driver, models or load_models(config), alone=False
-                )
+                # In threads: to read and verify models takes longer than the other machines' scans may wait.
+                loaded = await asyncio.to_thread(load_models, config) if models is None else models
+                driver = self._driver(config)
+                self.machines[name] = await asyncio.to_thread(self._opened, config, driver, loaded, alone=False)
                 machine = self.machines[name]
                 self._running[name] = _Running(machine, self._stop, self._image_of(machine))
             except (ConfigError, OSError) as error:
