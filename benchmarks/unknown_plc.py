@@ -130,8 +130,12 @@ def _moved(address: str) -> str:
 
 
 def _write_map(path: Path) -> None:
-    document = tomlkit.parse(MAP.read_text(encoding="utf-8"))
-    for tag in document["tags"]:  # type: ignore[union-attr]
+    # It takes one block, of whatever is predicted: without the tags of the further one, and without its place.
+    tags, _, rest = MAP.read_text(encoding="utf-8").partition("# What it thinks of the blocks of the feed bearing")
+    _, title, block = rest.partition("# Gateway to PLC")
+    document: Any = tomlkit.parse(tags + title + block.partition("# The same words once more")[0].rstrip() + "\n")
+    del document["writeback"]["temperature"]
+    for tag in document["tags"]:
         tag["address"] = _moved(str(tag["address"]))
     set_device(document, {"max_registers": LIMIT})
     set_block(document, {"address": f"holding:{BLOCK}"}, fields_that_fit(LIMIT), MAP)

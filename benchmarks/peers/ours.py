@@ -31,7 +31,6 @@ async def follow(
     period: float,
     clock: PlantClock,
     historian: Historian,
-    numbers: dict[str, int],
     stop: asyncio.Event,
     begin: float,
 ) -> None:
@@ -39,22 +38,22 @@ async def follow(
     tags = tags_of(machine)
     driver = open_driver("modbus", {"host": "127.0.0.1", "port": port + machine, "timeout": 0.3}, clock=clock.now)
     rules = QualityRules(period, tags[0].name, 0.1)
-    records = Records(historian, Keeper({tag.name: tag for tag in tags}, numbers, 60.0))
+    own = historian.of(f"plc{machine}", tags)
+    records = Records(own, Keeper({tag.name: tag for tag in tags}, 60.0))
     await driver.open()
     await clock.sleep_until(begin)
     async for scan in scans(driver, tags, clock, rules, stop=stop):
-        records.take(scan, None)
+        records.take(scan)
     await driver.close()
 
 
 async def read_all(port: int, count: int, period: float, folder: Path) -> None:
     loop, stop, clock = asyncio.get_running_loop(), asyncio.Event(), plant_clock()
     threading.Thread(target=lambda: (sys.stdin.read(), loop.call_soon_threadsafe(stop.set)), daemon=True).start()
-    everything = [tag for machine in range(count) for tag in tags_of(machine)]
-    historian, numbers = open_historian(folder / "historian.sqlite", everything)
+    historian = open_historian(folder / "historian.sqlite")
     begin = clock.now() + 0.5
     streams = [
-        follow(port, machine, period, clock, historian, numbers, stop, begin + machine * period / count)
+        follow(port, machine, period, clock, historian, stop, begin + machine * period / count)
         for machine in range(count)
     ]
     try:

@@ -21,7 +21,8 @@ def traces(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def model(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
     """A model directory, learned from cd17 by the first of pytest's processes that needs it, for all of them."""
     own = tmp_path_factory.getbasetemp()
-    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "learned_for_the_commands"
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "learned_for_the_commands" / "model"
+    folder.parent.mkdir(exist_ok=True)
     with folder.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not folder.exists():
