@@ -22,6 +22,7 @@ import numpy as np
 
 from benchmarks.fault_matrix import FAULTS, TOLERANCE_S
 from benchmarks.figures import Figure, give, shares
+from benchmarks.processes import growth, resident_kilobytes
 from gateway.store import reading, samples, stored_rows
 from sim.artefacts.model_json import model_text
 from sim.plc.record.judge import wrong_good
@@ -30,18 +31,32 @@ from sim.traces.trace_file import write_trace
 from tests.rig.pair import CYCLE_S, MAP, ROOT, TIMEOUT_S, Gateway, Plc, end, known_model, plc_process, restless_trace
 
 PERIOD = 0.1
+SAMPLE_SECONDS = 0.5
 SETTLED_S = 3.0
 """How long the machines run before anything is counted."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """What the other machines' scans were between two moments (plant s): done and due, lateness (ms), memory (MB)."""
+    """What the other machines did between two moments (plant s): scans done and due, lateness (ms), blocks."""
 
     done: int
     due: float
     lateness: Sequence[float]
-    memory: float
+    blocks: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The others without faults and under them; good values judged, wrong ones, faults ordered; memory (min, MB)."""
+
+    without: Stretch
+    under: Stretch
+    judged: int
+    wrong: int
+    ordered: int
+    minutes: list[float]
+    memory: list[float]
 
 
 def plant_file(folder: Path, ports: dict[str, int]) -> Path:
@@ -73,28 +88,23 @@ path = "gateway.jsonl"
     return path
 
 
-def resident_mb(process: "Popen[str]") -> float:
-    """The resident memory of a process."""
-    pages = int(Path(f"/proc/{process.pid}/statm").read_text(encoding="ascii").split()[1])
-    return pages * 4096 / 1e6
-
-
-def stretch(historian: Path, others: Sequence[str], begin: float, end_at: float, memory: float) -> Stretch:
-    """The scans of the other machines between two moments, from the records."""
-    done, lateness = 0, list[float]()
+def stretch(historian: Path, others: Sequence[str], begin: float, end_at: float) -> Stretch:
+    """The scans and blocks of the other machines between two moments, from the records."""
+    done, blocks, lateness = 0, 0, list[float]()
     with reading(historian) as connection:
         for name in others:
             times = [row[0] for row in stored_rows(connection, "scans", ("time",), begin, end_at, machine=name)]
             done += len(times)
+            blocks += len(stored_rows(connection, "writes", ("time",), begin, end_at, machine=name))
             # The deadlines lie a period apart from one that is not known: the earliest phase is taken for on time.
             phases = np.mod(np.array(times) - begin, PERIOD)
             first = float(np.quantile(phases, 0.02))
             lateness += (1000.0 * np.mod(phases - first + PERIOD / 10, PERIOD) - 100.0 * PERIOD).clip(0.0).tolist()
-    return Stretch(done, len(others) * (end_at - begin) / PERIOD, lateness, memory)
+    return Stretch(done, len(others) * (end_at - begin) / PERIOD, lateness, blocks)
 
 
-def measured(folder: Path, machines: int, seconds: float) -> tuple[Stretch, Stretch, int, int, int]:
-    """(without faults, with them, good values judged, wrong ones, faults that were ordered)."""
+def measured(folder: Path, machines: int, seconds: float) -> Outcome:
+    """Run for `seconds` without a fault and as long with every fault in turn. Raises what the processes fail with."""
     names = [f"machine{number}" for number in range(1, machines + 1)]
     write_trace(restless_trace(160.0), folder / "trace.csv")
     (folder / "model.json").write_text(model_text(known_model()), encoding="utf-8")
@@ -117,16 +127,24 @@ def measured(folder: Path, machines: int, seconds: float) -> tuple[Stretch, Stre
             def plant_time() -> float:
                 return max(float(one["time"]) for one in gateway.status["machines"].values())
 
-            begun = plant_time()
-            time.sleep(seconds)
-            middle, memory = plant_time(), resident_mb(process)
+            begun, started, minutes, memory = plant_time(), time.monotonic(), list[float](), list[float]()
+
+            def wait(until: float) -> None:
+                """Note the memory all the while."""
+                while (left := until - time.monotonic()) > 0:
+                    minutes.append((time.monotonic() - started) / 60.0)
+                    memory.append(resident_kilobytes(process.pid) / 1e3)
+                    time.sleep(min(SAMPLE_SECONDS, seconds / 100.0, left))
+
+            wait(started + seconds)
+            middle = plant_time()
             ordered, until, faults = 0, time.monotonic() + seconds, list(FAULTS.values())
             while time.monotonic() < until:
                 fault: dict[str, Any] = dict(faults[ordered % len(faults)])
                 plc.order("fault", machine=names[0], fault=fault)
                 ordered += 1
-                time.sleep(min(fault.get("duration", 0.5) + 0.5, max(until - time.monotonic(), 0.0)))
-            over, later = plant_time(), resident_mb(process)
+                wait(min(time.monotonic() + fault.get("duration", 0.5) + 0.5, until))
+            over = plant_time()
             code, _ = gateway.stop()
             assert code == 0, gateway.words()
         finally:
@@ -140,8 +158,15 @@ def measured(folder: Path, machines: int, seconds: float) -> tuple[Stretch, Stre
         good = [sample for sample in samples(historian, machine=name) if sample.quality.is_good]
         judged += len(good)
         wrong += len(wrong_good(read_recording(folder / f"{name}.jsonl"), good, TOLERANCE_S))
-    without = stretch(historian, names[1:], begun, middle, memory)
-    return without, stretch(historian, names[1:], middle, over, later), judged, wrong, ordered
+    return Outcome(
+        without=stretch(historian, names[1:], begun, middle),
+        under=stretch(historian, names[1:], middle, over),
+        judged=judged,
+        wrong=wrong,
+        ordered=ordered,
+        minutes=minutes,
+        memory=memory,
+    )
 
 
 @click.command()
@@ -154,7 +179,10 @@ def main(*, machines: int, seconds: float, quick: bool, as_json: bool) -> None:
     if quick:
         machines, seconds = 3, 2.0
     with tempfile.TemporaryDirectory(prefix="decanter-isolation-") as folder:
-        without, under, judged, wrong, ordered = measured(Path(folder), machines, seconds)
+        found = measured(Path(folder), machines, seconds)
+    without, under, memory = found.without, found.under, np.array(found.memory)
+    slope, error = growth(np.array(found.minutes), memory)
+    tenth = max(memory.size // 10, 1)
     figures = [
         Figure(
             "scans done of the others",
@@ -164,9 +192,11 @@ def main(*, machines: int, seconds: float, quick: bool, as_json: bool) -> None:
             without.done / without.due * 100,
         ),
         *shares("lateness of the others", "ms", under.lateness, "without faults", without.lateness),
-        Figure("memory at the end", under.memory, "MB", "before the faults", without.memory),
-        Figure("wrong values that were good, all machines", wrong, "", "good values", judged),
-        Figure("faults on the first machine", ordered, "", "kinds", len(FAULTS)),
+        Figure("blocks of the others", under.blocks, "", "without faults", without.blocks),
+        Figure("memory at the end", float(np.median(memory[-tenth:])), "MB", "at the start", float(memory[0])),
+        Figure("its growth under faults", 1e3 * slope, "kB/min", "two standard errors of it", 1e3 * error),
+        Figure("wrong values that were good, all machines", found.wrong, "", "good values", found.judged),
+        Figure("faults on the first machine", found.ordered, "", "kinds", len(FAULTS)),
     ]
     give(f"one of {machines} machines under every fault in turn", figures, as_json=as_json)
 
