@@ -202,6 +202,8 @@ def _reached(
     """
     if belief.x >= limit:
         return np.ones(grid.size + 1)
+    if limit == inf:
+        return np.zeros(grid.size + 1)  # nobody asked for one
     columns = np.arange(done.end.shape[1])
     start, end, widening = done.start, done.end, np.ones(())
     if np.any(factors != 1.0):

@@ -65,7 +65,7 @@ def small_sample(count: int) -> float:
     """
     if count < 1:
         return small_sample(1)
-    return float(scipy.stats.t.ppf(0.95, count)) / _Z95 * float(np.sqrt(1.0 + 1.0 / count))
+    return float(scipy.special.stdtrit(count, 0.95)) / _Z95 * float(np.sqrt(1.0 + 1.0 / count))
 
 
 def machine_spread(
