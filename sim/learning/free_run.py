@@ -100,7 +100,7 @@ class FreeRunFit:
 
 @dataclass(frozen=True, slots=True)
 class _AlikeSteps:
-    """The `rows` whose locations have one `kind` of flow and one `rate` (a number; -1 without), their age and length."""
+    """The `rows` whose locations have one `kind` of flow and one `rate` (a number; -1: none), their age and length."""
 
     kind: str
     rate: int
