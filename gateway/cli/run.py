@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from gateway.cli.plant_file import config_option, load
-from gateway.entry import Exit, fail, sentences
+from gateway.entry import Exit, fail, keep_freed_memory, sentences
 from gateway.machine.reading import PlantClock
 from gateway.settings import Config
 
@@ -62,6 +62,7 @@ def run(
 
         for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
             import_module(room)
+        keep_freed_memory()
         if stdin:
             threading.Thread(target=_stop_at_end, name="stdin", daemon=True).start()
         drawn = watch and sys.stdout.isatty()

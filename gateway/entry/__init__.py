@@ -1,5 +1,6 @@
 """How a command is entered and left: loaded when it is called, exit codes, Control-C."""
 
+from gateway.entry.allocator import keep_freed_memory
 from gateway.entry.exits import CallAnswer, Exit, exit_code, fail, print_json, run_answered, sentence, sentences
 from gateway.entry.interrupt import interruptible
 from gateway.entry.lazy import LazyGroup, Table
@@ -13,6 +14,7 @@ __all__ = [
     "exit_code",
     "fail",
     "interruptible",
+    "keep_freed_memory",
     "one_thread",
     "print_json",
     "run_answered",
