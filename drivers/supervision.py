@@ -180,7 +180,15 @@ class Supervisor:
     @property
     def complaints(self) -> dict[str, str]:
         """What cannot be relied on now, by the part's name, and why."""
+        if self.all_well:
+            return {}
         return {name: f"{name}: {part.failure}; begun anew" for name, part in self.parts().items() if not part.well}
+
+    @property
+    def all_well(self) -> bool:
+        """What every scan asks, without a name for every part."""
+        own = all(worker.well for worker in tuple(self._workers.values()))
+        return own and all(other.all_well for other in tuple(self._included.values()))
 
     @property
     def complaint(self) -> str:

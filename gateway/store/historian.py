@@ -108,8 +108,10 @@ class Historian:
                 self._sources.append((machine, temperature))
         return HistorianView(self, machine, temperature)
 
-    def put(self, source: Source, table: str, rows: Iterable[Row]) -> None:
+    def put(self, source: Source, table: str, rows: Sequence[Row]) -> None:
         """Take rows of a source for a table of INSERTS (`HistorianView.put`)."""
+        if not rows:
+            return
         with self._wake:
             (self._urgent if table in DURABLE else self._rows).put(source, table, rows)
             self._drop_beyond_the_queues()
@@ -454,7 +456,7 @@ class HistorianView:
         self._historian, self.machine, self.temperature = historian, machine, temperature
         self._source = (machine, temperature)
 
-    def put(self, table: str, rows: Iterable[Row]) -> None:
+    def put(self, table: str, rows: Sequence[Row]) -> None:
         """Take rows for a table (`schema.NAMES`); they are committed within about a second, those of AT_ONCE at once.
 
         A row of `samples` begins with its tag's name.

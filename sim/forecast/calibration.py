@@ -124,6 +124,8 @@ def settle(state: Calibration, time: float, temperature: float) -> Calibration:
 
     A reading that is no number settles nothing, but time passes all the same.
     """
+    if not any(horizon.pending and horizon.pending[0].due <= time for horizon in state.horizons.values()):
+        return state
     horizons = dict(state.horizons)
     for ahead, horizon in state.horizons.items():
         # Forecasts wait in the order of their due times, so only the head of the queue is looked at.
@@ -165,6 +167,8 @@ def _due(waiting: PendingForecast) -> float:
 
 def matured(horizon: Horizon, time: float, tolerance: float) -> tuple[PendingForecast, ...]:
     """The forecasts that a reading at `time` settles: due by now, and not longer ago than `tolerance` seconds."""
+    if not horizon.pending or horizon.pending[0].due > time:
+        return ()
     first = bisect_left(horizon.pending, time - tolerance, key=_due)
     last = bisect_right(horizon.pending, time, key=_due)
     return horizon.pending[first:last]

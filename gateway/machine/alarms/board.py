@@ -60,7 +60,8 @@ class AlarmBoard:
         """The PLC's acknowledge bits, then the thresholds: they need neither model nor forecast."""
         for tag, temperatures in self._words.items():
             bits = scan.good(tag)
-            if bits is not None:
+            # Only a rising edge acknowledges.
+            if bits is not None and int(bits) & ~(self._acknowledged.get(tag) or 0):
                 before = dict(self.alarms)
                 own = {
                     name: condition

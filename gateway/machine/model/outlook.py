@@ -7,8 +7,6 @@ from functools import partial
 from math import inf, isfinite
 from typing import Any
 
-import numpy as np
-
 from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import Ensemble, ForecastJob, MixedForecast, bands, foresee, run_job
 from gateway.machine.model.predict import Predictor
@@ -156,9 +154,19 @@ class Outlook:
         self.calibration = Calibration(horizons, section.memory, section.weight, section.tolerance)
 
 
+def limit_probability(made: Forecast, horizon: float) -> float:
+    """The probability of reaching the limit within the horizon that is nearest to `horizon` (s)."""
+    return made.exceedance[_column(made, horizon)].probability
+
+
+def _column(made: Forecast, horizon: float) -> int:
+    apart = [abs(own - horizon) for own in made.horizons.tolist()]
+    return apart.index(min(apart))
+
+
 def block_values(made: Forecast, horizon: float, now: float) -> dict[str, float | None]:
     """The block's fields that a forecast fills, brought to `now`: horizon and minutes have shrunk since it was made."""
-    column = int(np.argmin(np.abs(made.horizons - horizon)))
+    column = _column(made, horizon)
     by_level = dict(zip(made.levels, made.quantiles[:, column].tolist(), strict=True))
     # The forecast is of fixed moments: as time goes on they come nearer, and the quantiles stay as they are.
     elapsed = now - made.time

@@ -8,7 +8,7 @@ from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import Ensemble
 from gateway.machine.model.guards import Guards
 from gateway.machine.model.loading import LoadedModel
-from gateway.machine.model.outlook import FinishedForecast, Outlook, block_values
+from gateway.machine.model.outlook import FinishedForecast, Outlook, limit_probability
 from gateway.machine.model.pickup import Pickup, ReadyModel
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.reading import Scan
@@ -139,7 +139,7 @@ class ModelUnit:
     def findings(self, prediction: ScanPrediction, forecast: Forecast | None) -> dict[str, float | None]:
         """What the alarms of the model look at, in the order in which they are stepped; None where it is not known."""
         p, trusted = prediction, prediction.known and prediction.inputs_good
-        limit = None if forecast is None else block_values(forecast, self.config.block_horizon, p.time)["p_limit"]
+        limit = None if forecast is None else limit_probability(forecast, self.config.block_horizon)
         return {
             "predicted over limit": limit,
             "anomaly": p.anomaly if trusted else None,
