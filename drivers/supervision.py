@@ -9,7 +9,7 @@ code.
 import asyncio
 import threading
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from time import monotonic
 from typing import Any, TypeVar
@@ -120,15 +120,16 @@ class Supervisor:
         worker = self._known(name, task)
         return task
 
-    def job(self, name: str, work: Callable[[], T]) -> "asyncio.Task[T]":
+    def job(self, name: str, work: Callable[[], T], turns: asyncio.Semaphore | None = None) -> "asyncio.Task[T]":
         """Run `work` once, in a thread of the running loop's; its failure is known here, and raised to who awaits it.
 
-        It is for its owner to begin it anew.
+        With `turns` it waits until fewer of those that share them are under way. It is for its owner to begin it anew.
         """
 
         async def once() -> T:
             try:
-                return await asyncio.to_thread(work)
+                async with turns or nullcontext():
+                    return await asyncio.to_thread(work)
             except (Exception, SystemExit) as error:
                 self._failed(worker, error)
                 raise

@@ -77,8 +77,8 @@ class Machine:
     `followed` are its temperatures, `model` that of the first one; `writing` is None for a machine to which nothing is
     computed for writing. `rng` draws the number that tells this start's blocks from another gateway's. `models` are
     those of its temperatures, where they have been read already. `records` and `supervisor` are those of the whole
-    gateway; without them the machine has its own, and `log_failure` says why the log's file cannot be written ("": it
-    can).
+    gateway, and so are the `turns` of its forecasts; without them the machine has its own. `log_failure` says why the
+    log's file cannot be written ("": it can).
 
     Raises ConfigError, HistorianError or AuditError when something cannot be opened; nothing is left open then.
     """
@@ -94,8 +94,10 @@ class Machine:
         models: Sequence[LoadedModels] | None = None,
         records: PlantRecords | None = None,
         supervisor: Supervisor | None = None,
+        turns: asyncio.Semaphore | None = None,
         log_failure: Callable[[], str] = lambda: "",
     ) -> None:
+        self._turns = turns
         self.config, self.driver, self.clock, self.log = config, driver, clock, log
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
         models = load_models(config) if models is None else models
@@ -154,7 +156,15 @@ class Machine:
         store = self.common.historian.of(config.machine, config.map.tags, config.model.temperature)
         model = None
         if loaded is not None:
-            model = ModelUnit(config, loaded, members, historian=store, log=self.log, supervisor=self.supervisor)
+            model = ModelUnit(
+                config,
+                loaded,
+                members,
+                historian=store,
+                log=self.log,
+                supervisor=self.supervisor,
+                turns=self._turns,
+            )
         return FollowedTemperature(config, store, model)
 
     def _open_writing(self, rng: Random) -> WritebackStage | None:

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 
 RESTART_SECONDS = 1.0
 LAST_WORD_SECONDS = 0.1
+FORECASTS_AT_ONCE = 2
+"""Each takes some ten megabytes while it is made, and they would share one interpreter; two, so that a slow one does
+not keep all others waiting."""
 
 
 class Fleet:
@@ -57,7 +60,7 @@ class Fleet:
     ) -> None:
         self.clock, self.log, self._rng = clock, log, rng
         self._read_anew = read_anew or partial(load_plant, configs[0].path)
-        self._reloading = asyncio.Lock()
+        self._reloading, self._turns = asyncio.Lock(), asyncio.Semaphore(FORECASTS_AT_ONCE)
         self.supervisor = Supervisor(self._note_failure)
         self.machines: dict[str, Machine] = {}
         self._running: dict[str, _Running] = {}
@@ -99,6 +102,7 @@ class Fleet:
             models=models,
             records=self.records,
             supervisor=supervisor,
+            turns=self._turns,
         )
         if config.serve.port is not None:
             self.images[config.serve.unit] = DeviceImage(config, self.clock.now)

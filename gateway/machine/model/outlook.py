@@ -30,7 +30,8 @@ class Outlook:
     """The newest forecast of one predictor; at most one is being made at a time, and scans never wait for it.
 
     Runs are drawn from the clock and the configured seed, so that a replay of the same beliefs gives the same fans.
-    `levels` are those of its fans, LEVELS among them; whoever scores them wants more.
+    `levels` are those of its fans, LEVELS among them; whoever scores them wants more. `turns` are taken with the
+    forecasts of other machines, so that few are made at once.
     """
 
     def __init__(
@@ -43,8 +44,9 @@ class Outlook:
         *,
         levels: tuple[float, ...] = LEVELS,
         supervisor: Supervisor | None = None,
+        turns: asyncio.Semaphore | None = None,
     ) -> None:
-        self._supervisor = supervisor or Supervisor()
+        self._supervisor, self._turns = supervisor or Supervisor(), turns
         self.predictor, self.section, self.limit = predictor, section, limit
         self.ensemble, self.levels = ensemble, levels
         self.latest: Forecast | None = None
@@ -126,7 +128,7 @@ class Outlook:
                 limit=self.limit,
                 levels=self.levels,
             )
-        self._task = self._supervisor.job("forecast", work)
+        self._task = self._supervisor.job("forecast", work, self._turns)
 
     async def finished(self) -> None:
         """Wait for the forecast being made, if any; the next `collect` gives it. For a clock that is not the wall's."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING, Any
 
 from drivers.supervision import Supervisor
@@ -25,7 +26,8 @@ class ModelUnit:
 
     In a scan its methods are called in their order here: `pick_up` before anything is computed with the model, `follow`
     for the prediction, `settle` for what its reading teaches, `foresee` once the block is on its way. `loaded` is the
-    model that runs, `members` those of an ensemble beside it, `prediction` what was said of the newest scan.
+    model that runs, `members` those of an ensemble beside it, `prediction` what was said of the newest scan; `turns`
+    are those of the gateway's forecasts.
     """
 
     def __init__(
@@ -37,9 +39,11 @@ class ModelUnit:
         historian: HistorianView,
         log: FilteringBoundLogger,
         supervisor: Supervisor | None = None,
+        turns: asyncio.Semaphore | None = None,
     ) -> None:
         self.config, self.loaded, self.members = config, loaded, members
         self._historian, self._log, self._supervisor = historian, log, supervisor or Supervisor()
+        self._turns = turns
         self.pickup = Pickup(config, loaded, self._supervisor)
         self.begin_anew()
         for model in (loaded, *members):
@@ -64,7 +68,13 @@ class ModelUnit:
             else None
         )
         self.outlook = Outlook(
-            self.predictor, config.forecast, config.alarms.limit, period, ensemble, supervisor=self._supervisor
+            self.predictor,
+            config.forecast,
+            config.alarms.limit,
+            period,
+            ensemble,
+            supervisor=self._supervisor,
+            turns=self._turns,
         )
         self.guards = Guards(self.loaded.model, config.forecast.horizons, config.alarms.drift)
         self.prediction: ScanPrediction | None = None
