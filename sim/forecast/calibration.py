@@ -15,8 +15,9 @@ span over their horizon, not their number. It is weighed against the model's own
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import exp, inf, isfinite, log, nan
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,9 @@ class PendingForecast:
     factor: float = 1.0
 
 
+_OF_PENDING = tuple(field.name for field in fields(PendingForecast))
+
+
 @dataclass(frozen=True, slots=True)
 class Horizon:
     """What one horizon has learned: forgetting counts of z by bins, the independent forecasts that they are worth.
@@ -68,6 +72,11 @@ class Horizon:
     missed: int = 0
     shift: float = 0.0
     held: float = 0.0
+
+    def plain(self) -> dict[str, Any]:
+        """The state as JSON can carry it; `asdict` would copy each number of each waiting forecast by itself."""
+        pending = [{key: getattr(waiting, key) for key in _OF_PENDING} for waiting in self.pending]
+        return {field.name: getattr(self, field.name) for field in fields(self)} | {"pending": pending}
 
 
 @dataclass(frozen=True, slots=True)

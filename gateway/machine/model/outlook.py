@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from math import inf, isfinite
 from typing import Any
@@ -143,7 +143,7 @@ class Outlook:
 
     def snapshot(self) -> dict[str, Any]:
         """What the bands have learned, as JSON can carry it."""
-        return {f"{horizon:g}": asdict(one) for horizon, one in self.calibration.horizons.items()}
+        return {f"{horizon:g}": one.plain() for horizon, one in self.calibration.horizons.items()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a snapshot, for the horizons that are still configured. Raises KeyError or TypeError."""
