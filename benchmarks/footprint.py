@@ -14,6 +14,9 @@ With `--machines 1,2,5` it is as many machines of one gateway, one run after the
 FORECAST_S: processor time and memory by their number, and how they grow (the slope of their logarithms by least
 squares). One software PLC serves them all; what it takes of a core is said, since it must not be what is measured.
 
+With `--beside FOLDER` it is two gateways at the same time, this checkout's and that one's, each with a software PLC of
+its own: what else the machine has to do slows both alike.
+
 For orientation only: the ThingsBoard gateway 3.8.5 took 69 % of a core and 72 MB for 50 devices with 10 tags each, read
 every 100 ms, one request a tag, 485 of 500 polls/s. That is another setting (50 devices, no model, nothing written
 back, no history, another day), so nothing here is a comparison with it.
@@ -25,7 +28,7 @@ import tempfile
 import time
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import click
@@ -147,6 +150,37 @@ def growth(machines: Sequence[int], seconds: float, period: float, model_folder:
     return figures
 
 
+def beside(
+    source: Path, seconds: float, period: float, model_folder: Path | None, forecast: float | None
+) -> list[Figure]:
+    """This checkout's gateway and another one's at the same time.
+
+    Raises BenchmarkError when one does not get to work.
+    """
+    with ExitStack() as opened:
+        plcs, pids = [], []
+        for each in (ROOT, source.resolve()):
+            folder = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="decanter-footprint-")))
+            model = learned_model((model_folder or folder).resolve())
+            plc = opened.enter_context(software_plc(folder))
+            process = opened.enter_context(gateway(folder, plc, model, period, forecast=forecast, source=each))
+            until_usable(plc, process)
+            plcs.append(plc)
+            pids.append(process.pid)
+        before = [(cpu_seconds(pid), _accepted(plc)) for pid, plc in zip(pids, plcs, strict=True)]
+        time.sleep(seconds)
+        after = [(cpu_seconds(pid), _accepted(plc)) for pid, plc in zip(pids, plcs, strict=True)]
+        peaks = [peak_megabytes(pid) for pid in pids]
+    used = [1e3 * (now[0] - then[0]) * period / seconds for now, then in zip(after, before, strict=True)]
+    blocks = [now[1] - then[1] for now, then in zip(after, before, strict=True)]
+    other = f"the gateway of {source.name}"
+    return [
+        Figure("CPU per 1000 scans that were due", used[0], "s", other, used[1]),
+        Figure("peak resident size", peaks[0], "MB", other, peaks[1]),
+        Figure("blocks accepted", blocks[0], "", other, blocks[1]),
+    ]
+
+
 def _accepted(plc: Plc) -> int:
     return sum(int(one["accepted"]) for one in plc.statuses())
 
@@ -167,6 +201,9 @@ def _numbers(_context: click.Context, _parameter: click.Parameter, text: str | N
 @click.option("--seconds", type=click.FloatRange(0.5), help="How long it is measured.")
 @click.option("--period", type=click.FloatRange(0.02), default=0.1, show_default=True, help="Scan period (s).")
 @click.option("--forecast", type=click.FloatRange(0.1), help="Seconds between two forecasts instead of ten scans.")
+@click.option(
+    "--beside", "source", type=click.Path(path_type=Path, exists=True), help="Another checkout, measured too."
+)
 @click.option("--machines", callback=_numbers, help="Numbers of machines in one gateway: 1,2,5.")
 @click.option("--model-folder", type=click.Path(path_type=Path), help="Where the learned model is kept.")
 def main(
@@ -176,12 +213,15 @@ def main(
     seconds: float | None,
     period: float,
     forecast: float | None,
+    source: Path | None,
     machines: tuple[int, ...],
     model_folder: Path | None,
 ) -> None:
     seconds = seconds or (4.0 if quick else 30.0)
     if machines:
         figures = growth(machines, seconds, period, model_folder)
+    elif source is not None:
+        figures = beside(source, seconds, period, model_folder, forecast)
     else:
         figures = measure(seconds, period, model_folder, forecast)
     give(f"footprint, scan period {1e3 * period:g} ms", figures, as_json=as_json)

@@ -115,17 +115,24 @@ def software_plc(folder: Path, speed: float = 1.0, machines: Sequence[str] = ())
 
 @contextmanager
 def gateway(
-    folder: Path, plc: Plc, model: Path, period: float, speed: float = 1.0, forecast: float | None = None
+    folder: Path,
+    plc: Plc,
+    model: Path,
+    period: float,
+    speed: float = 1.0,
+    *,
+    forecast: float | None = None,
+    source: Path = ROOT,
 ) -> Iterator["subprocess.Popen[bytes]"]:
     """`decanter run`, armed, with historian, log and model, scanning every `period` seconds of plant time.
 
-    It reads all machines of the PLC; `forecast`: see `plant_file`.
+    It reads all machines of the PLC; `forecast`: see `plant_file`; `source` is the checkout whose code runs.
     """
     ports = {name: int(one["port"]) for name, one in plc.ready.get("machines", {}).items()}
     plant = plant_file(folder, model, period, speed, forecast=forecast, ports=ports)
     command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(plant)]
     command += [] if ports else ["--port", str(plc.port)]
-    with subprocess.Popen([*command, "--quiet"], stdin=subprocess.DEVNULL, cwd=ROOT) as process:
+    with subprocess.Popen([*command, "--quiet"], stdin=subprocess.DEVNULL, cwd=source) as process:
         try:
             yield process
         finally:

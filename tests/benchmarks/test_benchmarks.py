@@ -15,7 +15,8 @@ from benchmarks import skill
 from benchmarks.figures import Figure, as_table
 from benchmarks.latency import Scan, follow
 from benchmarks.peers.plcs import judged
-from benchmarks.processes import CURRENT, MAP, TEMPERATURE, learned_model
+from benchmarks.processes import CURRENT, MAP, TEMPERATURE, learned_model, plant_file
+from gateway.settings import load_plant
 from sim.plc.program.encoding import encode
 from sim.plc.program.registers import read_map
 from sim.plc.record.recording import BlockRow, RequestRow, TruthRow
@@ -56,6 +57,18 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
     figures = by_name(said("footprint", "--seconds", "1.5", "--model-folder", str(model_folder))["figures"])
     assert figures["scans with an accepted block"]["value"] >= 1
     assert figures["peak resident size of the gateway"]["value"] > figures["peak resident size of the gateway"]["other"]
+
+
+def test_several_machines_are_one_plant_file_and_a_number_of_none_is_refused(
+    tmp_path: Path, model_folder: Path
+) -> None:
+    plant = plant_file(tmp_path, model_folder / "model", 0.1, forecast=10.0, ports={"east": 1502, "west": 1503})
+    assert [(one.machine, one.device.port, one.forecast.period) for one in load_plant(plant)] == [
+        ("east", 1502, 10.0),
+        ("west", 1503, 10.0),
+    ]
+    refused = CliRunner().invoke(import_module("benchmarks.footprint").main, ["--machines", "1,none"])
+    assert refused.exit_code == 2 and "whole numbers from 1 on" in refused.stderr
 
 
 def test_a_newcomers_hour_ends_with_a_prediction_and_a_shadow_block(model_folder: Path) -> None:
