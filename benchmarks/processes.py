@@ -184,13 +184,14 @@ period = {FORECAST_SCANS * period if forecast is None else forecast:g}
 
 
 def until_usable(plc: Plc, process: "subprocess.Popen[bytes]") -> None:
-    """Return when the PLC, or each of its machines, holds a block that it may use in full: model, forecast, location
-    and inputs are good.
+    """Return when the PLC holds a block that it may use in full: model, forecast, location and inputs are good.
+
+    Of many machines nine in ten are enough: some are always where their run begins again, which no model expects.
 
     Raises BenchmarkError when that takes longer than PATIENCE_S, or the gateway has ended.
     """
     deadline = time.monotonic() + PATIENCE_S
-    while not all(one["usable"] for one in plc.statuses()):
+    while sum(usable := [one["usable"] for one in plc.statuses()]) < 0.9 * len(usable):
         if process.poll() is not None:
             raise BenchmarkError(f"the gateway ended with code {process.returncode}")
         if time.monotonic() > deadline:
