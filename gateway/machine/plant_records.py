@@ -9,7 +9,7 @@ from drivers.supervision import Supervisor
 from gateway.machine.reading import Clock
 from gateway.machine.writing import AuditTrail, open_audit_trail
 from gateway.settings import Config
-from gateway.store import open_historian
+from gateway.store import Historian, open_historian
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 class PlantRecords:
     """Opened records. `trail` is None while nothing is computed for writing; `log_failure` says why the log's file
-    cannot be written ("": it can).
+    cannot be written ("": it can). Without a `historian` that of the configurations is opened.
 
     Raises HistorianError.
     """
@@ -30,10 +30,11 @@ class PlantRecords:
         log: FilteringBoundLogger,
         supervisor: Supervisor,
         log_failure: Callable[[], str] = lambda: "",
+        historian: Historian | None = None,
     ) -> None:
         first = configs[0]
         self.supervisor, self.log_failure = supervisor, log_failure
-        self.historian = open_historian(
+        self.historian = historian or open_historian(
             first.historian.path,
             max_mb=first.historian.max_mb,
             mend=True,

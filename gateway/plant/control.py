@@ -9,7 +9,7 @@ import asyncio
 import os
 import socket
 import struct
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
@@ -86,20 +86,32 @@ class ControlScope:
 
     def one(self, request: "ControlRequest") -> Machine:
         """The machine that a request names, or the only one. Raises ControlError."""
-        names = ", ".join(self.machines)
-        if request.machine is None:
-            if len(self.machines) > 1:
-                raise ControlError(f"which machine? Name one of {names} (--machine NAME)")
-            return next(iter(self.machines.values()))
-        if request.machine not in self.machines:
-            raise ControlError(f"there is no machine {request.machine[:60]!r}; this gateway has {names}")
-        return self.machines[request.machine]
+        return self.machines[meant_machine(list(self.machines), request.machine)]
+
+    async def answer(self, line: bytes) -> dict[str, Any]:
+        """The reply to one request."""
+        return await answer(self, line)
+
+
+def meant_machine(names: Sequence[str], name: str | None) -> str:
+    """The machine of a gateway's that a request speaks of, by default the only one. Raises ControlError."""
+    if name is None and len(names) > 1:
+        raise ControlError(f"which machine? Name one of {', '.join(names)} (--machine NAME)")
+    if name is not None and name not in names:
+        raise ControlError(f"there is no machine {name[:60]!r}; this gateway has {', '.join(names)}")
+    return names[0] if name is None else name
+
+
+class Answering(Protocol):
+    """Who answers for a gateway: its machines (`ControlScope`), or the process that has them in others."""
+
+    async def answer(self, line: bytes) -> dict[str, Any]: ...
 
 
 class Control:
     """The socket of one gateway, from `open` to `close`."""
 
-    def __init__(self, scope: ControlScope, path: Path, log: "FilteringBoundLogger") -> None:
+    def __init__(self, scope: Answering, path: Path, log: "FilteringBoundLogger") -> None:
         self._scope, self.path, self._log = scope, path, log
         self._server: asyncio.Server | None = None
         self._bound = (0, 0)
@@ -161,7 +173,7 @@ class Control:
             task.add_done_callback(self._tasks.discard)
 
         async def reply(line: bytes) -> dict[str, Any]:
-            plain: dict[str, Any] = strict(await answer(self._scope, line))
+            plain: dict[str, Any] = strict(await self._scope.answer(line))
             return plain
 
         await json_lines.serve(reader, writer, reply, admitted=lambda: _is_ours(writer))
@@ -323,6 +335,12 @@ async def _disarm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, 
     """Take everything back and write no more: `by`, `reason`."""
     given = _checked(_Disarm, request)
     return {"pid": os.getpid(), "was_armed": await scope.one(given).disarm(given.by, given.reason)}
+
+
+def disarm_words(request: Mapping[str, Any]) -> tuple[str, str]:
+    """Who disarms, and why. Raises ControlError."""
+    given = _checked(_Disarm, request)
+    return given.by, given.reason
 
 
 COMMANDS: dict[str, Command] = {

@@ -7,7 +7,7 @@ supervisor of its own. What is common is opened before the first machine and clo
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import aclosing, suppress
 from functools import partial
 from random import Random
@@ -21,15 +21,19 @@ from drivers.supervision import Supervisor
 from gateway.machine import Machine, PlantRecords
 from gateway.machine.model import LoadedModels, load_models
 from gateway.machine.reading import Clock, QualityRules, Scan, scans
+from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
+from gateway.plant.status import snapshot
 from gateway.serving import DeviceImage
 from gateway.settings import Config, changed_machines, load_plant
-from gateway.status import ControlError
+from gateway.status import ControlError, GatewayStatus
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
 
+SWITCH_SECONDS = 0.0005
+"""How often a process with machines changes threads, a tenth of Python's own 5 ms (`sys.setswitchinterval`)."""
 RESTART_SECONDS = 1.0
 LAST_WORD_SECONDS = 0.1
 
@@ -41,7 +45,8 @@ class Fleet:
 
     Raises ConfigError, HistorianError or AuditError for what cannot be opened; nothing is left open then. `driver` is
     used for the first machine, by default all have those of their configurations. `read_anew` gives the configurations
-    as they are in the file by now.
+    as they are in the file by now. `open_records` is called for the records once the models are read, by a worker
+    process, which has some of the plant's machines and none of its stores.
     """
 
     def __init__(
@@ -54,6 +59,7 @@ class Fleet:
         log_failure: Callable[[], str] = lambda: "",
         driver: Driver | None = None,
         read_anew: Callable[[], Sequence[Config]] | None = None,
+        open_records: Callable[[Supervisor], PlantRecords] | None = None,
     ) -> None:
         self.clock, self.log, self._rng = clock, log, rng
         self._read_anew = read_anew or partial(load_plant, configs[0].path)
@@ -69,12 +75,17 @@ class Fleet:
             drivers[configs[0].machine] = driver
         # What can be refused is read first: a model that does not suit its machine leaves no records behind.
         models = {config.machine: load_models(config) for config in configs}
-        self.records = PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
+        self.records = (
+            PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
+            if open_records is None
+            else open_records(self.supervisor)
+        )
+        alone = len(configs) == 1 and open_records is None
         opened = False
         try:
             for config in configs:
                 name = config.machine
-                self.machines[name] = self._opened(config, drivers[name], models[name], alone=len(configs) == 1)
+                self.machines[name] = self._opened(config, drivers[name], models[name], alone=alone)
             opened = True
         finally:
             if not opened:
@@ -125,27 +136,40 @@ class Fleet:
         goes on as it was, for a file that cannot be used and for a change of what all machines have in common.
         """
         async with self._reloading:
-            models: dict[str, Sequence[LoadedModels]] = {}
             try:
                 configs = {config.machine: config for config in await asyncio.to_thread(self._read_anew)}
-                before = {name: machine.config for name, machine in self.machines.items()}
-                changes = changed_machines(before, configs)
-                # What a start would refuse is refused now, while the former configuration runs.
-                for config in (configs[name] for name in changes if name in configs):
-                    models[config.machine] = await asyncio.to_thread(load_models, config)
-                    make_driver(config, self.clock)
+                changes = changed_machines({name: one.config for name, one in self.machines.items()}, configs)
+                models = await self.examine([configs[name] for name in changes if name in configs])
             except ConfigError as error:
                 raise ControlError(f"the file is refused and everything goes on as it was: {error}") from None
             if apply:
-                for name in changes:
-                    await self._replace(name, configs.get(name), before.get(name), models.get(name))
-                # In the order of the file from now on.
-                order = [name for name in configs if name in self.machines]
-                for name in order:
-                    self.machines[name] = self.machines.pop(name)
+                await self.take_over(list(changes), configs, models)
                 if changes:
                     self.log.warning("the plant file was read anew", machines=", ".join(changes))
             return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}
+
+    async def examine(self, configs: Sequence[Config]) -> dict[str, Sequence[LoadedModels]]:
+        """The models of machines that may be begun, while the former configuration runs.
+
+        Raises ConfigError for what a start would refuse.
+        """
+        models: dict[str, Sequence[LoadedModels]] = {}
+        for config in configs:
+            models[config.machine] = await asyncio.to_thread(load_models, config)
+            make_driver(config, self.clock)
+        return models
+
+    async def take_over(
+        self, names: Sequence[str], configs: Mapping[str, Config], models: Mapping[str, Sequence[LoadedModels]]
+    ) -> None:
+        """Have the machines of these names as they are in `configs`: begun, begun anew, or stopped."""
+        before = {name: machine.config for name, machine in self.machines.items()}
+        for name in names:
+            await self._replace(name, configs.get(name), before.get(name), models.get(name))
+        # In the order of the file from now on.
+        order = [name for name in configs if name in self.machines]
+        for name in order:
+            self.machines[name] = self.machines.pop(name)
 
     async def _replace(
         self, name: str, after: Config | None, before: Config | None, models: Sequence[LoadedModels] | None
@@ -176,6 +200,14 @@ class Fleet:
     def several(self) -> bool:
         """Whether the plant file has [[machine]] tables."""
         return any(machine.config.several for machine in self.machines.values())
+
+    def statuses(self) -> dict[str, GatewayStatus]:
+        """How all machines are, by their names."""
+        return {name: snapshot(machine) for name, machine in self.machines.items()}
+
+    async def answer(self, line: bytes) -> dict[str, Any]:
+        """The reply to a request at the control socket."""
+        return await answer(ControlScope(self.machines, snapshot, self.reload), line)
 
     def _image_of(self, machine: Machine) -> DeviceImage | None:
         """What peers are shown of a machine; None where nothing is served."""

@@ -10,6 +10,8 @@ from gateway.settings.config import (
     HistorianSection,
     LogSection,
     WritebackSection,
+    configs_from_json,
+    configs_to_json,
     load_config,
     load_plant,
 )
@@ -30,6 +32,8 @@ __all__ = [
     "WritebackLayout",
     "WritebackSection",
     "changed_machines",
+    "configs_from_json",
+    "configs_to_json",
     "load_config",
     "load_device",
     "load_plant",

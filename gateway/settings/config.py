@@ -7,10 +7,11 @@ is common: a machine has it too, key for key, where its own table says nothing e
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, StringConstraints, field_validator, model_validator
+from pydantic import Field, StringConstraints, TypeAdapter, field_validator, model_validator
 
 from drivers.settings import ConfigError, Section, checked, read_toml
 from gateway.settings.devices import DeviceMap, WritebackLayout
@@ -213,6 +214,20 @@ class ServeSection(Section):
     most_clients: int = Field(8, ge=1, le=256, description="how many peers are served at a time, 1 to 256")
 
 
+MOST_WORKERS = 64
+
+
+class PlantSection(Section):
+    """How the machines of a plant are carried: by one process, or split over several."""
+
+    workers: int = Field(
+        1,
+        ge=1,
+        le=MOST_WORKERS,
+        description=f"a whole number of processes that the machines are split over, 1 to {MOST_WORKERS}",
+    )
+
+
 class _MachineName(Section):
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,59}$")] = Field(
         description="a name of letters, digits, '_', '-' and '.', 60 at most"
@@ -235,9 +250,10 @@ class _PlantFile(Section):
     control: ControlSection = Field(default_factory=ControlSection, description="a [control] table")
     clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
     serve: ServeSection = Field(default_factory=ServeSection, description="a [serve] table")
+    plant: PlantSection = Field(default_factory=PlantSection, description="a [plant] table")
 
 
-COMMON = ("historian", "log", "control")
+COMMON = ("historian", "log", "control", "plant")
 """Sections of the whole gateway: no machine has one of its own."""
 COMMON_KEYS = {
     "clock": ("speed",),
@@ -273,6 +289,7 @@ class Config:
     control: ControlSection
     clock: ClockSection
     serve: ServeSection
+    plant: PlantSection
     links: tuple[DeviceLink, ...]
 
     @property
@@ -412,6 +429,22 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     return tuple(machines)
 
 
+@cache
+def _plain_configs() -> TypeAdapter[tuple[Config, ...]]:
+    return TypeAdapter(tuple[Config, ...])  # at its first use: few programs need it, and it takes its time
+
+
+def configs_to_json(configs: Sequence[Config]) -> str:
+    """Checked configurations as JSON, for a process of our own: it need not read the files, which may have changed."""
+    # Without what was not given: some tables may not have keys beside others, not even at their defaults.
+    return _plain_configs().dump_json(tuple(configs), exclude_unset=True).decode()
+
+
+def configs_from_json(text: str) -> tuple[Config, ...]:
+    """The configurations that `configs_to_json` has made JSON of, equal to those."""
+    return _plain_configs().validate_json(text)
+
+
 def _same_places(machines: Sequence[Config]) -> list[str]:
     """Machines that are one and the same device, or are served to peers as one."""
     problems, known, served = [], dict[tuple[object, ...], str](), dict[int, str]()
@@ -523,6 +556,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         control=content.control.model_copy(update={"path": content.control.path and home / content.control.path}),
         clock=content.clock,
         serve=content.serve,
+        plant=content.plant,
         links=links,
     )
 

@@ -43,8 +43,10 @@ if TYPE_CHECKING:
     )
     from gateway.store.confirming import confirmation
     from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
+    from gateway.store.files import HistorianError
     from gateway.store.historian import Historian, HistorianView, open_historian, saved_state
-    from gateway.store.queues import Row
+    from gateway.store.numbers import Source
+    from gateway.store.queues import Batch, LostRows, Row
     from gateway.store.read_back import (
         events,
         history,
@@ -92,13 +94,17 @@ __all__ = [
     "AuditRow",
     "AuditVerdict",
     "BackupError",
+    "Batch",
     "HeadSink",
     "Historian",
+    "HistorianError",
     "HistorianView",
+    "LostRows",
     "Manifest",
     "Row",
     "SignedHead",
     "SigningKeyError",
+    "Source",
     "Uptime",
     "WitnessPlaces",
     "acknowledgement",

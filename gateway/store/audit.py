@@ -214,6 +214,14 @@ class Audit:
             self._given_up(ticket, undo, wanted=False)
             raise
 
+    def submit(self, entries: Iterable[AuditEntry]) -> "list[Future[AuditRow]]":
+        """Have entries committed now, all in one commit where no others of their subjects wait; a ticket for each.
+
+        A ticket fails with sqlite3.Error if the disk refuses, and is cancelled at once while the log is being closed.
+        """
+        with self._wake:
+            return [self._submitted(entry) for entry in entries]
+
     async def kept(self, entry: AuditEntry, timeout: float) -> None:
         """Have the entry stored and wait for it; what takes longer than `timeout` goes on with nobody waiting."""
         if await self.stored(entry, timeout) is None:
@@ -275,15 +283,8 @@ class Audit:
         return not self._waiting and not self.lost
 
     def _work(self) -> None:
-        while (connection := self._connection) is None:
-            try:
-                self._connection = self._attach() if self._attach else None
-                self.failure = ""
-            except AuditError as error:
-                self.failure = str(error)
-                with self._wake:
-                    if self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS):
-                        return
+        if not self._attached():
+            return
         while True:
             with self._wake:
                 self._wake.wait_for(lambda: self._waiting or self._stopping)
@@ -295,16 +296,19 @@ class Audit:
                     continue
             claimed: list[tuple[AuditEntry, Future[AuditRow] | None]] = []
             lost: Counter[str | None] = Counter()
+
+            def claim() -> list[AuditEntry]:
+                """The entries of this commit, behind a row that says how many were lost before."""
+                nonlocal claimed, lost
+                with self._wake:
+                    claimed, lost = self._claimed(), self._lost.copy()
+                now = claimed[0][0].time if claimed else 0.0
+                missing = [_lost(subject, rows, now) for subject, rows in lost.items() if rows and claimed]
+                return [*missing, *(entry for entry, _ in claimed)]
+
             try:
-                with connection:
-                    # The write lock comes first, and may take its time: until then an entry can be taken back.
-                    connection.execute("BEGIN IMMEDIATE")
-                    with self._wake:
-                        claimed, lost = self._claimed(), self._lost.copy()
-                    if lost and claimed:
-                        now = claimed[0][0].time
-                        _insert(connection, [_lost(subject, rows, now) for subject, rows in lost.items() if rows])
-                    rows = _insert(connection, [entry for entry, _ in claimed])
+                rows = self._committed(claim)
+                rows = rows[len(rows) - len(claimed) :]
             except sqlite3.Error as error:
                 stored = False
                 self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
@@ -336,6 +340,28 @@ class Audit:
                     return
                 if not stored:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
+
+    def _attached(self) -> bool:
+        """Wait until there is a file to write to; False if it is to stop before."""
+        while self._connection is None:
+            try:
+                self._connection = self._attach() if self._attach else None
+                self.failure = ""
+            except AuditError as error:
+                self.failure = str(error)
+                with self._wake:
+                    if self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS):
+                        return False
+        return True
+
+    def _committed(self, claim: Callable[[], Sequence[AuditEntry]]) -> list[AuditRow]:
+        """Commit what `claim` gives, which is asked once the write lock is had. Raises sqlite3.Error."""
+        if (connection := self._connection) is None:
+            raise sqlite3.OperationalError("the audit log is not open")
+        with connection:
+            # The write lock comes first, and may take its time: until then an entry can be taken back.
+            connection.execute("BEGIN IMMEDIATE")
+            return _insert(connection, claim())
 
     def _claimed(self, share: int = SHARE) -> list[tuple[AuditEntry, "Future[AuditRow] | None"]]:
         """Take what the next commit stores: of each subject the oldest entries, `share` at most (the lock is held)."""
