@@ -33,8 +33,8 @@ from drivers.modbus.plan import (
     refusal_of,
 )
 from drivers.modbus.quarantine import RefusedAddresses
-from drivers.modbus.settings import ModbusSettings, read_settings
-from drivers.modbus.shared import SharedLink, place_of
+from drivers.modbus.settings import ModbusSettings, place_of, read_settings
+from drivers.modbus.shared import SharedLink
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import WireReply, read_request, write_request
 from drivers.tag import Quality, Sample, Tag, Value

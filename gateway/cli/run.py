@@ -60,8 +60,9 @@ def run(
         # After the configuration, so that what is wrong with it is said at once.
         from gateway.plant import serve
 
-        for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
-            import_module(room)
+        if configs[0].plant.workers == 1:
+            for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
+                import_module(room)
         if stdin:
             threading.Thread(target=_stop_at_end, name="stdin", daemon=True).start()
         drawn = watch and sys.stdout.isatty()

@@ -29,7 +29,7 @@ MOST_NEWS = 1_000
 Message = dict[str, Any]
 
 
-class Channel:
+class SupervisorChannel:
     """The line, from its making on; each method may be called from any thread, and none but `ask` and `close` waits.
 
     `on_request` is called, in a thread of the channel's, with what the supervisor asks.

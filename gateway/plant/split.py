@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Hashable, Iterator, Mapping, Sequence
+from contextlib import suppress
 
+from drivers.driver import capabilities, load_function
+from drivers.errors import DriverError
 from drivers.settings import ConfigError
 from gateway.settings import Config, DeviceLink
 
@@ -46,15 +48,15 @@ def _on_one_connection(configs: Sequence[Config]) -> list[list[Config]]:
             else:
                 apart.append((known, others))
         groups = [*apart, (places, members)]
-    return [members for _, members in groups]
+    return [[config for config in configs if config in members] for _, members in groups]
 
 
 def _places(link: DeviceLink) -> Iterator[Hashable]:
-    """What a link's device may share with others: a host and port, a serial line, a bus."""
-    settings = link.settings
-    if serial := settings.get("serial"):
-        yield "serial", os.path.realpath(str(serial))
-    elif host := settings.get("host"):
-        yield "host", str(host).lower(), settings.get("port")
-    if channel := settings.get("channel"):
-        yield "bus", settings.get("interface"), str(channel)
+    """What a link's device may share with others: a connection with several units behind it, a bus."""
+    device, settings = capabilities(link.map.driver), link.settings
+    if device.shares:
+        # Settings that are wrong share nothing: the driver says so when it is made.
+        with suppress(DriverError):
+            yield load_function(device.shares)(settings)
+    if device.bus:
+        yield "bus", settings.get("interface"), settings.get("channel")

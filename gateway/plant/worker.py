@@ -20,7 +20,7 @@ from drivers.supervision import Supervisor
 from gateway.machine import PlantRecords
 from gateway.machine.model import LoadedModels
 from gateway.machine.reading import PlantClock
-from gateway.plant.channel import Channel, Message
+from gateway.plant.channel import Message, SupervisorChannel
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.fleet import SWITCH_SECONDS, Fleet
 from gateway.plant.log import handed_logger
@@ -33,8 +33,6 @@ from sim.strict_json import strict
 def main() -> None:
     """Work for the supervisor at the other end of the socket whose number is the first argument."""
     sys.setswitchinterval(SWITCH_SECONDS)
-    for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
-        import_module(room)
     asyncio.run(_work(socket.socket(fileno=int(sys.argv[1]))))
 
 
@@ -45,9 +43,12 @@ async def _work(sock: socket.socket) -> None:
     def on_request(message: Message) -> None:
         loop.call_soon_threadsafe(requests.put_nowait, message)
 
-    channel = Channel(sock, lines, on_request)
+    channel = SupervisorChannel(sock, lines, on_request)
     begin = channel.ask("begin")
     configs, clock = configs_from_json(begin["configs"]), PlantClock(*begin["clock"])
+    if any(row.model for config in configs for row in config.temperatures):
+        for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
+            import_module(room)
     log = handed_logger(lambda event: channel.tell("log", event=event), configs[0].log.level)
 
     def open_records(supervisor: Supervisor) -> PlantRecords:
@@ -81,7 +82,7 @@ async def _work(sock: socket.socket) -> None:
 class _Requests:
     """What the supervisor asks of the machines, until `stop` is set by it."""
 
-    def __init__(self, fleet: Fleet, channel: Channel) -> None:
+    def __init__(self, fleet: Fleet, channel: SupervisorChannel) -> None:
         self.stop = asyncio.Event()
         self._fleet, self._channel = fleet, channel
         self._scope = ControlScope(fleet.machines, snapshot)

@@ -14,7 +14,10 @@ from gateway.plant.channel import Message, packed_line
 
 
 class WorkerEnded(RuntimeError):
-    """A worker process that has ended though nobody told it to."""
+    """A worker process that has ended though nobody told it to; the message is a sentence."""
+
+    def __repr__(self) -> str:
+        return str(self)
 
 
 class WorkerLine:

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
 
+WORKER = "gateway.plant.worker"
+"""The module that is the program of a worker process."""
 HANG_SECONDS = 10.0
 """A worker that has not said how its machines are for so long is killed: their PLCs' timers have run out by then."""
 STOP_SECONDS = 30.0
@@ -186,7 +188,7 @@ class WorkerPool:
         """One process of a worker, from its beginning to its end. Raises WorkerEnded when nobody told it to end."""
         ours, theirs = socket.socketpair()
         with theirs:
-            command = [sys.executable, "-m", "gateway.plant.worker", str(theirs.fileno())]
+            command = [sys.executable, "-m", WORKER, str(theirs.fileno())]
             # A terminal's Ctrl-C and a service manager's SIGTERM go to every process, and it is for this one to stop
             # the others in order: a process begins with the signals blocked that are blocked here, and leaves them so.
             before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
@@ -433,9 +435,9 @@ class WorkerPool:
             if worker.is_opened or config.writeback.mode == "off":
                 raise ControlError(f"{worker.name} is beginning; ask again in a moment")
             stamp = config.path.stat().st_mtime if config.path.exists() else config.stamp
-            disarm = partial(disarm_in_log, subject=config.subject)
+            disarm = partial(disarm_in_log, config.audit, by, reason, self.clock.now(), stamp, subject=config.subject)
             try:
-                row = await asyncio.to_thread(disarm, config.audit, by, reason, self.clock.now(), stamp)
+                row = await asyncio.to_thread(disarm)
             except (ArmingError, OSError) as error:
                 raise ControlError(str(error)) from None
         return {"ok": True, "pid": os.getpid(), "was_armed": row is not None}

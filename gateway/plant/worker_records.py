@@ -17,7 +17,7 @@ from drivers.supervision import Supervisor
 from gateway.machine import PlantRecords
 from gateway.machine.reading import Clock
 from gateway.machine.writing import AuditTrail, HeadWitnessing
-from gateway.plant.channel import Channel
+from gateway.plant.channel import SupervisorChannel
 from gateway.settings import Config
 from gateway.store import Audit, AuditEntry, AuditError, AuditRow, Historian, HistorianError
 
@@ -46,7 +46,7 @@ class RecordsHealth:
 class SentHistorian(Historian):
     """A historian whose rows are committed by the supervisor process; a row counts as given once that has taken it."""
 
-    def __init__(self, path: Path, channel: Channel, supervisor: Supervisor, health: RecordsHealth) -> None:
+    def __init__(self, path: Path, channel: SupervisorChannel, supervisor: Supervisor, health: RecordsHealth) -> None:
         self._channel, self._health = channel, health
         super().__init__(path, None, _no_file, lambda: None, supervisor=supervisor)
 
@@ -141,7 +141,7 @@ def _no_file() -> NoReturn:
 class SentAudit(Audit):
     """An audit log whose rows are committed by the supervisor process: one is stored once that says so."""
 
-    def __init__(self, path: Path, channel: Channel, supervisor: Supervisor, failure: str) -> None:
+    def __init__(self, path: Path, channel: SupervisorChannel, supervisor: Supervisor, failure: str) -> None:
         self._channel = channel
         super().__init__(path, None, supervisor, failure=failure)
 
@@ -164,7 +164,7 @@ class WorkerRecords(PlantRecords):
     def __init__(
         self,
         configs: Sequence[Config],
-        channel: Channel,
+        channel: SupervisorChannel,
         *,
         clock: Clock,
         log: FilteringBoundLogger,
