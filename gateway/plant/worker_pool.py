@@ -435,9 +435,9 @@ class WorkerPool:
             if worker.is_opened or config.writeback.mode == "off":
                 raise ControlError(f"{worker.name} is beginning; ask again in a moment")
             stamp = config.path.stat().st_mtime if config.path.exists() else config.stamp
-            disarm = partial(disarm_in_log, config.audit, by, reason, self.clock.now(), stamp, subject=config.subject)
+            log, now, subject = config.audit, self.clock.now(), config.subject
             try:
-                row = await asyncio.to_thread(disarm)
+                row = await asyncio.to_thread(lambda: disarm_in_log(log, by, reason, now, stamp, subject=subject))
             except (ArmingError, OSError) as error:
                 raise ControlError(str(error)) from None
         return {"ok": True, "pid": os.getpid(), "was_armed": row is not None}

@@ -163,7 +163,9 @@ async def test_a_plant_that_may_not_begin_leaves_nothing_behind(tmp_path: Path, 
 def test_a_process_ends_with_its_supervisor_whatever_it_is_doing() -> None:
     ours, theirs = socket.socketpair()
     busy = (
-        "import socket, sys; from drivers.supervision import Supervisor; from gateway.plant.channel import SupervisorChannel\n"
+        "import socket, sys\n"
+        "from drivers.supervision import Supervisor\n"
+        "from gateway.plant.channel import SupervisorChannel\n"
         "SupervisorChannel(socket.socket(fileno=int(sys.argv[1])), Supervisor(), print).tell('begun')\n"
         "while True: pass"
     )
