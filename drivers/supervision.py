@@ -59,6 +59,7 @@ class Supervisor:
         self.say = say
         self._workers: dict[str, Worker] = {}
         self._included: dict[str, Supervisor] = {}
+        self._hearers: dict[tuple[Supervisor, str], Say] = {}
 
     def thread(self, name: str, work: Callable[[], None], *, stop: threading.Event) -> threading.Thread:
         """Run `work` in a thread, again and again until it returns with `stop` set."""
@@ -169,13 +170,24 @@ class Supervisor:
             loop.set_exception_handler(None)
 
     def include(self, name: str, other: "Supervisor") -> None:
-        """Take in what another one keeps going, each part by this name before its own."""
+        """Take in what another one keeps going, each part by this name before its own.
+
+        Several may take in the same one, as the drivers of units that share a connection do: each hears of it.
+        """
         self._included[name] = other
-        other.say = lambda part, error: self._tell(f"{name}: {part}", error)
+        other.hear((self, name), lambda part, error: self._tell(f"{name}: {part}", error))
 
     def exclude(self, name: str) -> None:
-        """Let go of what was taken in by this name, and has ended."""
-        self._included.pop(name, None)
+        """Let go of what was taken in by this name."""
+        other = self._included.pop(name, None)
+        if other is not None:
+            other.hear((self, name), None)
+
+    def hear(self, hearer: "tuple[Supervisor, str]", say: Say | None) -> None:
+        """Have one who takes this one in told of each failure, beside all others; None: not any more."""
+        self._hearers.pop(hearer, None)
+        if say is not None:
+            self._hearers[hearer] = say
 
     @property
     def complaints(self) -> dict[str, str]:
@@ -227,8 +239,9 @@ class Supervisor:
         return not well
 
     def _tell(self, part: str, error: BaseException) -> None:
-        if self.say is not None:
-            self.say(part, error)
+        for say in (self.say, *tuple(self._hearers.values())):
+            if say is not None:
+                say(part, error)
 
     def _pause(self, again: bool, before: float) -> float:
         """The seconds to wait before a part is begun anew."""

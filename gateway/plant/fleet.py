@@ -178,6 +178,8 @@ class Fleet:
         if before is not None:
             await self._running.pop(name).stop()
             self.supervisor.exclude(name)
+            # Of a connection that it shared with others it hears no more.
+            self.machines[name].supervisor.exclude("device")
             del self.machines[name]
             self.images.pop(before.serve.unit, None)
         for config in () if after is None else (after, before):
