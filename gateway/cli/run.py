@@ -76,7 +76,8 @@ def run(
                 say=None if silent else _say,
                 read_anew=read_anew,
             )
-    machines = last.get("machines") or {"": last}
+    if not (machines := last.get("machines", {"": last})):
+        return  # told to stop before any machine had begun
     # What is lost is one count for all: the records are common.
     records = next(iter(machines.values()))["historian"]
     if records["failure"]:

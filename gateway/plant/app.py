@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 STATUS_SECONDS = 0.25
 CLOCK_TOLERANCE = 5.0
-IDLE_LOOK_SECONDS = 1.0
+IDLE_LOOK_SECONDS = 5.0
 """How often worker processes are asked how their machines are where nobody is shown it."""
 
 
@@ -78,7 +78,8 @@ async def run(
                 read_anew=read_anew or partial(load_plant, configs[0].path),
                 look_seconds=IDLE_LOOK_SECONDS if status_path is None and say is None else STATUS_SECONDS,
             )
-            await fleet.open()
+            if not await _opened(fleet, stop):
+                return {"machines": {}}
         else:
             fleet = Fleet(
                 configs,
@@ -114,6 +115,19 @@ async def run(
             last = fleet.statuses()
             _write(fleet, status_path, last)
     return _plain(fleet, last)
+
+
+async def _opened(pool: WorkerPool, stop: asyncio.Event) -> bool:
+    """Begin all machines of the pool; False if it is told to stop before they have begun."""
+    opening, stopped = asyncio.create_task(pool.open()), asyncio.create_task(stop.wait())
+    await asyncio.wait((opening, stopped), return_when=asyncio.FIRST_COMPLETED)
+    begun = opening.done()
+    for task in (opening, stopped):
+        task.cancel()
+    outcomes = await asyncio.gather(opening, stopped, return_exceptions=True)
+    if begun and isinstance(outcomes[0], BaseException):
+        raise outcomes[0]
+    return begun
 
 
 async def _reloaded_at(hangup: asyncio.Event, fleet: Fleet | WorkerPool) -> None:

@@ -7,9 +7,11 @@ of a socket pair. It ends when it is told to, or with its supervisor.
 from __future__ import annotations
 
 import asyncio
+import signal
 import socket
 import sys
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from ctypes import CDLL
 from functools import partial
 from importlib import import_module
 from random import SystemRandom
@@ -29,9 +31,13 @@ from gateway.plant.worker_records import WorkerRecords
 from gateway.settings import configs_from_json
 from sim.strict_json import strict
 
+_SIGNAL_AT_PARENTS_DEATH = 1
+
 
 def main() -> None:
     """Work for the supervisor at the other end of the socket whose number is the first argument."""
+    # A process that is stopped hears no line end: the kernel ends it with the process that has begun it (prctl(2)).
+    CDLL(None).prctl(_SIGNAL_AT_PARENTS_DEATH, signal.SIGKILL)
     sys.setswitchinterval(SWITCH_SECONDS)
     asyncio.run(_work(socket.socket(fileno=int(sys.argv[1]))))
 

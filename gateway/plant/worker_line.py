@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import subprocess
 from collections.abc import Coroutine
+from contextlib import suppress
 from itertools import count
 from time import monotonic
 from typing import Any
@@ -106,6 +107,12 @@ class PlantWorker:
         if self._line is None or not self.ready:
             raise WorkerEnded(f"{self.former or self.name}; it is being begun anew, ask again in a moment")
         return await self._line.ask(what, timeout, **content)
+
+    async def wait_for_end(self, seconds: float) -> None:
+        """Give the process so long to end by itself."""
+        if self._line is not None:
+            with suppress(subprocess.TimeoutExpired):
+                await asyncio.to_thread(self._line.process.wait, seconds)
 
     def begin(self, work: Coroutine[Any, Any, None]) -> None:
         """Begin to answer the process."""

@@ -54,6 +54,8 @@ FRESH_SECONDS = 1.0
 """How long a question about the status waits for a worker before the last picture is given."""
 EXIT_SECONDS = 5.0
 """How long a process whose line has ended may take to end itself, and what it has sent to be read."""
+LATE_SECONDS = 2.0
+"""By how much the answer how the machines are may be late until they are shown as not known."""
 LONGEST_LINE = 1 << 26
 
 
@@ -68,6 +70,8 @@ class WorkerPool:
 
     `look_seconds` is how often it is looked how the machines are. `open` begins them, `stop` ends them.
     """
+
+    several = True
 
     def __init__(
         self,
@@ -100,8 +104,6 @@ class WorkerPool:
             "open trail": self._on_open_trail,
             "audit": self._on_audit,
         }
-
-    several = True
 
     # ---------------------------------------------------------------- begin and end
 
@@ -141,6 +143,7 @@ class WorkerPool:
             if worker.ready:
                 with suppress(TimeoutError, WorkerEnded):
                     worker.pictures = (await worker.ask("stop", timeout=STOP_SECONDS))["statuses"]
+                    await worker.wait_for_end(EXIT_SECONDS)
 
         await asyncio.gather(*(stop_one(worker) for worker in self._workers.values()))
         if await self._end():
@@ -204,8 +207,9 @@ class WorkerPool:
         why = ""
         try:
             await asyncio.wait((talk, look), return_when=asyncio.FIRST_COMPLETED)
-            if look.done() and isinstance(look.exception(), TimeoutError):
-                why = f"it did not answer for {HANG_SECONDS:g} s and was killed"
+            if look.done() and (error := look.exception()) is not None:
+                hung = f"it did not answer for {HANG_SECONDS:g} s and was killed"
+                why = hung if isinstance(error, TimeoutError) else f"{error}, and it was killed"
             elif talk.done() and (error := talk.exception()) is not None:
                 why = f"what it said makes no sense ({error!r}), and it was killed"
             else:
@@ -362,21 +366,30 @@ class WorkerPool:
     def _pictures(self) -> dict[str, dict[str, Any]]:
         pictures = {}
         for name in self._configs:
-            worker = self._workers[self._places[name]]
-            if (picture := worker.pictures.get(name)) is not None:
+            worker = self._worker_of(name)
+            if worker is not None and (picture := worker.pictures.get(name)) is not None:
                 pictures[name] = self._with_process(worker, picture)
         return pictures
 
+    def _worker_of(self, name: str) -> PlantWorker | None:
+        """The worker that has a machine; None while it is taken from one to another."""
+        return self._workers.get(self._places.get(name, -1))
+
     def _with_process(self, worker: PlantWorker, picture: Mapping[str, Any]) -> dict[str, Any]:
-        """A machine's picture with what there is to say of its process; of one without a process all grows old."""
+        """A machine's picture with what there is to say of its process; where that says nothing, all grows old."""
         process = self.supervisor.report()[worker.name]
         shown = dict(picture)
         if process["restarts"]:
             shown["parts"] = {**picture["parts"], "process": process}
-        if worker.ready or worker.retired:
+        passed = monotonic() - worker.seen
+        silent = passed > self._look_seconds + LATE_SECONDS
+        if worker.retired or (worker.ready and not silent):
             return shown | ({"phase": "stopping"} if self._stopping and not worker.retired else {})
+        why = f"its process is being begun anew: {worker.former}"
+        if worker.ready:
+            why = f"its process has not answered for {passed:.0f} s"
         period, scan = picture["scan"]["period"], picture["scan"]
-        passed = (monotonic() - worker.seen) * self.clock.speed
+        passed *= self.clock.speed
         silence = (scan["age"] or 0.0) + passed
         aged = {}
         for name, value in picture["values"].items():
@@ -384,10 +397,9 @@ class WorkerPool:
             now = unread(sample, silence, period)
             told = {"value": now.value, "quality": now.quality.name, "age": value["age"] + passed, "reason": now.reason}
             aged[name] = {**value, **told}
-        why = f"its process is being begun anew: {worker.former}"
         return shown | {
             "time": picture["time"] + passed,
-            "phase": "starting",
+            "phase": picture["phase"] if worker.ready else "starting",
             "values": aged,
             "link": {**picture["link"], "alive": False, "connected": False, "reason": why},
             "scan": {**scan, "age": silence, "late": True},
@@ -405,7 +417,8 @@ class WorkerPool:
             if request.get("command") not in COMMANDS or not isinstance(name, str | None):
                 return await answer(ControlScope({}, snapshot), line)  # a refusal, which no machine has to give
             meant = meant_machine(list(self._configs), name)
-            worker = self._workers[self._places[meant]]
+            if (worker := self._worker_of(meant)) is None:
+                raise ControlError(f"machine {meant!r} is being taken over; ask again in a moment")
             if request["command"] == "status":
                 return await self._status(worker, meant, line)
             if request["command"] == "disarm" and not worker.ready:
@@ -502,6 +515,7 @@ class WorkerPool:
                 worker.retired = True
                 with suppress(TimeoutError, WorkerEnded):
                     await worker.ask("stop", timeout=STOP_SECONDS)
+                    await worker.wait_for_end(EXIT_SECONDS)
                 if worker.task is not None:
                     worker.task.cancel()
         self._places = dict(places)

@@ -20,6 +20,7 @@ from gateway.machine.writing import AuditTrail, HeadWitnessing
 from gateway.plant.channel import SupervisorChannel
 from gateway.settings import Config
 from gateway.store import Audit, AuditEntry, AuditError, AuditRow, Historian, HistorianError
+from sim.strict_json import strict
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -46,8 +47,15 @@ class RecordsHealth:
 class SentHistorian(Historian):
     """A historian whose rows are committed by the supervisor process; a row counts as given once that has taken it."""
 
-    def __init__(self, path: Path, channel: SupervisorChannel, supervisor: Supervisor, health: RecordsHealth) -> None:
-        self._channel, self._health = channel, health
+    def __init__(
+        self,
+        path: Path,
+        channel: SupervisorChannel,
+        supervisor: Supervisor,
+        health: RecordsHealth,
+        on_heard: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._channel, self._health, self._on_heard = channel, health, on_heard
         super().__init__(path, None, _no_file, lambda: None, supervisor=supervisor)
 
     def flush(self, timeout: float = 5.0) -> bool:
@@ -132,6 +140,7 @@ class SentHistorian(Historian):
     def _heard(self, reply: Mapping[str, Any]) -> None:
         for name, value in reply["health"].items():
             setattr(self._health, name, value)
+        self._on_heard()
 
 
 def _no_file() -> NoReturn:
@@ -151,7 +160,7 @@ class SentAudit(Audit):
     def _committed(self, claim: Callable[[], Sequence[AuditEntry]]) -> list[AuditRow]:
         if not (entries := claim()):
             return []
-        plain = [[entry.time, entry.kind, entry.who, entry.reason, dict(entry.detail)] for entry in entries]
+        plain = [[entry.time, entry.kind, entry.who, entry.reason, strict(entry.detail)] for entry in entries]
         reply = self._channel.ask("audit", entries=plain)
         if reply["error"]:
             raise sqlite3.OperationalError(reply["error"])
@@ -171,7 +180,8 @@ class WorkerRecords(PlantRecords):
         supervisor: Supervisor,
     ) -> None:
         self._channel, self.health = channel, RecordsHealth()
-        historian = SentHistorian(configs[0].historian.path, channel, supervisor, self.health)
+        self.trail = None  # before the historian's thread hears anything
+        historian = SentHistorian(configs[0].historian.path, channel, supervisor, self.health, self._on_heard)
         super().__init__(
             configs,
             clock=clock,
@@ -180,6 +190,11 @@ class WorkerRecords(PlantRecords):
             log_failure=lambda: self.health.log,
             historian=historian,
         )
+
+    def _on_heard(self) -> None:
+        """What keeps the supervisor's audit log from being written is what keeps this one, and ends with it."""
+        if self.trail is not None:
+            self.trail.audit.failure = self.health.audit
 
     def open_trail(self, config: Config) -> AuditTrail:
         """The audit log of all machines, opened with the first one that writes, or might. Raises AuditError."""
