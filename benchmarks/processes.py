@@ -166,6 +166,12 @@ def _end(process: "subprocess.Popen[Any]") -> None:
 # ---------------------------------------------------------------- what the kernel says (Linux)
 
 
+def family_of(pid: int) -> list[int]:
+    """A process and all that it has begun."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+    return [pid, *(each for child in children for each in family_of(int(child)))]
+
+
 def cpu_seconds(pid: int) -> float:
     """CPU time of a process and all its threads so far, user and system (fields 14 and 15 of /proc/PID/stat, s)."""
     text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")

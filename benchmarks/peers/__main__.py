@@ -46,7 +46,7 @@ from benchmarks.peers.plcs import (
     written_after,
 )
 from benchmarks.peers.thingsboard import configure, environment
-from benchmarks.processes import ROOT, BenchmarkError, cpu_seconds, resident_kilobytes
+from benchmarks.processes import ROOT, BenchmarkError, cpu_seconds, family_of, resident_kilobytes
 
 PLANTS = {
     "plant": {"blocks": False, "workers": 1},
@@ -155,12 +155,6 @@ def measured(
     polls = judged(answered(rows, count), period, since, until)
     blocks = written_after(rows, count, since, until)
     return PeerRun(polls, blocks, 100.0 * (cpu_after - cpu) / (until - since), megabytes, max(stored, 0))
-
-
-def family_of(pid: int) -> list[int]:
-    """A process and all that it has begun."""
-    children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-    return [pid, *(each for child in children for each in family_of(int(child)))]
 
 
 def until_polled(rows: Path, count: int, process: "subprocess.Popen[bytes]", warm_up: float) -> None:

@@ -98,6 +98,13 @@ def test_a_benchmark_prints_its_figures_as_json(name: str, options: Sequence[str
     assert by_name(said(name, *options)["figures"])
 
 
+def test_what_a_node_does_on_a_shared_bus_costs_the_others_little_and_makes_no_wrong_value_good() -> None:
+    figures = by_name(said("isolation", "--quick", "--link", "canopen")["figures"])
+    assert figures["wrong values that were good, all machines"]["value"] == 0
+    assert figures["faults on the harmed machine"]["value"] > 0
+    assert figures["scans done of the others"]["ratio"] > 0.5
+
+
 def test_peers_sets_the_gateway_against_the_loop_in_c_on_the_same_plcs() -> None:
     options = ("--count", "2", "--seconds", "1", "--only", "plant+blocks", "--only", "C loop")
     figures = by_name(said("peers.__main__", *options)["figures"])
