@@ -101,7 +101,7 @@ class SentHistorian(Historian):
         self.failure, self.note = self._health.failure, self._health.note
         return whole
 
-    def _store(self, batch: Batch, *, durable: bool) -> None:
+    def _store(self, batch: Batch, durable: bool) -> None:
         by_table: dict[tuple[Source, str], list[Row]] = {}
         for source, waiting in batch.items():
             for table, row in waiting:

@@ -314,7 +314,7 @@ class Historian:
         stored = not batch
         try:
             if batch:
-                self._store(batch, durable=durable)
+                self._store(batch, durable)
                 stored = True
         except sqlite3.Error as error:
             self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
@@ -329,7 +329,7 @@ class Historian:
                 self._drop_beyond_the_queues()
         return stored
 
-    def _store(self, batch: Batch, *, durable: bool) -> None:
+    def _store(self, batch: Batch, durable: bool) -> None:
         """One transaction with all rows but those that no table takes. Raises sqlite3.Error when the file refuses."""
         connection = self._full if durable else self._normal
         by_table: dict[tuple[str, Source], list[Row]] = {}
