@@ -104,20 +104,27 @@ def _places(site: Site) -> list[CheckStep]:
 
 
 def _model(site: Site) -> list[CheckStep]:
-    """The model, and that the plant has what it reads."""
+    """The model of each predicted temperature, and that the plant has what it reads."""
     config = site.target.config
     if config is None:
         return [warning("model", "only the device file was given (--device): the model is not checked")]
-    if config.model.path is None:
-        return [warning("model", "model.path is not set: the gateway watches the limit and predicts nothing")]
-    try:
-        loaded = load_model(config)
-    except ValueError as error:
-        return [failed("model", str(error))]
-    if loaded is None:
-        return []
-    sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {config.model.temperature}"
-    return [warning("model", f"{sentence}; {loaded.warning}") if loaded.warning else ok("model", sentence)]
+    if all(one.model.path is None for one in config.followed):
+        key = "no temperature has a model" if len(config.followed) > 1 else "model.path is not set"
+        return [warning("model", f"{key}: the gateway watches the limit and predicts nothing")]
+    steps = []
+    for one in config.followed:
+        tag = one.model.temperature
+        try:
+            loaded = load_model(one)
+        except ValueError as error:
+            steps.append(failed("model", str(error)))
+            continue
+        if loaded is None:
+            steps.append(warning("model", f"{tag} has no model: it is watched and not predicted"))
+            continue
+        sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {tag}"
+        steps.append(warning("model", f"{sentence}; {loaded.warning}") if loaded.warning else ok("model", sentence))
+    return steps
 
 
 def _contract(site: Site) -> list[CheckStep]:

@@ -116,16 +116,30 @@ def learn(
     emit(data, show, as_json_line=as_json)
 
 
-def learn_from(traces: Sequence[Trace], column_map: ColumnMap, *, name: str, seed: int, report: Any) -> Learned:
-    """A model of the traces by the map's alphabet and temperature."""
-    from sim.learning.bins import learn_bins
+def learn_from(
+    traces: Sequence[Trace],
+    column_map: ColumnMap,
+    *,
+    name: str,
+    seed: int,
+    report: Any,
+    temperature: str | None = None,
+    like: Learned | None = None,
+) -> Learned:
+    """A model of the traces by the map's alphabet, of its temperature or the one given.
 
+    `like` is a model of another temperature of the same traces: its structure is taken over, nothing is tried anew.
+    """
+    from sim.learning.bins import CANDIDATES, learn_bins
+
+    chosen = None if like is None else like.model.provenance.settings["candidate"]
     return learn_bins(
         traces,
         column_map.alphabet,
-        column_map.temperature,
+        temperature or column_map.temperature,
         name=name,
         seed=seed,
+        candidates=[candidate for candidate in CANDIDATES if chosen in (None, candidate.label)],
         progress=report,
     )
 

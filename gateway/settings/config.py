@@ -560,7 +560,8 @@ def _problems(
     ]
     if content.temperature:
         problems += [
-            f"model.{key}: stands beside [[temperature]]; write it into one of these tables"
+            f"model.{key}: stands beside [[temperature]]; write it into one of these tables, as temperature.TAG."
+            f"{'model' if key == 'path' else 'tag'}"
             for key in sorted(content.model.model_fields_set)
         ]
         predicted = [row.tag for row in rows]

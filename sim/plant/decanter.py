@@ -207,8 +207,8 @@ def _row(
 class LiveDecanter:
     """The machine moved on row by row, so that whoever controls it can act between two rows.
 
-    `times` (n,) are the rows' in s since `start` (s UTC), `bearing` the bearings' temperature (degC) at 0. Where the
-    gearbox bearing's sensor reaches `trip_at` (degC), the drum stops for `trip_rest` seconds; `trips` are the times
+    `times` (n,) are the rows' in s since `start` (s UTC), `bearing` the bearings' temperature (degC) at 0. Where a
+    bearing's sensor reaches `trip_at` (degC), the drum stops for `trip_rest` seconds; `trips` are the times
     (s since `start`) at which it did. All that is drawn is drawn step by step whatever is asked of the machine, so that
     of two runs with the same draws one stays the other until they are controlled differently.
     """
@@ -279,7 +279,7 @@ class LiveDecanter:
             state.gearbox_sensor = state.gearbox + (state.gearbox_sensor - state.gearbox) * keep
             state.feed_sensor = state.feed + (state.feed_sensor - state.feed) * keep
             self._now += dt
-            if phase.running and state.gearbox_sensor >= self.trip_at:
+            if phase.running and max(state.gearbox_sensor, state.feed_sensor) >= self.trip_at:
                 self.trips.append(self._now)
         self._rows += 1
         return _row(plant, state, phase=phase, share=feed, hall=hall, slurry=slurry, rng=rng)
