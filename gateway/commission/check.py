@@ -122,7 +122,10 @@ def _model(site: Site) -> list[CheckStep]:
         if loaded is None:
             steps.append(warning("model", f"{tag} has no model: it is watched and not predicted"))
             continue
-        sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {tag}"
+        machine = loaded.model.provenance.settings.get("machine")
+        own = f", with what it knows of the machine {machine}" if machine else ""
+        own = f", as a new machine of the type of {', '.join(loaded.model.machines)}" if loaded.model.machines else own
+        sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {tag}{own}"
         steps.append(warning("model", f"{sentence}; {loaded.warning}") if loaded.warning else ok("model", sentence))
     return steps
 

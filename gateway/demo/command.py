@@ -241,7 +241,7 @@ def show(data: dict[str, Any]) -> None:
     title = f"summary: {caveat}{data['trace']}, {data['rows']} rows, {data['speed']:.0f} times real time"
     table(title, ("what", "figure"), rows)
     bearings = [bearing_row(bearing) for bearing in data["bearings"]]
-    table("each bearing, with the PLC's account of its blocks", BEARING_COLUMNS, bearings)
+    table("each bearing; blocks that the PLC has accepted/refused", BEARING_COLUMNS, bearings)
     for sentence in findings(data):
         click.echo(sentence)
     click.echo(f"picture: {data['picture']}")

@@ -47,7 +47,7 @@ def draw_heat(
     upper, lower = axes[0], axes[-1]
     readings = to_trace(historian)
     for axis, bearing in zip(axes[:-1], setting.bearings, strict=True):
-        _course(axis, setting, bearing, historian, without, clock)
+        _course(axis, setting, bearing, historian=historian, without=without, clock=clock)
     for axis, bearing in zip(axes[1:-1], setting.bearings[1:], strict=True):
         for moment in raised_alarms(historian, setting, bearing):
             axis.axvline(float(clock(np.array(moment))), color=FORECAST, linewidth=1)
@@ -65,7 +65,7 @@ def draw_heat(
             upper.annotate(
                 words, (float(left + right) / 2, y), (0, 6), textcoords="offset points", ha="center", fontsize=9
             )
-    upper.legend(loc="lower right", fontsize=9, frameon=False)
+    upper.legend(loc="lower right", fontsize=9, framealpha=0.85, edgecolor="none")
     for trace, style, colour, label in (
         (without, "--", WITHOUT, "without the gateway"),
         (readings, "-", MEASURED, "measured"),
@@ -87,6 +87,7 @@ def _course(
     axis: Axes,
     setting: DemoRun,
     bearing: DemoBearing,
+    *,
     historian: Path,
     without: Trace,
     clock: Callable[[Array], Array],

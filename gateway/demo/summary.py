@@ -41,7 +41,7 @@ FITNESS_RUNS = 200
 
 
 BEARING_COLUMNS = ("bearing", "blocks", "model", "hottest", "alarms", "in 5 min")
-"""Blocks accepted and refused, whether its model may be used, alarms of the forecast, mean error 5 minutes ahead."""
+"""Blocks accepted/refused, whether its model may be used, alarms of the forecast, mean error 5 minutes ahead."""
 
 
 def fitness(setting: DemoRun, model: Model) -> dict[str, str]:
@@ -210,7 +210,7 @@ def bearing_row(bearing: Mapping[str, Any]) -> list[str]:
     known = ahead is not None and ahead["count"]
     return [
         bearing["temperature"],
-        f"{written['accepted']}, {written['refused']} refused",
+        f"{written['accepted']}/{written['refused']}",
         bearing["fitness"]["word"],
         "-" if hottest is None else f"{hottest:.1f} °C",
         str(len(bearing["raised"])),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from gateway.entry import sentences
 from gateway.lab.show import show_model, spread_sentence, summary
 from gateway.lab.traces.load import load, warned_of
 from sim.artefacts.formats import check_free, write_model_directory
+from sim.learning import machine_corrections
 from sim.learning.lsha import FLOW_KINDS, LshaSettings
 from sim.sha import Trace, shown_unit
 from sim.strict_json import json_text
@@ -94,6 +95,9 @@ def learn(
             written = write_model_directory(out, model, words_learned.values, observations=account.table, more=more)
         else:
             learned = learn_from(traces, column_map, name=name, seed=seed, report=report)
+            # Of several machines it is a model of their type, and has what is each one's own.
+            own = machine_corrections(learned.model, traces, learned.spread)
+            learned = replace(learned, model=replace(learned.model, machines=own))
             written = write(out, learned)
             model, shown, acceptance = learned.model, diagnostics(learned), None
             spread = learned.spread

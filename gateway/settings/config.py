@@ -19,6 +19,10 @@ from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_pro
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 Seconds = Annotated[tuple[float, ...], Field(strict=False)]
 
+OF_THE_TYPE = (
+    "the machine whose correction is taken, where the model is of a type of machine: this one's by its name without "
+    "this key, none with an empty text"
+)
 MAX_ARMED_MINUTES = 480.0
 LEAST_BLOCKS = 10.0
 
@@ -39,6 +43,7 @@ class ModelSection(Section):
 
     path: FilePath | None = Field(None, description="a model directory or a model's JSON file, relative to this file")
     temperature: str = Field("TCuscinettiRiduttore", description="the tag of the temperature to be predicted")
+    correction: str | None = Field(None, description=OF_THE_TYPE)
 
 
 class TemperatureSection(Section):
@@ -47,6 +52,7 @@ class TemperatureSection(Section):
     tag: str = Field(description="the tag of the temperature")
     model: FilePath | None = Field(None, description="a model directory or a model's JSON file, relative to this file")
     limit: float | None = Field(None, description="its alarm limit, alarms.limit without this key")
+    correction: str | None = Field(None, description=OF_THE_TYPE)
 
 
 class WritebackSection(Section):
@@ -286,7 +292,7 @@ class Config:
         own = []
         for place, row in enumerate(self.temperatures):
             limit = self.alarms.limit if row.limit is None else row.limit
-            model = ModelSection(path=row.model, temperature=row.tag)
+            model = ModelSection(path=row.model, temperature=row.tag, correction=row.correction)
             # The models of an ensemble are followed beside the first one, and predict its temperature.
             ensemble = self.ensemble if place == 0 else self.ensemble.model_copy(update={"members": ()})
             alarms = self.alarms.model_copy(update={"limit": limit})
@@ -491,7 +497,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
     content = checked(_PlantFile, data, place)
     home = path.parent
     links = links_of(content.device, home)
-    rows = content.temperature or (TemperatureSection(tag=content.model.temperature, model=content.model.path),)
+    rows = content.temperature or (_only(content.model),)
     problems = _problems(content, rows, links, home)
     if problems:
         raise ConfigError([f"{place}: {problem}" for problem in problems])
@@ -507,7 +513,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         several=bool(name),
         device=content.device,
         scan=content.scan,
-        model=ModelSection(path=first.model, temperature=first.tag),
+        model=ModelSection(path=first.model, temperature=first.tag, correction=first.correction),
         temperatures=temperatures,
         writeback=content.writeback.model_copy(
             update={
@@ -525,6 +531,11 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         serve=content.serve,
         links=links,
     )
+
+
+def _only(model: ModelSection) -> TemperatureSection:
+    """The one temperature of a file that names it in [model]."""
+    return TemperatureSection(tag=model.temperature, model=model.path, correction=model.correction)
 
 
 def _historian_file(section: HistorianSection, home: Path) -> Path:

@@ -12,7 +12,7 @@ from sim.plant.decanter import SIGNALS, DecanterPlant, LiveDecanter, Phase, Weat
 from sim.plant.scenarios import EPOCH
 from sim.sha import Trace
 
-PLANT = DecanterPlant(heat_per_ampere=0.00046, feed_side_share=0.65)
+PLANT = DecanterPlant(heat_per_ampere=0.00046, feed_side_share=0.67)
 WEATHER = Weather(mean=24.0, swing=3.0, slurry=22.0)
 TRIP_REST_S = 1800.0
 """Seconds that the drum stands after a trip, until an operator starts it again."""
