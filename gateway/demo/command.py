@@ -59,7 +59,7 @@ from sim.traces import load_map, write_trace
     type=click.FloatRange(5, 3600),
     callback=finite,
     help="Real time for the replay, at most 100 times faster than it was; a longer trace is cut.  "
-    "[default: the whole trace, in 34 s or as long as it takes]",
+    "[default: the whole trace, in 30 s or as long as it takes]",
 )
 @seed_option
 @click.option(
