@@ -4,8 +4,10 @@ import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -36,8 +38,11 @@ from gateway.lab.learn import learn_from, write
 from gateway.lab.traces.load import load
 from sim.learning import LearningError
 from sim.plant import heat_day_uncontrolled, heat_history
-from sim.sha import encode
-from sim.traces import load_map, write_trace
+from sim.sha import Trace, encode
+from sim.traces import ColumnMap, load_map, write_trace
+
+if TYPE_CHECKING:
+    from sim.learning.bins import Learned
 
 
 @click.command(short_help="Run the main job on this computer, with a picture.")
@@ -165,14 +170,8 @@ def prepare(
         # A map that was made for the trace has one block, of the temperature that the column map names.
         fits = suits(template, rest)
         tags = predicted(template, rest, column_map.temperature) if fits else (column_map.temperature,)
-        learned = {tags[0]: learn_from(training, column_map, name="demo", seed=seed, report=report)}
-        for tag in tags[1:]:
-            try:
-                learned[tag] = learn_from(
-                    training, column_map, name="demo", seed=seed, report=report, temperature=tag, like=learned[tags[0]]
-                )
-            except LearningError as error:
-                notes.append(f"{tag} is not predicted: {error}")
+        learned, refused = learn_each(tags, training, column_map, seed=seed, report=report)
+        notes += refused
     clear(out)
     # The live plant's history reaches the limit and is tripped there: it is no reason for another one.
     bearings = []
@@ -217,6 +216,29 @@ def prepare(
         live=not paths,
         seed=seed,
     )
+
+
+def learn_each(
+    tags: Sequence[str], training: Sequence[Trace], column_map: ColumnMap, *, seed: int, report: Any
+) -> tuple[dict[str, "Learned"], list[str]]:
+    """The model of each temperature, and a sentence for each further one that cannot be learned.
+
+    The first is learned here and the others beside it, on the other cores. Raises LearningError for the first.
+    """
+    learn = partial(learn_from, training, column_map, name="demo", seed=seed)
+    if len(tags) == 1:
+        return {tags[0]: learn(report=report)}, []
+    # A child of its own, as a thread would share one core with this one. Ctrl-C reaches it too, and is for its parent
+    # to act on: leaving the pool ends it.
+    with get_context("spawn").Pool(1, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+        beside = {tag: pool.apply_async(learn, (), {"temperature": tag}) for tag in tags[1:]}
+        learned, refused = {tags[0]: learn(report=report)}, []
+        for tag, work in beside.items():
+            try:
+                learned[tag] = work.get()
+            except LearningError as error:
+                refused.append(f"{tag} is not predicted: {error}")
+    return learned, refused
 
 
 def show(data: dict[str, Any]) -> None:

@@ -175,7 +175,8 @@ def bearing_result(
 def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) -> dict[str, Any]:
     """The demonstration's figures as one object, and its picture in the file `picture`; errors in degC.
 
-    The figures of each bearing stand under `bearings`, those of the first one beside that too.
+    The figures of each bearing stand under `bearings`, those of the first one beside that too; blocks are counted
+    there for all.
     """
     account, seen = judge(setting, recording, historian), history(historian)
     bearings = [bearing_result(setting, bearing, historian, account["blocks"]) for bearing in setting.bearings]
@@ -188,6 +189,11 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
         draw_heat(setting, heat, historian, account["events"], picture)
     return {
         **bearings[0],
+        "writeback": {
+            **bearings[0]["writeback"],
+            "accepted": account["blocks_accepted"],
+            "refused": account["blocks_refused"],
+        },
         "bearings": bearings,
         "heat": heat,
         "synthetic": setting.trace.synthetic,

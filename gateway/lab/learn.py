@@ -33,6 +33,7 @@ REPORT = "learning_report"
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory to write.")
 @click.option("--name", default="decanter", show_default=True, help="The model's name, and the artefacts' base name.")
+@click.option("--temperature", metavar="SIGNAL", help="The signal that is predicted.  [default: the map's]")
 @seed_option
 @click.option("--delta", type=click.FloatRange(0.0), help="lsha: merge tolerance, share of the parameters' spread.")
 @click.option("--default-flow", type=click.Choice(FLOW_KINDS), help="lsha: the flow of all locations to begin with.")
@@ -50,6 +51,7 @@ def learn(
     map_name: str,
     out: Path,
     name: str,
+    temperature: str | None,
     seed: int,
     as_json: bool,
     observed_edges: bool,
@@ -79,7 +81,7 @@ def learn(
             words_learned = learn_lsha(
                 traces,
                 column_map.alphabet,
-                column_map.temperature,
+                temperature or column_map.temperature,
                 name=name,
                 seed=seed,
                 settings=LshaSettings(**settings),
@@ -94,7 +96,7 @@ def learn(
             spread = None
             written = write_model_directory(out, model, words_learned.values, observations=account.table, more=more)
         else:
-            learned = learn_from(traces, column_map, name=name, seed=seed, report=report)
+            learned = learn_from(traces, column_map, name=name, seed=seed, report=report, temperature=temperature)
             # Of several machines it is a model of their type, and has what is each one's own.
             own = machine_corrections(learned.model, traces, learned.spread)
             learned = replace(learned, model=replace(learned.model, machines=own))
@@ -126,24 +128,18 @@ def learn_from(
     *,
     name: str,
     seed: int,
-    report: Any,
+    report: Any = None,
     temperature: str | None = None,
-    like: Learned | None = None,
 ) -> Learned:
-    """A model of the traces by the map's alphabet, of its temperature or the one given.
+    """A model of the traces by the map's alphabet, of its temperature or the one given."""
+    from sim.learning.bins import learn_bins
 
-    `like` is a model of another temperature of the same traces: its structure is taken over, nothing is tried anew.
-    """
-    from sim.learning.bins import CANDIDATES, learn_bins
-
-    chosen = None if like is None else like.model.provenance.settings["candidate"]
     return learn_bins(
         traces,
         column_map.alphabet,
         temperature or column_map.temperature,
         name=name,
         seed=seed,
-        candidates=[candidate for candidate in CANDIDATES if chosen in (None, candidate.label)],
         progress=report,
     )
 
