@@ -145,8 +145,8 @@ def show_model(shown: Model) -> None:
             [name, f"{own.targets:+.3g} ± {own.targets_error:.2g}", f"{own.gain:.4g}", f"{own.offset:+.3g}"]
             for name, own in sorted(shown.machines.items())
         ]
-        title = f"a model of a type of machine; what is each one's own ({unit}, T' = k T + b)"
-        table(title, ("machine", "targets", "k", "b"), rows_of_machines)
+        click.echo(f"a model of a type of machine; of its targets ({unit}) and sensor (T' = k T + b) each has its own:")
+        table("machines", ("machine", "targets", "k", "b"), rows_of_machines)
     elif "machine" in shown.provenance.settings:
         click.echo(f"of the machine {shown.provenance.settings['machine']}, of the type that it was learned with")
     if shown.borrowed:
