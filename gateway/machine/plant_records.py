@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from threading import Lock
 from typing import TYPE_CHECKING
 
 from drivers.supervision import Supervisor
@@ -42,13 +43,18 @@ class PlantRecords:
         )
         self.trail: AuditTrail | None = None
         self._clock, self._log = clock, log
+        self._opening = Lock()
 
     def open_trail(self, config: Config) -> AuditTrail:
-        """The audit log of all machines, opened with the first one that writes, or might. Raises AuditError."""
-        if self.trail is None:
-            historian = self.historian.of(config.machine)
-            self.trail = open_audit_trail(config, historian=historian, supervisor=self.supervisor, log=self._log)
-        return self.trail
+        """The audit log of all machines, opened with the first one that writes, or of whose alarms a person disposes.
+
+        May be called from any thread. Raises AuditError.
+        """
+        with self._opening:
+            if self.trail is None:
+                historian = self.historian.of(config.machine)
+                self.trail = open_audit_trail(config, historian=historian, supervisor=self.supervisor, log=self._log)
+            return self.trail
 
     def close(self) -> bool:
         """Store what waits and close all; False if records had to be given up."""

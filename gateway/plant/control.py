@@ -22,8 +22,10 @@ from drivers.json_lines import NoObject
 from drivers.settings import Line, Section, sentences
 from drivers.tag import Sample
 from gateway.machine import Machine
+from gateway.machine.alarms import BY_PERSONS, AlarmError, Change
 from gateway.machine.reading import Redundant
 from gateway.machine.writing import ArmingError
+from gateway.plant.status import alarm_statuses
 from gateway.status import ControlError, GatewayStatus, short
 from sim.strict_json import strict
 
@@ -229,6 +231,16 @@ class _Reload(ControlRequest):
     dry_run: bool = Field(False, description="true: only say what would change")
 
 
+class _ChangeAlarms(ControlRequest):
+    # What a name and a reason may be is said where the change is signed.
+    by: str = Field(description="the person's name as text, one line")
+    reason: str = Field(description="the reason as text, one line")
+    alarms: Annotated[list[str], Field(max_length=MOST_ROWS)] = Field(
+        [], description="a list of alarms' names; without one, acknowledge means all that wait for it"
+    )
+    minutes: float | None = Field(None, description="minutes as a number, of a shelving")
+
+
 class _Disarm(ControlRequest):
     by: Line = Field(description="the person's name as text, one line")
     reason: Line = Field(description="the reason as text, one line")
@@ -325,6 +337,29 @@ async def _disarm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, 
     return {"pid": os.getpid(), "was_armed": await scope.one(given).disarm(given.by, given.reason)}
 
 
+async def _alarms(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+    """Every alarm of one machine, whatever its state."""
+    machine = scope.one(_checked(ControlRequest, request))
+    return {"pid": os.getpid(), "time": machine.clock.now(), "alarms": alarm_statuses(machine.alarms)}
+
+
+def _changing(change: Change) -> Command:
+    """The command by which a person changes alarms: `by`, `reason`, `alarms`, and `minutes` of a shelving."""
+
+    async def carry_out(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+        given = _checked(_ChangeAlarms, request)
+        machine = scope.one(given)
+        try:
+            changed = await machine.desk.change(
+                change, given.alarms, by=given.by, reason=given.reason, minutes=given.minutes
+            )
+        except AlarmError as error:
+            raise ControlError(str(error)) from None
+        return {"pid": os.getpid(), "alarms": {name: alarm.state.value for name, alarm in changed.items()}}
+
+    return carry_out
+
+
 COMMANDS: dict[str, Command] = {
     "status": _status,
     "plant": _plant,
@@ -332,5 +367,8 @@ COMMANDS: dict[str, Command] = {
     "arm": _arm,
     "disarm": _disarm,
     "reload": _reload,
+    "alarms": _alarms,
+    # By the table's own words: "acknowledge", "shelve", "remove from service", ...
+    **{change.value: _changing(change) for change in BY_PERSONS},
 }
 """Everything that can be asked of a running gateway; a new one is a row here."""

@@ -13,8 +13,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from drivers.settings import ConfigError, Section, checked, read_toml
+from gateway.settings.alarm_kinds import AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
+from gateway.settings.notify import NotifySection
 
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 Seconds = Annotated[tuple[float, ...], Field(strict=False)]
@@ -103,6 +105,38 @@ class AlarmSection(Section):
         None, gt=0, description="degC of a cycle's free-run error that is drift, or no key for the model's own band"
     )
     drift_cycles: int = Field(3, ge=1, le=100, description="the cycles running beyond that which are worth an alarm")
+    trend: float | None = Field(
+        300.0,
+        gt=0,
+        le=86_400,
+        description="the seconds within which a straight line reaches the limit that are worth an alarm; false: never",
+    )
+    sensors: bool = Field(True, description="whether the watched temperatures' sensors are looked after")
+    twins: Names = Field(
+        (), max_length=2, description="two tags of bearings that warm alike, or no key for two watched temperatures"
+    )
+    acknowledge: str | None = Field(
+        None, description="the tag whose rise from 0 acknowledges all alarms of the machine, beside AcknowledgeBits"
+    )
+    longest_shelving: float = Field(
+        480.0, gt=0, le=10_080, description="the most minutes for which an alarm may be shelved, at most 10080"
+    )
+    disk_mb: float = Field(200.0, ge=0, description="the megabytes left on the records' disk that are worth an alarm")
+    certificate_days: float = Field(
+        30.0, ge=0, le=3660, description="the days until a certificate runs out that are worth an alarm"
+    )
+
+    @field_validator("trend", mode="before")
+    @classmethod
+    def _seconds_or_never(cls, seconds: object) -> object:
+        return None if seconds is False else seconds
+
+    @field_validator("twins")
+    @classmethod
+    def _two(cls, twins: tuple[str, ...]) -> tuple[str, ...]:
+        if len(twins) == 1 or len(set(twins)) != len(twins):
+            raise ValueError(f"{list(twins)} are not two tags; give two tags, or [] for none")
+        return twins
 
 
 class HistorianSection(Section):
@@ -228,6 +262,10 @@ class _PlantFile(Section):
     )
     writeback: WritebackSection = Field(default_factory=WritebackSection, description="a [writeback] table")
     alarms: AlarmSection = Field(default_factory=AlarmSection, description="an [alarms] table")
+    alarm: Annotated[tuple[AlarmRow, ...], Field(strict=False)] = Field(
+        (), max_length=1000, description="[[alarm]] tables, each with the name of a kind of alarm"
+    )
+    notify: NotifySection = Field(default_factory=NotifySection, description="a [notify] table")
     historian: HistorianSection = Field(default_factory=HistorianSection, description="a [historian] table")
     log: LogSection = Field(default_factory=LogSection, description="a [log] table")
     forecast: ForecastSection = Field(default_factory=ForecastSection, description="a [forecast] table")
@@ -237,7 +275,7 @@ class _PlantFile(Section):
     serve: ServeSection = Field(default_factory=ServeSection, description="a [serve] table")
 
 
-COMMON = ("historian", "log", "control")
+COMMON = ("historian", "log", "control", "notify")
 """Sections of the whole gateway: no machine has one of its own."""
 COMMON_KEYS = {
     "clock": ("speed",),
@@ -266,6 +304,8 @@ class Config:
     temperatures: tuple[TemperatureSection, ...]
     writeback: WritebackSection
     alarms: AlarmSection
+    alarm: tuple[AlarmRow, ...]
+    notify: NotifySection
     historian: HistorianSection
     log: LogSection
     forecast: ForecastSection
@@ -347,17 +387,23 @@ class Config:
     @property
     def watched(self) -> tuple[str, ...]:
         """The tags of the temperatures under the threshold alarm."""
-        predicted = tuple(row.tag for row in self.temperatures)
-        return (
-            tuple(dict.fromkeys((*self.alarms.tags, *predicted)))
-            if len(predicted) > 1
-            else self.alarms.tags or predicted
-        )
+        return watched_tags(self.alarms, [row.tag for row in self.temperatures])
+
+    @property
+    def twins(self) -> tuple[str, ...]:
+        """The two tags of temperatures that warm alike: the named ones, or the two that are watched; () without."""
+        named = "twins" in self.alarms.model_fields_set
+        return self.alarms.twins if named or len(self.watched) != 2 else self.watched
 
     @property
     def block_horizon(self) -> float:
         """The horizon (s) of the forecast in the block: the configured one, or the longest."""
         return self.writeback.horizon or self.forecast.horizons[-1]
+
+
+def watched_tags(alarms: AlarmSection, predicted: Sequence[str]) -> tuple[str, ...]:
+    """The tags under the threshold alarm: the named ones, of several predicted temperatures these too."""
+    return tuple(dict.fromkeys((*alarms.tags, *predicted)) if len(predicted) > 1 else alarms.tags or predicted)
 
 
 def load_config(path: Path, overrides: Mapping[str, Any] | None = None, *, machine: str | None = None) -> Config:
@@ -442,7 +488,11 @@ def _over_common(data: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str,
         common.pop("model", None)
     elif "model" in table:
         common.pop("temperature", None)
-    return {key: _over(common.get(key), table.get(key)) for key in dict.fromkeys((*common, *table))}
+    whole = {key: _over(common.get(key), table.get(key)) for key in dict.fromkeys((*common, *table))}
+    # The rows of a list go over one another: a machine's come after those that all have.
+    if isinstance(rows := common.get("alarm"), list) and isinstance(own := table.get("alarm"), list):
+        whole["alarm"] = [*rows, *own]
+    return whole
 
 
 def _over(common: object, own: object) -> object:
@@ -516,6 +566,8 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
             }
         ),
         alarms=content.alarms,
+        alarm=content.alarm,
+        notify=_notify(content.notify, home),
         historian=historian,
         log=log,
         forecast=content.forecast,
@@ -525,6 +577,12 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         serve=content.serve,
         links=links,
     )
+
+
+def _notify(section: NotifySection, home: Path) -> NotifySection:
+    """The section with its paths made complete."""
+    smtp = section.smtp and section.smtp.model_copy(update={"ca": section.smtp.ca and home / section.smtp.ca})
+    return section.model_copy(update={"secrets": section.secrets and home / section.secrets, "smtp": smtp})
 
 
 def _historian_file(section: HistorianSection, home: Path) -> Path:
@@ -547,10 +605,14 @@ def _problems(
     named = [("alarms.tags", tag) for tag in content.alarms.tags]
     key = "temperature[{}].tag" if content.temperature else "model.temperature"
     named = [*((key.format(place), row.tag) for place, row in enumerate(rows)), *named]
+    named += [("alarms.twins", tag) for tag in content.alarms.twins]
+    named += [("alarms.acknowledge", content.alarms.acknowledge)] if content.alarms.acknowledge else []
     named += [("clock.tag", content.clock.tag)] if content.clock.tag else []
     problems = [
         f"{key}: {tag!r} is not a tag of {device.path}; give one of its names" for key, tag in named if tag not in tags
     ]
+    predicted = [row.tag for row in rows]
+    problems += alarm_problems(content.alarm, tags, watched_tags(content.alarms, predicted), predicted, device.path)
     key = "temperature[{}].model" if content.temperature else "model.path"
     problems += [
         f"{key.format(place)}: there is nothing at {home / row.model}; give a model directory or JSON file, or "
@@ -563,7 +625,6 @@ def _problems(
             f"model.{key}: stands beside [[temperature]]; write it into one of these tables"
             for key in sorted(content.model.model_fields_set)
         ]
-        predicted = [row.tag for row in rows]
         problems += [
             f"temperature[{place}].tag: {tag!r} is already predicted; name each temperature once"
             for place, tag in enumerate(predicted)
