@@ -2,6 +2,7 @@
 
 import click
 
+from gateway.cli.alarm import alarm
 from gateway.cli.machine import machine
 from gateway.cli.model import model
 from gateway.cli.plc import plc
@@ -74,7 +75,7 @@ def main(traceback: bool) -> None:
     one_thread()
 
 
-for group in (plc, machine, trace, model):
+for group in (plc, machine, alarm, trace, model):
     main.add_command(group)
 
 if __name__ == "__main__":

@@ -45,6 +45,8 @@ class AlarmDesk:
         the alarms as they are by then. Raises AlarmError, in one sentence.
         """
         for what, text in (("a name", by), ("a reason", reason)):
+            if change is Change.ACKNOWLEDGE and not reason and text is reason:
+                continue  # that somebody knows says enough
             if not text.strip() or not text.isprintable() or len(text) > 200:
                 raise AlarmError(f"what is done with alarms is signed: give {what}, one line of 1 to 200 characters")
         longest = self._config.alarms.longest_shelving
@@ -65,8 +67,10 @@ class AlarmDesk:
                 audit.put(entry)
             elif audit is not None and await audit.stored(entry) is None:
                 raise AlarmError(f"{name!r} is as it was, since the audit log does not take it: {audit.complaint}")
-            self._board.change(name, change, self._clock.now(), by=by, reason=reason, until=until)
-            self._historian.put("audit", [(now, f"alarm {name}: {BY_PERSONS[change]}", by, reason)])
+            moment = self._clock.now()
+            self._board.change(name, change, moment, by=by, reason=reason, until=until)
+            # At the very moment of the alarm's own row: so the journal finds the reason.
+            self._historian.put("audit", [(moment, f"alarm {name}: {BY_PERSONS[change]}", by, reason)])
         return {name: self._board.alarms[name] for name in names}
 
     async def _audit(self, change: Change) -> Audit | None:

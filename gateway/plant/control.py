@@ -234,9 +234,10 @@ class _Reload(ControlRequest):
 class _ChangeAlarms(ControlRequest):
     # What a name and a reason may be is said where the change is signed.
     by: str = Field(description="the person's name as text, one line")
-    reason: str = Field(description="the reason as text, one line")
+    reason: str = Field("", description="the reason as text, one line; an acknowledgement needs none")
+    alarm: str | None = Field(None, description="an alarm's name as text")
     alarms: Annotated[list[str], Field(max_length=MOST_ROWS)] = Field(
-        [], description="a list of alarms' names; without one, acknowledge means all that wait for it"
+        [], description="a list of alarms' names; without any, acknowledge means all that wait for it"
     )
     minutes: float | None = Field(None, description="minutes as a number, of a shelving")
 
@@ -344,18 +345,22 @@ async def _alarms(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, 
 
 
 def _changing(change: Change) -> Command:
-    """The command by which a person changes alarms: `by`, `reason`, `alarms`, and `minutes` of a shelving."""
+    """The command by which a person changes alarms: `by`, `reason`, `alarm` or `alarms`, `minutes` of a shelving.
+
+    The reply has the state of each as it is by then, and that of the one that was named.
+    """
 
     async def carry_out(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
         given = _checked(_ChangeAlarms, request)
         machine = scope.one(given)
+        names = [*filter(None, (given.alarm,)), *given.alarms]
         try:
-            changed = await machine.desk.change(
-                change, given.alarms, by=given.by, reason=given.reason, minutes=given.minutes
-            )
+            changed = await machine.desk.change(change, names, by=given.by, reason=given.reason, minutes=given.minutes)
         except AlarmError as error:
             raise ControlError(str(error)) from None
-        return {"pid": os.getpid(), "alarms": {name: alarm.state.value for name, alarm in changed.items()}}
+        states = {name: alarm.state.value for name, alarm in changed.items()}
+        named = {} if given.alarm is None else {"alarm": given.alarm, "state": states[given.alarm]}
+        return {"pid": os.getpid(), **named, "alarms": states}
 
     return carry_out
 

@@ -424,7 +424,7 @@ def recent(path: Path, since: str, *, machine: str | None = None) -> Trace:
     if last is None:
         raise ValueError(f"{path}: this historian has no scan yet; let the gateway run first")
     # Up to the newest scan and no further: what a clock that was ahead has left beyond it is not recent.
-    trace = to_trace(path, start=_moment(since, last), end=nextafter(last, inf), machine=machine)
+    trace = to_trace(path, start=moment_of(since, last), end=nextafter(last, inf), machine=machine)
     if trace.times.size < 2:
         raise ValueError(f"{path}: there is nothing since {since}; its newest scan is of {_date(last)}")
     return trace
@@ -489,8 +489,8 @@ def trend(
     return Trend(width=width, **dict(zip(("starts", "count", "low", "mean", "high"), columns, strict=True)))
 
 
-def _moment(since: str, last: float) -> float:
-    """Seconds UTC."""
+def moment_of(since: str, last: float) -> float:
+    """The moment (s UTC) that a date, or a span back from `last`, names. Raises ValueError for neither."""
     span = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([dhms])", since.strip())
     if span is not None:
         return last - float(span[1]) * SPANS[span[2]]

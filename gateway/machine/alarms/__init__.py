@@ -17,6 +17,8 @@ from gateway.machine.alarms.conditions import (
     name_of,
     suppressing_tags,
 )
+from gateway.machine.alarms.journal import JournalRow, read_journal
+from gateway.machine.alarms.rates import PRIORITIES, AlarmFlood, AlarmRates, alarm_rates
 from gateway.machine.alarms.sensors import SensorWatch
 from gateway.machine.alarms.states import (
     CHANGE_WORDS,
@@ -49,6 +51,7 @@ __all__ = [
     "NOTIFICATION",
     "OTHER_WRITER",
     "PARTS",
+    "PRIORITIES",
     "RECORDS",
     "TRANSITIONS",
     "UNSEEN",
@@ -56,14 +59,19 @@ __all__ = [
     "AlarmBoard",
     "AlarmCondition",
     "AlarmError",
+    "AlarmFlood",
     "AlarmListener",
+    "AlarmRates",
     "AlarmState",
     "Change",
+    "JournalRow",
     "SensorWatch",
     "Transition",
     "acknowledge_words",
+    "alarm_rates",
     "make_conditions",
     "name_of",
     "possible",
+    "read_journal",
     "suppressing_tags",
 ]

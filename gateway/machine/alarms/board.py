@@ -123,10 +123,12 @@ class AlarmBoard:
                 change, reason = Change.UNSHELVE, "its time is over"
                 alarm = moved(alarm, change, scan.time, GATEWAY, reason=reason, latching=condition.latches)
             self.alarms[name] = alarm
+        # By itself: what is acknowledged and over in one scan went by two rows of the table, and is so on record.
+        self._make_known(before, {}, scan.time)
         values = {on_tag(OVER_LIMIT, name): scan.good(name) for name in self.watched}
         if self._sensors is not None:
             values |= self._sensors.take(scan)
-        self._step(values, scan.time, before)
+        self._step(values, scan.time, dict(self.alarms))
 
     def on_predictions(self, scan: Scan, findings: Mapping[str, float | None]) -> None:
         """What the model finds, and without one that an input is bad; None for what is not known."""
