@@ -24,6 +24,7 @@ from gateway.machine.alarms import (
     DISK,
     INPUTS,
     LINK,
+    NOTIFICATION,
     OTHER_WRITER,
     PARTS,
     RECORDS,
@@ -85,7 +86,7 @@ class Machine:
     computed for writing. `rng` draws the number that tells this start's blocks from another gateway's. `models` are
     those of its temperatures, where they have been read already. `records` and `supervisor` are those of the whole
     gateway; without them the machine has its own, and `log_failure` says why the log's file cannot be written ("": it
-    can).
+    can). `notification_complaint` says why messages about its alarms are not delivered.
 
     Raises ConfigError, HistorianError or AuditError when something cannot be opened; nothing is left open then.
     """
@@ -148,6 +149,7 @@ class Machine:
             self.records = Records(store, Keeper(config.map.by_name, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):
                 driver.on_switch = self._note_switch_over
+            self.notification_complaint: Callable[[], str] = lambda: ""
             self.last: Scan | None = None
             self.phase: Phase = "starting"
             self._saved = self._cleaned = now
@@ -249,6 +251,7 @@ class Machine:
             findings[RECORDS] = float(bool(self.records_watch.complaint))
             findings[PARTS] = float(bool(self.records_watch.failed_parts))
             findings[CLOCK] = float(bool(self.clock_complaint))
+            findings[NOTIFICATION] = float(bool(self.notification_complaint()))
             findings[LINK] = float(not self.link.alive)
             self.surroundings.look(scan.time)
             free, days = self.surroundings.free_mb, self.surroundings.days

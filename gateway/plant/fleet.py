@@ -21,9 +21,10 @@ from drivers.supervision import Supervisor
 from gateway.machine import Machine, PlantRecords
 from gateway.machine.model import LoadedModels, load_models
 from gateway.machine.reading import Clock, QualityRules, Scan, scans
+from gateway.notify import Notifier, attach_machine, make_senders
 from gateway.plant.device import make_driver, scans_on_change
 from gateway.serving import DeviceImage
-from gateway.settings import Config, changed_machines, load_plant
+from gateway.settings import Config, changed_machines, load_plant, load_secrets
 from gateway.status import ControlError
 
 if TYPE_CHECKING:
@@ -69,7 +70,15 @@ class Fleet:
             drivers[configs[0].machine] = driver
         # What can be refused is read first: a model that does not suit its machine leaves no records behind.
         models = {config.machine: load_models(config) for config in configs}
+        notify = configs[0].notify
+        try:
+            senders = make_senders(notify, load_secrets(notify))
+        except OSError as error:
+            raise ConfigError([f"{configs[0].path}: notify.smtp.ca: cannot be used ({error.strerror})"]) from None
         self.records = PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
+        self.notifier = (
+            Notifier(notify.to, senders, now=clock.now, supervisor=self.supervisor, log=log) if notify.to else None
+        )
         opened = False
         try:
             for config in configs:
@@ -78,6 +87,8 @@ class Fleet:
             opened = True
         finally:
             if not opened:
+                if self.notifier is not None:
+                    self.notifier.close()
                 self.records.close()
 
     def _driver(self, config: Config) -> Driver:
@@ -100,6 +111,8 @@ class Fleet:
             records=self.records,
             supervisor=supervisor,
         )
+        if self.notifier is not None:
+            attach_machine(self.notifier, machine)
         if config.serve.port is not None:
             self.images[config.serve.unit] = DeviceImage(config, self.clock.now)
         return machine
@@ -189,6 +202,8 @@ class Fleet:
     async def stop(self) -> None:
         """Stop all machines, then close what they have in common."""
         ended = await asyncio.gather(*(one.stop() for one in self._running.values()), return_exceptions=True)
+        if self.notifier is not None:
+            await asyncio.to_thread(self.notifier.close)
         complete = await asyncio.to_thread(self.records.close)
         for machine in self.machines.values():
             machine.phase = "stopped"

@@ -112,9 +112,9 @@ class ModelStatus:
 class AlarmStatus:
     """An alarm by ISA-18.2: its state and since when, what an operator shall do, and what comes of not doing it.
 
-    `standing` is whether its condition stands, shown or not, `raised` when that last began. `until` is when a shelved
-    one comes out; `by` and `reason` are of its last change by somebody. `possible` are the changes that persons can
-    make now, by their names in the control socket.
+    `standing` is whether its condition stands, shown or not, `raised` when it was last announced. `until` is when a
+    shelved one comes out; `by` and `reason` are of its last change by somebody. `possible` are the changes that persons
+    can make now, by their names in the control socket.
     """
 
     name: str

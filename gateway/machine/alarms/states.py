@@ -176,7 +176,7 @@ class AlarmCondition:
 class Alarm:
     """The state of one condition `since` a time (s UTC); `pending` is when a change that waits for its delay began.
 
-    `standing` is whether the condition stands, whatever is shown; `raised` when it last began to (None: never).
+    `standing` is whether the condition stands, whatever is shown; `raised` when it was last announced (None: never).
     `kept` is what a hidden alarm comes out as once the condition is over, `until` when a shelved one comes out.
     `by` and `reason` are those of the last change that somebody made. `first_up`: it was the first of those that stand.
     """
@@ -246,7 +246,7 @@ def moved(
         # A delay that runs is the condition's: what a person does neither shortens nor lengthens it.
         pending=None if change in (Change.RAISE, Change.CLEAR) else alarm.pending,
         standing=raising or (alarm.standing and change is not Change.CLEAR),
-        raised=now if raising else alarm.raised,
+        raised=now if row.target is AlarmState.UNACKNOWLEDGED else alarm.raised,
         first_up=alarm.first_up and not (raising and alarm.state is AlarmState.NORMAL),
     )
     if row.target in HIDDEN and row.source is row.target:
