@@ -65,7 +65,7 @@ class AlarmDesk:
             entry = AuditEntry(now, f"alarm {BY_PERSONS[change]}", by, reason, detail).of(self._config.subject)
             if audit is not None and change not in HIDES:
                 audit.put(entry)
-            elif audit is not None and await audit.stored(entry) is None:
+            elif audit is not None and (audit.failure or await audit.stored(entry) is None):
                 raise AlarmError(f"{name!r} is as it was, since the audit log does not take it: {audit.complaint}")
             moment = self._clock.now()
             self._board.change(name, change, moment, by=by, reason=reason, until=until)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from drivers.errors import OneLineError, did_you_mean
-from gateway.machine.alarms.conditions import OVER_LIMIT, on_tag
+from gateway.machine.alarms.conditions import DRIFTING, OVER_LIMIT, on_tag
 from gateway.machine.alarms.sensors import SensorWatch
 from gateway.machine.alarms.states import (
     CHANGE_WORDS,
@@ -239,7 +239,7 @@ class AlarmBoard:
         latching = self.conditions[name].latches
         self.alarms[name] = moved(self.alarms[name], change, now, by, reason=reason, latching=latching, until=until)
         self._log.info(CHANGE_WORDS[change], alarm=name, by=by, reason=reason)
-        if change is Change.RETURN and self._sensors is not None and self.conditions[name].kind == "sensor drifting":
+        if change is Change.RETURN and self._sensors is not None and self.conditions[name].kind == DRIFTING:
             self._sensors.compare_anew()
         self._make_known(before, {}, now)
         return self.alarms[name]

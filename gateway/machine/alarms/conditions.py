@@ -23,8 +23,11 @@ LINK, DISK, CERTIFICATE, NOTIFICATION = "link", "disk", "certificate", "notifica
 """The alarms for a machine that is not read, a disk that is nearly full, a certificate that runs out, and messages that
 are not delivered."""
 OVER_LIMIT, RISING = "over limit", "rising"
+DRIFTING = "sensor drifting"
 SENSOR_FAULTS = tuple(name for name in ALARM_KINDS if name.startswith("sensor "))
 """The alarms for what may be wrong with a sensor."""
+FAULT = 0.5
+"""What is found of a sensor beyond this is a fault; what is only yes or no is 1 or 0."""
 DRIFT_SINCE = "14d"
 """The span of the historian that a diagnosis is offered for: ten cycles or more of a plant that runs every day."""
 
@@ -69,7 +72,9 @@ def _of_kind(
         "on_delay": row.on_delay,
         "off_delay": config.alarms.off_delay,
         "priority": row.priority,
-        "response": row.response.format(tag=tag, limit=config.limit_of(tag), unit=unit),
+        "response": row.response.format(
+            tag=" and ".join(config.twins) if kind == DRIFTING else tag, limit=config.limit_of(tag), unit=unit
+        ),
         "consequence": row.consequence,
         "kind": kind,
     }
@@ -121,7 +126,10 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
             limit = config.limit_of(tag)
             conditions += _of_kind(config, RISING, limit, tag=tag, name=on_tag(RISING, tag), deadband=a.deadband)
         for kind in SENSOR_FAULTS if a.sensors else ():
-            conditions += _of_kind(config, kind, 0.5, tag=tag, name=on_tag(kind, tag))
+            # Which of two that drift apart is wrong they do not say: it is one alarm, and names both.
+            if kind == DRIFTING and (not config.twins or tag != config.twins[0]):
+                continue
+            conditions += _of_kind(config, kind, FAULT, tag=tag, name=on_tag(kind, tag))
     for kind in (RECORDS, PARTS, CLOCK, LINK, DISK):
         conditions += _of_kind(config, kind, 0.0 if kind == DISK else 0.5)
     if any(link.settings.get("certificates") for link in config.links):

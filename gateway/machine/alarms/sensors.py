@@ -7,11 +7,11 @@ measured against says decision record 0133; `python -m benchmarks.sensor_alarms`
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import exp, sqrt
+from math import exp, isfinite, nan, sqrt
 from typing import Any
 
 from drivers.tag import Quality, Sample
-from gateway.machine.alarms.conditions import RISING, SENSOR_FAULTS, on_tag
+from gateway.machine.alarms.conditions import FAULT, RISING, SENSOR_FAULTS, on_tag
 from gateway.machine.reading import Scan
 
 GAP_SECONDS = 60.0
@@ -65,7 +65,7 @@ class TwinReference:
     def take(self, difference: float, seconds: float) -> float | None:
         """Take a difference that stood for some seconds; by how much it is off its reference, None before that.
 
-        1 is as much as may be.
+        FAULT is as much as may be.
         """
         weight = 1.0 - exp(-seconds / DRIFT_SECONDS)
         self.recent = difference if self.recent is None else self.recent + weight * (difference - self.recent)
@@ -76,7 +76,7 @@ class TwinReference:
             self.mean += share * off
             self.square = (1.0 - share) * (self.square + share * off * off)
             return None
-        return abs(self.recent - self.mean) / max(DRIFT, DRIFT_SIGMAS * sqrt(self.square))
+        return FAULT * abs(self.recent - self.mean) / max(DRIFT, DRIFT_SIGMAS * sqrt(self.square))
 
 
 class SensorWatch:
@@ -158,7 +158,8 @@ def _number(sample: Sample | None) -> float | None:
     if sample is None or sample.value is None or isinstance(sample.value, str):
         return None
     doubtful = sample.quality is Quality.SENSOR_NOT_ACCURATE
-    return float(sample.value) if doubtful or sample.quality.is_good else None
+    value = float(sample.value) if doubtful or sample.quality.is_good else nan
+    return value if isfinite(value) else None
 
 
 def _jumping(history: SensorHistory, value: float, now: float, seconds: float) -> float:
@@ -181,7 +182,7 @@ def _noisy(history: SensorHistory, value: float, seconds: float) -> float | None
     history.noise_seconds += seconds
     if history.noise_seconds < NOISE_SECONDS:
         return None
-    return sqrt(history.variance) / NOISE * 0.5
+    return FAULT * sqrt(history.variance) / NOISE
 
 
 def _frozen(history: SensorHistory, value: float, now: float, twin: float | None, *, alone: bool) -> float:
