@@ -166,6 +166,8 @@ class Fleet:
         """Stop a machine and begin it anew as the file has it now, with its models; where that fails, as it was."""
         if before is not None:
             await self._running.pop(name).stop()
+            # What it goes on from is read from the file: an alarm that was acknowledged just now, too.
+            await asyncio.to_thread(self.records.historian.flush)
             self.supervisor.exclude(name)
             del self.machines[name]
             self.images.pop(before.serve.unit, None)

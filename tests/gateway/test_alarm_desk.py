@@ -304,6 +304,31 @@ def test_a_machines_own_rows_go_over_those_that_all_have(tmp_path: Path) -> None
     assert (one.priority, one.on_delay, two.priority, two.on_delay) == (2, 20.0, 3, 20.0)
 
 
+async def test_a_reload_keeps_what_a_person_did_a_moment_ago(tmp_path: Path) -> None:
+    config = config_in(tmp_path, QUICK)
+    other = config_in(tmp_path, QUICK + "deadband = 3.0\n")
+    bench = Bench(config, Patient())
+    for read_ in range(10, 30):
+        bench.plan[read_] = {TEMPERATURE: min(25.0 + 4.0 * (read_ - 9), 85.0)}
+    running = asyncio.create_task(go(config, bench, 1_000_000, read_anew=lambda: [other]))
+    while bench.reads < 40 or not config.control_socket.exists():
+        await asyncio.sleep(0.005)
+
+    async def asked(command: str, **keys: Any) -> dict[str, Any]:
+        reader, writer = await asyncio.open_unix_connection(config.control_socket)
+        writer.write(json.dumps({"command": command, **keys}).encode() + b"\n")
+        reply: dict[str, Any] = json.loads(await reader.readline())
+        writer.close()
+        return reply
+
+    assert (await asked("shelve", alarm=HOT, minutes=5.0, **SIGNED))["ok"]
+    assert (await asked("reload"))["changes"] == {"decanter": ["alarms.deadband: 2.0 -> 3.0"]}
+    (row,) = [row for row in (await asked("alarms"))["alarms"] if row["name"] == HOT]
+    assert (row["state"], row["by"], row["reason"]) == ("shelved", SIGNED["by"], SIGNED["reason"])
+    bench.stop.set()
+    await running
+
+
 # ---------------------------------------------------------------- the commands
 
 

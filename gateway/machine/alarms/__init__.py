@@ -6,6 +6,7 @@ from gateway.machine.alarms.conditions import (
     CLOCK,
     DEVICE,
     DISK,
+    FAULT,
     INPUTS,
     LINK,
     NOTIFICATION,
@@ -18,6 +19,7 @@ from gateway.machine.alarms.conditions import (
     suppressing_tags,
 )
 from gateway.machine.alarms.journal import JournalRow, read_journal
+from gateway.machine.alarms.picture import diagram, state_table, transition_table
 from gateway.machine.alarms.rates import PRIORITIES, AlarmFlood, AlarmRates, alarm_rates
 from gateway.machine.alarms.sensors import SensorWatch
 from gateway.machine.alarms.states import (
@@ -42,6 +44,7 @@ __all__ = [
     "CLOCK",
     "DEVICE",
     "DISK",
+    "FAULT",
     "GATEWAY",
     "HIDDEN",
     "INPUTS",
@@ -69,9 +72,12 @@ __all__ = [
     "Transition",
     "acknowledge_words",
     "alarm_rates",
+    "diagram",
     "make_conditions",
     "name_of",
     "possible",
     "read_journal",
+    "state_table",
     "suppressing_tags",
+    "transition_table",
 ]
