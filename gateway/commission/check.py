@@ -10,6 +10,7 @@ import click
 
 from drivers.driver import Cautions
 from drivers.errors import DriverError
+from drivers.settings import ConfigError
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.read import read_raw
@@ -33,6 +34,7 @@ from gateway.commission.session import (
 from gateway.commission.writeback.write_plan import problems_of
 from gateway.entry import Exit, exit_code
 from gateway.machine.model import load_model
+from gateway.settings import load_secrets
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})
 _DEAD = frozenset({Quality.NOT_CONNECTED, Quality.COMMUNICATION_ERROR, Quality.NO_COMMUNICATION, Quality.TIMEOUT})
@@ -44,7 +46,7 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
     `sites` are the device over each of its links, by the links' names.
     """
     first = next(iter(sites.values()))
-    steps = [*_files(first), *_model(first), *_contract(first)]
+    steps = [*_files(first), *_model(first), *_contract(first), *_messages(first)]
     rows: list[dict[str, Any]] = []
     absent: list[DriverError] = []
     for name, site in sites.items():
@@ -88,6 +90,18 @@ def _files(site: Site) -> list[CheckStep]:
     if isinstance(driver, Cautions):
         steps += [warning("cautions", caution) for caution in driver.cautions()]
     return steps
+
+
+def _messages(site: Site) -> list[CheckStep]:
+    """Whether who is to be told of alarms can be: the file of secrets; nothing is sent."""
+    config = site.target.config
+    if config is None or not config.notify.to:
+        return []
+    try:
+        load_secrets(config.notify)
+    except ConfigError as error:
+        return [failed("messages", problem) for problem in error.problems]
+    return [ok("messages", f"alarms are told to {', '.join(row.name for row in config.notify.to)}")]
 
 
 def _places(site: Site) -> list[CheckStep]:
