@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from gateway.machine import Machine
 
 MOST = 500
-MOST_KNOWN = 2000
-"""Of so many messages it is remembered that they were delivered."""
 TOGETHER = 50
 """Alarms in one message: what comes while a server is talked to goes out together."""
 FIRST_RETRY, LONGEST_RETRY = 1.0, 300.0
 """Seconds until a recipient is tried again: doubled with each failure up to the longest."""
+BETWEEN = 5.0
+"""Seconds between two messages to one recipient: an alarm that chatters fills no mailbox."""
 COMPLAIN_SECONDS = 60.0
 """A recipient that cannot be reached for longer is a cause for complaint."""
 OLDEST_SECONDS = 86_400.0
@@ -91,6 +91,7 @@ class Notifier:
         self._historians: dict[str, HistorianView] = {}
         self._waiting: dict[tuple[str, str], Delivery] = {}
         self._known: dict[tuple[str, str], AlarmMessage] = {}
+        self._unseen: set[tuple[str, str]] = set()
         self._wake = threading.Condition()
         self._stop = threading.Event()
         self._changed: set[str] = set()
@@ -124,8 +125,11 @@ class Notifier:
                 self._ask_for(machine, condition, alarm, self._now() - alarm.raised)
 
     def take(self, machine: str, condition: AlarmCondition, before: Alarm, after: Alarm) -> None:
-        """Note a change of an alarm; it waits for nothing."""
-        if after.state is AlarmState.UNACKNOWLEDGED:
+        """Note a change of an alarm; it waits for nothing.
+
+        What comes again before anybody has acknowledged it is what everybody was told already.
+        """
+        if after.state is AlarmState.UNACKNOWLEDGED and before.state not in UNSEEN:
             self._ask_for(machine, condition, after, 0.0)
         elif before.state in UNSEEN and after.state not in UNSEEN:
             # Somebody knows: nobody else has to be told who was not to be told at once.
@@ -137,11 +141,15 @@ class Notifier:
                 for key, message in list(self._known.items()):
                     if (message.machine, message.alarm) == (machine, after.condition):
                         del self._known[key]
+                self._unseen.discard((machine, after.condition))
                 self._changed.add(machine)
                 self._wake.notify_all()
 
     def _ask_for(self, machine: str, condition: AlarmCondition, alarm: Alarm, age: float) -> None:
-        """Have everybody told, in their time, of an alarm that has been waiting for `age` seconds."""
+        """Have everybody told, in their time, of an alarm that has been waiting for `age` seconds.
+
+        At a start it may have come again since those were told who know of it.
+        """
         message = AlarmMessage(
             machine=machine,
             alarm=condition.name,
@@ -155,9 +163,14 @@ class Notifier:
         )
         with self._wake:
             now = self._clock()
+            self._unseen.add((machine, condition.name))
             for line in self._lines.values():
                 key = (message.key, line.row.name)
-                if condition.priority <= line.row.priority and key not in self._waiting and key not in self._known:
+                known = key in self._waiting or any(
+                    recipient == line.row.name and (told.machine, told.alarm) == (machine, condition.name)
+                    for (_, recipient), told in self._known.items()
+                )
+                if condition.priority <= line.row.priority and not known:
                     due = now + max(line.row.after * 60.0 - max(age, 0.0), 0.0)
                     self._waiting[key] = Delivery(message, line.row.name, due, now)
             self._changed.add(machine)
@@ -238,16 +251,15 @@ class Notifier:
         else:
             if line.reason:
                 self._log.info("messages about alarms are delivered again", recipient=name)
-            line.failing_since, line.again, line.pause, line.reason = None, 0.0, FIRST_RETRY, ""
+            line.failing_since, line.pause, line.reason = None, FIRST_RETRY, ""
+            line.again = self._clock() + BETWEEN
             delivered = True
         with self._wake:
             for each in batch:
                 # Acknowledged meanwhile, it may be gone already.
                 self._waiting.pop(each.key, None)
-                self._known[each.key] = each.message
-                # Told of an alarm that was acknowledged meanwhile, nothing takes it out again.
-                while len(self._known) > MOST_KNOWN:
-                    del self._known[next(iter(self._known))]
+                if (each.message.machine, each.message.alarm) in self._unseen:
+                    self._known[each.key] = each.message
                 self._changed.add(each.message.machine)
             self.delivered += len(batch) if delivered else 0
             self.given_up += 0 if delivered else len(batch)

@@ -85,6 +85,8 @@ def _mail(
         raise UndeliveredError("the mail server offers no such encryption or login") from None
     except (OSError, smtplib.SMTPException) as error:
         raise UndeliveredError(f"the mail server cannot be used ({_reason(error)})") from None
+    except ValueError:  # a name or an address that no header holds; of TLS it would be an OSError too
+        raise RefusedError("it cannot be written as a mail") from None
 
 
 def _refusal(code: int, sentence: str) -> Exception:
@@ -107,6 +109,8 @@ def _post(row: RecipientRow, address: str, token: str, messages: Sequence[AlarmM
         status = line.getresponse().status
     except (OSError, HTTPException) as error:
         raise UndeliveredError(f"the web hook cannot be reached ({_reason(error)})") from None
+    except ValueError:  # what it says quotes the token
+        raise RefusedError("its token or address cannot be sent") from None
     finally:
         line.close()
     if 200 <= status < 300:

@@ -23,7 +23,7 @@ from gateway.certificates import make_all
 from gateway.machine.alarms import Alarm, AlarmCondition, AlarmState
 from gateway.notify import AlarmMessage, Notifier, RefusedError, UndeliveredError, make_senders
 from gateway.notify.notifier import MOST
-from gateway.settings import NotifySection, RecipientRow, load_secrets
+from gateway.settings import NotifySecrets, NotifySection, RecipientRow, load_secrets
 from tests.gateway.support import EPOCH, TEMPERATURE, Bench, JumpClock, config_in
 from tests.gateway.test_alarm_machine import Kept, Silent
 from tests.gateway.test_app import go
@@ -266,10 +266,40 @@ def test_what_returns_by_itself_is_still_escalated_and_what_is_less_urgent_is_no
         notifier.take("decanter", condition, after, Alarm(HOT.name, "T", 1, AlarmState.RETURNED, hand.now()))
         notifier.take("decanter", *raised(hand, "review", priority=3))
         notifier.take("decanter", *raised(hand, "rising", priority=2))
+        at(hand, notifier, 110.0)
         until(lambda: sum(len(row[2]) for row in hand.sent) == 2)
         at(hand, notifier, 2000.0)
         until(lambda: len([row for row in hand.sent if row[1] == "chief"]) == 1)
         assert {alarm for _, _, alarms in hand.sent for alarm in alarms} == {HOT.name, "rising"}
+
+
+def test_an_alarm_that_chatters_is_told_once_until_somebody_acknowledges() -> None:
+    hand = Hand()
+    with telling(hand) as notifier:
+        condition, before, after = raised(hand)
+        notifier.take("decanter", condition, before, after)
+        until(lambda: hand.sent)
+        for _ in range(20):
+            at_rest = Alarm(HOT.name, "T", 1, AlarmState.RETURNED, hand.now(), raised=after.raised)
+            notifier.take("decanter", condition, after, at_rest)
+            condition, _, after = raised(hand)
+            notifier.take("decanter", condition, at_rest, after)
+            hand.time += 10.0
+        assert notifier.waiting == 1 and len(hand.sent) == 1, "only the escalation waits"
+        known = Alarm(HOT.name, "T", 1, AlarmState.NORMAL, hand.now())
+        notifier.take("decanter", condition, after, known)
+        notifier.take("decanter", condition, known, raised(hand)[2])
+        at(hand, notifier, hand.time + 10.0)
+        until(lambda: len(hand.sent) == 2)
+
+
+def test_a_token_that_no_header_holds_is_refused_and_not_quoted() -> None:
+    row = {"name": "a", "webhook": "http://127.0.0.1:1/x"}
+    section = NotifySection.model_validate({"to": [row]})
+    send = make_senders(section, NotifySecrets(tokens={"a": f"{TOKEN}\n"}))["a"]
+    with pytest.raises(RefusedError) as refused:
+        send([MESSAGE], EPOCH)
+    assert TOKEN not in str(refused.value)
 
 
 def test_a_recipient_that_fails_is_tried_at_growing_pauses_and_then_told_everything_at_once() -> None:
