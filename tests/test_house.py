@@ -40,7 +40,7 @@ def modules_imported_by(code: str) -> set[str]:
     return set(done.stdout.splitlines()[-1].split())
 
 
-HELPED = [[], ["model"], ["trace"], ["plc"]]
+HELPED = [[], ["model"], ["trace"], ["plc"], ["alarm"]]
 """The groups: their help lists commands without loading one. A command's own help loads that command's module."""
 
 

@@ -135,7 +135,10 @@ class AlarmLife(RuleBasedStateMachine):
         before = self.board.alarms[NAME]
         self.board = self.opened()
         after = self.board.alarms[NAME]
-        assert replace(after, until=None, pending=None) == replace(before, until=None, pending=None)
+        # Of an alarm that never moved nothing is kept, not even since when.
+        unmoved = {"since": 0.0} if "alarms" not in self.kept.states else {}
+        plain: dict[str, Any] = {"until": None, "pending": None, **unmoved}
+        assert replace(after, **plain) == replace(before, **plain)
         assert (after.until is None) == (before.until is None)
 
     @invariant()
@@ -166,5 +169,5 @@ class Silent:
         return lambda *_args, **_keys: None
 
 
-AlarmLife.TestCase.settings = settings(max_examples=40, stateful_step_count=40, deadline=None)
+AlarmLife.TestCase.settings = settings(max_examples=25, stateful_step_count=30, deadline=None)
 TestAlarmLife = AlarmLife.TestCase

@@ -16,10 +16,12 @@ from time import monotonic, sleep
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
 from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
 from gateway.certificates import make_all
+from gateway.cli.main import main
 from gateway.machine.alarms import Alarm, AlarmCondition, AlarmState
 from gateway.notify import AlarmMessage, Notifier, RefusedError, UndeliveredError, make_senders
 from gateway.notify.notifier import MOST
@@ -436,3 +438,14 @@ def test_a_hook_that_refuses_for_good_is_not_asked_again_and_one_that_says_later
         for kind in (RefusedError, RefusedError, UndeliveredError):
             with pytest.raises(kind):
                 send([MESSAGE], EPOCH)
+
+
+def test_plc_check_says_that_the_secrets_cannot_be_used_before_the_gateway_is_started(tmp_path: Path) -> None:
+    secrets = secrets_in(tmp_path, mode=0o644)
+    text = f'[notify]\nsecrets = "{secrets}"\n[[notify.to]]\nname = "a"\nwebhook = "https://example.com/x"\n'
+    config = config_in(tmp_path, text)
+    words = ["plc", "check", "--offline", "--config", str(config.path), "--json"]
+    refused = CliRunner().invoke(main, words)
+    assert refused.exit_code == 1 and "chmod 600" in refused.output and PASSWORD not in refused.output
+    secrets.chmod(0o600)
+    assert "alarms are told to a" in CliRunner().invoke(main, words).output

@@ -25,7 +25,7 @@ def well(seconds: int, seed: int = 7) -> Iterator[tuple[float, float]]:
 
 
 def raised(
-    spoil: Callable[[int, float], float | Reading | None], *, seconds: int = 1800, twins: bool = True
+    spoil: Callable[[int, float], float | Reading | None], *, seconds: int = 900, twins: bool = True
 ) -> dict[str, int]:
     """When (s) each alarm on `A` first stands while its readings are spoiled from second 600 on."""
     watch = SensorWatch((A, B), (A, B) if twins else (), None)

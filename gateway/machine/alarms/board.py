@@ -195,7 +195,7 @@ class AlarmBoard:
         ]
         if not changes:
             return
-        self.save(now)
+        self._save_alarms(now)
         for former, after in changes:
             condition, value = self.conditions[after.condition], values.get(after.condition)
             by = after.by or after.acknowledged_by
@@ -245,7 +245,11 @@ class AlarmBoard:
         return self.alarms[name]
 
     def save(self, now: float) -> None:
-        """Keep what a restart goes on from."""
-        self._historian.save("alarms", now, {name: to_plain(alarm) for name, alarm in self.alarms.items()})
+        """Keep what a restart goes on from, and no change has kept: what is left of shelvings, and the sensors."""
+        if any(alarm.until is not None for alarm in self.alarms.values()):
+            self._save_alarms(now)
         if self._sensors is not None:
             self._historian.save("sensors", now, self._sensors.to_plain())
+
+    def _save_alarms(self, now: float) -> None:
+        self._historian.save("alarms", now, {name: to_plain(alarm) for name, alarm in self.alarms.items()})
