@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import ExitStack, asynccontextmanager, nullcontext
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.driver import Driver
 from gateway.machine.reading import Clock, PlantClock, plant_clock
-from gateway.plant.control import Control, ControlScope
+from gateway.plant.control import Control, ControlScope, answer
 from gateway.plant.fleet import Fleet
 from gateway.plant.log import log_file, open_log
 from gateway.plant.log_file import LogFile
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 STATUS_SECONDS = 0.25
 CLOCK_TOLERANCE = 5.0
+PAGE_STOP_SECONDS = 3.0
 SWITCH_SECONDS = 0.0005
 """How often the interpreter changes threads, a tenth of its own 5 ms (`sys.setswitchinterval`)."""
 
@@ -66,6 +67,8 @@ async def run(
         if log is None:
             file = _log_file(configs[0])
             log = opened.enter_context(open_log(file, configs[0].log.level))
+        if configs[0].page.enabled:
+            _check_page(configs[0])
         fleet = Fleet(
             configs,
             clock=clock,
@@ -78,7 +81,8 @@ async def run(
         fleet.start(stop)
         reporter = fleet.supervisor.task("status", lambda: _report(fleet, status_path, say))
         opened.enter_context(fleet.supervisor.hearing_all())
-        control = Control(ControlScope(fleet.machines, snapshot, fleet.reload), configs[0].control_socket, log)
+        scope = ControlScope(fleet.machines, snapshot, fleet.reload)
+        control = Control(scope, configs[0].control_socket, log)
         serving = {fleet.supervisor.task("control", control.serve)}
         serve = configs[0].serve
         if serve.port is not None:
@@ -87,7 +91,8 @@ async def run(
         if hangup is not None:
             serving.add(fleet.supervisor.task("hangup", partial(_reloaded_at, hangup, fleet)))
         try:
-            await stop.wait()
+            async with _page(configs, fleet, scope) if configs[0].page.enabled else nullcontext():
+                await stop.wait()
         finally:
             fleet.stopping()
             for task in serving:
@@ -100,6 +105,38 @@ async def run(
             last = _statuses(fleet)
             _write(fleet, status_path, last)
     return _plain(fleet, last)
+
+
+def _check_page(config: Config) -> None:
+    """Raises ConfigError, before anything runs, where the page may not be served as it is configured."""
+    # Here and below: a gateway without the page loads nothing of it.
+    from gateway.web import check_page
+
+    check_page(config)
+
+
+@asynccontextmanager
+async def _page(configs: Sequence[Config], fleet: Fleet, scope: ControlScope) -> AsyncIterator[None]:
+    """Serve the page meanwhile, in a thread of its own."""
+    from gateway.web import PageServer
+
+    trail = fleet.records.trail
+    if trail is None:
+        raise RuntimeError("the page is enabled, and the audit log was not opened")
+    page = PageServer(configs, answer=partial(answer, scope), audit=trail.audit, now=fleet.clock.now, log=fleet.log)
+
+    def machines() -> dict[str, Callable[[], GatewayStatus]]:
+        return {name: partial(snapshot, machine) for name, machine in fleet.machines.items()}
+
+    fleet.on_scan = page.note_scan
+    feed = fleet.supervisor.task("page feed", partial(page.feed, machines))
+    thread = fleet.supervisor.thread("page", page.run, stop=page.stop)
+    try:
+        yield
+    finally:
+        feed.cancel()
+        page.close()
+        await asyncio.to_thread(thread.join, PAGE_STOP_SECONDS)
 
 
 async def _reloaded_at(hangup: asyncio.Event, fleet: Fleet) -> None:

@@ -225,6 +225,11 @@ class _Arm(ControlRequest):
     acknowledge: list[Line] = Field([], description="heads of lost rows, each as text")
 
 
+class _Acknowledge(ControlRequest):
+    alarm: Line = Field(description="the alarm's name as text, one line")
+    by: Line = Field(description="the person's name as text, one line")
+
+
 class _Reload(ControlRequest):
     dry_run: bool = Field(False, description="true: only say what would change")
 
@@ -325,6 +330,24 @@ async def _disarm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, 
     return {"pid": os.getpid(), "was_armed": await scope.one(given).disarm(given.by, given.reason)}
 
 
+async def _acknowledge(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+    """Acknowledge an alarm: `alarm`, `by`; gives its state after that."""
+    given = _checked(_Acknowledge, request)
+    machine = scope.one(given)
+    try:
+        state = machine.alarms.acknowledge(given.alarm, given.by, machine.clock.now())
+    except KeyError:
+        raise ControlError(f"{machine.config.machine} has no alarm {given.alarm[:60]!r}") from None
+    return {"pid": os.getpid(), "alarm": given.alarm, "state": state.value}
+
+
+async def _model(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+    """The models that run on a machine, by temperature: their automaton and where they come from."""
+    machine = scope.one(_checked(ControlRequest, request))
+    plain = {one.tag: None if one.model is None else one.model.description() for one in machine.followed}
+    return {"pid": os.getpid(), "temperatures": plain}
+
+
 COMMANDS: dict[str, Command] = {
     "status": _status,
     "plant": _plant,
@@ -332,5 +355,7 @@ COMMANDS: dict[str, Command] = {
     "arm": _arm,
     "disarm": _disarm,
     "reload": _reload,
+    "acknowledge": _acknowledge,
+    "model": _model,
 }
 """Everything that can be asked of a running gateway; a new one is a row here."""

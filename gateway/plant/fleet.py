@@ -37,7 +37,8 @@ LAST_WORD_SECONDS = 0.1
 class Fleet:
     """The machines of a running gateway, by name in the order of the file; `start` it within a running loop.
 
-    `images` are what peers are shown of them, by their unit numbers.
+    `images` are what peers are shown of them, by their unit numbers; `on_scan` is told the name of each machine that
+    was scanned, when all of its stages are done.
 
     Raises ConfigError, HistorianError or AuditError for what cannot be opened; nothing is left open then. `driver` is
     used for the first machine, by default all have those of their configurations. `read_anew` gives the configurations
@@ -58,6 +59,7 @@ class Fleet:
         self.clock, self.log, self._rng = clock, log, rng
         self._read_anew = read_anew or partial(load_plant, configs[0].path)
         self._reloading = asyncio.Lock()
+        self.on_scan: Callable[[str], None] = lambda machine: None
         self.supervisor = Supervisor(self._note_failure)
         self.machines: dict[str, Machine] = {}
         self._running: dict[str, _Running] = {}
@@ -72,6 +74,8 @@ class Fleet:
         self.records = PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
         opened = False
         try:
+            if configs[0].page.enabled:
+                self.records.open_trail(configs[0])  # what people do at the page is on record, whatever is written
             for config in configs:
                 name = config.machine
                 self.machines[name] = self._opened(config, drivers[name], models[name], alone=len(configs) == 1)
@@ -116,7 +120,10 @@ class Fleet:
         self._stop = stop
         for place, (name, machine) in enumerate(self.machines.items()):
             pause = place / len(self.machines) * machine.config.scan.period
-            self._running[name] = _Running(machine, stop, self._image_of(machine), pause=pause)
+            self._running[name] = _Running(machine, stop, self._image_of(machine), taken=self._scanned, pause=pause)
+
+    def _scanned(self, machine: str) -> None:
+        self.on_scan(machine)
 
     async def reload(self, *, apply: bool = True) -> dict[str, Any]:
         """Read the plant file anew and take over what it changes; a machine that it does not touch loses no scan.
@@ -165,7 +172,7 @@ class Fleet:
                 driver = self._driver(config)
                 self.machines[name] = await asyncio.to_thread(self._opened, config, driver, loaded, alone=False)
                 machine = self.machines[name]
-                self._running[name] = _Running(machine, self._stop, self._image_of(machine))
+                self._running[name] = _Running(machine, self._stop, self._image_of(machine), taken=self._scanned)
             except (ConfigError, OSError) as error:
                 self.log.error("a machine cannot be begun as the file has it now", machine=name, reason=str(error))
                 models = None
@@ -212,9 +219,15 @@ class _Running:
     """
 
     def __init__(
-        self, machine: Machine, gateway: asyncio.Event, image: DeviceImage | None, *, pause: float = 0.0
+        self,
+        machine: Machine,
+        gateway: asyncio.Event,
+        image: DeviceImage | None,
+        *,
+        taken: Callable[[str], None],
+        pause: float = 0.0,
     ) -> None:
-        self._machine, self._image, self._pause = machine, image, pause
+        self._machine, self._image, self._taken, self._pause = machine, image, taken, pause
         self._stop, self._over = _Stop(gateway), asyncio.Event()
         tasks = {"scans": self._scan_until_stopped, "stop": self._stop.follow}
         self._tasks = {machine.supervisor.task(name, work) for name, work in tasks.items()}
@@ -277,6 +290,7 @@ class _Running:
                         if self._image is not None:
                             self._image.take(scan)
                         await machine.take(scan)
+                        self._taken(config.machine)
             except Exception as error:  # noqa: BLE001 - the supervisor's part for the scans: it is said, and begun anew
                 machine.supervisor.failed("scans", error)
                 machine.counters.failures, machine.counters.last_failure = machine.counters.failures + 1, repr(error)

@@ -176,6 +176,7 @@ def _writeback(writing: WritebackStage | None, one: FollowedTemperature, now: fl
         "mode": writer.mode,
         "armed_until": writer.arming.until if writer.arming else None,
         "armed_by": writer.arming.by if writer.arming else None,
+        "armed_reason": writer.arming.reason if writer.arming else None,
         **asdict(writer.counters),
         "audit": {"path": str(one.config.audit), "complaint": writing.audit.complaint},
         "last_verdict": last.verdict if last else None,

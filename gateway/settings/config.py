@@ -6,13 +6,15 @@ is common: a machine has it too, key for key, where its own table says nothing e
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from drivers.settings import ConfigError, Section, checked, read_toml
+from drivers.settings import ConfigError, Line, Section, checked, read_toml
 from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
 
@@ -213,6 +215,46 @@ class ServeSection(Section):
     most_clients: int = Field(8, ge=1, le=256, description="how many peers are served at a time, 1 to 256")
 
 
+class PageSection(Section):
+    """The page: what a browser shows of the gateway, served by the gateway itself; off unless enabled."""
+
+    enabled: bool = Field(False, description="true or false")
+    host: str = Field(
+        "127.0.0.1", min_length=1, description="the address to listen on: this machine only, if not given"
+    )
+    port: int = Field(8080, ge=0, le=65535, description="a TCP port from 1 to 65535, or 0 for a free one")
+    certificates: FilePath | None = Field(
+        None,
+        description="a folder with server.pem and server.key, as `decanter certificates` makes them; the page is "
+        "served over TLS then",
+    )
+    users: FilePath | None = Field(
+        None, description="the path of the file of accounts, beside the historian without this key"
+    )
+    open_reading: bool = Field(
+        True, description="true: whoever is on this machine may read without an account; elsewhere nobody may"
+    )
+    session_minutes: float = Field(30.0, ge=1, le=720, description="the idle minutes after which a session ends")
+    most_clients: int = Field(64, ge=1, le=1000, description="how many browsers are served at a time, 1 to 1000")
+    labels: dict[str, Line] = Field({}, description="words for people by the names of machines and tags")
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this machine can reach it."""
+        with suppress(ValueError):
+            return ip_address(self.host).is_loopback
+        return self.host == "localhost"
+
+    @model_validator(mode="after")
+    def _protected_elsewhere(self) -> "PageSection":
+        if self.enabled and not self.loopback and self.certificates is None:
+            raise ValueError(
+                f"host {self.host!r} can be reached from other machines, and passwords would cross the network as they "
+                "are; give certificates (`decanter certificates FOLDER --host NAME` makes them), or listen on 127.0.0.1"
+            )
+        return self
+
+
 class _MachineName(Section):
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,59}$")] = Field(
         description="a name of letters, digits, '_', '-' and '.', 60 at most"
@@ -235,9 +277,10 @@ class _PlantFile(Section):
     control: ControlSection = Field(default_factory=ControlSection, description="a [control] table")
     clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
     serve: ServeSection = Field(default_factory=ServeSection, description="a [serve] table")
+    page: PageSection = Field(default_factory=PageSection, description="a [page] table")
 
 
-COMMON = ("historian", "log", "control")
+COMMON = ("historian", "log", "control", "page")
 """Sections of the whole gateway: no machine has one of its own."""
 COMMON_KEYS = {
     "clock": ("speed",),
@@ -273,6 +316,7 @@ class Config:
     control: ControlSection
     clock: ClockSection
     serve: ServeSection
+    page: PageSection
     links: tuple[DeviceLink, ...]
 
     @property
@@ -313,6 +357,11 @@ class Config:
     def control_socket(self) -> Path:
         """Where the running gateway can be asked."""
         return self.control.path or self.historian.path.with_suffix(".sock")
+
+    @property
+    def users(self) -> Path:
+        """The file of the page's accounts."""
+        return self.page.users or self.historian.path.with_name("users.json")
 
     @property
     def audit(self) -> Path:
@@ -523,6 +572,9 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         control=content.control.model_copy(update={"path": content.control.path and home / content.control.path}),
         clock=content.clock,
         serve=content.serve,
+        page=content.page.model_copy(
+            update={key: (given := getattr(content.page, key)) and home / given for key in ("certificates", "users")}
+        ),
         links=links,
     )
 

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 from gateway.machine.alarms.states import (
     Alarm,
     AlarmCondition,
+    AlarmState,
+    Change,
     acknowledge,
     from_plain,
+    moved,
     new_alarm,
     step,
     to_plain,
@@ -81,6 +84,13 @@ class AlarmBoard:
             # Bits that could not be read leave no edge to be seen when they can be again.
             self._acknowledged[tag] = None if bits is None else int(bits)
         self._step({f"over limit {name}": scan.good(name) for name in self.watched}, scan.time)
+
+    def acknowledge(self, name: str, by: str, now: float) -> AlarmState:
+        """A person's acknowledgement of an alarm, between two scans; gives its state then. Raises KeyError."""
+        before = self.alarms[name]
+        self.alarms[name] = moved(before, Change.ACKNOWLEDGE, now, by)
+        self._note(before, self.alarms[name], None, now)
+        return self.alarms[name].state
 
     def on_predictions(self, scan: Scan, findings: Mapping[str, float | None]) -> None:
         """What the model finds, and without one that an input is bad; None for what is not known."""

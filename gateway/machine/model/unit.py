@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from drivers.supervision import Supervisor
@@ -176,6 +177,24 @@ class ModelUnit:
             "version": model.version,
             "written": model.written,
             "refused": self.pickup.refused,
+        }
+
+    def description(self) -> dict[str, Any]:
+        """The automaton, the present location (None where it is not known), and where the model comes from."""
+        model, sha, now = self.loaded.model, self.loaded.model.sha, self.prediction
+        edges: dict[tuple[str, str], list[str]] = {}
+        for edge in sha.edges:
+            edges.setdefault((edge.source, edge.target), []).append(edge.symbol)
+        return {
+            **self.report(),
+            "locations": [
+                {"name": place.name, "flow": place.flow.kind, "borrowed": place.name in model.borrowed}
+                for place in sha.locations
+            ],
+            "edges": [{"source": a, "target": b, "symbols": symbols} for (a, b), symbols in edges.items()],
+            "initial": sha.initial,
+            "present": now.location if now is not None and now.known else None,
+            "provenance": asdict(model.provenance),
         }
 
     def guard_report(self) -> dict[str, Any]:
