@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 IDLE_S = 15.0
 """A client that has sent no whole request for so long, or takes nothing of its answer, is let go."""
 LONGEST_HEAD = 16 * 1024
+BACKLOG = 64
 REFRESH_S, LEAST_S = 1.0, 0.1
 """Pictures are taken after scans, at most each tenth of a second, and once a second without any: ages grow."""
 
@@ -206,6 +207,7 @@ class PageServer:
             try:
                 listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 listener.bind(address)
+                listener.listen(BACKLOG)
             except OSError as error:
                 reason = (error.strerror or str(error)).lower()
                 raise OSError(

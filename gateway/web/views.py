@@ -76,8 +76,8 @@ def _temperature(
         else:
             sentence = words.say("sentence.bad", what=what, reason=tag.reason or tag.quality)
         return {**row, "level": "unknown", "sentence": sentence, "validity": words.say("validity.none")}
-    shown = f"{words.number(value, 1)} {unit}"
-    limit = f"{words.number(one.limit, 0 if one.limit == int(one.limit) else 1)} {unit}"
+    shown = f"{words.number(value, 1)}\u00a0{unit}"  # never broken between number and unit
+    limit = f"{words.number(one.limit, 0 if one.limit == int(one.limit) else 1)}\u00a0{unit}"
     forecast = one.forecast
     known = one.prediction is not None and one.prediction.known
     if forecast is None or not forecast.usable or not known:
@@ -111,23 +111,27 @@ def _foreseen(words: Words, forecast: ForecastStatus, *, what: str, shown: str, 
     low, median, high = minutes_to_limit(forecast)
     horizon = words.number(forecast.horizons[-1] / 60.0, 0)
     if median is not None:
-        latest = words.say("sentence.beyond", minutes=horizon) if high is None else words.number(high, 0)
-        earliest = words.number(low or 0.0, 0)
+        latest = words.say("sentence.beyond", minutes=horizon) if high is None else _minutes(words, high)
+        earliest = _minutes(words, low or 0.0)
         return words.say(
             "sentence.reaches",
             what=what,
             value=shown,
             limit=limit,
-            median=words.number(median, 0),
+            median=_minutes(words, median),
             low=earliest,
             high=latest,
         )
     chance = forecast.p_limit[-1]
     if low is not None:
         percent = "–" if chance is None else words.number(100.0 * chance, 0)
-        parts = {"low": words.number(low, 0), "percent": percent, "horizon": horizon}
+        parts = {"low": _minutes(words, low), "percent": percent, "horizon": horizon}
         return words.say("sentence.may_reach", what=what, value=shown, limit=limit, **parts)
     return words.say("sentence.stays", what=what, value=shown, limit=limit, horizon=horizon)
+
+
+def _minutes(words: Words, minutes: float) -> str:
+    return "< 1" if minutes < 1.0 else words.number(minutes, 0)
 
 
 def duration(words: Words, seconds: float) -> str:

@@ -37,11 +37,15 @@ export function morph(old, fresh) {
     return;
   }
   for (const { name } of [...old.attributes]) {
-    if (!fresh.hasAttribute(name) && !(name === "open" || "keep" in (old.dataset || {}))) old.removeAttribute(name);
+    if (!fresh.hasAttribute(name) && name !== "open" && !("keep" in (old.dataset || {}))) old.removeAttribute(name);
   }
   for (const { name, value } of fresh.attributes) {
-    if (old.getAttribute(name) !== value) old.setAttribute(name, value);
+    // What a person has opened or shut stays so.
+    if (name !== "open" && old.getAttribute(name) !== value) old.setAttribute(name, value);
   }
+  // What a person has set since is the element's own, and no attribute of it.
+  if (old instanceof HTMLInputElement && old.type === "checkbox") old.checked = fresh.checked;
+  if (old instanceof HTMLOptionElement) old.selected = fresh.selected;
   if (old.dataset && "keep" in old.dataset) return;
   const before = [...old.childNodes], after = [...fresh.childNodes];
   after.forEach((child, place) => (place < before.length ? morph(before[place], child) : old.append(child)));
@@ -74,10 +78,13 @@ export function bytes(count) {
   while (count >= 1000 && place < steps.length - 1) [count, place] = [count / 1000, place + 1];
   return `${number(count, place ? 1 : 0)} ${steps[place]}`;
 }
-const two = { hour: "2-digit", minute: "2-digit", second: "2-digit" };
-export const clock = (time) => new Date(time * 1000).toLocaleTimeString(language, two);
+// English as plants write it: days before months, twenty-four hours.
+const places = language === "en" ? "en-GB" : language;
+const two = { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23" };
+export const clock = (time) => new Date(time * 1000).toLocaleTimeString(places, two);
+export const day = (time) => new Date(time * 1000).toLocaleDateString(places, { day: "2-digit", month: "2-digit" });
 export const moment = (time) =>
-  new Date(time * 1000).toLocaleString(language, { year: "numeric", month: "2-digit", day: "2-digit", ...two });
+  new Date(time * 1000).toLocaleString(places, { year: "numeric", month: "2-digit", day: "2-digit", ...two });
 
 // ---------------------------------------------------------------- asking
 

@@ -1,5 +1,5 @@
 // Pictures of what was and what may come: the small ones of a row, and the large ones (uPlot).
-import { ask, clock, h, moment, number, s, say } from "./dom.js";
+import { ask, clock, day, h, moment, number, s, say } from "./dom.js";
 import { state } from "./live.js";
 
 // ---------------------------------------------------------------- what was measured lately
@@ -121,8 +121,7 @@ export function chart(place, { series, bands = [], height = 300, hooks = {}, sca
   return made;
 }
 function label(time, span) {
-  const day = new Date(time * 1000);
-  if (span > 3 * 86400) return day.toLocaleDateString(undefined, { day: "2-digit", month: "2-digit" });
+  if (span > 3 * 86400) return day(time);
   return span > 1200 ? clock(time).slice(0, 5) : clock(time);
 }
 

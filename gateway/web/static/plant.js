@@ -103,7 +103,8 @@ function temperatureCard(name, machine, row) {
   const last = forecast ? forecast.horizons.at(-1) / 60 : 0;
   const minutes = (which) => {
     const found = forecast.block[`minutes_${which}`];
-    return found === null || found > last ? say("sentence.beyond", { minutes: number(last, 0) }) : number(found, 0);
+    if (found === null || found > last) return say("sentence.beyond", { minutes: number(last, 0) });
+    return found < 1 ? "< 1" : number(found, 0);
   };
   const main = row.tag === status.temperature;
   return h("section", { class: `card temperature ${row.level}`, "data-key": row.tag },
@@ -134,7 +135,7 @@ function inputs(status, extra, cut) {
   const rank = (tag) => (tag.quality === "GOOD" ? 1 : 0);
   const rows = Object.entries(status.values).sort(([, a], [, b]) => rank(a) - rank(b));
   return h("div", { class: "scroll", tabindex: "0" }, h("table", {},
-    h("thead", {}, h("tr", {}, ["tag", "value", "age", "quality", "reason"].map((key) => h("th", { scope: "col" }, say(`word.${key}`))))),
+    h("thead", {}, h("tr", {}, ["tag", "value", "age", "quality", "reason"].map((key) => h("th", { scope: "col", class: key === "value" || key === "age" ? "number" : null }, say(`word.${key}`))))),
     h("tbody", {}, rows.map(([name, tag]) => h("tr", { class: tag.quality === "GOOD" ? "" : "bad" },
       h("th", { scope: "row" }, name),
       h("td", { class: "number" }, cut ? h("span", { class: "old" }, say("live.was", { value: `${shown(tag.value)} ${unit(tag.unit)}` })) : `${shown(tag.value)} ${unit(tag.unit)}`),

@@ -14,7 +14,7 @@ export function alarmTable(names) {
   if (!rows.length) return h("p", { class: "quiet" }, say("alarm.none"));
   return h("ul", { class: "alarms" }, rows.map((row) => {
     const [alarm, open] = [row.alarm, row.state !== "acknowledged"];
-    return h("li", { class: `alarm ${row.level}`, "data-key": `${row.machine.label} ${alarm}`, "data-alarm": alarm },
+    return h("li", { class: `entry ${row.level}`, "data-key": `${row.machine.label} ${alarm}`, "data-alarm": alarm },
       sign(row.level),
       h("div", { class: "alarmtext" }, h("b", {}, `${row.machine.label}: ${alarm}`), h("span", { class: "response" }, row.response),
         h("small", {}, `${say("alarm.priority")} ${row.priority} · ${say(`alarm.${stateKey(row.state)}`)} · ${say("word.since")} ${moment(row.since)} (${duration((row.machine.status.time - row.since) / row.machine.status.speed)})`,
@@ -55,7 +55,7 @@ function scores(card, unit) {
   const blocks = Object.entries(card.writes.verdicts);
   return h("div", {},
     h("div", { class: "scroll", tabindex: "0" }, h("table", {},
-      h("thead", {}, h("tr", {}, [say("score.horizon"), say("score.error"), say("score.persistence"), say("score.better"), say("word.coverage"), say("score.count")].map((text) => h("th", { scope: "col" }, text)))),
+      h("thead", {}, h("tr", {}, [say("score.horizon"), say("score.error"), say("score.persistence"), say("score.better"), say("word.coverage"), say("score.count")].map((text, place) => h("th", { scope: "col", class: place ? "number" : null }, text)))),
       h("tbody", {}, card.forecasts.map((each) => h("tr", {}, h("th", { scope: "row" }, `${number(each.horizon / 60, 0)} min`),
         h("td", { class: "number" }, each.count ? `${number(each.mae, 2)} ${unit}` : "–"), h("td", { class: "number" }, each.count ? `${number(each.persistence_mae, 2)} ${unit}` : "–"),
         h("td", { class: "number" }, each.count ? better(each.mae, each.persistence_mae) : "–"), h("td", { class: "number" }, each.count ? `${number(100 * each.coverage90, 0)} %` : "–"), h("td", { class: "number" }, each.count)))))),

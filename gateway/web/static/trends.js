@@ -23,7 +23,7 @@ export function trendsView([wanted]) {
         h("button", { "data-act": "back", disabled: !look.past.length }, say("trend.back"))),
       horizons.length > 0 && h("label", {}, h("span", {}, say("trend.forecasts")), h("select", { id: "trend-horizon" }, h("option", { value: "" }, "–"),
         horizons.map((each) => h("option", { value: each, selected: String(each) === look.horizon }, say("trend.said_before", { minutes: number(each / 60, 0) })))))),
-    h("details", { class: "tags", open: true }, h("summary", {}, say("trend.signals")), names.map((name) =>
+    h("details", { class: "tags", open: innerWidth > 700 }, h("summary", {}, say("trend.signals")), names.map((name) =>
       h("label", {}, h("input", { type: "checkbox", value: name, "data-tag": name, checked: look.tags.includes(name) }), `${name} ${status.values[name].unit && `(${unit(status.values[name].unit)})`}`))),
     h("p", { class: look.error ? "error" : "quiet" }, look.error || `${say("trend.hint")} ${look.data ? say("trend.resolution", { width: look.data.width ? duration(look.data.width) : say("trend.readings") }) : ""}`),
     h("div", { class: "chart", id: "trend", "data-keep": "", "data-key": "trend" }));
