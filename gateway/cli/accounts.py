@@ -9,7 +9,7 @@ from gateway.cli.plant_file import config_option
 from gateway.console import emit, json_option, table
 from gateway.entry import sentences
 from gateway.settings import Config, load_plant
-from gateway.web.access import ROLES, Role, add_account, change_password, read_accounts, remove_account
+from gateway.web.access import ROLES, AccountRole, add_account, change_password, read_accounts, remove_account
 
 
 def _asked_password() -> str:
@@ -28,7 +28,7 @@ def _config(path: Path) -> Config:
 @click.argument("name")
 @click.option(
     "--role",
-    type=click.Choice([role.value for role in Role]),
+    type=click.Choice([role.value for role in AccountRole]),
     required=True,
     help="; ".join(f"{role}: {meaning}" for role, meaning in ROLES.items()) + ".",
 )
@@ -40,7 +40,7 @@ def add(name: str, role: str, path: Path) -> None:
     """
     with sentences():
         file = _config(path).users
-        add_account(file, name, Role(role), _asked_password())
+        add_account(file, name, AccountRole(role), _asked_password())
     click.echo(f"{name} may log in as {role} ({file})")
 
 

@@ -19,7 +19,7 @@ from starlette.responses import Response
 from drivers.json_lines import NoObject, parsed
 from drivers.settings import Line, Section, first_sentence
 from gateway.status import ControlError
-from gateway.web.access import AccountsError, Role, Session
+from gateway.web.access import AccountRole, AccountsError, Session
 from gateway.web.box import box_facts
 from gateway.web.openapi import document
 from gateway.web.readings import LONGEST_SPAN_S
@@ -36,7 +36,7 @@ WAITING_LOGINS = 8
 COOKIE = "decanter_session"
 TOKEN_HEADER = "x-csrf-token"  # noqa: S105 - the name of a header
 
-ROLE_ORDER = list(Role)
+ROLE_ORDER = list(AccountRole)
 
 
 class Refused(Exception):
@@ -58,7 +58,7 @@ class Call:
     secret: str
     secure: bool
     session: Session | None
-    role: Role | None
+    role: AccountRole | None
 
     @property
     def who(self) -> str:
@@ -75,7 +75,7 @@ class Endpoint:
     summary: str
     answer: Callable[[Call], Awaitable[Any]]
     gives: type[Section] | None = None
-    role: Role | None = None
+    role: AccountRole | None = None
     open: bool = False
 
 
@@ -434,7 +434,7 @@ ENDPOINTS: Sequence[Endpoint] = (
         summary="Acknowledge an alarm.",
         answer=_acknowledge,
         gives=_AlarmOf,
-        role=Role.OPERATOR,
+        role=AccountRole.OPERATOR,
     ),
     Endpoint(
         method="POST",
@@ -442,7 +442,7 @@ ENDPOINTS: Sequence[Endpoint] = (
         summary="Let blocks be written to the PLC.",
         answer=_arm,
         gives=_Arming,
-        role=Role.ENGINEER,
+        role=AccountRole.ENGINEER,
     ),
     Endpoint(
         method="POST",
@@ -450,7 +450,7 @@ ENDPOINTS: Sequence[Endpoint] = (
         summary="Take everything back at the PLC, and write no more.",
         answer=_disarm,
         gives=_Disarming,
-        role=Role.ENGINEER,
+        role=AccountRole.ENGINEER,
     ),
     Endpoint(
         method="POST",
@@ -458,7 +458,7 @@ ENDPOINTS: Sequence[Endpoint] = (
         summary="Read the plant file anew.",
         answer=_reload,
         gives=_Reloading,
-        role=Role.ADMINISTRATOR,
+        role=AccountRole.ADMINISTRATOR,
     ),
     Endpoint(method="GET", path="/api/openapi.json", summary="This document.", answer=_document, open=True),
 )

@@ -17,7 +17,7 @@ Show = Callable[[str, GatewayStatus], Mapping[str, Any]]
 
 
 @dataclass(slots=True)
-class Picture:
+class MachinePicture:
     """A machine's status, taken at a time (s UTC, the wall's), and what it is in each language that was asked for."""
 
     version: int
@@ -34,7 +34,7 @@ class LiveStream:
 
     def __init__(self, show: Show) -> None:
         self._show = show
-        self._pictures: dict[str, Picture] = {}
+        self._pictures: dict[str, MachinePicture] = {}
         self._order: tuple[str, ...] = ()
         self._version = 0
         self._changed = asyncio.Event()
@@ -45,7 +45,7 @@ class LiveStream:
         """Take the statuses of some machines; `order` names all that there are."""
         for name, status in statuses.items():
             self._version += 1
-            self._pictures[name] = Picture(self._version, status, taken)
+            self._pictures[name] = MachinePicture(self._version, status, taken)
         for gone in [name for name in self._pictures if name not in order]:
             del self._pictures[gone]
         self._order = tuple(order)

@@ -16,7 +16,7 @@ from gateway.machine.reading import plant_clock
 from gateway.plant.app import run
 from gateway.settings import Config
 from gateway.store import read
-from gateway.web.access import Role, add_account
+from gateway.web.access import AccountRole, add_account
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, logged, two_modes
 
 PASSWORD = "correct horse battery"  # noqa: S105 - of this test's accounts
@@ -67,7 +67,7 @@ def eventually(true: Callable[[], Any], seconds: float = 15.0) -> Any:
 
 
 @contextmanager
-def served(folder: Path, text: str = PAGE, accounts: dict[str, Role] | None = None) -> Iterator[Served]:
+def served(folder: Path, text: str = PAGE, accounts: dict[str, AccountRole] | None = None) -> Iterator[Served]:
     """A gateway on a decanter that runs, with accounts whose password is PASSWORD."""
     folder.mkdir(parents=True, exist_ok=True)
     config = config_in(folder, text, model=two_modes())

@@ -8,11 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from gateway.web.access import Role, change_password, remove_account
+from gateway.web.access import AccountRole, change_password, remove_account
 from tests.gateway.support import TEMPERATURE
 from tests.page.served import PASSWORD, PERIOD, Client, Served, eventually, served
 
-ACCOUNTS = {"olga": Role.OPERATOR, "enzo": Role.ENGINEER, "ada": Role.ADMINISTRATOR, "guest": Role.OPERATOR}
+ACCOUNTS = {
+    "olga": AccountRole.OPERATOR,
+    "enzo": AccountRole.ENGINEER,
+    "ada": AccountRole.ADMINISTRATOR,
+    "guest": AccountRole.OPERATOR,
+}
 ALARM = f"over limit {TEMPERATURE}"
 
 
@@ -195,7 +200,7 @@ def test_an_update_is_sent_within_300_ms_of_its_scan(gateway: Served) -> None:
 
 
 def test_reading_stays_possible_without_an_account_on_this_machine_alone(tmp_path: Path) -> None:
-    with served(tmp_path, accounts={"olga": Role.OPERATOR}, text=CLOSED) as gateway:
+    with served(tmp_path, accounts={"olga": AccountRole.OPERATOR}, text=CLOSED) as gateway:
         client = Client(gateway.port)
         for path in ("/api/plant", "/api/live", "/api/box"):
             assert client.ask("GET", path)[0] == 401

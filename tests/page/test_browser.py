@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.web.access import Role
+from gateway.web.access import AccountRole
 from tests.gateway.support import TEMPERATURE
 from tests.page.served import PASSWORD, Served, served
 
@@ -32,7 +32,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    accounts = {"olga": Role.OPERATOR, "guest": Role.OPERATOR}
+    accounts = {"olga": AccountRole.OPERATOR, "guest": AccountRole.OPERATOR}
     with served(tmp_path_factory.mktemp("page"), accounts=accounts) as running:
         yield running
 

@@ -13,7 +13,7 @@ import pytest
 import gateway.web.server as page_server
 from gateway.machine.reading import plant_clock
 from gateway.plant.app import run
-from gateway.web.access import Role
+from gateway.web.access import AccountRole
 from tests.gateway.support import Bench, config_in, logged
 from tests.page.served import PAGE, Client, Served, eventually, served
 
@@ -25,7 +25,7 @@ def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(page_server, "IDLE_S", 1.0)
         text = PAGE.replace("port = 0", f"port = 0\nmost_clients = {MOST}")
-        with served(tmp_path_factory.mktemp("page"), text, {"olga": Role.OPERATOR}) as running:
+        with served(tmp_path_factory.mktemp("page"), text, {"olga": AccountRole.OPERATOR}) as running:
             yield running
 
 

@@ -7,11 +7,11 @@ from sim.doors import opened_at_use
 if TYPE_CHECKING:
     from gateway.web.access.accounts import (
         ROLES,
-        Account,
+        AccountRole,
         Accounts,
         AccountsError,
+        PageAccount,
         PasswordChecks,
-        Role,
         add_account,
         change_password,
         password_problem,
@@ -25,12 +25,12 @@ else:
 
 __all__ = [
     "ROLES",
-    "Account",
+    "AccountRole",
     "Accounts",
     "AccountsError",
     "Lockout",
+    "PageAccount",
     "PasswordChecks",
-    "Role",
     "Session",
     "Sessions",
     "add_account",

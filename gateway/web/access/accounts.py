@@ -30,7 +30,7 @@ HASHER = PasswordHasher(time_cost=2, memory_cost=19 * 1024, parallelism=1, type=
 """OWASP's least parameters for Argon2id: a box of two cores and 1 GB that reads a PLC is to check a password beside."""
 
 
-class Role(StrEnum):
+class AccountRole(StrEnum):
     """What an account may do; each may do what those before it may."""
 
     OPERATOR = "operator"
@@ -38,10 +38,10 @@ class Role(StrEnum):
     ADMINISTRATOR = "administrator"
 
 
-ROLES: Mapping[Role, str] = {
-    Role.OPERATOR: "acknowledges alarms",
-    Role.ENGINEER: "arms and disarms, too",
-    Role.ADMINISTRATOR: "has the plant file read anew, too",
+ROLES: Mapping[AccountRole, str] = {
+    AccountRole.OPERATOR: "acknowledges alarms",
+    AccountRole.ENGINEER: "arms and disarms, too",
+    AccountRole.ADMINISTRATOR: "has the plant file read anew, too",
 }
 """The roles in their order, each with what it adds."""
 
@@ -53,20 +53,20 @@ class AccountsError(OneLineError, ValueError):
 AccountName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
 
 
-class Account(Section):
+class PageAccount(Section):
     """One account; `changed` counts its changes, and ends the sessions that began before."""
 
-    role: Annotated[Role, Field(strict=False)] = Field(description=f"one of {', '.join(Role)}")
+    role: Annotated[AccountRole, Field(strict=False)] = Field(description=f"one of {', '.join(AccountRole)}")
     password: str = Field(min_length=1, max_length=500, description="what Argon2id made of the password")
     changed: int = Field(1, ge=1, description="a whole number from 1")
 
 
 class _AccountFile(Section):
     format: Literal[1] = Field(description="1")
-    accounts: dict[AccountName, Account] = Field(description="an object of accounts by their names")
+    accounts: dict[AccountName, PageAccount] = Field(description="an object of accounts by their names")
 
 
-def read_accounts(path: Path) -> dict[str, Account]:
+def read_accounts(path: Path) -> dict[str, PageAccount]:
     """The accounts by their names; none where there is no file. Raises AccountsError."""
     try:
         text = contents(path, MOST_BYTES)
@@ -85,7 +85,7 @@ def read_accounts(path: Path) -> dict[str, Account]:
 
 
 @contextmanager
-def _changing(path: Path) -> Iterator[dict[str, Account]]:
+def _changing(path: Path) -> Iterator[dict[str, PageAccount]]:
     """The accounts to be changed, then written; two commands at a time take turns. Raises AccountsError, OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = os.open(path.with_name(f".{path.name}.lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -99,13 +99,13 @@ def _changing(path: Path) -> Iterator[dict[str, Account]]:
         os.close(lock)
 
 
-def add_account(path: Path, name: str, role: Role, password: str) -> None:
+def add_account(path: Path, name: str, role: AccountRole, password: str) -> None:
     """Make an account. Raises AccountsError for a name that is there or cannot be, and for a bad password."""
     with _changing(path) as accounts:
         if name in accounts:
             raise AccountsError(f"there is an account {name!r} already; change its password, or remove it first")
         _check_password(name, password)
-        accounts[name] = Account(role=role, password=HASHER.hash(password))
+        accounts[name] = PageAccount(role=role, password=HASHER.hash(password))
         try:
             _AccountFile(format=1, accounts=accounts)
         except ValidationError:
@@ -129,7 +129,7 @@ def remove_account(path: Path, name: str) -> None:
         del accounts[name]
 
 
-def _known(accounts: Mapping[str, Account], name: str) -> Account:
+def _known(accounts: Mapping[str, PageAccount], name: str) -> PageAccount:
     if name not in accounts:
         raise AccountsError(f"there is no account {name[:60]!r}; there are {', '.join(accounts) or 'none'}")
     return accounts[name]
@@ -155,9 +155,9 @@ class Accounts:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._stamp: tuple[int, int, int] | None = None
-        self._accounts: dict[str, Account] = {}
+        self._accounts: dict[str, PageAccount] = {}
 
-    def get(self, name: str) -> Account | None:
+    def get(self, name: str) -> PageAccount | None:
         """The account of that name. Raises AccountsError where the file cannot be used: then nobody has one."""
         try:
             there = self.path.stat()
@@ -180,7 +180,7 @@ class PasswordChecks:
         # A name that is not there takes as long to refuse as a wrong password does.
         self._nobody = HASHER.hash(os.urandom(16).hex())
 
-    async def right(self, account: Account | None, password: str) -> bool:
+    async def right(self, account: PageAccount | None, password: str) -> bool:
         """Whether the password is the account's; as long without an account."""
         self.waiting += 1
         try:
@@ -189,7 +189,7 @@ class PasswordChecks:
         finally:
             self.waiting -= 1
 
-    def _verified(self, account: Account | None, password: str) -> bool:
+    def _verified(self, account: PageAccount | None, password: str) -> bool:
         try:
             return HASHER.verify(account.password if account else self._nobody, password) and account is not None
         except (Argon2Error, InvalidHashError):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from time import monotonic
 
-from gateway.web.access.accounts import Account, Accounts, Role
+from gateway.web.access.accounts import AccountRole, Accounts, PageAccount
 
 LONGEST_S = 12 * 3600.0
 """However busy, a person logs in anew once a shift."""
@@ -36,7 +36,7 @@ class Sessions:
         self._accounts, self._idle, self._clock = accounts, idle_s, clock
         self._sessions: dict[str, Session] = {}
 
-    def open(self, name: str, account: Account, address: str) -> tuple[str, Session]:
+    def open(self, name: str, account: PageAccount, address: str) -> tuple[str, Session]:
         """A new session and its secret."""
         now, secret = self._clock(), secrets.token_urlsafe(32)
         session = Session(name, address, account.changed, now, now)
@@ -45,7 +45,7 @@ class Sessions:
             del self._sessions[min(self._sessions, key=lambda key: self._sessions[key].used)]
         return secret, session
 
-    def find(self, secret: str, *, use: bool = False) -> tuple[Session, Role] | None:
+    def find(self, secret: str, *, use: bool = False) -> tuple[Session, AccountRole] | None:
         """The session of a secret and the role of its account now; None where there is none any more.
 
         `use`: the person does something, so that the idle time begins anew. Raises AccountsError.
