@@ -59,7 +59,7 @@ if TYPE_CHECKING:
         trend,
     )
     from gateway.store.schema import storable
-    from gateway.store.score import percentile, scorecard
+    from gateway.store.score import percentile, scorecard, warning_score
     from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
     from gateway.store.witness import (
         HEAD_EVENT,
@@ -149,5 +149,6 @@ __all__ = [
     "trend",
     "trusted_key",
     "verify",
+    "warning_score",
     "write_durably",
 ]

@@ -320,14 +320,23 @@ def history(
 
 
 def matured(
-    path: Path, tolerance: float = 5.0, *, machine: str | None = None, temperature: str | None = None
+    path: Path,
+    tolerance: float = 5.0,
+    *,
+    machine: str | None = None,
+    temperature: str | None = None,
+    start: float = -inf,
+    end: float = inf,
 ) -> dict[float, Matured]:
-    """By horizon (s): every forecast and the first good reading at most `tolerance` s after what it spoke of."""
+    """By horizon (s): every forecast made from `start` to `end` (s UTC), and the first good reading at most `tolerance`
+    s after what it spoke of."""
     with reading(path) as connection:
         columns = ("time", "horizon", "levels", "quantiles", "p_limit", "measured")
         whose = selected(connection, machine, temperature)
-        rows = sorted(_rows(connection, whose, "forecasts", columns), key=lambda row: (row[1], row[0]))
-    seen = history(path, machine=machine, temperature=temperature)
+        made = _rows(connection, whose, "forecasts", columns, start=start, end=end)
+        rows = sorted(made, key=lambda row: (row[1], row[0]))
+    farthest = max((row[1] for row in rows), default=0.0)
+    seen = history(path, start, end + farthest + tolerance, machine=machine, temperature=temperature)
     good = np.isfinite(seen.measured)
     times, values = seen.times[good], seen.measured[good]
     by_horizon: dict[float, list[tuple[float, str, str, float, float | None]]] = {}

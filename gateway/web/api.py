@@ -8,7 +8,6 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
-from math import inf
 from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
@@ -22,7 +21,6 @@ from gateway.status import ControlError
 from gateway.web.access import AccountRole, AccountsError, Session
 from gateway.web.box import box_facts
 from gateway.web.openapi import document
-from gateway.web.readings import LONGEST_SPAN_S
 from gateway.web.state import PageState, Unaccountable
 from gateway.web.texts import LANGUAGES, preferred
 from sim.strict_json import json_text
@@ -31,6 +29,7 @@ MOST_BODY = 8 * 1024
 BODY_S = 10.0
 """How long a request's body may take to come."""
 MOST_QUERY = 2_000
+FARTHEST_S = 1e10
 WAITING_LOGINS = 8
 """Passwords that wait to be looked at; more are refused at once."""
 COOKIE = "decanter_session"
@@ -91,6 +90,8 @@ async def answered(page: PageState, endpoint: Endpoint, request: Request) -> Res
     try:
         call = await _admitted(page, endpoint, request)
         plain = await endpoint.answer(call)
+        if isinstance(plain, bytes):  # JSON of another process
+            return Response(plain, media_type="application/json")
         return plain if isinstance(plain, Response) else as_json(plain)
     except Refused as refused:
         return as_json({"reason": refused.reason}, refused.status, refused.headers)
@@ -209,7 +210,7 @@ def language_of(request: Request) -> str:
 # ---------------------------------------------------------------- reading
 
 
-Time = Annotated[float, Field(ge=-LONGEST_SPAN_S, le=LONGEST_SPAN_S, description="seconds since 1970 UTC")]
+Time = Annotated[float, Field(ge=-FARTHEST_S, le=FARTHEST_S, description="seconds since 1970 UTC")]
 MachineName = Annotated[str, Field(min_length=1, max_length=60, description="a machine's name")]
 TagName = Annotated[str, Field(min_length=1, max_length=200, description="a tag's name")]
 
@@ -236,8 +237,9 @@ class _AlarmQuery(_OfMachine):
     most: int = Field(100, ge=1, le=1000, description="how many, 1 to 1000")
 
 
-class _Followed(_OfMachine):
+class _ScoreQuery(_OfMachine):
     temperature: TagName
+    weeks: int = Field(4, ge=1, le=13, description="how many weeks, 1 to 13")
 
 
 async def _plant(call: Call) -> Any:
@@ -269,11 +271,12 @@ def _ordered(given: Any) -> tuple[float, float]:
 
 
 async def _alarms(call: Call) -> Any:
-    return {"rows": await call.page.reader.alarms(call.given.machine, -inf, inf, call.given.most)}
+    return await call.page.reader.alarms(call.given.machine, call.given.most)
 
 
 async def _scorecard(call: Call) -> Any:
-    return await call.page.reader.scorecard(call.given.machine, call.given.temperature)
+    g = call.given
+    return await call.page.reader.scorecard(g.machine, g.temperature, g.weeks)
 
 
 async def _model(call: Call) -> Any:
@@ -413,9 +416,9 @@ ENDPOINTS: Sequence[Endpoint] = (
     Endpoint(
         method="GET",
         path="/api/scorecard",
-        summary="How right the predictions of a temperature were, from the records.",
+        summary="How right the predictions and warnings of a temperature were, week by week, from the records.",
         answer=_scorecard,
-        gives=_Followed,
+        gives=_ScoreQuery,
     ),
     Endpoint(
         method="GET",

@@ -1,74 +1,34 @@
-"""What the page reads of the historian: trends at any zoom, forecasts beside what came, alarms, scores.
+"""What browsers are answered from the historian: trends at any zoom, forecasts beside what came, alarms, scores.
 
-Each question is answered in a thread, one at a time, by a connection of its own that only reads.
+These functions run in a process of their own (`gateway.web.reader_process`) and give plain values.
 """
 
-import asyncio
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from drivers.tag import Quality
-from gateway.store import reading, samples, scorecard, stored_rows, trend
+from gateway.store import newest_scan, reading, samples, scorecard, stored_rows, trend, warning_score
 from sim.sha import Array
 from sim.strict_json import strict
-
-T = TypeVar("T")
 
 RAW_S = 3 * 3600.0
 """Up to so long a stretch is drawn from the readings themselves; beyond it from the means by the minute or hour."""
 BY_MINUTE_S = 4 * 86_400.0
-MINUTE, HOUR = 60, 3600
+MINUTE, HOUR, WEEK = 60, 3600, 7 * 86_400.0
 MOST_POINTS = 3_000
 """More than a screen has columns: of more readings each stretch shows its least, mean and greatest."""
 MOST_FORECASTS = 1_000
-LONGEST_SPAN_S = 100 * 366 * 86_400.0
-
-
-class HistorianReader:
-    """Reads the historian at `path` for browsers; `gap` (s) is how long after a reading nothing more is drawn."""
-
-    def __init__(self, path: Path, gap: float) -> None:
-        self._path, self._gap = path, gap
-        self._turn = asyncio.Semaphore(1)
-
-    async def _read(self, work: Callable[[], T]) -> T:
-        async with self._turn:
-            return await asyncio.to_thread(work)
-
-    async def trend(self, machine: str, tag: str, start: float, end: float) -> dict[str, Any]:
-        """See `trend_of`."""
-        return await self._read(lambda: trend_of(self._path, tag, start, end, machine=machine, gap=self._gap))
-
-    async def forecasts(
-        self, machine: str, temperature: str, horizon: float, start: float, end: float
-    ) -> dict[str, Any]:
-        """See `forecasts_for`."""
-        return await self._read(
-            lambda: forecasts_for(
-                self._path, horizon, start, end, machine=machine, temperature=temperature, gap=self._gap
-            )
-        )
-
-    async def alarms(self, machine: str, start: float, end: float, most: int) -> list[dict[str, Any]]:
-        """See `alarm_rows`."""
-        return await self._read(lambda: alarm_rows(self._path, start, end, machine=machine, most=most))
-
-    async def scorecard(self, machine: str, temperature: str) -> dict[str, Any]:
-        """The scorecard of a followed temperature as plain values."""
-        plain: dict[str, Any] = await self._read(
-            lambda: strict(scorecard(self._path, machine=machine, temperature=temperature))
-        )
-        return plain
 
 
 def trend_of(path: Path, tag: str, start: float, end: float, *, machine: str, gap: float) -> dict[str, Any]:
     """Times (s UTC) with the least, mean and greatest value of a tag from `start` to `end`; None where there is a gap.
 
-    `width` is what a point stands for (s), 0 for a reading itself. Raises HistorianError, ValueError.
+    `gap` (s) is how long after a reading nothing more is drawn; `width` is what a point stands for (s), 0 for a reading
+    itself. Raises HistorianError, ValueError.
     """
     if end - start > RAW_S:
         tier = MINUTE if end - start <= BY_MINUTE_S else HOUR
@@ -81,10 +41,10 @@ def trend_of(path: Path, tag: str, start: float, end: float, *, machine: str, ga
         for sample in samples(path, tag, start - gap, end, machine=machine)
     ]
     times, values = np.array(rows, dtype=float).reshape(len(rows), 2).T
-    if times.size <= MOST_POINTS:
+    good = np.isfinite(values)
+    if times.size <= MOST_POINTS or not good.any():
         return _series(times, values, values, values, width=0.0, gap=gap)
     width = (end - start) / (MOST_POINTS / 3)
-    good = np.isfinite(values)
     bins = np.floor((times[good] - start) / width)
     _, first = np.unique(bins, return_index=True)
     kept = values[good]
@@ -112,16 +72,10 @@ def forecasts_for(
 
     Of more than MOST_FORECASTS each n-th one. Raises HistorianError.
     """
-
+    columns = ("time", "horizon", "levels", "quantiles")
     with reading(path) as connection:
         rows = stored_rows(
-            connection,
-            "forecasts",
-            ("time", "horizon", "levels", "quantiles"),
-            start - horizon,
-            end - horizon,
-            machine=machine,
-            temperature=temperature,
+            connection, "forecasts", columns, start - horizon, end - horizon, machine=machine, temperature=temperature
         )
     made = sorted((row for row in rows if row[1] == horizon), key=lambda row: row[0])
     made = made[:: len(made) // MOST_FORECASTS + 1]
@@ -133,9 +87,37 @@ def forecasts_for(
     return {"horizon": horizon, **_series(times, low, median, high, width=0.0, gap=max(gap, 3.0 * usual))}
 
 
-def alarm_rows(path: Path, start: float, end: float, *, machine: str, most: int) -> list[dict[str, Any]]:
+def alarm_rows(path: Path, *, machine: str, most: int) -> dict[str, Any]:
     """The newest changes of alarms, the newest first. Raises HistorianError."""
     names = ("time", "condition", "tag", "priority", "state", "value", "acknowledged_by")
     with reading(path) as connection:
-        rows = stored_rows(connection, "alarms", names, start, end, machine=machine)
-    return [dict(zip(names, row, strict=True)) for row in sorted(rows, key=lambda row: row[0])[: -most - 1 : -1]]
+        rows = stored_rows(connection, "alarms", names, machine=machine)
+    newest = sorted(rows, key=lambda row: row[0])[: -most - 1 : -1]
+    return {"rows": [dict(zip(names, row, strict=True)) for row in newest]}
+
+
+def scores_by_week(path: Path, *, machine: str, temperature: str, weeks: int) -> dict[str, Any]:
+    """The scorecard of each of the last `weeks` in which there are scans, the newest first, which ends with the newest
+    scan; beside it what came of the warnings. Raises HistorianError.
+    """
+    with reading(path) as connection:
+        last = newest_scan(connection, machine=machine)
+    rows = []
+    for number in range(weeks if last is not None else 0):
+        end = (last or 0.0) - number * WEEK + (1.0 if number == 0 else 0.0)
+        start = end - WEEK
+        card = scorecard(path, machine=machine, temperature=temperature, start=start, end=end)
+        if card.one_step.count or number == 0:
+            warnings = warning_score(path, machine=machine, temperature=temperature, start=start, end=end)
+            rows.append({"start": start, "end": end, "card": card, "warnings": warnings})
+    plain: dict[str, Any] = {"weeks": strict(rows)}
+    return plain
+
+
+QUESTIONS: Mapping[str, Callable[..., Mapping[str, Any]]] = {
+    "trend": trend_of,
+    "forecasts": forecasts_for,
+    "alarms": alarm_rows,
+    "scorecard": scores_by_week,
+}
+"""All that the reading process is asked."""

@@ -28,7 +28,7 @@ from gateway.web.access import Accounts, AccountsError, PasswordChecks, Sessions
 from gateway.web.application import make_application
 from gateway.web.calls import Answer, GatewayCalls
 from gateway.web.live import LiveStream
-from gateway.web.readings import HistorianReader
+from gateway.web.reader import HistorianReader
 from gateway.web.state import PageState
 from gateway.web.texts import all_words
 
@@ -261,7 +261,10 @@ class PageServer:
             return
         scheme = "http" if context is None else "https"
         self._log.info("the page is served", address=f"{scheme}://{page.host}:{self.port}")
-        await server.serve(sockets=[listener])
+        try:
+            await server.serve(sockets=[listener])
+        finally:
+            await state.reader.close()
 
 
 def _given(context: ssl.SSLContext, *_: object) -> ssl.SSLContext:

@@ -11,7 +11,7 @@ from gateway.store import Audit, AuditEntry
 from gateway.web.access import Accounts, Lockout, PasswordChecks, Sessions
 from gateway.web.calls import GatewayCalls
 from gateway.web.live import LiveStream
-from gateway.web.readings import HistorianReader
+from gateway.web.reader import HistorianReader
 from gateway.web.texts import Words
 from gateway.web.views import machine_view
 

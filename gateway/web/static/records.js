@@ -44,16 +44,19 @@ export function alarmsView() {
 
 export function scorecardView() {
   return h("section", { class: "view" }, state.order.flatMap((name) => state.machines[name].temperatures.map((row) => {
-    const { card, error } = scoreOf(name, row.tag);
+    const { weeks, error } = scoreOf(name, row.tag);
     return h("section", { class: "card" }, h("h2", {}, `${state.machines[name].label}: ${row.label}`),
-      error ? h("p", { class: "quiet" }, error) : !card ? h("p", { class: "quiet" }, say("word.loading")) : scores(card, row.unit));
+      error ? h("p", { class: "quiet" }, error) : !weeks ? h("p", { class: "quiet" }, say("word.loading"))
+        : weeks.length ? [...weeks.map((week) => scores(week, row.unit)), h("p", { class: "quiet" }, say("score.heeded"))] : h("p", { class: "quiet" }, say("word.nothing")));
   })));
 }
 
-function scores(card, unit) {
+function scores({ start, end, card, warnings }, unit) {
   const better = (own, other) => (own === null || !other ? "–" : `${number(100 * (1 - own / other), 0)} %`);
   const blocks = Object.entries(card.writes.verdicts);
-  return h("div", {},
+  return h("div", {}, h("h3", {}, `${moment(start).slice(0, 10)} – ${moment(end).slice(0, 10)}`),
+    h("dl", { class: "facts" }, [["hits", warnings.hits], ["misses", warnings.misses], ["false_alarms", warnings.false_alarms], ["lead", duration(warnings.lead)]]
+      .map(([key, found]) => h("div", { class: "fact" }, h("dt", {}, say(`score.${key}`)), h("dd", {}, h("b", {}, String(found)))))),
     h("div", { class: "scroll", tabindex: "0" }, h("table", {},
       h("thead", {}, h("tr", {}, [say("score.horizon"), say("score.error"), say("score.persistence"), say("score.better"), say("word.coverage"), say("score.count")].map((text, place) => h("th", { scope: "col", class: place ? "number" : null }, text)))),
       h("tbody", {}, card.forecasts.map((each) => h("tr", {}, h("th", { scope: "row" }, `${number(each.horizon / 60, 0)} min`),
@@ -61,6 +64,5 @@ function scores(card, unit) {
         h("td", { class: "number" }, each.count ? better(each.mae, each.persistence_mae) : "–"), h("td", { class: "number" }, each.count ? `${number(100 * each.coverage90, 0)} %` : "–"), h("td", { class: "number" }, each.count)))))),
     h("dl", { class: "facts" },
       [["score.one_step", card.one_step], ["score.free_run", card.free_run]].map(([key, error]) => h("div", { class: "fact" }, h("dt", {}, say(key)), h("dd", {}, error.count ? `${number(error.mae, 2)} ${unit}` : "–"))),
-      h("div", { class: "fact" }, h("dt", {}, say("score.scans")), h("dd", {}, card.scans)),
       blocks.length > 0 && h("div", { class: "fact" }, h("dt", {}, say("score.blocks")), h("dd", {}, blocks.map(([verdict, count]) => h("div", {}, `${verdict}: ${count}`))))));
 }
