@@ -23,13 +23,16 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
+from math import sin
 from pathlib import Path
 from typing import Any
 
+from drivers.tag import Tag
 from gateway.machine.reading import plant_clock
 from gateway.plant.app import SWITCH_SECONDS, run
 from gateway.store import percentile, reading, stored_rows
-from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, logged, two_modes
+from gateway.web.reader import HistorianReader
+from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, logged, one_machine, two_modes
 
 SHOWN = """
 () => {
@@ -138,6 +141,36 @@ def browser(port: int, seconds: float) -> dict[str, Any]:
     return {"first_paint_ms": paints, "shown": shown, "heap_mb": heap / 1e6}
 
 
+def week_of_trends() -> dict[str, float]:
+    """Seconds until a trend is there, by what it spans, from a week of one reading a second (the median of five)."""
+    with tempfile.TemporaryDirectory() as name:
+        path, begin, count = Path(name) / "history.sqlite", 1_700_000_000.0, 7 * 86_400
+        tag = Tag("T", "holding:0", unit="degC")
+        store, view = one_machine(path, [tag])
+        for first in range(0, count, 20_000):
+            times = [begin + second for second in range(first, min(first + 20_000, count))]
+            view.put("scans", [(time_, 0.01, 0) for time_ in times])
+            view.put("samples", [("T", time_, 50.0 + 10.0 * sin(time_ / 3000.0), 0, time_) for time_ in times])
+            store.flush(60.0)
+        store.close()
+
+        async def ask() -> dict[str, float]:
+            reader, found = HistorianReader(path, 15.0), {}
+            end = begin + count
+            await reader.trend("decanter", "T", end - 60.0, end)  # the process begins
+            for label, span in (("7 d", count), ("1 d", 86_400), ("1 h", 3600), ("1 min", 60)):
+                took = []
+                for place in range(5):
+                    begun = time.perf_counter()
+                    await reader.trend("decanter", "T", end - span - place, end - place)
+                    took.append(time.perf_counter() - begun)
+                found[label] = round(percentile(took, 0.5), 3)
+            await reader.close()
+            return found
+
+        return asyncio.run(ask())
+
+
 def measure(seconds: float, clients: int) -> dict[str, Any]:
     """All figures."""
     with tempfile.TemporaryDirectory() as name, running(Path(name)) as (pid, port):
@@ -193,7 +226,7 @@ def main() -> None:
         sys.setswitchinterval(SWITCH_SECONDS)
         asyncio.run(gateway(given.serve))
         return
-    print(json.dumps(measure(given.seconds, given.clients)))
+    print(json.dumps({**measure(given.seconds, given.clients), "trend_s": week_of_trends()}))
 
 
 if __name__ == "__main__":
