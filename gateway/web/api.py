@@ -35,6 +35,8 @@ WAITING_LOGINS = 8
 COOKIE = "decanter_session"
 TOKEN_HEADER = "x-csrf-token"  # noqa: S105 - the name of a header
 
+OF_ENGINEERS = ("remove from service", "return to service")
+"""Changes of an alarm that an operator may not make."""
 ROLE_ORDER = list(AccountRole)
 
 
@@ -344,8 +346,13 @@ async def _log_out(call: Call) -> Any:
     return response
 
 
-class _AlarmOf(_OfMachine):
+class _AlarmChange(_OfMachine):
     alarm: Line = Field(description="the alarm's name as text")
+    change: Literal["acknowledge", "reset", "shelve", "unshelve", "remove from service", "return to service"] = Field(
+        "acknowledge", description="what is done with it, one of the `possible` changes of the alarm's status"
+    )
+    reason: Line | None = Field(None, description="why, as one line of text; an acknowledgement needs none")
+    minutes: float | None = Field(None, gt=0, description="for how many minutes it is shelved, as a number")
 
 
 class _Arming(_OfMachine):
@@ -361,10 +368,18 @@ class _Reloading(Section):
     dry_run: bool = Field(False, description="true: only say what would change")
 
 
-async def _acknowledge(call: Call) -> Any:
+async def _change_alarm(call: Call) -> Any:
+    """The change is a command of the control socket by its own name; which there are, and when, is the gateway's."""
     g = call.given
-    await call.page.record("page: acknowledge", call.who, machine=g.machine, alarm=g.alarm)
-    reply = await call.page.calls.ask("acknowledge", machine=g.machine, alarm=g.alarm, by=call.who)
+    if g.change in OF_ENGINEERS and call.role is AccountRole.OPERATOR:
+        raise Refused(HTTPStatus.FORBIDDEN, f"an account of the role operator may not {g.change}; engineer may")
+    if g.change == "acknowledge":
+        # What somebody knows waits for no disk.
+        call.page.note(f"page: {g.change}", call.who, g.reason or "", machine=g.machine, alarm=g.alarm)
+    else:
+        await call.page.record(f"page: {g.change}", call.who, g.reason or "", machine=g.machine, alarm=g.alarm)
+    more = {key: value for key, value in (("reason", g.reason), ("minutes", g.minutes)) if value is not None}
+    reply = await call.page.calls.ask(g.change, machine=g.machine, alarm=g.alarm, by=call.who, **more)
     return {"state": reply["state"]}
 
 
@@ -433,10 +448,10 @@ ENDPOINTS: Sequence[Endpoint] = (
     Endpoint(method="DELETE", path="/api/session", summary="Log out.", answer=_log_out, open=True),
     Endpoint(
         method="POST",
-        path="/api/acknowledge",
-        summary="Acknowledge an alarm.",
-        answer=_acknowledge,
-        gives=_AlarmOf,
+        path="/api/alarm",
+        summary="Acknowledge an alarm, or whatever else is possible with it.",
+        answer=_change_alarm,
+        gives=_AlarmChange,
         role=AccountRole.OPERATOR,
     ),
     Endpoint(

@@ -23,6 +23,7 @@ from sim.units import shown_unit
 LEVELS = ("normal", "attention", "unknown", "alarm")
 """What a row asks of people, the least first; only beyond the first it has a colour (ISA-101: grey is normal)."""
 DOUBTFUL_ZONES = ("yellow", "red")
+PUT_ASIDE = ("shelved", "suppressed by design", "out of service")
 
 
 def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) -> dict[str, Any]:
@@ -42,9 +43,10 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
 
 
 def _alarm(labels: Mapping[str, str], alarm: AlarmStatus) -> dict[str, Any]:
-    """An alarm that is not normal; one that was acknowledged or is over asks for attention only."""
+    """An alarm that is not normal; one that was acknowledged or is over asks for attention, one put aside for none."""
     urgent = alarm.active and alarm.state == "unacknowledged" and alarm.priority == 1
-    return {**asdict(alarm), "label": labels.get(alarm.tag, alarm.tag), "level": "alarm" if urgent else "attention"}
+    level = "alarm" if urgent else "normal" if alarm.state in PUT_ASIDE else "attention"
+    return {**asdict(alarm), "label": labels.get(alarm.tag, alarm.tag), "level": level}
 
 
 def _temperature(

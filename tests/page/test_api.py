@@ -102,13 +102,13 @@ def test_an_alarm_is_acknowledged_by_a_person_and_on_record_with_name_and_addres
 
     eventually(lambda: state() == "unacknowledged")
     asked = {"machine": "decanter", "alarm": ALARM}
-    assert Client(gateway.port).ask("POST", "/api/acknowledge", asked)[0] == 401
-    assert olga.ask("POST", "/api/acknowledge", asked) == (200, {"state": "acknowledged"})
-    assert olga.ask("POST", "/api/acknowledge", {"machine": "decanter", "alarm": "nothing"})[0] == 409
+    assert Client(gateway.port).ask("POST", "/api/alarm", asked)[0] == 401
+    assert olga.ask("POST", "/api/alarm", asked) == (200, {"state": "acknowledged"})
+    assert olga.ask("POST", "/api/alarm", {"machine": "decanter", "alarm": "nothing"})[0] == 409
     assert state() == "acknowledged"
     gateway.put(TEMPERATURE, 45.0)
     row = ("page: acknowledge", "olga at 127.0.0.1")
-    assert row in [(kind, who) for kind, who, _ in gateway.audited()]
+    eventually(lambda: row in [(kind, who) for kind, who, _ in gateway.audited()])
     rows = eventually(
         lambda: [row for row in olga.ask("GET", "/api/alarms?machine=decanter")[1]["rows"] if row["acknowledged_by"]]
     )
@@ -148,7 +148,7 @@ def test_a_session_ends_with_the_log_out_with_another_password_and_with_the_acco
     before = client.cookie
     assert client.ask("DELETE", "/api/session")[0] == 200
     client.cookie = before
-    assert client.ask("POST", "/api/acknowledge", asked)[0] == 401
+    assert client.ask("POST", "/api/alarm", asked)[0] == 401
     client = as_(gateway, "ada")
     change_password(gateway.config.users, "ada", "another horse battery")
     assert client.ask("POST", "/api/reload", {"dry_run": True})[0] == 401
@@ -160,13 +160,13 @@ def test_a_session_ends_with_the_log_out_with_another_password_and_with_the_acco
 def test_what_another_site_has_a_browser_ask_is_refused(gateway: Served) -> None:
     olga = as_(gateway, "olga")
     asked = {"machine": "decanter", "alarm": ALARM}
-    assert olga.ask("POST", "/api/acknowledge", asked, origin="http://evil.example")[0] == 403
-    assert olga.ask("POST", "/api/acknowledge", asked, sec_fetch_site="cross-site")[0] == 403
-    assert olga.ask("POST", "/api/acknowledge", asked, content_type="text/plain")[0] == 415
-    assert olga.ask("POST", "/api/acknowledge", asked, x_csrf_token="guessed")[0] == 403  # noqa: S106
+    assert olga.ask("POST", "/api/alarm", asked, origin="http://evil.example")[0] == 403
+    assert olga.ask("POST", "/api/alarm", asked, sec_fetch_site="cross-site")[0] == 403
+    assert olga.ask("POST", "/api/alarm", asked, content_type="text/plain")[0] == 415
+    assert olga.ask("POST", "/api/alarm", asked, x_csrf_token="guessed")[0] == 403  # noqa: S106
     # A name of another site that leads here: reading, too.
     assert olga.raw("GET", "/api/plant", host="evil.example")[0] == 400
-    assert olga.ask("POST", "/api/acknowledge", asked)[0] == 200
+    assert olga.ask("POST", "/api/alarm", asked)[0] == 200
 
 
 def test_every_answer_has_the_headers_that_keep_a_browser_to_our_own_page(gateway: Served) -> None:

@@ -92,6 +92,7 @@ def test_a_machine_is_as_bad_as_the_worst_of_it() -> None:
     assert level() == "normal"
     assert level(alarm_summary=[alarm("over limit T")]) == "alarm"
     assert level(alarm_summary=[alarm("over limit T", "acknowledged")]) == "attention"
+    assert level(alarm_summary=[alarm("over limit T", "shelved", active=False)]) == "normal"
     assert level(alarm_summary=[alarm("over limit T", "returned unacknowledged", active=False)]) == "attention"
 
 

@@ -39,8 +39,8 @@ class AccountRole(StrEnum):
 
 
 ROLES: Mapping[AccountRole, str] = {
-    AccountRole.OPERATOR: "acknowledges alarms",
-    AccountRole.ENGINEER: "arms and disarms, too",
+    AccountRole.OPERATOR: "acknowledges, resets and shelves alarms",
+    AccountRole.ENGINEER: "arms and disarms, takes alarms out of service, too",
     AccountRole.ADMINISTRATOR: "has the plant file read anew, too",
 }
 """The roles in their order, each with what it adds."""

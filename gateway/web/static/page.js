@@ -62,7 +62,7 @@ function showCut(cut) {
 
 function showNav(name) {
   const waiting = state.order.reduce(
-    (sum, each) => sum + state.machines[each].alarms.filter((alarm) => alarm.state !== "acknowledged").length, 0,
+    (sum, each) => sum + state.machines[each].alarms.filter((alarm) => alarm.state.includes("unacknowledged")).length, 0,
   );
   const links = Object.keys(VIEWS).map((each) =>
     h("a", { href: `#/${each}`, "aria-current": each === name ? "page" : null },

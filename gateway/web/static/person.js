@@ -47,10 +47,19 @@ export const acts = {
     if (!start.open) location.reload();
     changed();
   },
-  async acknowledge(button, changed) {
+  async alarm(button, changed) {
+    const { machine, of: alarm, change } = button.dataset;
+    if (change !== "acknowledge") {
+      const minutes = change === "shelve" ? [["minutes", say("person.minutes"), { type: "number", min: 1, value: 60 }]] : [];
+      dialog(`${button.textContent}: ${alarm}`, [["reason", say("person.reason"), line], ...minutes], button.textContent, async (given) => {
+        const more = given.minutes ? { minutes: Number(given.minutes) } : {};
+        await ask("POST", "/api/alarm", { machine, alarm, change, reason: given.reason, ...more }).catch((error) => expired(error, changed));
+      });
+      return;
+    }
     button.disabled = true;
     try {
-      await ask("POST", "/api/acknowledge", { machine: button.dataset.machine, alarm: button.dataset.alarm });
+      await ask("POST", "/api/alarm", { machine, alarm, change });
     } catch (error) {
       await failed(error, changed);
     } finally {

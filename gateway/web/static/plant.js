@@ -49,7 +49,7 @@ export function plantView() {
   return h("section", { class: "plant", "aria-label": say("nav.plant") }, rows);
 }
 
-export const stateKey = (text) => text.split(" ")[0];
+export const stateKey = (text) => text.replaceAll(" ", "_");
 
 // ---------------------------------------------------------------- one machine
 

@@ -13,13 +13,15 @@ export function alarmTable(names) {
   rows.sort((a, b) => a.priority - b.priority || b.since - a.since);
   if (!rows.length) return h("p", { class: "quiet" }, say("alarm.none"));
   return h("ul", { class: "alarms" }, rows.map((row) => {
-    const [alarm, open] = [row.alarm, row.state !== "acknowledged"];
+    const alarm = row.alarm, possible = row.possible?.length ? row.possible : row.state.includes("unacknowledged") ? ["acknowledge"] : [];
     return h("li", { class: `entry ${row.level}`, "data-key": `${row.machine.label} ${alarm}`, "data-alarm": alarm },
       sign(row.level),
       h("div", { class: "alarmtext" }, h("b", {}, `${row.machine.label}: ${alarm}`), h("span", { class: "response" }, row.response),
         h("small", {}, `${say("alarm.priority")} ${row.priority} · ${say(`alarm.${stateKey(row.state)}`)} · ${say("word.since")} ${moment(row.since)} (${duration((row.machine.status.time - row.since) / row.machine.status.speed)})`,
-          row.acknowledged_by && ` · ${say("alarm.acknowledged_by")} ${row.acknowledged_by}`)),
-      open && can("operator") && h("button", { "data-act": "acknowledge", "data-machine": row.machine.status.machine, "data-alarm": alarm }, say("alarm.acknowledge")));
+          row.acknowledged_by && ` · ${say("alarm.acknowledged_by")} ${row.acknowledged_by}`,
+          row.until && ` · ${say("alarm.until", { until: moment(row.until), by: row.by, reason: row.reason })}`)),
+      h("div", { class: "buttons" }, possible.filter((change) => can(change.includes("service") ? "engineer" : "operator")).map((change) =>
+        h("button", { "data-act": "alarm", "data-change": change, "data-machine": row.machine.status.machine, "data-of": alarm, class: change === "acknowledge" ? "main" : null }, say(`change.${stateKey(change)}`)))));
   }));
 }
 
