@@ -266,6 +266,13 @@ async def _plant(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, A
     return {"pid": os.getpid(), "statuses": statuses}
 
 
+async def _model(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+    """The models that run on a machine, by temperature: their automaton and where they come from."""
+    machine = scope.one(_checked(ControlRequest, request))
+    plain = {one.tag: None if one.model is None else one.model.description() for one in machine.followed}
+    return {"pid": os.getpid(), "temperatures": plain}
+
+
 async def _reload(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """Read the plant file anew: what it changes, or why it is refused."""
     given = _checked(_Reload, request)
@@ -341,21 +348,14 @@ async def _acknowledge(scope: ControlScope, request: Mapping[str, Any]) -> dict[
     return {"pid": os.getpid(), "alarm": given.alarm, "state": state.value}
 
 
-async def _model(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
-    """The models that run on a machine, by temperature: their automaton and where they come from."""
-    machine = scope.one(_checked(ControlRequest, request))
-    plain = {one.tag: None if one.model is None else one.model.description() for one in machine.followed}
-    return {"pid": os.getpid(), "temperatures": plain}
-
-
 COMMANDS: dict[str, Command] = {
     "status": _status,
     "plant": _plant,
+    "model": _model,
     "read": _read,
     "arm": _arm,
     "disarm": _disarm,
     "reload": _reload,
     "acknowledge": _acknowledge,
-    "model": _model,
 }
 """Everything that can be asked of a running gateway; a new one is a row here."""
