@@ -159,6 +159,8 @@ def test_a_stream_that_is_cut_leaves_the_last_state_and_its_age_in_large_letters
         expect(page.locator("#cut")).to_contain_text("No connection to the gateway")
         expect(page.locator("#cut")).to_contain_text("old")
         expect(page.locator(".row .big")).to_have_text("was 45.0 °C")
+        expect(page.locator(".row .sentence")).to_contain_text("s ago: decanter: gearbox bearing")
+        expect(page.locator(".row .validity")).to_have_text("not valid")
         size = page.locator("#cut span").evaluate("node => parseFloat(getComputedStyle(node).fontSize)")
         assert size >= 25.0
     finally:

@@ -2,6 +2,7 @@
 import { ask, bytes, clock, duration, h, moment, number, s, say, shown } from "./dom.js";
 import { isCut, state } from "./live.js";
 import { badge } from "./plant.js";
+import { can } from "./records.js";
 import { strip } from "./draw.js";
 
 const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label), h("dd", {}, what));
@@ -100,7 +101,8 @@ export function boxView() {
     h("section", { class: "card" }, h("h2", {}, say("nav.box")), h("dl", { class: "facts" },
       f && [fact(say("box.disk"), bytes(f.disk.free), h("small", {}, share(f.disk.free, f.disk.total))), fact(say("box.memory"), bytes(f.memory.available), h("small", {}, share(f.memory.available, f.memory.total))),
         fact(say("box.process"), bytes(f.memory.process)), fact(say("box.load"), f.load.map((each) => number(each, 2)).join("  ")), fact(say("box.up"), duration(f.up))],
-      fact(say("box.clock"), status.clock.complaint || say("box.clock_good"), h("small", {}, moment(status.time))))),
+      fact(say("box.clock"), status.clock.complaint || say("box.clock_good"), h("small", {}, moment(status.time)))),
+      can("administrator") && h("button", { "data-act": "reload" }, say("person.reload"))),
     h("section", { class: "card" }, h("h2", {}, say("box.records")), (historian.failure || historian.complaint) && h("p", { class: "error" }, historian.failure || historian.complaint),
       h("dl", { class: "facts" }, fact(say("box.records"), lost ? say("box.lost", { count: lost }) : say("box.kept")),
         fact(say("box.historian"), f ? bytes(f.records.historian) : "–", h("small", {}, historian.path)), f && fact(say("box.audit"), bytes(f.records.audit)))),

@@ -3,7 +3,6 @@ import { ask, h, person, say, setPerson, start } from "./dom.js";
 
 export const personBox = () => h("div", { id: "person" }, person.name
   ? [h("span", { class: "who" }, h("b", {}, person.name), h("small", {}, say(`role.${person.role}`))),
-    person.role === "administrator" && h("button", { "data-act": "reload" }, say("person.reload")),
     h("button", { "data-act": "logout" }, say("person.logout"))]
   : h("button", { "data-act": "login" }, say("person.login")));
 

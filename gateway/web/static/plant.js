@@ -16,6 +16,12 @@ export function value(row, machine) {
   return isCut(machine) && row.value !== null ? h("span", { class: "old" }, say("live.was", { value: text })) : text;
 }
 
+// Its sentence and what that is worth: of what was, where nothing is known of now.
+function sentence(row, machine) {
+  if (!isCut(machine)) return [row.sentence, row.validity];
+  return [say("live.before", { age: duration(age(machine)), sentence: row.sentence }), say("validity.none")];
+}
+
 const forecastOf = (machine, tag) => {
   const status = machine.status;
   return status.temperature === tag ? status : status.further.find((one) => one.temperature === tag) || status;
@@ -39,7 +45,7 @@ export function plantView() {
         sign(level),
         h("span", { class: "what" }, h("b", {}, machine.label), h("span", {}, row.label)),
         h("span", { class: "big" }, value(row, name)),
-        h("span", { class: "sentence" }, row.sentence, h("small", { class: "validity" }, row.validity)),
+        h("span", { class: "sentence" }, sentence(row, name)[0], h("small", { class: "validity" }, sentence(row, name)[1])),
         h("span", { class: "picture" }, sparkline(name, row, forecastOf(machine, row.tag).forecast, machine.status.speed)),
         h("span", { class: "worst" }, place === 0 && worst
           ? h("span", { class: `chip ${worst.level}` }, `${worst.name} · ${say(`alarm.${stateKey(worst.state)}`)}`)
@@ -99,7 +105,7 @@ const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label),
 
 function temperatureCard(name, machine, row) {
   const one = forecastOf(machine, row.tag), status = machine.status, forecast = one.forecast, p = one.prediction;
-  const usable = forecast && forecast.usable && row.value !== null;
+  const present = row.value !== null && !isCut(name), usable = forecast && forecast.usable && present;
   const last = forecast ? forecast.horizons.at(-1) / 60 : 0;
   const minutes = (which) => {
     const found = forecast.block[`minutes_${which}`];
@@ -108,14 +114,14 @@ function temperatureCard(name, machine, row) {
   };
   const main = row.tag === status.temperature;
   return h("section", { class: `card temperature ${row.level}`, "data-key": row.tag },
-    h("p", { class: "lead" }, sign(row.level), row.sentence),
-    h("p", { class: `validity ${row.valid}` }, `${say("word.validity")}: ${row.validity}`),
+    h("p", { class: "lead" }, sign(row.level), sentence(row, name)[0]),
+    h("p", { class: `validity ${row.valid}` }, `${say("word.validity")}: ${sentence(row, name)[1]}`),
     h("dl", { class: "facts" },
       fact(say("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${row.quality} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
       fact(say("word.limit"), `${number(row.limit)} ${row.unit}`),
-      p && fact(say("word.predicted"), row.value === null ? "–" : `${number(p.mean)} ${row.unit}`, h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
-      p && fact(say("word.state"), p.known ? p.location : say("word.unknown"), h("small", {}, main && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
-      p && fact(say("word.confidence"), h("span", { class: `zone ${p.zone}` }, p.zone), h("small", {}, zoneReason(machine, main))),
+      p && fact(say("word.predicted"), present ? `${number(p.mean)} ${row.unit}` : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
+      p && fact(say("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
+      p && fact(say("word.confidence"), h("span", { class: `zone ${p.zone}` }, present ? p.zone : "–"), h("small", {}, present && zoneReason(machine, main))),
       forecast && fact(say("word.minutes_to_limit"), usable ? `${minutes("median")}` : "–", usable && h("small", {}, `${minutes("low")} – ${minutes("high")}`)),
       forecast && fact(say("word.p_limit"), forecast.horizons.map((horizon, place) => h("div", {}, `${say("word.in_minutes", { minutes: number(horizon / 60, 0) })}: ${usable ? `${number(100 * forecast.p_limit[place], 0)} %` : "–"}`))),
       forecast && fact(say("word.coverage"), coverageOf(name, row.tag)),
