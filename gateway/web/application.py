@@ -1,7 +1,7 @@
 """The page as an ASGI application: the document, its files, the REST interface and the one stream of events."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from hashlib import sha256
 from http import HTTPStatus
@@ -117,8 +117,11 @@ def static_files() -> dict[str, tuple[bytes, str, str]]:
     return files
 
 
-def make_application(page: PageState, most_streams: int) -> ASGIApp:
-    """The application; beyond `most_streams` browsers that follow a further one is refused."""
+def make_application(page: PageState, most_streams: int, failed: Callable[[str, Exception], None]) -> ASGIApp:
+    """The application; beyond `most_streams` browsers that follow a further one is refused.
+
+    `failed` is told the path of a request that could not be answered, and why: that is a defect, and never silent.
+    """
     files = static_files()
     # A browser keeps each file for as long as its content is the same.
     version = sha256("".join(known for _, _, known in files.values()).encode()).hexdigest()[:12]
@@ -181,6 +184,13 @@ def make_application(page: PageState, most_streams: int) -> ASGIApp:
         status = HTTPStatus(error.status_code) if isinstance(error, HTTPException) else HTTPStatus.BAD_REQUEST
         return as_json({"reason": status.phrase.lower()}, status)
 
+    async def defect(request: Request, error: Exception) -> Response:
+        failed(request.url.path[:100], error)
+        headers = {**HEADERS, "cache-control": "no-store"}
+        return as_json(
+            {"reason": "this request has failed; the log says why"}, HTTPStatus.INTERNAL_SERVER_ERROR, headers
+        )
+
     def endpoint_route(endpoint: Endpoint) -> BaseRoute:
         return Route(endpoint.path, partial(_answer, page, endpoint), methods=[endpoint.method])
 
@@ -195,7 +205,9 @@ def make_application(page: PageState, most_streams: int) -> ASGIApp:
         Middleware(SecureHeaders, tls=page.config.page.certificates is not None),
         Middleware(TrustedHostMiddleware, allowed_hosts=list(names), www_redirect=False),
     ]
-    return Starlette(routes=routes, middleware=middleware, exception_handlers={HTTPException: refused})
+    return Starlette(
+        routes=routes, middleware=middleware, exception_handlers={HTTPException: refused, Exception: defect}
+    )
 
 
 async def _answer(page: PageState, endpoint: Endpoint, request: Request) -> Response:

@@ -187,6 +187,9 @@ class PageServer:
             with self._listening() as listener:
                 asyncio.run(self._serve(listener))
 
+    def _request_failed(self, path: str, error: Exception) -> None:
+        self._log.error("a request to the page has failed", path=path, reason=repr(error), exc_info=error)
+
     def _end(self) -> None:
         if self._live is not None:
             self._live.close()
@@ -238,7 +241,7 @@ class PageServer:
         context = None if page.certificates is None else _tls(page.certificates, config)
         server = uvicorn.Server(
             uvicorn.Config(
-                make_application(state, page.most_clients),
+                make_application(state, page.most_clients, self._request_failed),
                 loop="asyncio",
                 http=protocol,
                 ws="none",

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import ssl
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,9 +10,10 @@ from typing import Any
 
 import pytest
 
+from gateway.certificates import make_all
 from gateway.web.access import AccountRole, change_password, remove_account
-from tests.gateway.support import TEMPERATURE
-from tests.page.served import PASSWORD, PERIOD, Client, Served, eventually, served
+from tests.gateway.support import TEMPERATURE, logged
+from tests.page.served import PAGE, PASSWORD, PERIOD, Client, Served, eventually, served
 
 ACCOUNTS = {
     "olga": AccountRole.OPERATOR,
@@ -230,6 +232,32 @@ def test_reading_stays_possible_without_an_account_on_this_machine_alone(tmp_pat
         assert '"state": null' in shell and "gearbox" not in shell
         assert client.log_in("olga") == 200
         assert client.ask("GET", "/api/plant")[0] == 200
+
+
+def test_over_tls_the_cookie_is_secure_and_browsers_stay_with_it(tmp_path: Path) -> None:
+    make_all(tmp_path / "tls", hosts=["127.0.0.1"])
+    text = PAGE.replace("port = 0", 'port = 0\ncertificates = "tls"')
+    with served(tmp_path, text, {"olga": AccountRole.OPERATOR}) as gateway:
+        context = ssl.create_default_context(cafile=str(tmp_path / "tls/ca.pem"))
+        connection = http.client.HTTPSConnection("127.0.0.1", gateway.port, timeout=10.0, context=context)
+        given = json.dumps({"name": "olga", "password": PASSWORD})
+        connection.request("POST", "/api/session", given, {"content-type": "application/json"})
+        answer = connection.getresponse()
+        assert answer.status == 200 and "secure" in str(answer.getheader("set-cookie")).lower()
+        assert str(answer.getheader("strict-transport-security")).startswith("max-age=")
+        connection.close()
+        with pytest.raises((ConnectionError, http.client.HTTPException)):
+            Client(gateway.port).ask("GET", "/api/plant")
+
+
+def test_a_request_that_fails_is_no_secret(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gateway.web.api.box_facts", lambda config: 1 / 0)
+    with served(tmp_path) as gateway:
+        status, headers, body = Client(gateway.port).raw("GET", "/api/box")
+        assert status == 500 and b"ZeroDivision" not in body and "content-security-policy" in headers
+        lines = eventually(lambda: [line for line in logged(tmp_path) if "has failed" in line["event"]])
+        assert "ZeroDivisionError" in lines[0]["reason"] and lines[0]["path"] == "/api/box"
+        assert Client(gateway.port).ask("GET", "/api/plant")[0] == 200
 
 
 CLOSED = "[page]\nenabled = true\nport = 0\nopen_reading = false\n[scan]\nperiod = 0.1\n"
