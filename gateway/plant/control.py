@@ -351,8 +351,8 @@ async def _acknowledge(scope: ControlScope, request: Mapping[str, Any]) -> dict[
 COMMANDS: dict[str, Command] = {
     "status": _status,
     "plant": _plant,
-    "model": _model,
     "read": _read,
+    "model": _model,
     "arm": _arm,
     "disarm": _disarm,
     "reload": _reload,
