@@ -10,6 +10,13 @@ The floor, a process of its own in the same run: pymodbus's asynchronous client,
 at the same period and does nothing else (benchmarks/bare.py). The gateway's third round trip, reading the block back,
 is not in it.
 
+With `--machines 1,2,5` it is as many machines of one gateway, one run after the other, each with a forecast every
+FORECAST_S: processor time and memory by their number, and how they grow (the slope of their logarithms by least
+squares). One software PLC serves them all; what it takes of a core is said, since it must not be what is measured.
+
+With `--beside FOLDER` it is two gateways at the same time, this checkout's and that one's, each with a software PLC of
+its own: what else the machine has to do slows both alike.
+
 For orientation only: the ThingsBoard gateway 3.8.5 took 69 % of a core and 72 MB for 50 devices with 10 tags each, read
 every 100 ms, one request a tag, 485 of 500 polls/s. That is another setting (50 devices, no model, nothing written
 back, no history, another day), so nothing here is a comparison with it.
@@ -20,11 +27,12 @@ import sys
 import tempfile
 import time
 from bisect import bisect_left
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import click
+import numpy as np
 
 from benchmarks.figures import Figure, give
 from benchmarks.latency import scans_in
@@ -43,6 +51,9 @@ from benchmarks.processes import (
 from sim.plc.program.registers import read_map
 from sim.plc.record.recording import PlcRecording, read_recording
 
+FORECAST_S = 10.0
+"""Seconds between two forecasts of a machine, where machines are counted."""
+
 
 @contextmanager
 def bare_client(plc: Plc, period: float) -> Iterator["subprocess.Popen[bytes]"]:
@@ -57,14 +68,16 @@ def bare_client(plc: Plc, period: float) -> Iterator["subprocess.Popen[bytes]"]:
             process.wait(10.0)
 
 
-def measure(seconds: float, period: float, model_folder: Path | None = None) -> list[Figure]:
+def measure(
+    seconds: float, period: float, model_folder: Path | None = None, forecast: float | None = None
+) -> list[Figure]:
     """Run gateway and floor side by side. Raises BenchmarkError when the gateway does not get to work."""
     with tempfile.TemporaryDirectory(prefix="decanter-footprint-") as name:
         folder = Path(name)
         model = learned_model(model_folder or folder)
         with software_plc(folder) as plc, bare_client(plc, period) as bare:
             begun = time.monotonic()
-            with gateway(folder, plc, model, period) as process:
+            with gateway(folder, plc, model, period, forecast=forecast) as process:
                 until_usable(plc, process)
                 if plc.order("status")["connections"] != 2:
                     raise BenchmarkError("the bare client is not connected")
@@ -98,14 +111,119 @@ def _bare_polls(recording: PlcRecording, since: float, until: float) -> int:
     )
 
 
+def growth(machines: Sequence[int], seconds: float, period: float, model_folder: Path | None) -> list[Figure]:
+    """One gateway with so many machines, one number after the other.
+
+    Raises BenchmarkError when one does not get to work.
+    """
+    figures, shares, sizes = [], [], []
+    for count in machines:
+        with tempfile.TemporaryDirectory(prefix="decanter-footprint-") as name:
+            folder = Path(name)
+            model = learned_model(model_folder or folder)
+            names = [f"machine{number}" for number in range(1, count + 1)]
+            with (
+                software_plc(folder, machines=names) as plc,
+                gateway(folder, plc, model, period, forecast=FORECAST_S) as process,
+            ):
+                until_usable(plc, process)
+                measured = (process, plc.process)
+                accepted, since = _accepted(plc), time.monotonic()
+                before = [cpu_seconds(one.pid) for one in measured]
+                time.sleep(seconds)
+                after = [cpu_seconds(one.pid) for one in measured]
+                blocks, elapsed = _accepted(plc) - accepted, time.monotonic() - since
+                sizes.append(peak_megabytes(process.pid))
+        own, served = (now - then for now, then in zip(after, before, strict=True))
+        shares.append(100.0 * own / elapsed)
+        plural = f"{count} machine{'s' if count > 1 else ''}"
+        figures += [
+            Figure(f"{plural}: share of a core", shares[-1], "%", "the software PLC", 100.0 * served / elapsed),
+            Figure(f"{plural}: CPU per 1000 scans", 1e3 * own / max(blocks, 1), "s"),
+            Figure(f"{plural}: blocks accepted", blocks, "", "due", count * elapsed / period),
+            Figure(f"{plural}: peak resident size", sizes[-1], "MB"),
+        ]
+    if len(set(machines)) > 1:
+        for what, values in (("processor time", shares), ("memory", sizes)):
+            exponent = float(np.polyfit(np.log(machines), np.log(values), 1)[0])
+            figures.append(Figure(f"{what} grows by the number of machines to the power of", exponent, ""))
+    return figures
+
+
+def beside(
+    source: Path, seconds: float, period: float, model_folder: Path | None, forecast: float | None
+) -> list[Figure]:
+    """This checkout's gateway and another one's at the same time.
+
+    Raises BenchmarkError when one does not get to work.
+    """
+    with ExitStack() as opened:
+        plcs, pids = [], []
+        for each in (ROOT, source.resolve()):
+            folder = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="decanter-footprint-")))
+            model = learned_model((model_folder or folder).resolve())
+            plc = opened.enter_context(software_plc(folder))
+            process = opened.enter_context(gateway(folder, plc, model, period, forecast=forecast, source=each))
+            until_usable(plc, process)
+            plcs.append(plc)
+            pids.append(process.pid)
+        before = [(cpu_seconds(pid), _accepted(plc)) for pid, plc in zip(pids, plcs, strict=True)]
+        time.sleep(seconds)
+        after = [(cpu_seconds(pid), _accepted(plc)) for pid, plc in zip(pids, plcs, strict=True)]
+        peaks = [peak_megabytes(pid) for pid in pids]
+    used = [1e3 * (now[0] - then[0]) * period / seconds for now, then in zip(after, before, strict=True)]
+    blocks = [now[1] - then[1] for now, then in zip(after, before, strict=True)]
+    other = f"the gateway of {source.name}"
+    return [
+        Figure("CPU per 1000 scans that were due", used[0], "s", other, used[1]),
+        Figure("peak resident size", peaks[0], "MB", other, peaks[1]),
+        Figure("blocks accepted", blocks[0], "", other, blocks[1]),
+    ]
+
+
+def _accepted(plc: Plc) -> int:
+    return sum(int(one["accepted"]) for one in plc.statuses())
+
+
+def _numbers(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[int, ...]:
+    try:
+        numbers = tuple(int(part) for part in text.split(",")) if text else ()
+    except ValueError:
+        numbers = (0,)
+    if any(number < 1 for number in numbers):
+        raise click.BadParameter(f"{text!r}: give whole numbers from 1 on with commas between, like 1,2,5")
+    return numbers
+
+
 @click.command(help=__doc__)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
 @click.option("--quick", is_flag=True, help="4 seconds instead of 30.")
 @click.option("--seconds", type=click.FloatRange(0.5), help="How long it is measured.")
 @click.option("--period", type=click.FloatRange(0.02), default=0.1, show_default=True, help="Scan period (s).")
+@click.option("--forecast", type=click.FloatRange(0.1), help="Seconds between two forecasts instead of ten scans.")
+@click.option(
+    "--beside", "source", type=click.Path(path_type=Path, exists=True), help="Another checkout, measured too."
+)
+@click.option("--machines", callback=_numbers, help="Numbers of machines in one gateway: 1,2,5.")
 @click.option("--model-folder", type=click.Path(path_type=Path), help="Where the learned model is kept.")
-def main(as_json: bool, quick: bool, seconds: float | None, period: float, model_folder: Path | None) -> None:
-    figures = measure(seconds or (4.0 if quick else 30.0), period, model_folder)
+def main(
+    *,
+    as_json: bool,
+    quick: bool,
+    seconds: float | None,
+    period: float,
+    forecast: float | None,
+    source: Path | None,
+    machines: tuple[int, ...],
+    model_folder: Path | None,
+) -> None:
+    seconds = seconds or (4.0 if quick else 30.0)
+    if machines:
+        figures = growth(machines, seconds, period, model_folder)
+    elif source is not None:
+        figures = beside(source, seconds, period, model_folder, forecast)
+    else:
+        figures = measure(seconds, period, model_folder, forecast)
     give(f"footprint, scan period {1e3 * period:g} ms", figures, as_json=as_json)
 
 

@@ -15,10 +15,9 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from benchmarks.processes import gateway, learned_model, resident_kilobytes, software_plc, until_usable
+from benchmarks.processes import gateway, growth, learned_model, resident_kilobytes, software_plc, until_usable
 
 SAMPLE_SECONDS = 0.5
-PARTS = 10
 
 
 def measure(hours: float, speed: float, period: float) -> list[Figure]:
@@ -33,17 +32,14 @@ def measure(hours: float, speed: float, period: float) -> list[Figure]:
                 sizes.append((elapsed / 60.0, resident_kilobytes(process.pid)))
                 time.sleep(SAMPLE_SECONDS)
     minutes, size = np.array(sizes).T
-    late = np.array_split(np.arange(minutes.size // 2, minutes.size), PARTS)
-    at, median = (np.array([float(np.median(each[part])) for part in late]) for each in (minutes, size))
-    (slope, _), covariance = np.polyfit(at, median, 1, cov=True)
+    slope, error = growth(minutes, size)
     figures = []
     for share in (0.0, 0.1, 0.25, 0.5, 0.75, 1.0):
         place, reach = int(share * (size.size - 1)), size.size // 40
         about = float(np.median(size[max(0, place - reach) : place + reach + 1]))
         figures.append(Figure(f"resident size after {share:.0%}", about / 1e3, "MB"))
     figures.append(Figure("largest resident size", float(size.max()) / 1e3, "MB"))
-    error = 2.0 * float(np.sqrt(covariance[0, 0]))
-    return [*figures, Figure("growth over the last half", float(slope), "kB/min", "two standard errors of it", error)]
+    return [*figures, Figure("growth over the last half", slope, "kB/min", "two standard errors of it", error)]
 
 
 @click.command(help=__doc__)

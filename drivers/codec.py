@@ -151,6 +151,27 @@ def reader(tag: Tag) -> Callable[[Sequence[int]], Reading]:
     return read
 
 
+def encoder(tag: Tag) -> Callable[[Value], list[int]]:
+    """`encode` for one tag, what depends on the tag alone worked out once.
+
+    A whole number of one register without scale, range, labels or sentinel is written here as long as it fits; all else
+    is `encode`'s, which stays the definition of both.
+    """
+    plain = tag.scale == 1.0 and tag.offset == 0.0 and tag.low is None and tag.high is None and tag.sentinel is None
+    if not plain or tag.dtype not in (DType.UINT16, DType.INT16) or tag.bit is not None or tag.labels:
+        return partial(encode, tag)
+    low, high = (0, 0xFFFF) if tag.dtype is DType.UINT16 else (-0x8000, 0x7FFF)
+    swapped = _endian(tag) == "<"
+
+    def words(value: Value) -> list[int]:
+        if type(value) is not int or not low <= value <= high:
+            return encode(tag, value)
+        word = value & 0xFFFF
+        return [word >> 8 | (word & 0xFF) << 8 if swapped else word]
+
+    return words
+
+
 def judge(tag: Tag, value: Value) -> tuple[Quality, str]:
     """Give the quality of an engineering value by the tag's range and labels: GOOD or OUT_OF_RANGE, with the reason."""
     if isinstance(value, bool | str):

@@ -194,6 +194,7 @@ DRIVERS: dict[str, Capabilities] = {
         surveys="drivers.modbus.survey:open_survey",
         plans="drivers.modbus.preview:planned",
         locates="drivers.modbus.address:place_of_tag",
+        shares="drivers.modbus.settings:place_at",
         registers=True,
         units=True,
         block="words",

@@ -9,7 +9,7 @@ code.
 import asyncio
 import threading
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from time import monotonic
 from typing import Any, TypeVar
@@ -59,6 +59,7 @@ class Supervisor:
         self.say = say
         self._workers: dict[str, Worker] = {}
         self._included: dict[str, Supervisor] = {}
+        self._hearers: dict[tuple[Supervisor, str], Say] = {}
 
     def thread(self, name: str, work: Callable[[], None], *, stop: threading.Event) -> threading.Thread:
         """Run `work` in a thread, again and again until it returns with `stop` set."""
@@ -120,15 +121,16 @@ class Supervisor:
         worker = self._known(name, task)
         return task
 
-    def job(self, name: str, work: Callable[[], T]) -> "asyncio.Task[T]":
+    def job(self, name: str, work: Callable[[], T], turns: asyncio.Semaphore | None = None) -> "asyncio.Task[T]":
         """Run `work` once, in a thread of the running loop's; its failure is known here, and raised to who awaits it.
 
-        It is for its owner to begin it anew.
+        With `turns` it waits until fewer of those that share them are under way. It is for its owner to begin it anew.
         """
 
         async def once() -> T:
             try:
-                return await asyncio.to_thread(work)
+                async with turns or nullcontext():
+                    return await asyncio.to_thread(work)
             except (Exception, SystemExit) as error:
                 self._failed(worker, error)
                 raise
@@ -169,18 +171,37 @@ class Supervisor:
             loop.set_exception_handler(None)
 
     def include(self, name: str, other: "Supervisor") -> None:
-        """Take in what another one keeps going, each part by this name before its own."""
+        """Take in what another one keeps going, each part by this name before its own.
+
+        Several may take in the same one, as the drivers of units that share a connection do: each hears of it.
+        """
         self._included[name] = other
-        other.say = lambda part, error: self._tell(f"{name}: {part}", error)
+        other.hear((self, name), lambda part, error: self._tell(f"{name}: {part}", error))
 
     def exclude(self, name: str) -> None:
-        """Let go of what was taken in by this name, and has ended."""
-        self._included.pop(name, None)
+        """Let go of what was taken in by this name."""
+        other = self._included.pop(name, None)
+        if other is not None:
+            other.hear((self, name), None)
+
+    def hear(self, hearer: "tuple[Supervisor, str]", say: Say | None) -> None:
+        """Have one who takes this one in told of each failure, beside all others; None: not any more."""
+        self._hearers.pop(hearer, None)
+        if say is not None:
+            self._hearers[hearer] = say
 
     @property
     def complaints(self) -> dict[str, str]:
         """What cannot be relied on now, by the part's name, and why."""
+        if self.all_well:
+            return {}
         return {name: f"{name}: {part.failure}; begun anew" for name, part in self.parts().items() if not part.well}
+
+    @property
+    def all_well(self) -> bool:
+        """What every scan asks, without a name for every part."""
+        own = all(worker.well for worker in tuple(self._workers.values()))
+        return own and all(other.all_well for other in tuple(self._included.values()))
 
     @property
     def complaint(self) -> str:
@@ -227,8 +248,9 @@ class Supervisor:
         return not well
 
     def _tell(self, part: str, error: BaseException) -> None:
-        if self.say is not None:
-            self.say(part, error)
+        for say in (self.say, *tuple(self._hearers.values())):
+            if say is not None:
+                say(part, error)
 
     def _pause(self, again: bool, before: float) -> float:
         """The seconds to wait before a part is begun anew."""

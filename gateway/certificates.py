@@ -6,6 +6,7 @@ the client's. Keys are elliptic (P-256), signatures ECDSA with SHA-256.
 
 import datetime as dt
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
@@ -135,3 +136,16 @@ def _host(host: str) -> x509.GeneralName:
         if not host.isascii() or not host or " " in host:
             raise ValueError(f"the host {host!r} is neither a name nor an address") from None
         return x509.DNSName(host)
+
+
+def days_left(folder: Path, now: float) -> list[float]:
+    """The days (from `now`, s UTC) for which the certificates in a folder are still valid, below 0 where they are not.
+
+    What cannot be read is left out: the link says that it cannot be used.
+    """
+    found = []
+    for path in sorted(folder.glob("*.pem")):
+        with suppress(OSError, ValueError):
+            for certificate in x509.load_pem_x509_certificates(path.read_bytes()):
+                found.append((certificate.not_valid_after_utc.timestamp() - now) / 86_400.0)
+    return found

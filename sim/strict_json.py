@@ -17,6 +17,9 @@ def strict(value: object) -> Any:
     Infinite and undefined numbers become null (JSON has no word for them, and `NaN` is refused by strict readers),
     dataclasses and mappings objects, numpy's scalars and arrays Python's numbers and lists, and anything else its text.
     """
+    # Most of what comes is plain, and to ask for that is a tenth of asking what else it might be.
+    if value is None or type(value) in (str, int, bool):
+        return value
     if is_dataclass(value) and not isinstance(value, type):
         return strict(asdict(value))
     if hasattr(value, "tolist"):  # numpy's scalars and arrays, told by what they can do: numpy is not imported for it
@@ -35,13 +38,13 @@ def escaped(value: Any) -> Any:
 
     Texts in lists and mappings too, keys among them.
     """
+    if isinstance(value, str):
+        if value.isprintable():
+            return value
+        return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in value)
     if isinstance(value, Mapping):
         return {escaped(key): escaped(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [escaped(inner) for inner in value]
-    if not isinstance(value, str) or value.isprintable():
-        return value
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in value)
+    return [escaped(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 def json_text(value: object, *, indent: int | None = None, sort_keys: bool = False) -> str:

@@ -11,8 +11,22 @@ ROOT = Path(__file__).parent.parent
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *ROOT.glob("*.md")])
 
 NAMES = {
-    *("ASCII", "AUTOSAR", "DOCTYPE", "FEMTO", "PRONOSTIA", "SCADA", "SIGKILL", "SIGTERM", "STLSQ", "UPPAAL"),
+    *(
+        "ASCII",
+        "AUTOSAR",
+        "DOCTYPE",
+        "EEMUA",
+        "FEMTO",
+        "NAMUR",
+        "PRONOSTIA",
+        "SCADA",
+        "SIGKILL",
+        "SIGTERM",
+        "STLSQ",
+        "UPPAAL",
+    ),
     "CODESYS",
+    *("HSTS", "OWASP"),
     *("CAN_SOCKETCAN", "ARIMA", "CLOCK_MONOTONIC", "FALSE", "UNKNOWN", "UNCERTAIN"),
     # What a reader puts a name of his own in for, and the vectors of the export's program.
     *("MODEL", "SYMBOL", "EVENT_TIMES", "READING_TIMES", "STEP_TIMES"),

@@ -21,6 +21,7 @@ HEAVY = (
     *("numpy", "pandas", "scipy", "matplotlib", "pymodbus", "pydantic", "rich", "structlog", "lark", "pydot"),
     *("jinja2", "fpdf", "joblib", "optuna", "distributed", "dask", "sklearn"),
     *("can", "cantools", "canopen", "cryptography", "serial"),
+    *("starlette", "uvicorn", "argon2"),
 )
 
 
@@ -40,7 +41,7 @@ def modules_imported_by(code: str) -> set[str]:
     return set(done.stdout.splitlines()[-1].split())
 
 
-HELPED = [[], ["model"], ["trace"], ["plc"]]
+HELPED = [[], ["model"], ["trace"], ["plc"], ["alarm"]]
 """The groups: their help lists commands without loading one. A command's own help loads that command's module."""
 
 
@@ -115,6 +116,11 @@ def test_a_command_begins_without(module: str) -> None:
 
 def test_the_running_gateway_imports_neither_pandas_nor_matplotlib() -> None:
     assert modules_imported_by("import gateway.plant.app").isdisjoint({"pandas", "matplotlib"})
+
+
+def test_a_gateway_without_the_page_imports_nothing_of_it() -> None:
+    loaded = modules_imported_by("import gateway.plant.app, sys; assert 'gateway.web' not in sys.modules")
+    assert loaded.isdisjoint({"starlette", "uvicorn", "argon2", "h11", "anyio", "jinja2"})
 
 
 def test_the_durations_name_tests_that_are_there() -> None:

@@ -3,7 +3,10 @@
 The same PLCs for every contender, one process of C that answers at once and records when; the C loop's polls a second,
 as fast as they go, say how far from its limit it is. The contenders, each a process of its own, one after another:
 
-    gateway      a stream of scans a PLC with quality, and one historian, all in one process
+    plant        `decanter run` with a [[machine]] for each PLC: quality and the historian
+    plant+blocks the same with a belief at each scan, a forecast every ten seconds, and a block after each scan
+    plant x2     the plant with [plant] workers = 2, and plant+blocks x2
+    streams      of the gateway a stream of scans a PLC with quality, and one historian: what reading alone takes
     pymodbus     its asynchronous client in a loop a PLC; it keeps nothing
     C loop       the same polls from C, one after another: the limit
     ThingsBoard  the ThingsBoard IoT gateway 3.8.5, one request a value, storage in memory, sending all it reads to a
@@ -11,8 +14,10 @@ as fast as they go, say how far from its limit it is. The contenders, each a pro
 
 A poll is done when its PLC has answered for the last of the ten registers. Lateness is measured against absolute
 deadlines, a grid without drift for each PLC that lies where the contender's polls are least late; a deadline that no
-poll meets before the next one is a poll not done. Processor time is the kernel's account of the process with all its
-threads, memory its resident size at the end, bytes what its files have grown by.
+poll meets before the next one is a poll not done. Processor time is the kernel's account of the contender's processes
+with all their threads, memory their resident sizes at the end (what they share counts for each), bytes what the
+historian has grown by. A block is late by the time from the PLC's answer to a poll to the block that follows it. Growth
+is the exponent of the processor time from the least number of PLCs to the most.
 """
 
 import signal
@@ -22,25 +27,46 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import log
 from pathlib import Path
 
 import click
 
 from benchmarks.figures import Figure, give, percentile
-from benchmarks.peers.plcs import Polls, answered, built, judged, most_polls, python_contender, serving
+from benchmarks.peers.plant import plant_command
+from benchmarks.peers.plcs import (
+    Moments,
+    Polls,
+    answered,
+    built,
+    judged,
+    most_polls,
+    python_contender,
+    serving,
+    written_after,
+)
 from benchmarks.peers.thingsboard import configure, environment
-from benchmarks.processes import ROOT, BenchmarkError, cpu_seconds, resident_kilobytes
+from benchmarks.processes import ROOT, BenchmarkError, cpu_seconds, family_of, resident_kilobytes
 
-CONTENDERS = ("gateway", "pymodbus", "C loop", "ThingsBoard")
-WARM_UP_S = 4.0
+PLANTS = {
+    "plant": {"blocks": False, "workers": 1},
+    "plant+blocks": {"blocks": True, "workers": 1},
+    "plant x2": {"blocks": False, "workers": 2},
+    "plant+blocks x2": {"blocks": True, "workers": 2},
+}
+"""The gateway as users run it, by the name of the contender."""
+CONTENDERS = (*PLANTS, "streams", "pymodbus", "C loop", "ThingsBoard")
+WARM_UP_S, START_S = 4.0, 180.0
 ENVIRONMENT = ROOT / "out/peers/thingsboard"
 
 
 @dataclass(frozen=True, slots=True)
 class PeerRun:
-    """What a contender did: its polls, the share of a core (%), the resident size (MB), the bytes it stored."""
+    """What a contender did: its polls, its blocks and how long (s) after the poll each came, the share of a core (%),
+    the resident size (MB), the bytes it stored."""
 
     polls: Polls
+    blocks: Moments
     core: float
     megabytes: float
     stored: int
@@ -91,8 +117,14 @@ def running(
                 stub.stdin.close()
             stub.wait(5.0)
         return
+    if name in PLANTS:
+        with started(
+            plant_command(folder, port=port, count=count, period=period, **PLANTS[name]), folder, variables
+        ) as process:
+            yield process
+        return
     commands = {
-        "gateway": python_contender("ours", port, count, period, folder),
+        "streams": python_contender("ours", port, count, period, folder),
         "pymodbus": python_contender("bare", port, count, period),
         "C loop": [str(program), "poll", str(port), str(count), str(period), str(seconds + WARM_UP_S + 1.0)],
     }
@@ -112,25 +144,27 @@ def measured(
         ) as process:
             until_polled(rows, count, process, min(WARM_UP_S, seconds))
             before = sum(path.stat().st_size for path in folder.glob("historian*"))
-            since, cpu = time.monotonic(), cpu_seconds(process.pid)
+            family = family_of(process.pid)
+            since, cpu = time.monotonic(), sum(map(cpu_seconds, family))
             time.sleep(seconds)
-            until, cpu_after = time.monotonic(), cpu_seconds(process.pid)
-            megabytes = resident_kilobytes(process.pid) / 1e3
+            until, cpu_after = time.monotonic(), sum(map(cpu_seconds, family))
+            megabytes = sum(map(resident_kilobytes, family)) / 1e3
             if process.poll() is not None:
                 raise BenchmarkError(f"{name} ended while it was measured")
         stored = sum(path.stat().st_size for path in folder.glob("historian*")) - before
     polls = judged(answered(rows, count), period, since, until)
-    return PeerRun(polls, 100.0 * (cpu_after - cpu) / (until - since), megabytes, max(stored, 0))
+    blocks = written_after(rows, count, since, until)
+    return PeerRun(polls, blocks, 100.0 * (cpu_after - cpu) / (until - since), megabytes, max(stored, 0))
 
 
 def until_polled(rows: Path, count: int, process: "subprocess.Popen[bytes]", warm_up: float) -> None:
-    """Wait until every PLC was polled, and `warm_up` seconds more. Raises BenchmarkError after a minute."""
-    deadline = time.monotonic() + 60.0
+    """Wait until every PLC was polled, and `warm_up` seconds more. Raises BenchmarkError after START_S."""
+    deadline = time.monotonic() + START_S
     while not all(moments.size for moments in answered(rows, count)):
         if process.poll() is not None:
             raise BenchmarkError(f"the contender ended with code {process.returncode} before it had polled all PLCs")
         if time.monotonic() > deadline:
-            raise BenchmarkError("not all PLCs were polled within a minute")
+            raise BenchmarkError(f"not all PLCs were polled within {START_S:g} s")
         time.sleep(0.2)
     time.sleep(warm_up)
 
@@ -140,6 +174,14 @@ def figures_of(name: str, count: int, run: PeerRun, bare: PeerRun | None) -> lis
     title, due = f"{count} PLCs, {name}", float(run.polls.due)
     late = run.polls.lateness.tolist() or [0.0]
     other = "pymodbus" if bare is not None else ""
+    blocks = []
+    if run.blocks.size:
+        after = run.blocks.tolist()
+        blocks = [
+            Figure(f"{title}: blocks written", float(run.blocks.size), "", "polls done", float(run.polls.done)),
+            Figure(f"{title}: register read to its block, p50", 1e3 * percentile(after, 50), "ms"),
+            Figure(f"{title}: register read to its block, p99", 1e3 * percentile(after, 99), "ms"),
+        ]
     return [
         Figure(f"{title}: polls done", float(run.polls.done), "", "due", due),
         Figure(f"{title}: lateness, p50", 1e3 * percentile(late, 50), "ms"),
@@ -147,7 +189,17 @@ def figures_of(name: str, count: int, run: PeerRun, bare: PeerRun | None) -> lis
         Figure(f"{title}: processor time", run.core, "% of a core", other, bare.core if bare else None),
         Figure(f"{title}: resident size", run.megabytes, "MB", other, bare.megabytes if bare else None),
         Figure(f"{title}: stored a poll", run.stored / max(run.polls.done, 1), "bytes"),
+        *blocks,
     ]
+
+
+def growth_of(name: str, runs: dict[int, PeerRun]) -> list[Figure]:
+    """The exponent with which a contender's processor time grows with the number of PLCs; none from one number."""
+    least, most = min(runs, default=0), max(runs, default=0)
+    if least == most or not runs[least].core:
+        return []
+    exponent = log(runs[most].core / runs[least].core) / log(most / least)
+    return [Figure(f"{name}: growth of its processor time from {least} to {most} PLCs", exponent, "(exponent)")]
 
 
 def measure(
@@ -155,6 +207,7 @@ def measure(
 ) -> list[Figure]:
     """All contenders at all sizes. Raises BenchmarkError."""
     figures = []
+    runs: dict[str, dict[int, PeerRun]] = {name: {} for name in names}
     with tempfile.TemporaryDirectory(prefix="decanter-peers-") as place:
         folder = Path(place)
         program = built(folder)
@@ -165,6 +218,9 @@ def measure(
             bare = None
             # The bare client first: the others' figures stand against it.
             for name in sorted(names, key=lambda name: name != "pymodbus"):
+                # No more processes than machines.
+                if name in PLANTS and PLANTS[name]["workers"] > count:
+                    continue
                 run = measured(
                     name,
                     program,
@@ -175,8 +231,9 @@ def measure(
                     python=python,
                 )
                 figures += figures_of(name, count, run, bare)
+                runs[name][count] = run
                 bare = run if name == "pymodbus" else bare
-    return figures
+    return [*figures, *(figure for name, own in runs.items() for figure in growth_of(name, own))]
 
 
 @click.command(help=__doc__)

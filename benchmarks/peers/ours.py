@@ -16,7 +16,7 @@ from drivers.driver import open_driver
 from drivers.tag import Tag
 from gateway.machine.reading import PlantClock, QualityRules, plant_clock, scans
 from gateway.machine.records import Keeper, Records
-from gateway.plant.app import SWITCH_SECONDS
+from gateway.plant.fleet import SWITCH_SECONDS
 from gateway.store import Historian, open_historian
 
 

@@ -94,6 +94,18 @@ def answered(rows: Path, count: int) -> list[Moments]:
     return [np.array(moments) for moments in found]
 
 
+def written_after(rows: Path, count: int, since: float, until: float) -> Moments:
+    """How long (s) after its PLC had answered the poll before it each block in [since, until) was answered."""
+    data = rows.read_bytes()
+    polled, after = [0.0] * count, []
+    for at, plc, _, function, address, asked in _ROW.iter_unpack(data[: len(data) // _ROW.size * _ROW.size]):
+        if function == 3 and address <= _LAST_REGISTER < address + asked:
+            polled[plc] = at
+        elif function == 16 and since <= at < until:
+            after.append(at - polled[plc])
+    return np.array(after)
+
+
 def judged(moments: list[Moments], period: float, since: float, until: float) -> Polls:
     """The polls in [since, until) against absolute deadlines, one every `period` seconds (s).
 

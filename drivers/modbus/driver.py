@@ -8,7 +8,7 @@ from typing import Any
 
 from pymodbus.pdu import ModbusPDU
 
-from drivers.codec import Reading, encode, reader
+from drivers.codec import Reading, encoder, reader
 from drivers.connections import Connections
 from drivers.driver import BeforeSending, Clock, PlanKind, PlanLine, anyhow
 from drivers.errors import (
@@ -33,8 +33,8 @@ from drivers.modbus.plan import (
     refusal_of,
 )
 from drivers.modbus.quarantine import RefusedAddresses
-from drivers.modbus.settings import ModbusSettings, read_settings
-from drivers.modbus.shared import SharedLink, place_of
+from drivers.modbus.settings import ModbusSettings, place_of, read_settings
+from drivers.modbus.shared import SharedLink
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import WireReply, read_request, write_request
 from drivers.tag import Quality, Sample, Tag, Value
@@ -67,6 +67,18 @@ class _TagLayout:
     misplaced: tuple[tuple[Tag, str], ...]
     quarantine: Quarantine
     blocks: tuple[AddressBlock, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _WriteLayout:
+    """The block of one write: for each of its spans the place of its value in the call, and how that becomes words.
+
+    `tags` are those of the call, held so that their identities stay theirs.
+    """
+
+    tags: tuple[Tag, ...]
+    block: AddressBlock
+    pieces: tuple[tuple[int, Callable[[Value], list[int]]], ...]
 
 
 def open_modbus(
@@ -135,6 +147,7 @@ class ModbusDriver:
         # By a tag's identity: how it is read, and what its words were last and meant.
         self._readers: dict[int, Callable[[Sequence[int]], Reading]] = {}
         self._decoded: dict[int, tuple[tuple[int, ...], Reading]] = {}
+        self._writes: dict[tuple[int, ...], _WriteLayout] = {}
         self._counts = dict.fromkeys(("retries", "writes", "bisections"), 0)
         self._line = shared.join(settings)
         self.supervisor = shared.supervisor
@@ -198,7 +211,8 @@ class ModbusDriver:
         """
         if not values:
             return
-        block, words = self._write_block(values)
+        layout = self._write_layout([tag for tag, _ in values])
+        block, words = layout.block, [word for place, words in layout.pieces for word in words(values[place][1])]
         async with self._lock:
             self._counts["writes"] += 1
             request = write_request(block.area, block.start, words, self._settings.unit)
@@ -234,10 +248,13 @@ class ModbusDriver:
             words += (await self._attempts(part, urgent=True)).words
         return words
 
-    def _write_block(self, values: Sequence[tuple[Tag, Value]]) -> tuple[AddressBlock, list[int]]:
-        """The one block of the write and its words, checked against the write map first."""
-        pieces = sorted(((self._mapped(tag), value) for tag, value in values), key=lambda piece: piece[0].start)
-        spans = tuple(span for span, _ in pieces)
+    def _write_layout(self, tags: Sequence[Tag]) -> _WriteLayout:
+        """The one block of a write of these tags, checked against the write map; worked out once for the same tags."""
+        key = tuple(map(id, tags))
+        if (known := self._writes.get(key)) is not None:
+            return known
+        mapped = sorted(((self._mapped(tag), place) for place, tag in enumerate(tags)), key=lambda one: one[0].start)
+        spans = tuple(span for span, _ in mapped)
         for left, right in pairwise(spans):
             if left.area is not right.area or left.stop != right.start:
                 raise AddressError(
@@ -250,7 +267,11 @@ class ModbusDriver:
             raise AddressError(f"{block.count} words do not fit in one write request, which takes {largest}")
         if not self._writable_addresses.issuperset((block.area, number) for number in range(block.start, block.stop)):
             raise WriteForbidden(f"{block.area}:{block.start} count {block.count} reaches outside the write map")
-        return block, [word for span, value in pieces for word in encode(span.tag, value)]
+        if len(self._writes) >= _LAYOUTS_KEPT:
+            self._writes.clear()
+        pieces = tuple((place, encoder(span.tag)) for span, place in mapped)
+        layout = self._writes[key] = _WriteLayout(tuple(tags), block, pieces)
+        return layout
 
     def _mapped(self, tag: Tag) -> TagSpan:
         span = self._write_map.get(tag.name)

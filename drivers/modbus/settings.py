@@ -1,6 +1,7 @@
 """The settings of the driver `modbus`: what each key means, and which transport has which."""
 
-from collections.abc import Mapping
+import os
+from collections.abc import Hashable, Mapping
 from typing import Any, Literal
 
 from pydantic import Field, model_validator
@@ -120,3 +121,15 @@ class ModbusSettings(Reconnecting):
 def read_settings(settings: Mapping[str, Any]) -> ModbusSettings:
     """The settings, checked. Raises DriverError in one sentence."""
     return check_settings("modbus", ModbusSettings, settings)
+
+
+def place_of(settings: ModbusSettings) -> Hashable:
+    """What tells one connection from another."""
+    if settings.serial:
+        return ("modbus", os.path.realpath(settings.serial))
+    return ("modbus", settings.host.lower(), settings.port)
+
+
+def place_at(settings: Mapping[str, Any]) -> Hashable:
+    """`place_of` settings that are not checked yet (`Capabilities.shares`). Raises DriverError."""
+    return place_of(read_settings(settings))

@@ -10,8 +10,7 @@ own as long as others answer in between. All other failures are the connection's
 """
 
 import asyncio
-import os
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 
 from pymodbus.pdu import ModbusPDU
@@ -33,13 +32,6 @@ _OF_THE_CONNECTION = (
 )  # fmt: skip
 _SHORT_PROBE_S = 0.05
 """A silent unit is waited for so long at least."""
-
-
-def place_of(settings: ModbusSettings) -> Hashable:
-    """What tells one connection from another."""
-    if settings.serial:
-        return ("modbus", os.path.realpath(settings.serial))
-    return ("modbus", settings.host.lower(), settings.port)
 
 
 class SharedLink:

@@ -43,7 +43,7 @@ from gateway.store import (
 @json_option
 def backup(path: Path, folder: Path, as_json: bool) -> None:
     """Copy all that a gateway is into the new FOLDER, while it runs: plant file, device files, models, historian (with
-    guards and states), audit log with its key and signed heads.
+    guards and states), the page's accounts, audit log with its key and signed heads.
 
     The folder is there whole or not at all, with the SHA-256 of each file. It holds the key: keep it as such. The log,
     certificates and other programs' files are not in it.
@@ -74,6 +74,7 @@ def sources_of(machines: Sequence[Config]) -> list[tuple[str, Path]]:
     # Machines of one type share files.
     rows = list(dict.fromkeys(rows))
     key = config.audit_key
+    rows += [("accounts", config.users)] if config.users.exists() else []
     rows += [(role, file) for role, file in (("key", key), ("public key", public_path(key))) if file.exists()]
     # A witness before what it bears witness to: the audit log in the backup holds every head that is in the backup.
     last = (("heads", config.audit_heads), ("historian", config.historian.path), ("audit", config.audit))

@@ -47,7 +47,13 @@ _HEARTBEAT = re.compile("heart ?beat|life ?(bit|counter|word)|watchdog|contatore
 @click.option("--shift", type=int, default=0, help="Add this to every address of the list, such as -1 or 1.")
 @click.option("--without", multiple=True, metavar="TAG", help="Leave this tag of the list out; may be given again.")
 @click.option("--skip-bad", is_flag=True, help="Leave out rows of the list that cannot be used.")
-@click.option("--temperature", default="", help="The tag that is predicted and watched.")
+@click.option(
+    "--temperature",
+    "temperatures",
+    multiple=True,
+    metavar="TAG",
+    help="A tag that is predicted and watched; may be given again.  [default: those that the device takes blocks of]",
+)
 @click.option("--trace", type=_PATH, help="A recorded CSV, for which a column map is drafted.")
 @click.option(
     "--rename", multiple=True, metavar="COLUMN=TAG", callback=pairs, help="Which tag a column of the trace is."
@@ -74,18 +80,23 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
         if trace is None and asked.here:
             answer = asked.text("a recorded trace (CSV), or none", "--trace FILE", default="none")
             trace = None if answer == "none" else Path(answer)
-        temperature = _temperature(described.numbers, options["temperature"], asked)
+        temperatures = _temperatures(described, options["temperatures"], asked)
         heartbeat = options["heartbeat"] or (_heartbeat(known) if device is None else None)
         map_text, unknown = "", list[str]()
         if trace is not None:
-            map_text, unknown = _column_map(trace, known, temperature, options["rename"], asked)
+            map_text, unknown = _column_map(trace, known, temperatures[0], options["rename"], asked)
         wanted = FirstFolder(
             folder=folder,
             files=files,
             change=FileChange(
                 tags=bindings(io_list) if io_list is not None else (),
                 heartbeat=heartbeat,
-                plant={"model.temperature": temperature, "alarms.tags": [temperature]},
+                plant={
+                    "model.temperature": temperatures[0],
+                    # A second one makes tables of them.
+                    **{f"temperature.{tag}.tag": tag for tag in temperatures[1:]},
+                    "alarms.tags": list(temperatures),
+                },
             ),
             template=template(),
             device=device,
@@ -108,16 +119,18 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
         warnings.append("no heartbeat is known: a PLC that stands still would look alive; give --heartbeat TAG")
     if io_list is not None:
         warnings += [f"left out: {problem}" for problem in io_list.problems]
-    following = _next(folder, trace)
+    following = _next(folder, trace, temperatures)
 
     def show() -> None:
-        click.echo("\n".join([*(f"made {path}" for path in made), f"{len(known)} tags, temperature {temperature}"]))
+        predicted = f"temperature{'s' if len(temperatures) > 1 else ''} {', '.join(temperatures)}"
+        click.echo("\n".join([*(f"made {path}" for path in made), f"{len(known)} tags, {predicted}"]))
         for sentence in warnings:
             click.secho(sentence, fg="yellow", err=True)
         click.echo("next:\n" + "\n".join(f"  {line}" for line in following))
 
-    data = {"files": list(map(str, made)), "tags": len(known), "temperature": temperature, "heartbeat": heartbeat}
-    emit({**data, "warnings": warnings, "next": following}, show, as_json_line=given.as_json)
+    data = {"files": list(map(str, made)), "tags": len(known), "temperature": temperatures[0], "heartbeat": heartbeat}
+    data |= {"temperatures": list(temperatures), "warnings": warnings, "next": following}
+    emit(data, show, as_json_line=given.as_json)
 
 
 def terminal() -> bool:
@@ -157,12 +170,16 @@ def _placed(given: SharedOptions, device: Path | None, asked: _Asked) -> SharedO
 
 @dataclass(frozen=True, slots=True)
 class _Described:
-    """Where the tags lie: a device file or an I/O list; the tags' names, and the units of those that are numbers."""
+    """Where the tags lie: a device file or an I/O list; the tags' names, and the units of those that are numbers.
+
+    `blocks` are the temperatures that the device takes blocks of.
+    """
 
     device: Path | None
     io_list: IoList | None
     names: Sequence[str]
     numbers: Mapping[str, str]
+    blocks: tuple[str, ...] = ()
 
 
 def _described(device: Path | None, list_path: Path | None, how: Reading, asked: _Asked, *, skip: bool) -> _Described:
@@ -175,9 +192,10 @@ def _described(device: Path | None, list_path: Path | None, how: Reading, asked:
         device, list_path = (None, path) if path.suffix.lower() in _LIST_ENDINGS else (path, None)
     if list_path is None:
         device = shipped("devices", str(device))
-        tags = load_device(device).tags
-        numbers = {tag.name: tag.unit for tag in tags if tag.dtype not in _NO_NUMBERS}
-        return _Described(device, None, [tag.name for tag in tags], numbers)
+        there = load_device(device)
+        numbers = {tag.name: tag.unit for tag in there.tags if tag.dtype not in _NO_NUMBERS}
+        blocks = tuple(layout.temperature for layout in there.writebacks if layout.temperature in numbers)
+        return _Described(device, None, [tag.name for tag in there.tags], numbers, blocks)
     if device is not None:
         raise ValueError("--list and --device exclude each other: `decanter plc import` adds a list to a device file")
     io_list = read_io_list(list_path, how)
@@ -207,19 +225,25 @@ def _without(described: _Described, names: Sequence[str]) -> _Described:
     )
 
 
-def _temperature(numbers: Mapping[str, str], wanted: str, asked: _Asked) -> str:
-    """The tag of the temperature: the one named, the only one in degC, or what is answered. Raises ConfigError."""
+def _temperatures(described: _Described, wanted: Sequence[str], asked: _Asked) -> tuple[str, ...]:
+    """The tags that are predicted: those named, those of the device's blocks, the only one in degC, or the answer.
+
+    Raises ConfigError.
+    """
+    numbers = described.numbers
     degrees = [name for name, unit in numbers.items() if unit in ("degC", "°C", "C")]
+    if strange := [tag for tag in wanted if tag not in numbers]:
+        known = ", ".join(degrees or numbers)
+        raise ConfigError([f"--temperature {strange[0]}: is no number of the device; give one of {known}"])
     if wanted:
-        if wanted not in numbers:
-            known = ", ".join(degrees or numbers)
-            raise ConfigError([f"--temperature {wanted}: is no number of the device; give one of {known}"])
-        return wanted
+        return tuple(dict.fromkeys(wanted))
+    if described.blocks:
+        return described.blocks
     if len(degrees) == 1:
-        return degrees[0]
+        return (degrees[0],)
     if not numbers:
         raise ConfigError(["no tag is a number, so that there is nothing to predict; complete the list or the file"])
-    return asked.text("temperature to be predicted", "--temperature TAG", choices=degrees or list(numbers))
+    return (asked.text("temperature to be predicted", "--temperature TAG", choices=degrees or list(numbers)),)
 
 
 def _heartbeat(tags: Sequence[str]) -> str | None:
@@ -283,8 +307,8 @@ def _letters(text: str) -> str:
     return "".join(letter for letter in text.casefold() if letter.isalnum())
 
 
-def _next(folder: Path, trace: Path | None) -> list[str]:
-    """What to type next."""
+def _next(folder: Path, trace: Path | None, temperatures: Sequence[str]) -> list[str]:
+    """What to type next; the trace's column map speaks of the first temperature."""
     lines = [] if folder.resolve() == Path.cwd() else [f"cd {folder}"]
     lines += [
         "decanter plc check      # every tag, read once",
@@ -292,8 +316,9 @@ def _next(folder: Path, trace: Path | None) -> list[str]:
     ]
     if trace is not None:
         path = trace.absolute() if lines[0].startswith("cd ") else trace
+        key = "model.path" if len(temperatures) == 1 else f"temperature.{temperatures[0]}.model"
         lines += [
             f"decanter model learn --traces {path} --map columns.toml --out models/first",
-            "decanter plc bind --keep model.path=models/first",
+            f"decanter plc bind --keep {key}=models/first",
         ]
     return lines

@@ -2,10 +2,12 @@
 
 import click
 
+from gateway.cli.alarm import alarm
 from gateway.cli.machine import machine
 from gateway.cli.model import model
 from gateway.cli.plc import plc
 from gateway.cli.trace import trace
+from gateway.cli.user import user
 from gateway.entry import LazyGroup, Table, one_thread
 
 COMMANDS: Table = {
@@ -74,7 +76,7 @@ def main(traceback: bool) -> None:
     one_thread()
 
 
-for group in (plc, machine, trace, model):
+for group in (plc, machine, alarm, user, trace, model):
     main.add_command(group)
 
 if __name__ == "__main__":

@@ -58,10 +58,12 @@ def run(
         read_anew = partial(load, path, host, port, speed)
         configs = read_anew()
         # After the configuration, so that what is wrong with it is said at once.
-        from gateway.plant import serve
+        from gateway.plant import keep_freed_memory, serve
 
-        for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
-            import_module(room)
+        if configs[0].plant.workers == 1:
+            for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
+                import_module(room)
+            keep_freed_memory()
         if stdin:
             threading.Thread(target=_stop_at_end, name="stdin", daemon=True).start()
         drawn = watch and sys.stdout.isatty()
@@ -75,7 +77,8 @@ def run(
                 say=None if silent else _say,
                 read_anew=read_anew,
             )
-    machines = last.get("machines") or {"": last}
+    if not (machines := last.get("machines", {"": last})):
+        return  # told to stop before any machine had begun
     # What is lost is one count for all: the records are common.
     records = next(iter(machines.values()))["historian"]
     if records["failure"]:

@@ -46,6 +46,7 @@ _LIMITS = ("low", "high", "sentinel", "max_rate")
 @click.option("--max-rate", type=float, help="The fastest believable change in units a second.")
 @click.option("--label", "labels", multiple=True, metavar="RAW=TEXT", callback=pairs, help="A name of a raw number.")
 @click.option("--block", metavar="ADDRESS", help="Where the write-back block begins.")
+@click.option("--block-of", metavar="TAG", help="Of which temperature it speaks, where the device takes several.")
 @click.option("--fields", help="Its fields, with commas between; as many as the PLC takes in one write by default.")
 @click.option("--layout", type=click.IntRange(0, 65535), help="Its layout version (2).")
 @click.option("--timer", type=float, help="The PLC's timer in seconds (5).")
@@ -58,7 +59,8 @@ def bind(given: SharedOptions, **options: Any) -> None:
 
     ADDRESS is a PDU address (holding:100), a number as HMIs show it (40101), or the link's own (0x2001:1). With --guess
     it is what the last guess found. Comments and order of the file stay. A file that is not there is made.
-    Without NAME only --block, --heartbeat and --keep are put in.
+    Without NAME only --block, --heartbeat and --keep are put in. Several blocks have their fields, layout and timer in
+    common.
     """
 
     def work(files: Files) -> CommandResult:
@@ -83,10 +85,13 @@ def bind(given: SharedOptions, **options: Any) -> None:
         block = None
         if options["block"]:
             names = options["fields"].replace(",", " ").split() if options["fields"] else None
-            block = BlockPlace(_address(files, options["block"]), names, options["layout"], options["timer"])
+            address = _address(files, options["block"])
+            block = BlockPlace(address, options["block_of"], names, options["layout"], options["timer"])
         wanted = FileChange(tags, block, options["heartbeat"], device, plant)
         return CommandResult(carry_out(files, wanted, template(), dry_run=options["dry_run"]))
 
+    if options["block_of"] and not options["block"]:
+        raise click.UsageError("--block-of says which block --block places; give --block ADDRESS too")
     if not any(options[key] for key in ("name", "block", "heartbeat", "keep")):
         raise click.UsageError("what is to be bound? Give NAME and ADDRESS, or --block, --heartbeat or --keep")
     edit_files(given, "bind", {key: value for key, value in options.items() if value not in (None, (), {})}, work)

@@ -10,6 +10,7 @@ import click
 
 from drivers.driver import Cautions
 from drivers.errors import DriverError
+from drivers.settings import ConfigError
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.read import read_raw
@@ -18,6 +19,7 @@ from gateway.commission.session import (
     CommandResult,
     SharedOptions,
     Site,
+    check_writable,
     device_of,
     failed,
     link_options,
@@ -31,8 +33,9 @@ from gateway.commission.session import (
     words_of,
 )
 from gateway.commission.writeback.write_plan import problems_of
-from gateway.entry import Exit, exit_code
+from gateway.entry import Exit, exit_code, sentences
 from gateway.machine.model import load_model
+from gateway.settings import load_plant, load_secrets
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})
 _DEAD = frozenset({Quality.NOT_CONNECTED, Quality.COMMUNICATION_ERROR, Quality.NO_COMMUNICATION, Quality.TIMEOUT})
@@ -44,7 +47,7 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
     `sites` are the device over each of its links, by the links' names.
     """
     first = next(iter(sites.values()))
-    steps = [*_files(first), *_model(first), *_contract(first)]
+    steps = [*_files(first), *_models(first), *_contract(first), *_messages(first)]
     rows: list[dict[str, Any]] = []
     absent: list[DriverError] = []
     for name, site in sites.items():
@@ -90,6 +93,18 @@ def _files(site: Site) -> list[CheckStep]:
     return steps
 
 
+def _messages(site: Site) -> list[CheckStep]:
+    """Whether who is to be told of alarms can be: the file of secrets; nothing is sent."""
+    config = site.target.config
+    if config is None or not config.notify.to:
+        return []
+    try:
+        load_secrets(config.notify)
+    except ConfigError as error:
+        return [failed("messages", problem) for problem in error.problems]
+    return [ok("messages", f"alarms are told to {', '.join(row.name for row in config.notify.to)}")]
+
+
 def _places(site: Site) -> list[CheckStep]:
     """Addresses that cannot be, tags that share registers, a block too long for one write."""
     device = device_of(site)
@@ -103,21 +118,31 @@ def _places(site: Site) -> list[CheckStep]:
     return [ok("places", f"{len(plan.requests)} requests for {count} addresses; none is used twice")]
 
 
-def _model(site: Site) -> list[CheckStep]:
-    """The model, and that the plant has what it reads."""
+def _models(site: Site) -> list[CheckStep]:
+    """The model of each predicted temperature, and that the plant has what it reads."""
     config = site.target.config
     if config is None:
         return [warning("model", "only the device file was given (--device): the model is not checked")]
-    if config.model.path is None:
-        return [warning("model", "model.path is not set: the gateway watches the limit and predicts nothing")]
-    try:
-        loaded = load_model(config)
-    except ValueError as error:
-        return [failed("model", str(error))]
-    if loaded is None:
-        return []
-    sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {config.model.temperature}"
-    return [warning("model", f"{sentence}; {loaded.warning}") if loaded.warning else ok("model", sentence)]
+    if all(one.model.path is None for one in config.followed):
+        key = "no temperature has a model" if len(config.followed) > 1 else "model.path is not set"
+        return [warning("model", f"{key}: the gateway watches the limit and predicts nothing")]
+    steps = []
+    for one in config.followed:
+        tag = one.model.temperature
+        try:
+            loaded = load_model(one)
+        except ValueError as error:
+            steps.append(failed("model", str(error)))
+            continue
+        if loaded is None:
+            steps.append(warning("model", f"{tag} has no model: it is watched and not predicted"))
+            continue
+        machine = loaded.model.provenance.settings.get("machine")
+        own = f", with what it knows of the machine {machine}" if machine else ""
+        own = f", as a new machine of the type of {', '.join(loaded.model.machines)}" if loaded.model.machines else own
+        sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {tag}{own}"
+        steps.append(warning("model", f"{sentence}; {loaded.warning}") if loaded.warning else ok("model", sentence))
+    return steps
 
 
 def _contract(site: Site) -> list[CheckStep]:
@@ -190,21 +215,89 @@ async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
     return [failed("heartbeat", f"{device.heartbeat} stood at {first} for {patience:g} s: does the program run?")]
 
 
+# ---------------------------------------------------------------- several machines
+
+
+_OF_ONE_MACHINE = frozenset({"host", "port", "unit", "serial", "channel", "node"})
+"""Settings that no two machines have in common."""
+
+
+def _several(given: SharedOptions) -> list[str]:
+    """The machines of the plant file where it has several and none is named; else nothing."""
+    if given.plant is None or given.device is not None or given.machine is not None or given.link is not None:
+        return []
+    with sentences():
+        names = [config.machine for config in load_plant(given.plant)]
+    return names if len(names) > 1 else []
+
+
+def _over_links(given: SharedOptions, site: Site) -> dict[str, Site]:
+    """The device over each of its links, where none is named."""
+    if site.target.config is None or given.link is not None:
+        return {site.target.kind: site}
+    links = site.target.config.links
+    others = {
+        link.name: replace(site, target=make_target(given.plant, link=link.name, machine=given.machine))
+        for link in links[1:]
+    }
+    return {links[0].name: site, **others}
+
+
+def _together(results: Mapping[str, CommandResult]) -> CommandResult:
+    """The results of all machines; the first one that is not in order gives exit code and sentence."""
+    failing = {name: result for name, result in results.items() if result.code}
+    data = {
+        "machines": {name: {**result.data, "exit": int(result.code)} for name, result in results.items()},
+        "open_points": [f"{name}: {point}" for name, result in results.items() for point in result.data["open_points"]],
+    }
+    if not failing:
+        return CommandResult(data)
+    name, first = next(iter(failing.items()))
+    others = f" ({len(failing)} of {len(results)} machines are not in order: {', '.join(failing)})"
+    return CommandResult(data, first.code, f"{name}: {first.complaint}{others if len(failing) > 1 else ''}")
+
+
+def _show_machines(data: Mapping[str, Any]) -> None:
+    for name, own in data["machines"].items():
+        click.secho(f"{name}  {'; '.join(own['links'].values())}", bold=True)
+        show_steps(own)
+
+
 @click.command(short_help="Check the configuration, and with the device every tag of it.")
 @click.option("--offline", is_flag=True, help="Only what can be checked without the device.")
 @link_options
 def check(given: SharedOptions, offline: bool) -> None:
-    """Check files, places, limits, model and write-back contract; then read every tag, and see the heartbeat move."""
+    """Check files, places, limits, models and write-back contract; then read every tag, and see the heartbeat move.
+
+    Of a plant of several machines all are checked, one after another, where --machine names none.
+    """
+    names = _several(given)
+    if not names:
+        perform(
+            given,
+            "check",
+            {"offline": offline},
+            lambda site: check_configuration(_over_links(given, site), offline=offline),
+            show_steps,
+        )
+        return
+    if alone := _OF_ONE_MACHINE & set(given.settings):
+        raise click.UsageError(
+            f"--{min(alone)} is one machine's, and the plant file has several; name it with --machine"
+        )
 
     async def work(site: Site) -> CommandResult:
-        sites = {site.target.kind: site}
-        if site.target.config is not None and given.link is None:
-            links = site.target.config.links
-            others = {
-                link.name: replace(site, target=make_target(given.plant, link=link.name, machine=given.machine))
-                for link in links[1:]
-            }
-            sites = {links[0].name: site, **others}
-        return await check_configuration(sites, offline=offline)
+        results = {}
+        for name in names:
+            # One after another: units behind one gateway may not be asked side by side.
+            of_one = replace(given, machine=name)
+            target = make_target(given.plant, given=given.settings, machine=name)
+            results[name] = await check_configuration(
+                _over_links(of_one, replace(site, target=target)), offline=offline
+            )
+        return _together(results)
 
-    perform(given, "check", {"offline": offline}, work, show_steps)
+    with sentences():
+        check_writable(given.records)
+        first = make_target(given.plant, machine=names[0])
+    perform(given, "check", {"offline": offline}, work, _show_machines, target=replace(first, kind="", settings={}))

@@ -13,7 +13,9 @@ WRITTEN = (
     "historian.sqlite-shm", "historian.sqlite.lock", "certificates/ca.pem", "certificates/ca.key",
     "certificates/server.pem", "certificates/server.key", "certificates/client.pem", "certificates/client.key",
 )  # fmt: skip
-"""What a demonstration leaves, beside the folder `model`; the next one in the same folder begins without them."""
+"""What a demonstration leaves, beside the models' folders; the next one in the same folder begins without them."""
+FURTHER_PICTURE = "demo_"
+"""How the picture of a replay's further bearing begins."""
 
 
 @contextmanager
@@ -42,7 +44,7 @@ def held(folder: Path) -> Iterator[None]:
 
 def clear(folder: Path) -> None:
     """Remove what an earlier demonstration left. Raises OSError."""
-    for name in WRITTEN:
-        (folder / name).unlink(missing_ok=True)
+    for path in (*(folder / name for name in WRITTEN), *folder.glob(f"{FURTHER_PICTURE}*.png")):
+        path.unlink(missing_ok=True)
     with suppress(OSError):  # not there, or with somebody else's files in it
         (folder / "certificates").rmdir()

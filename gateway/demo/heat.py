@@ -9,7 +9,8 @@ import numpy as np
 
 from gateway.demo.child import DemoError
 from gateway.demo.lead_time import first_reached, rivals, score
-from gateway.demo.prepare import P_LIMIT, DemoRun
+from gateway.demo.prepare import P_LIMIT, DemoBearing, DemoRun
+from gateway.settings import load_device
 from gateway.store import reading, stored_rows, to_trace
 from sim.sha import Trace
 
@@ -17,11 +18,12 @@ ALARM = "predicted over limit"
 FORECAST = "forecast"
 
 
-def raised_alarms(historian: Path) -> tuple[float, ...]:
-    """When the gateway raised its alarm of the forecast (plant s UTC)."""
+def raised_alarms(historian: Path, setting: DemoRun, bearing: DemoBearing) -> tuple[float, ...]:
+    """When the gateway raised its alarm of a bearing's forecast (plant s UTC)."""
+    name = ALARM if bearing is setting.bearings[0] else f"{ALARM} {bearing.temperature}"
     with reading(historian) as connection:
         rows = stored_rows(connection, "alarms", ("time", "condition", "state"))
-    return tuple(sorted(row[0] for row in rows if row[1:] == (ALARM, "unacknowledged")))
+    return tuple(sorted(row[0] for row in rows if row[1:] == (name, "unacknowledged")))
 
 
 def heat_result(
@@ -38,7 +40,9 @@ def heat_result(
     acted, tripped = (_first(happened, event) for event in ("feed reduced", "drum tripped"))
     seen = to_trace(historian)
     hottest = float(np.nanmax(seen.signals[temperature]))
-    alarms = raised_alarms(historian)
+    alarms = raised_alarms(historian, setting, setting.bearings[0])
+    blocks = {layout.suffix: layout.temperature for layout in load_device(setting.device).writebacks}
+    reduced = next((row for row in happened if row["event"] == "feed reduced"), None)
     # After the PLC has acted the two runs are two: what the alarm then says cannot be held against the other one.
     judged = tuple(moment for moment in alarms if acted is None or moment <= acted)
     others = rivals(
@@ -63,7 +67,8 @@ def heat_result(
         "limit": setting.limit,
         "alarm_s": since(alarms[0] if alarms else None),
         "acted_s": since(acted),
-        "feed": next((row["feed"] for row in happened if row["event"] == "feed reduced"), None),
+        "feed": None if reduced is None else reduced["feed"],
+        "acted_on": None if reduced is None else blocks[reduced.get("block", "")],
         "hottest": hottest,
         "tripped_s": since(tripped),
         "without_reached_s": since(reached),
@@ -99,6 +104,12 @@ def headline(heat: Mapping[str, Any]) -> str:
     forecast = heat["alarms"][0]
     limit, lead, reached = heat["limit"], forecast["lead_s"], heat["without_reached_s"]
     others = f"false alarms: {forecast['false']}"
+    # Whichever bearing's block says it first: what this one would have come to is then not known.
+    if heat["acted_s"] is not None and (heat["alarm_s"] is None or heat["acted_s"] < heat["alarm_s"]):
+        return (
+            f"The PLC fed {100 * heat['feed']:.0f} % after {heat['acted_s'] / 60:.1f} min, on the forecast of "
+            f"{heat['acted_on']}: before any alarm of the bearing that was to reach {limit:g} °C; {others}"
+        )
     if reached is None:
         return f"The bearing would not have reached {limit:g} °C in this run; {others}"
     trips = f"without the gateway the PLC trips at {limit:g} °C after {reached / 60:.1f} min"

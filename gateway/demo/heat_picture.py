@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gateway.demo.heat import headline, started
+from gateway.demo.heat import headline, raised_alarms, started
 from gateway.demo.lead_time import TRUE_WITHIN_S
-from gateway.demo.prepare import DemoRun
+from gateway.demo.prepare import DemoBearing, DemoRun
 from gateway.store import history, matured, to_trace
-from sim.sha import Array
+from sim.sha import Array, Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,42 +34,23 @@ def draw_heat(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    temperature = setting.model.temperature
     begin, without = started(setting.trace, happened)
 
     def clock(absolute: Array) -> Array:
         return (np.asarray(absolute, dtype=float) - begin) / 60.0
 
-    figure = Figure(figsize=(11, 7), layout="constrained")
+    further = len(setting.bearings) - 1
+    figure = Figure(figsize=(11, 7 + 2.3 * further), layout="constrained")
     FigureCanvasAgg(figure)
-    upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [4, 1.2]})
-    seen, readings = history(historian), to_trace(historian)
-    upper.plot(
-        clock(without.times),
-        without.signals[temperature],
-        "--",
-        color=WITHOUT,
-        linewidth=1.5,
-        label="same day without the gateway",
-    )
-    upper.plot(clock(seen.times), seen.measured, ".", color=MEASURED, markersize=3, label="measured")
-    due = matured(historian).get(ISSUED_S)
-    if due is not None:
-        at = due.times + ISSUED_S
-        shown = at <= readings.times[-1]
-        at = at[shown]
-        low, median, high = (due.quantiles[shown, due.levels.index(level)] for level in BAND)
-        # No line where no forecast was issued: in the outage there was none.
-        holes = np.flatnonzero(np.diff(at) > 3 * setting.forecast_period) + 1
-        at, low, median, high = (np.insert(column, holes, np.nan) for column in (at, low, median, high))
-        words = f"forecast issued {ISSUED_S / 60:.0f} minutes before, 90 % band"
-        upper.plot(clock(at), median, color=FORECAST, linewidth=1.3, label=words)
-        upper.fill_between(clock(at), low, high, color=FORECAST, alpha=0.18, linewidth=0)
-    upper.axhline(setting.limit, color=LIMIT, linewidth=1, linestyle=":")
-    upper.text(0.4, setting.limit + 0.3, f"limit {setting.limit:g} °C", color=LIMIT, fontsize=9)
-    # What was measured fills the picture; the far end of a wide forecast is cut off.
-    coldest = float(min(np.nanmin(seen.measured), np.min(without.signals[temperature])))
-    upper.set_ylim(coldest - 6.0, setting.limit + 5.0)
+    heights = [4.0, *[2.0] * further, 1.2]
+    axes = figure.subplots(len(heights), 1, sharex=True, gridspec_kw={"height_ratios": heights})
+    upper, lower = axes[0], axes[-1]
+    readings = to_trace(historian)
+    for axis, bearing in zip(axes[:-1], setting.bearings, strict=True):
+        _course(axis, setting, bearing, historian=historian, without=without, clock=clock)
+    for axis, bearing in zip(axes[1:-1], setting.bearings[1:], strict=True):
+        for moment in raised_alarms(historian, setting, bearing):
+            axis.axvline(float(clock(np.array(moment))), color=FORECAST, linewidth=1)
     if heat["alarm_s"] is not None:
         _forecast_at(upper, historian, begin + heat["alarm_s"], clock)
     _story(upper, heat, setting.limit)
@@ -77,15 +58,14 @@ def draw_heat(
         if row["event"] == "fault began":
             ended = [each["time"] for each in happened if each["event"] == "fault ended"]
             left, right = clock(np.array([row["time"], ended[0] if ended else readings.times[-1]]))
-            for axis in (upper, lower):
+            for axis in axes:
                 axis.axvspan(float(left), float(right), color=OUTAGE, alpha=0.25, linewidth=0)
             y = upper.get_ylim()[0]
             words = "outage: the PLC\nrefuses connections"
             upper.annotate(
                 words, (float(left + right) / 2, y), (0, 6), textcoords="offset points", ha="center", fontsize=9
             )
-    upper.set_ylabel(f"{temperature} (°C)")
-    upper.legend(loc="lower right", fontsize=9, frameon=False)
+    upper.legend(loc="lower right", fontsize=9, framealpha=0.85, edgecolor="none")
     for trace, style, colour, label in (
         (without, "--", WITHOUT, "without the gateway"),
         (readings, "-", MEASURED, "measured"),
@@ -93,7 +73,7 @@ def draw_heat(
         lower.plot(clock(trace.times), trace.signals[LOAD], style, color=colour, linewidth=1, label=label)
     lower.set_ylabel("load current (A)")
     lower.set_xlabel(f"plant time (min since the start; the demo shows {setting.speed / 60:.1f} of them in a second)")
-    for axis in (upper, lower):
+    for axis in axes:
         axis.grid(alpha=0.25)
     lower.set_xlim(0.0, float(clock(readings.times[-1])))
     figure.suptitle(fill(headline(heat), 105), fontsize=12, x=0.01, ha="left", parse_math=False)
@@ -101,6 +81,41 @@ def draw_heat(
     figure.supxlabel(note, fontsize=9, color=OUTAGE, x=0.01, ha="left", parse_math=False)
     figure.savefig(path, dpi=110)
     return path
+
+
+def _course(
+    axis: Axes,
+    setting: DemoRun,
+    bearing: DemoBearing,
+    *,
+    historian: Path,
+    without: Trace,
+    clock: Callable[[Array], Array],
+) -> None:
+    """One bearing: measured, forecast five minutes before, the same day without the gateway, its limit."""
+    temperature, limit = bearing.temperature, bearing.limit
+    seen = history(historian, temperature=temperature)
+    alone = without.signals[temperature]
+    axis.plot(clock(without.times), alone, "--", color=WITHOUT, linewidth=1.5, label="same day without the gateway")
+    axis.plot(clock(seen.times), seen.measured, ".", color=MEASURED, markersize=3, label="measured")
+    due = matured(historian, temperature=temperature).get(ISSUED_S)
+    if due is not None:
+        at = due.times + ISSUED_S
+        shown = at <= seen.times[-1]
+        at = at[shown]
+        low, median, high = (due.quantiles[shown, due.levels.index(level)] for level in BAND)
+        # No line where no forecast was issued: in the outage there was none.
+        holes = np.flatnonzero(np.diff(at) > 3 * setting.forecast_period) + 1
+        at, low, median, high = (np.insert(column, holes, np.nan) for column in (at, low, median, high))
+        words = f"forecast issued {ISSUED_S / 60:.0f} minutes before, 90 % band"
+        axis.plot(clock(at), median, color=FORECAST, linewidth=1.3, label=words)
+        axis.fill_between(clock(at), low, high, color=FORECAST, alpha=0.18, linewidth=0)
+    axis.axhline(limit, color=LIMIT, linewidth=1, linestyle=":")
+    axis.annotate(f"limit {limit:g} °C", (0.4, limit), (0, 4), textcoords="offset points", color=LIMIT, fontsize=9)
+    # What was measured fills the picture; the far end of a wide forecast is cut off.
+    coldest = float(min(np.nanmin(seen.measured), np.min(alone)))
+    axis.set_ylim(coldest - 6.0, limit + 5.0)
+    axis.set_ylabel(f"{temperature} (°C)")
 
 
 def _forecast_at(axis: Axes, historian: Path, moment: float, clock: Callable[[Array], Array]) -> None:
@@ -157,4 +172,5 @@ def _story(axis: Axes, heat: Mapping[str, Any], limit: float) -> None:
             textcoords="offset points",
             color=WITHOUT,
             fontsize=9,
+            bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1},
         )

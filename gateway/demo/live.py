@@ -49,13 +49,14 @@ def newest_status(path: Path) -> dict[str, Any] | None:
 
 def plc_rows(plc: Mapping[str, Any]) -> dict[str, Text]:
     """What an operator sees on the software PLC's side: its account, whether it uses the prediction and why not."""
-    block = plc.get("block") or {}
-    held = f"{number(block.get('temperature_now'))} °C, block {number(block.get('sequence'), 0)}, usable"
-    refusal = Text(f"not usable, own logic in force: {plc.get('unusable') or 'no block yet'}", style="red")
-    rows = {
-        "PLC's account": Text(f"{plc.get('accepted', 0)} blocks accepted, {plc.get('refused', 0)} refused"),
-        "PLC shows": Text(held) if plc.get("usable") else refusal,
-    }
+    rows: dict[str, Text] = {}
+    for account in (plc, *plc.get("blocks", ())[1:]):
+        block, suffix = account.get("block") or {}, f" {account['suffix']}" if account.get("suffix") else ""
+        held = f"{number(block.get('temperature_now'))} °C, block {number(block.get('sequence'), 0)}, usable"
+        refusal = Text(f"not usable, own logic in force: {account.get('unusable') or 'no block yet'}", style="red")
+        counts = f"{account.get('accepted', 0)} blocks accepted, {account.get('refused', 0)} refused"
+        rows[f"PLC's account{suffix}"] = Text(counts)
+        rows[f"PLC shows{suffix}"] = Text(held) if account.get("usable") else refusal
     if plant := plc.get("plant"):
         feed = f"{100 * plant['feed']:.0f} % of the feed"
         if plant["tripped"]:

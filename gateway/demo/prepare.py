@@ -1,4 +1,4 @@
-"""What the demonstration runs on: a model learned from one part of the data, the other part as the PLC's trace."""
+"""What the demonstration runs on: models learned from one part of the data, the other part as the PLC's trace."""
 
 import json
 import re
@@ -18,7 +18,7 @@ LEARN_SHARE = 0.6
 LEAST_SCAN_S = 0.02
 """Real seconds that a scan may take at least: below it, two cores cannot carry the PLC and the gateway."""
 MOST_SPEED = 100.0
-REPLAY_S = 34.0
+REPLAY_S = 30.0
 """Real seconds that a replay is to take when nobody asks for another time."""
 LEAST_REPLAY_S = 5.0
 """Plant seconds that a replay must have: below it there is no room for an outage and a recovery at real speed."""
@@ -39,11 +39,26 @@ Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DemoBearing:
+    """A temperature that is predicted: its model, the folder's name in which that lies, its alarm limit (degC)."""
+
+    model: Model
+    folder: str
+    limit: float
+
+    @property
+    def temperature(self) -> str:
+        """Its tag."""
+        return self.model.temperature
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DemoRun:
     """All files of one demonstration in `folder`, and the figures that its processes need.
 
-    `device` is the register map; `addresses` is the link's own device file where that is another one. `limit` (degC) is
-    the alarm limit, `speed` plant seconds per real second, `period` the scan's in plant seconds.
+    `bearings` are the temperatures that are predicted, the one that the demonstration is about first. `device` is the
+    register map; `addresses` is the link's own device file where that is another one. `speed` is plant seconds per real
+    second, `period` the scan's in plant seconds.
 
     With a live plant (`live`, of the draws `seed`) nothing is replayed: `trace` is what the plant does on its own, with
     nobody who acts on the prediction, and `replay` holds that.
@@ -51,11 +66,10 @@ class DemoRun:
 
     folder: Path
     trace: Trace
-    model: Model
+    bearings: tuple[DemoBearing, ...]
     device: Path
     plant: Path
     replay: Path
-    limit: float
     speed: float
     period: float
     notes: tuple[str, ...]
@@ -63,6 +77,16 @@ class DemoRun:
     addresses: Path | None = None
     live: bool = False
     seed: int = 0
+
+    @property
+    def model(self) -> Model:
+        """The first bearing's model."""
+        return self.bearings[0].model
+
+    @property
+    def limit(self) -> float:
+        """The first bearing's alarm limit (degC)."""
+        return self.bearings[0].limit
 
     @property
     def seconds(self) -> float:
@@ -154,6 +178,13 @@ def suits(device: Path, trace: Trace) -> bool:
     return True
 
 
+def predicted(device: Path, trace: Trace, first: str) -> tuple[str, ...]:
+    """The tags to predict: `first`, and every other measured one that the device takes a block of."""
+    blocks = [layout.temperature for layout in load_device(device).writebacks]
+    measured = {name for name, column in trace.signals.items() if np.isfinite(column).any()}
+    return (first, *(tag for tag in blocks if tag is not None and tag != first and tag in measured))
+
+
 def write_device(trace: Trace, alphabet: Alphabet, units: Mapping[str, str], template: Path, out: Path) -> Path:
     """A register map for the signals of a foreign trace, with the service registers and the block of `template`.
 
@@ -194,6 +225,11 @@ def _toml(text: str) -> str:
 def write_plant(setting: DemoRun, settings: Mapping[str, object]) -> Path:
     """The gateway's configuration: armed on this machine, everything in one folder, over the link of `settings`."""
     rows = "\n".join(f"{key} = {_value(value)}" for key, value in settings.items())
+    temperatures = "\n".join(
+        f"[[temperature]]\ntag = {_toml(bearing.temperature)}\nmodel = {_toml(bearing.folder)}\n"
+        f"limit = {bearing.limit:g}\n"
+        for bearing in setting.bearings
+    )
     setting.plant.write_text(
         f"""# Written by `decanter demo`: a gateway against a software PLC on this machine.
 [device]
@@ -207,10 +243,7 @@ file = {_toml(str((setting.addresses or setting.device).absolute()))}
 [scan]
 period = {setting.period:g}
 
-[model]
-path = "model"
-temperature = {_toml(setting.model.temperature)}
-
+{temperatures}
 [writeback]
 mode = "armed"
 armed_by = "decanter demo"

@@ -13,14 +13,15 @@ import numpy as np
 
 from drivers.tag import Quality
 from gateway.demo.child import DemoError
-from gateway.demo.heat import heat_result
+from gateway.demo.folder import FURTHER_PICTURE
+from gateway.demo.heat import heat_result, raised_alarms
 from gateway.demo.heat_picture import draw_heat
-from gateway.demo.prepare import DemoRun
+from gateway.demo.prepare import DemoBearing, DemoRun
 from gateway.lab.facts import gate_of, origin_of
 from gateway.machine.reading import STALE_PERIODS
 from gateway.settings import load_device
 from gateway.store import events, history, matured, samples, scorecard, to_trace
-from sim.sha import Array, Mask
+from sim.sha import Array, Mask, Model
 from sim.validation import (
     Curve,
     FitnessLimits,
@@ -39,12 +40,16 @@ AHEAD_S = 300.0
 FITNESS_RUNS = 200
 
 
-def fitness(setting: DemoRun) -> dict[str, str]:
+BEARING_COLUMNS = ("bearing", "blocks", "model", "hottest", "alarms", "in 5 min")
+"""Blocks accepted/refused, whether its model may be used, alarms of the forecast, mean error 5 minutes ahead."""
+
+
+def fitness(setting: DemoRun, model: Model) -> dict[str, str]:
     """Whether the model may be used, as `decanter model validate` judges it along the run's trace, and why not.
 
     A model of a simulated plant is judged by how it serves that plant.
     """
-    model, trace = setting.model, setting.trace
+    trace = setting.trace
     run = TraceRunSettings(FITNESS_RUNS, seed=setting.seed)
     job = TraceJob(label=model.sha.name, semantics="carried", model=model, trace=trace, settings=run, seen="no")
     verified, gate = gate_of(model)
@@ -124,9 +129,15 @@ def _first(times: Array, after: float) -> float:
     return float(later[0]) if later.size else inf
 
 
-def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) -> dict[str, Any]:
-    """The demonstration's figures as one object, and its picture in the file `picture`; errors in degC."""
-    card = scorecard(historian)
+def bearing_result(
+    setting: DemoRun, bearing: DemoBearing, historian: Path, blocks: Mapping[str, Mapping[str, int]]
+) -> dict[str, Any]:
+    """What became of one bearing's prediction; errors in degC, `raised` in plant seconds UTC.
+
+    `blocks` are the PLC's account by suffix.
+    """
+    card = scorecard(historian, temperature=bearing.temperature)
+    seen = history(historian, temperature=bearing.temperature)
     # By horizon in seconds. Persistence's CRPS is its `persistence_mae` (a single value's CRPS is its absolute error);
     # `crps` is the model's, from five quantiles, which comes out 3 % too low for a Gaussian and so favours the model by
     # as much.
@@ -140,21 +151,15 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
         }
         for forecast in card.forecasts
     }
-    account, seen = judge(setting, recording, historian), history(historian)
-    heat = heat_result(setting, setting.trace, historian, account["events"]) if setting.live else None
-    if heat is None:
-        draw_result(setting, historian, picture)
-    else:
-        draw_heat(setting, heat, historian, account["events"], picture)
+    layout = load_device(setting.device).block_of(bearing.temperature)
+    judged = blocks.get(layout.suffix if layout else "", {"accepted": 0, "refused": 0})
     return {
-        "heat": heat,
-        "fitness": fitness(setting),
-        "synthetic": setting.trace.synthetic,
-        "trace": setting.trace.name,
-        "model": setting.model.sha.name,
-        "link": setting.link,
-        "rows": int(setting.trace.times.size),
-        "speed": setting.speed,
+        "temperature": bearing.temperature,
+        "limit": bearing.limit,
+        "model": bearing.model.sha.name,
+        "fitness": fitness(setting, bearing.model),
+        "hottest": float(np.nanmax(seen.measured)) if np.isfinite(seen.measured).any() else None,
+        "raised": list(raised_alarms(historian, setting, bearing)),
         "events": card.events,
         "samples": card.samples,
         "errors": {
@@ -163,11 +168,39 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
         },
         "forecast": forecasts,
         "guards": dict(card.guards),
+        "writeback": {**judged, "latency_ms": {"p50": card.writes.p50, "p99": card.writes.p99}},
+    }
+
+
+def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) -> dict[str, Any]:
+    """The demonstration's figures as one object, and its picture in the file `picture`; errors in degC.
+
+    The figures of each bearing stand under `bearings`, those of the first one beside that too; blocks are counted
+    there for all.
+    """
+    account, seen = judge(setting, recording, historian), history(historian)
+    bearings = [bearing_result(setting, bearing, historian, account["blocks"]) for bearing in setting.bearings]
+    heat = heat_result(setting, setting.trace, historian, account["events"]) if setting.live else None
+    if heat is None:
+        for bearing in setting.bearings:
+            further = picture.with_name(f"{FURTHER_PICTURE}{bearing.temperature}.png")
+            draw_result(setting, bearing, historian, picture if bearing is setting.bearings[0] else further)
+    else:
+        draw_heat(setting, heat, historian, account["events"], picture)
+    return {
+        **bearings[0],
         "writeback": {
+            **bearings[0]["writeback"],
             "accepted": account["blocks_accepted"],
             "refused": account["blocks_refused"],
-            "latency_ms": {"p50": card.writes.p50, "p99": card.writes.p99},
         },
+        "bearings": bearings,
+        "heat": heat,
+        "synthetic": setting.trace.synthetic,
+        "trace": setting.trace.name,
+        "link": setting.link,
+        "rows": int(setting.trace.times.size),
+        "speed": setting.speed,
         "outage": outage(account["events"], seen.times, np.isfinite(seen.measured), setting.speed),
         "wrong_good": account["wrong_good"],
         "judged": account["judged"],
@@ -177,8 +210,22 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
     }
 
 
+def bearing_row(bearing: Mapping[str, Any]) -> list[str]:
+    """One bearing's row under BEARING_COLUMNS."""
+    written, ahead, hottest = bearing["writeback"], bearing["forecast"].get(f"{AHEAD_S:g}"), bearing["hottest"]
+    known = ahead is not None and ahead["count"]
+    return [
+        bearing["temperature"],
+        f"{written['accepted']}/{written['refused']}",
+        bearing["fitness"]["word"],
+        "-" if hottest is None else f"{hottest:.1f} °C",
+        str(len(bearing["raised"])),
+        f"{ahead['mae']:.2f} °C" if known else "-",
+    ]
+
+
 def findings(data: Mapping[str, Any]) -> list[str]:
-    """What the figures say, honestly: where persistence wins, it is said."""
+    """What the figures of the first bearing say, honestly: where persistence wins, it is said."""
     fit = data["fitness"]
     lines = [f"the model is {fit['word']}: {fit['why']}"] if fit["why"] else []
     for horizon, forecast in data["forecast"].items():
@@ -205,13 +252,14 @@ def findings(data: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def draw_result(setting: DemoRun, historian: Path, path: Path) -> Path:
-    """The picture of the run: measured, predicted with band, free run, forecast made five minutes before, events."""
-    seen, temperature = history(historian), setting.model.temperature
+def draw_result(setting: DemoRun, bearing: DemoBearing, historian: Path, path: Path) -> Path:
+    """A bearing's picture of a replay: measured, predicted, free run, forecast made five minutes before, events."""
+    temperature = bearing.temperature
+    seen = history(historian, temperature=temperature)
     measured, known = np.isfinite(seen.measured), np.isfinite(seen.mean)
     free = np.isfinite(seen.free_run)
     trace = to_trace(historian)
-    ahead = matured(historian).get(AHEAD_S)
+    ahead = matured(historian, temperature=temperature).get(AHEAD_S)
     # Stretches without a good reading. Taken for good before the first scan and after the last, so that each beginning
     # has its end: edges come in pairs.
     outages: list[tuple[float, float]] = []
@@ -237,14 +285,14 @@ def draw_result(setting: DemoRun, historian: Path, path: Path) -> Path:
         ),
         inputs=[
             Curve(channel.signal, trace.times[present], trace.signals[channel.signal][present])
-            for channel in setting.model.alphabet.channels
+            for channel in bearing.model.alphabet.channels
             if channel.signal in trace.signals
             and (present := np.isfinite(trace.signals[channel.signal])).any()
             and set(np.unique(trace.signals[channel.signal][present])) - {0.0, 1.0}
         ],
-        events=events(historian),
+        events=events(historian, temperature=temperature),
         outages=outages,
-        limit=setting.limit,
+        limit=bearing.limit,
         units={tag.name: tag.unit for tag in load_device(setting.device).tags},
         note="SYNTHETIC: not measured on a plant" if setting.trace.synthetic else setting.trace.origin,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from gateway.entry import sentences
 from gateway.lab.show import show_model, spread_sentence, summary
 from gateway.lab.traces.load import load, warned_of
 from sim.artefacts.formats import check_free, write_model_directory
+from sim.learning import machine_corrections
 from sim.learning.lsha import FLOW_KINDS, LshaSettings
 from sim.sha import Trace, shown_unit
 from sim.strict_json import json_text
@@ -32,6 +33,7 @@ REPORT = "learning_report"
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory to write.")
 @click.option("--name", default="decanter", show_default=True, help="The model's name, and the artefacts' base name.")
+@click.option("--temperature", metavar="SIGNAL", help="The signal that is predicted.  [default: the map's]")
 @seed_option
 @click.option("--delta", type=click.FloatRange(0.0), help="lsha: merge tolerance, share of the parameters' spread.")
 @click.option("--default-flow", type=click.Choice(FLOW_KINDS), help="lsha: the flow of all locations to begin with.")
@@ -49,6 +51,7 @@ def learn(
     map_name: str,
     out: Path,
     name: str,
+    temperature: str | None,
     seed: int,
     as_json: bool,
     observed_edges: bool,
@@ -78,7 +81,7 @@ def learn(
             words_learned = learn_lsha(
                 traces,
                 column_map.alphabet,
-                column_map.temperature,
+                temperature or column_map.temperature,
                 name=name,
                 seed=seed,
                 settings=LshaSettings(**settings),
@@ -93,7 +96,10 @@ def learn(
             spread = None
             written = write_model_directory(out, model, words_learned.values, observations=account.table, more=more)
         else:
-            learned = learn_from(traces, column_map, name=name, seed=seed, report=report)
+            learned = learn_from(traces, column_map, name=name, seed=seed, report=report, temperature=temperature)
+            # Of several machines it is a model of their type, and has what is each one's own.
+            own = machine_corrections(learned.model, traces, learned.spread)
+            learned = replace(learned, model=replace(learned.model, machines=own))
             written = write(out, learned)
             model, shown, acceptance = learned.model, diagnostics(learned), None
             spread = learned.spread
@@ -116,14 +122,22 @@ def learn(
     emit(data, show, as_json_line=as_json)
 
 
-def learn_from(traces: Sequence[Trace], column_map: ColumnMap, *, name: str, seed: int, report: Any) -> Learned:
-    """A model of the traces by the map's alphabet and temperature."""
+def learn_from(
+    traces: Sequence[Trace],
+    column_map: ColumnMap,
+    *,
+    name: str,
+    seed: int,
+    report: Any = None,
+    temperature: str | None = None,
+) -> Learned:
+    """A model of the traces by the map's alphabet, of its temperature or the one given."""
     from sim.learning.bins import learn_bins
 
     return learn_bins(
         traces,
         column_map.alphabet,
-        column_map.temperature,
+        temperature or column_map.temperature,
         name=name,
         seed=seed,
         progress=report,

@@ -76,6 +76,7 @@ def summary(shown: Model) -> dict[str, Any]:
         "sensor_sigma": shown.sensor_sigma,
         "sensor_memory": shown.sensor_memory,
         "correction": {"gain": shown.correction.gain, "offset": shown.correction.offset},
+        "machines": {name: asdict(own) for name, own in sorted(shown.machines.items())},
         "locations": _location_rows(shown.sha, shown.semi_markov),
         "edges": len(shown.sha.edges),
         "effects": [
@@ -139,6 +140,15 @@ def show_model(shown: Model) -> None:
                 )
             case _:
                 click.echo(f"effect {effect_summary(effect)}")
+    if shown.machines:
+        rows_of_machines = [
+            [name, f"{own.targets:+.3g} ± {own.targets_error:.2g}", f"{own.gain:.4g}", f"{own.offset:+.3g}"]
+            for name, own in sorted(shown.machines.items())
+        ]
+        click.echo(f"a model of a type of machine; of its targets ({unit}) and sensor (T' = k T + b) each has its own:")
+        table("machines", ("machine", "targets", "k", "b"), rows_of_machines)
+    elif "machine" in shown.provenance.settings:
+        click.echo(f"of the machine {shown.provenance.settings['machine']}, of the type that it was learned with")
     if shown.borrowed:
         click.echo(f"borrowed, as no data have shown them: {', '.join(sorted(shown.borrowed))}")
     for member in shown.plain:

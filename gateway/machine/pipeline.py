@@ -9,30 +9,38 @@ import asyncio
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING
 
 from drivers.device_file import ACKNOWLEDGE_BITS
 from drivers.driver import Complains, Driver, Supervised
 from drivers.supervision import Supervisor
+from gateway.machine.alarm_desk import AlarmDesk
 from gateway.machine.alarms import (
+    CERTIFICATE,
     CLOCK,
     DEVICE,
+    DISK,
     INPUTS,
+    LINK,
+    NOTIFICATION,
     OTHER_WRITER,
     PARTS,
     RECORDS,
     AlarmBoard,
+    SensorWatch,
     acknowledge_words,
     make_conditions,
     name_of,
+    suppressing_tags,
 )
 from gateway.machine.followed import FollowedTemperature
 from gateway.machine.model import LoadedModel, LoadedModels, ModelUnit, ScanPrediction, load_models
 from gateway.machine.plant_records import PlantRecords
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
-from gateway.machine.trust import ClockCheck, RecordsWatch
+from gateway.machine.trust import ClockCheck, RecordsWatch, Surroundings
 from gateway.machine.writing import Arming, ArmingError, WritebackStage
 from gateway.settings import Config, WritebackLayout
 from gateway.status import Phase
@@ -77,8 +85,8 @@ class Machine:
     `followed` are its temperatures, `model` that of the first one; `writing` is None for a machine to which nothing is
     computed for writing. `rng` draws the number that tells this start's blocks from another gateway's. `models` are
     those of its temperatures, where they have been read already. `records` and `supervisor` are those of the whole
-    gateway; without them the machine has its own, and `log_failure` says why the log's file cannot be written ("": it
-    can).
+    gateway, and so are the `turns` of its forecasts; without them the machine has its own. `log_failure` says why the
+    log's file cannot be written ("": it can), `notification_complaint` why messages about its alarms are not delivered.
 
     Raises ConfigError, HistorianError or AuditError when something cannot be opened; nothing is left open then.
     """
@@ -94,8 +102,10 @@ class Machine:
         models: Sequence[LoadedModels] | None = None,
         records: PlantRecords | None = None,
         supervisor: Supervisor | None = None,
+        turns: asyncio.Semaphore | None = None,
         log_failure: Callable[[], str] = lambda: "",
     ) -> None:
+        self._turns = turns
         self.config, self.driver, self.clock, self.log = config, driver, clock, log
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
         models = load_models(config) if models is None else models
@@ -131,11 +141,17 @@ class Machine:
                 historian=store,
                 log=log,
                 now=now,
+                acknowledge_all=config.alarms.acknowledge,
+                sensors=SensorWatch(config.watched, config.twins, config.alarms.trend),
             )
+            self.desk = AlarmDesk(config, self.alarms, self.common, clock=clock, historian=store, log=log)
+            named = [link.settings.get("certificates") for link in config.links]
+            self.surroundings = Surroundings(store.path, [Path(str(each)) for each in named if each], self.supervisor)
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
             self.records = Records(store, Keeper(config.map.by_name, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):
                 driver.on_switch = self._note_switch_over
+            self.notification_complaint: Callable[[], str] = lambda: ""
             self.last: Scan | None = None
             self.phase: Phase = "starting"
             self._saved = self._cleaned = now
@@ -154,7 +170,15 @@ class Machine:
         store = self.common.historian.of(config.machine, config.map.tags, config.model.temperature)
         model = None
         if loaded is not None:
-            model = ModelUnit(config, loaded, members, historian=store, log=self.log, supervisor=self.supervisor)
+            model = ModelUnit(
+                config,
+                loaded,
+                members,
+                historian=store,
+                log=self.log,
+                supervisor=self.supervisor,
+                turns=self._turns,
+            )
         return FollowedTemperature(config, store, model)
 
     def _open_writing(self, rng: Random) -> WritebackStage | None:
@@ -237,6 +261,12 @@ class Machine:
             findings[RECORDS] = float(bool(self.records_watch.complaint))
             findings[PARTS] = float(bool(self.records_watch.failed_parts))
             findings[CLOCK] = float(bool(self.clock_complaint))
+            findings[NOTIFICATION] = float(bool(self.notification_complaint()))
+            findings[LINK] = float(not self.link.alive)
+            self.surroundings.look(scan.time)
+            free, days = self.surroundings.free_mb, self.surroundings.days
+            findings[DISK] = None if free is None else self.config.alarms.disk_mb - free
+            findings[CERTIFICATE] = None if days is None else -days
             self.alarms.on_predictions(scan, findings)
             await self._disarm_without_records(scan.time)
 
@@ -258,7 +288,8 @@ class Machine:
 
     def _look_at_itself(self, scan: Scan) -> None:
         """Whether records and clock can be relied on at this scan; what changes is logged."""
-        audit = self.writing.audit.complaint_of(self.config.subject) if self.writing else ""
+        trail = self.common.trail
+        audit = trail.audit.complaint_of(self.config.subject) if trail else ""
         self.records_watch.look(scan.time, audit or self.common.log_failure())
         clock, before = self.clock, self.clock_complaint
         offset = clock.wall_offset() if isinstance(clock, PlantClock) and clock.speed == 1.0 else 0.0
@@ -296,7 +327,8 @@ class Machine:
 
     def urgent(self) -> frozenset[str]:
         """The tags whose change is worth a scan of its own: those of the models and alarms, the PLC's orders."""
-        return frozenset((*self.inputs, *self.config.watched, *ORDERS, *acknowledge_words(self.config)))
+        orders = (*ORDERS, *acknowledge_words(self.config), *filter(None, (self.config.alarms.acknowledge,)))
+        return frozenset((*self.inputs, *self.config.watched, *orders, *suppressing_tags(self.alarms.conditions)))
 
     def complaints(self) -> tuple[str, ...]:
         """What the device itself says is wrong with it, now."""
@@ -336,6 +368,7 @@ class Machine:
         for one in self.followed:
             if one.model is not None:
                 one.model.save(now)
+        self.alarms.save(now)
         if self.clock_complaint:
             return  # a clock that is not believed neither deletes nor is what the next one is held against
         self.historian.save("clock", now, {})
@@ -348,6 +381,7 @@ class Machine:
         for one in self.followed:
             if one.model is not None:
                 await one.model.close()
+        await self.surroundings.close()
         self.save(self.clock.now())
 
     def close(self) -> bool:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from threading import Lock
 from typing import TYPE_CHECKING
 
 from drivers.supervision import Supervisor
 from gateway.machine.reading import Clock
 from gateway.machine.writing import AuditTrail, open_audit_trail
 from gateway.settings import Config
-from gateway.store import open_historian
+from gateway.store import Historian, open_historian
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 class PlantRecords:
     """Opened records. `trail` is None while nothing is computed for writing; `log_failure` says why the log's file
-    cannot be written ("": it can).
+    cannot be written ("": it can). Without a `historian` that of the configurations is opened.
 
     Raises HistorianError.
     """
@@ -30,10 +31,11 @@ class PlantRecords:
         log: FilteringBoundLogger,
         supervisor: Supervisor,
         log_failure: Callable[[], str] = lambda: "",
+        historian: Historian | None = None,
     ) -> None:
         first = configs[0]
         self.supervisor, self.log_failure = supervisor, log_failure
-        self.historian = open_historian(
+        self.historian = historian or open_historian(
             first.historian.path,
             max_mb=first.historian.max_mb,
             mend=True,
@@ -42,13 +44,18 @@ class PlantRecords:
         )
         self.trail: AuditTrail | None = None
         self._clock, self._log = clock, log
+        self._opening = Lock()
 
     def open_trail(self, config: Config) -> AuditTrail:
-        """The audit log of all machines, opened with the first one that writes, or might. Raises AuditError."""
-        if self.trail is None:
-            historian = self.historian.of(config.machine)
-            self.trail = open_audit_trail(config, historian=historian, supervisor=self.supervisor, log=self._log)
-        return self.trail
+        """The audit log of all machines, opened with the first one that writes, or of whose alarms a person disposes.
+
+        May be called from any thread. Raises AuditError.
+        """
+        with self._opening:
+            if self.trail is None:
+                historian = self.historian.of(config.machine)
+                self.trail = open_audit_trail(config, historian=historian, supervisor=self.supervisor, log=self._log)
+            return self.trail
 
     def close(self) -> bool:
         """Store what waits and close all; False if records had to be given up."""

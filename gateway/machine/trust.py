@@ -1,11 +1,17 @@
-"""Whether what the machine relies on beside its device can be relied on: its records, and its clock."""
+"""Whether what the machine relies on beside its device can be relied on: its records, clock, disk, certificates."""
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from shutil import disk_usage
+from time import monotonic
 from typing import TYPE_CHECKING
 
 from drivers.supervision import Supervisor
+from gateway.certificates import days_left
 from gateway.store import HistorianView
 
 if TYPE_CHECKING:
@@ -14,6 +20,8 @@ if TYPE_CHECKING:
 
 RECORDING = ("historian", "audit", "signing")
 """The supervisor's parts without which what happens is not on record."""
+LOOK_SECONDS = 30.0
+"""Real seconds between two looks at disk and certificates."""
 AGREE_SECONDS = 3600.0
 """By how much clocks may differ that agree: retention counts in days."""
 
@@ -83,3 +91,38 @@ class ClockCheck:
             days = (self.started - self.newest) / 86_400.0
             return f"at the start it was {days:.1f} days ahead of the newest record (historian.max_off_days)"
         return ""
+
+
+class Surroundings:
+    """The room that is left beside the `records`, and the days until one of the certificates in `folders` runs out.
+
+    `free_mb` and `days` are None while they are not known. Looking takes a thread: a disk may be a share that hangs.
+    """
+
+    def __init__(self, records: Path, folders: Sequence[Path], supervisor: Supervisor) -> None:
+        self._records, self._folders, self._supervisor = records, tuple(folders), supervisor
+        self.free_mb: float | None = None
+        self.days: float | None = None
+        self._due = 0.0
+        self._looking: asyncio.Task[None] | None = None
+
+    def look(self, now: float) -> None:
+        """Look again if it is time; `now` is s UTC, by which certificates run out."""
+        if monotonic() < self._due or (self._looking is not None and not self._looking.done()):
+            return
+        self._due = monotonic() + LOOK_SECONDS
+        self._looking = self._supervisor.job("surroundings", lambda: self._look(now))
+        self._looking.add_done_callback(lambda task: task.cancelled() or task.exception())
+
+    def _look(self, now: float) -> None:
+        # A folder that cannot be looked at says nothing; that nothing can be stored there is another alarm.
+        try:
+            self.free_mb = disk_usage(self._records.parent).free / 1e6
+        except OSError:
+            self.free_mb = None
+        self.days = min((left for folder in self._folders for left in days_left(folder, now)), default=None)
+
+    async def close(self) -> None:
+        """Wait for a look that goes on."""
+        if self._looking is not None:
+            await asyncio.wait((self._looking,))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import ExitStack, asynccontextmanager, nullcontext
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.driver import Driver
 from gateway.machine.reading import Clock, PlantClock, plant_clock
-from gateway.plant.control import Control, ControlScope
-from gateway.plant.fleet import Fleet
+from gateway.plant.control import Control
+from gateway.plant.fleet import SWITCH_SECONDS, Fleet
 from gateway.plant.log import log_file, open_log
 from gateway.plant.log_file import LogFile
-from gateway.plant.status import snapshot, write_status
+from gateway.plant.status import write_status
+from gateway.plant.worker_pool import WorkerPool
 from gateway.serving import PeerServer
-from gateway.settings import Config
+from gateway.settings import Config, load_plant
 from gateway.status import SAID_BY_CHANGES, ChangeLines, ControlError, GatewayStatus, opening
 
 if TYPE_CHECKING:
@@ -31,8 +32,9 @@ if TYPE_CHECKING:
 
 STATUS_SECONDS = 0.25
 CLOCK_TOLERANCE = 5.0
-SWITCH_SECONDS = 0.0005
-"""How often the interpreter changes threads, a tenth of its own 5 ms (`sys.setswitchinterval`)."""
+IDLE_LOOK_SECONDS = 5.0
+"""How often worker processes are asked how their machines are where nobody is shown it."""
+PAGE_STOP_SECONDS = 3.0
 
 
 async def run(
@@ -66,28 +68,46 @@ async def run(
         if log is None:
             file = _log_file(configs[0])
             log = opened.enter_context(open_log(file, configs[0].log.level))
-        fleet = Fleet(
-            configs,
-            clock=clock,
-            log=log,
-            rng=rng or SystemRandom(),
-            log_failure=(lambda: "") if file is None else file.complaint,
-            driver=driver,
-            read_anew=read_anew,
-        )
-        fleet.start(stop)
+        if configs[0].page.enabled:
+            _check_page(configs[0])
+        log_failure: Callable[[], str] = (lambda: "") if file is None else file.complaint
+        fleet: Fleet | WorkerPool
+        watched = status_path is not None or say is not None or configs[0].page.enabled
+        if configs[0].several and configs[0].plant.workers > 1 and isinstance(clock, PlantClock):
+            fleet = WorkerPool(
+                configs,
+                clock=clock,
+                log=log,
+                log_failure=log_failure,
+                read_anew=read_anew or partial(load_plant, configs[0].path),
+                look_seconds=STATUS_SECONDS if watched else IDLE_LOOK_SECONDS,
+            )
+            if not await _opened(fleet, stop):
+                return {"machines": {}}
+        else:
+            fleet = Fleet(
+                configs,
+                clock=clock,
+                log=log,
+                rng=rng or SystemRandom(),
+                log_failure=log_failure,
+                driver=driver,
+                read_anew=read_anew,
+            )
+            fleet.start(stop)
         reporter = fleet.supervisor.task("status", lambda: _report(fleet, status_path, say))
         opened.enter_context(fleet.supervisor.hearing_all())
-        control = Control(ControlScope(fleet.machines, snapshot, fleet.reload), configs[0].control_socket, log)
+        control = Control(fleet, configs[0].control_socket, log)
         serving = {fleet.supervisor.task("control", control.serve)}
         serve = configs[0].serve
-        if serve.port is not None:
+        if serve.port is not None and isinstance(fleet, Fleet):
             peers = PeerServer(serve.host, serve.port, fleet.images, most_clients=serve.most_clients)
             serving.add(fleet.supervisor.task("peers", peers.serve))
         if hangup is not None:
             serving.add(fleet.supervisor.task("hangup", partial(_reloaded_at, hangup, fleet)))
         try:
-            await stop.wait()
+            async with _page(configs, fleet) if configs[0].page.enabled else nullcontext():
+                await stop.wait()
         finally:
             fleet.stopping()
             for task in serving:
@@ -97,12 +117,54 @@ async def run(
             await fleet.stop()
             reporter.cancel()
             await asyncio.gather(reporter, return_exceptions=True)
-            last = _statuses(fleet)
+            last = fleet.statuses()
             _write(fleet, status_path, last)
     return _plain(fleet, last)
 
 
-async def _reloaded_at(hangup: asyncio.Event, fleet: Fleet) -> None:
+async def _opened(pool: WorkerPool, stop: asyncio.Event) -> bool:
+    """Begin all machines of the pool; False if it is told to stop before they have begun."""
+    opening, stopped = asyncio.create_task(pool.open()), asyncio.create_task(stop.wait())
+    await asyncio.wait((opening, stopped), return_when=asyncio.FIRST_COMPLETED)
+    begun = opening.done()
+    for task in (opening, stopped):
+        task.cancel()
+    outcomes = await asyncio.gather(opening, stopped, return_exceptions=True)
+    if begun and isinstance(outcomes[0], BaseException):
+        raise outcomes[0]
+    return begun
+
+
+def _check_page(config: Config) -> None:
+    """Raises ConfigError, before anything runs, where the page may not be served as it is configured."""
+    # Here and below: a gateway without the page loads nothing of it.
+    from gateway.web import check_page
+
+    check_page(config)
+
+
+@asynccontextmanager
+async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIterator[None]:
+    """Serve the page meanwhile, in a thread of its own."""
+    from gateway.web import PageServer
+
+    trail = fleet.records.trail
+    if trail is None:
+        raise RuntimeError("the page is enabled, and the audit log was not opened")
+    page = PageServer(configs, answer=fleet.answer, audit=trail.audit, now=fleet.clock.now, log=fleet.log)
+
+    fleet.on_scan = page.note_scan
+    feed = fleet.supervisor.task("page feed", partial(page.feed, fleet.pictures))
+    thread = fleet.supervisor.thread("page", page.run, stop=page.stop)
+    try:
+        yield
+    finally:
+        feed.cancel()
+        page.close()
+        await asyncio.to_thread(thread.join, PAGE_STOP_SECONDS)
+
+
+async def _reloaded_at(hangup: asyncio.Event, fleet: Fleet | WorkerPool) -> None:
     """Read the plant file anew whenever the event is set; a file that is refused changes nothing."""
     while True:
         await hangup.wait()
@@ -121,22 +183,18 @@ def _log_file(config: Config) -> LogFile | None:
 # -------------------------------------------------------------------- status
 
 
-def _statuses(fleet: Fleet) -> dict[str, GatewayStatus]:
-    return {name: snapshot(machine) for name, machine in fleet.machines.items()}
-
-
-def _plain(fleet: Fleet, statuses: dict[str, GatewayStatus]) -> dict[str, Any]:
+def _plain(fleet: Fleet | WorkerPool, statuses: dict[str, GatewayStatus]) -> dict[str, Any]:
     """The one machine's status as it is; by their names where the file may have several."""
     plain = {name: asdict(status) for name, status in statuses.items()}
     return {"machines": plain} if fleet.several else next(iter(plain.values()))
 
 
-async def _report(fleet: Fleet, path: Path | None, say: Callable[[str], None] | None) -> None:
+async def _report(fleet: Fleet | WorkerPool, path: Path | None, say: Callable[[str], None] | None) -> None:
     warned, complaint = False, ""
     lines: dict[str, ChangeLines] = {}
     while True:
         if path is not None or say is not None:
-            statuses = _statuses(fleet)
+            statuses = fleet.statuses()
             complaint = _write(fleet, path, statuses, complaint)
             if say is not None:
                 for name, status in statuses.items():
@@ -155,7 +213,7 @@ async def _report(fleet: Fleet, path: Path | None, say: Callable[[str], None] | 
         await asyncio.sleep(STATUS_SECONDS)
 
 
-def _write(fleet: Fleet, path: Path | None, statuses: dict[str, GatewayStatus], before: str = "") -> str:
+def _write(fleet: Fleet | WorkerPool, path: Path | None, statuses: dict[str, GatewayStatus], before: str = "") -> str:
     """Write the status file; what stands in its way is logged when it is not what it was `before`, and returned."""
     if path is None:
         return ""

@@ -9,7 +9,7 @@ import asyncio
 import os
 import socket
 import struct
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
@@ -22,8 +22,10 @@ from drivers.json_lines import NoObject
 from drivers.settings import Line, Section, sentences
 from drivers.tag import Sample
 from gateway.machine import Machine
+from gateway.machine.alarms import BY_PERSONS, AlarmError, Change
 from gateway.machine.reading import Redundant
 from gateway.machine.writing import ArmingError
+from gateway.plant.status import alarm_statuses
 from gateway.status import ControlError, GatewayStatus, short
 from sim.strict_json import strict
 
@@ -86,20 +88,32 @@ class ControlScope:
 
     def one(self, request: "ControlRequest") -> Machine:
         """The machine that a request names, or the only one. Raises ControlError."""
-        names = ", ".join(self.machines)
-        if request.machine is None:
-            if len(self.machines) > 1:
-                raise ControlError(f"which machine? Name one of {names} (--machine NAME)")
-            return next(iter(self.machines.values()))
-        if request.machine not in self.machines:
-            raise ControlError(f"there is no machine {request.machine[:60]!r}; this gateway has {names}")
-        return self.machines[request.machine]
+        return self.machines[meant_machine(list(self.machines), request.machine)]
+
+    async def answer(self, line: bytes) -> dict[str, Any]:
+        """The reply to one request."""
+        return await answer(self, line)
+
+
+def meant_machine(names: Sequence[str], name: str | None) -> str:
+    """The machine of a gateway's that a request speaks of, by default the only one. Raises ControlError."""
+    if name is None and len(names) > 1:
+        raise ControlError(f"which machine? Name one of {', '.join(names)} (--machine NAME)")
+    if name is not None and name not in names:
+        raise ControlError(f"there is no machine {name[:60]!r}; this gateway has {', '.join(names)}")
+    return names[0] if name is None else name
+
+
+class Answering(Protocol):
+    """Who answers for a gateway: its machines (`ControlScope`), or the process that has them in others."""
+
+    async def answer(self, line: bytes) -> dict[str, Any]: ...
 
 
 class Control:
     """The socket of one gateway, from `open` to `close`."""
 
-    def __init__(self, scope: ControlScope, path: Path, log: "FilteringBoundLogger") -> None:
+    def __init__(self, scope: Answering, path: Path, log: "FilteringBoundLogger") -> None:
         self._scope, self.path, self._log = scope, path, log
         self._server: asyncio.Server | None = None
         self._bound = (0, 0)
@@ -161,7 +175,7 @@ class Control:
             task.add_done_callback(self._tasks.discard)
 
         async def reply(line: bytes) -> dict[str, Any]:
-            plain: dict[str, Any] = strict(await answer(self._scope, line))
+            plain: dict[str, Any] = strict(await self._scope.answer(line))
             return plain
 
         await json_lines.serve(reader, writer, reply, admitted=lambda: _is_ours(writer))
@@ -229,6 +243,17 @@ class _Reload(ControlRequest):
     dry_run: bool = Field(False, description="true: only say what would change")
 
 
+class _ChangeAlarms(ControlRequest):
+    # What a name and a reason may be is said where the change is signed.
+    by: str = Field(description="the person's name as text, one line")
+    reason: str = Field("", description="the reason as text, one line; an acknowledgement needs none")
+    alarm: str | None = Field(None, description="an alarm's name as text")
+    alarms: Annotated[list[str], Field(max_length=MOST_ROWS)] = Field(
+        [], description="a list of alarms' names; without any, acknowledge means all that wait for it"
+    )
+    minutes: float | None = Field(None, description="minutes as a number, of a shelving")
+
+
 class _Disarm(ControlRequest):
     by: Line = Field(description="the person's name as text, one line")
     reason: Line = Field(description="the reason as text, one line")
@@ -259,6 +284,13 @@ async def _plant(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, A
     _checked(ControlRequest, request)
     statuses = {name: scope.snapshot(machine) for name, machine in scope.machines.items()}
     return {"pid": os.getpid(), "statuses": statuses}
+
+
+async def _model(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+    """The models that run on a machine, by temperature: their automaton and where they come from."""
+    machine = scope.one(_checked(ControlRequest, request))
+    plain = {one.tag: None if one.model is None else one.model.description() for one in machine.followed}
+    return {"pid": os.getpid(), "temperatures": plain}
 
 
 async def _reload(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
@@ -325,12 +357,49 @@ async def _disarm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, 
     return {"pid": os.getpid(), "was_armed": await scope.one(given).disarm(given.by, given.reason)}
 
 
+def disarm_words(request: Mapping[str, Any]) -> tuple[str, str]:
+    """Who disarms, and why. Raises ControlError."""
+    given = _checked(_Disarm, request)
+    return given.by, given.reason
+
+
+async def _alarms(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+    """Every alarm of one machine, whatever its state."""
+    machine = scope.one(_checked(ControlRequest, request))
+    return {"pid": os.getpid(), "time": machine.clock.now(), "alarms": alarm_statuses(machine.alarms)}
+
+
+def _changing(change: Change) -> Command:
+    """The command by which a person changes alarms: `by`, `reason`, `alarm` or `alarms`, `minutes` of a shelving.
+
+    The reply has the state of each as it is by then, and that of the one that was named.
+    """
+
+    async def carry_out(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+        given = _checked(_ChangeAlarms, request)
+        machine = scope.one(given)
+        names = [*filter(None, (given.alarm,)), *given.alarms]
+        try:
+            changed = await machine.desk.change(change, names, by=given.by, reason=given.reason, minutes=given.minutes)
+        except AlarmError as error:
+            raise ControlError(str(error)) from None
+        states = {name: alarm.state.value for name, alarm in changed.items()}
+        named = {} if given.alarm is None else {"alarm": given.alarm, "state": states[given.alarm]}
+        return {"pid": os.getpid(), **named, "alarms": states}
+
+    return carry_out
+
+
 COMMANDS: dict[str, Command] = {
     "status": _status,
     "plant": _plant,
     "read": _read,
+    "model": _model,
     "arm": _arm,
     "disarm": _disarm,
     "reload": _reload,
+    "alarms": _alarms,
+    # By the table's own words: "acknowledge", "shelve", "remove from service", ...
+    **{change.value: _changing(change) for change in BY_PERSONS},
 }
 """Everything that can be asked of a running gateway; a new one is a row here."""

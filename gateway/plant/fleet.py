@@ -7,7 +7,7 @@ supervisor of its own. What is common is opened before the first machine and clo
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import aclosing, suppress
 from functools import partial
 from random import Random
@@ -21,27 +21,37 @@ from drivers.supervision import Supervisor
 from gateway.machine import Machine, PlantRecords
 from gateway.machine.model import LoadedModels, load_models
 from gateway.machine.reading import Clock, QualityRules, Scan, scans
+from gateway.notify import Notifier, attach_machine, make_senders
+from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
+from gateway.plant.status import snapshot
 from gateway.serving import DeviceImage
-from gateway.settings import Config, changed_machines, load_plant
-from gateway.status import ControlError
+from gateway.settings import Config, changed_machines, load_plant, load_secrets
+from gateway.status import ControlError, GatewayStatus
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
 
+SWITCH_SECONDS = 0.0005
+"""How often a process with machines changes threads, a tenth of Python's own 5 ms (`sys.setswitchinterval`)."""
 RESTART_SECONDS = 1.0
 LAST_WORD_SECONDS = 0.1
+FORECASTS_AT_ONCE = 2
+"""Each takes some ten megabytes while it is made, and they would share one interpreter; two, so that a slow one does
+not keep all others waiting."""
 
 
 class Fleet:
     """The machines of a running gateway, by name in the order of the file; `start` it within a running loop.
 
-    `images` are what peers are shown of them, by their unit numbers.
+    `images` are what peers are shown of them, by their unit numbers; `on_scan` is told the name of each machine that
+    was scanned, when all of its stages are done.
 
     Raises ConfigError, HistorianError or AuditError for what cannot be opened; nothing is left open then. `driver` is
     used for the first machine, by default all have those of their configurations. `read_anew` gives the configurations
-    as they are in the file by now.
+    as they are in the file by now. `open_records` is called for the records once the models are read, by a worker
+    process, which has some of the plant's machines and none of its stores.
     """
 
     def __init__(
@@ -54,10 +64,12 @@ class Fleet:
         log_failure: Callable[[], str] = lambda: "",
         driver: Driver | None = None,
         read_anew: Callable[[], Sequence[Config]] | None = None,
+        open_records: Callable[[Supervisor], PlantRecords] | None = None,
     ) -> None:
         self.clock, self.log, self._rng = clock, log, rng
         self._read_anew = read_anew or partial(load_plant, configs[0].path)
-        self._reloading = asyncio.Lock()
+        self._reloading, self._turns = asyncio.Lock(), asyncio.Semaphore(FORECASTS_AT_ONCE)
+        self.on_scan: Callable[[str], None] = lambda machine: None
         self.supervisor = Supervisor(self._note_failure)
         self.machines: dict[str, Machine] = {}
         self._running: dict[str, _Running] = {}
@@ -69,15 +81,32 @@ class Fleet:
             drivers[configs[0].machine] = driver
         # What can be refused is read first: a model that does not suit its machine leaves no records behind.
         models = {config.machine: load_models(config) for config in configs}
-        self.records = PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
+        notify = configs[0].notify
+        try:
+            senders = make_senders(notify, load_secrets(notify))
+        except OSError as error:
+            raise ConfigError([f"{configs[0].path}: notify.smtp.ca: cannot be used ({error.strerror})"]) from None
+        self.records = (
+            PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
+            if open_records is None
+            else open_records(self.supervisor)
+        )
+        self.notifier = (
+            Notifier(notify.to, senders, now=clock.now, supervisor=self.supervisor, log=log) if notify.to else None
+        )
+        alone = len(configs) == 1 and open_records is None
         opened = False
         try:
+            if configs[0].page.enabled:
+                self.records.open_trail(configs[0])  # what people do at the page is on record, whatever is written
             for config in configs:
                 name = config.machine
-                self.machines[name] = self._opened(config, drivers[name], models[name], alone=len(configs) == 1)
+                self.machines[name] = self._opened(config, drivers[name], models[name], alone=alone)
             opened = True
         finally:
             if not opened:
+                if self.notifier is not None:
+                    self.notifier.close()
                 self.records.close()
 
     def _driver(self, config: Config) -> Driver:
@@ -99,7 +128,10 @@ class Fleet:
             models=models,
             records=self.records,
             supervisor=supervisor,
+            turns=self._turns,
         )
+        if self.notifier is not None:
+            attach_machine(self.notifier, machine)
         if config.serve.port is not None:
             self.images[config.serve.unit] = DeviceImage(config, self.clock.now)
         return machine
@@ -116,7 +148,10 @@ class Fleet:
         self._stop = stop
         for place, (name, machine) in enumerate(self.machines.items()):
             pause = place / len(self.machines) * machine.config.scan.period
-            self._running[name] = _Running(machine, stop, self._image_of(machine), pause=pause)
+            self._running[name] = _Running(machine, stop, self._image_of(machine), taken=self._scanned, pause=pause)
+
+    def _scanned(self, machine: str) -> None:
+        self.on_scan(machine)
 
     async def reload(self, *, apply: bool = True) -> dict[str, Any]:
         """Read the plant file anew and take over what it changes; a machine that it does not touch loses no scan.
@@ -125,27 +160,40 @@ class Fleet:
         goes on as it was, for a file that cannot be used and for a change of what all machines have in common.
         """
         async with self._reloading:
-            models: dict[str, Sequence[LoadedModels]] = {}
             try:
                 configs = {config.machine: config for config in await asyncio.to_thread(self._read_anew)}
-                before = {name: machine.config for name, machine in self.machines.items()}
-                changes = changed_machines(before, configs)
-                # What a start would refuse is refused now, while the former configuration runs.
-                for config in (configs[name] for name in changes if name in configs):
-                    models[config.machine] = await asyncio.to_thread(load_models, config)
-                    make_driver(config, self.clock)
+                changes = changed_machines({name: one.config for name, one in self.machines.items()}, configs)
+                models = await self.examine([configs[name] for name in changes if name in configs])
             except ConfigError as error:
                 raise ControlError(f"the file is refused and everything goes on as it was: {error}") from None
             if apply:
-                for name in changes:
-                    await self._replace(name, configs.get(name), before.get(name), models.get(name))
-                # In the order of the file from now on.
-                order = [name for name in configs if name in self.machines]
-                for name in order:
-                    self.machines[name] = self.machines.pop(name)
+                await self.take_over(list(changes), configs, models)
                 if changes:
                     self.log.warning("the plant file was read anew", machines=", ".join(changes))
             return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}
+
+    async def examine(self, configs: Sequence[Config]) -> dict[str, Sequence[LoadedModels]]:
+        """The models of machines that may be begun, while the former configuration runs.
+
+        Raises ConfigError for what a start would refuse.
+        """
+        models: dict[str, Sequence[LoadedModels]] = {}
+        for config in configs:
+            models[config.machine] = await asyncio.to_thread(load_models, config)
+            make_driver(config, self.clock)
+        return models
+
+    async def take_over(
+        self, names: Sequence[str], configs: Mapping[str, Config], models: Mapping[str, Sequence[LoadedModels]]
+    ) -> None:
+        """Have the machines of these names as they are in `configs`: begun, begun anew, or stopped."""
+        before = {name: machine.config for name, machine in self.machines.items()}
+        for name in names:
+            await self._replace(name, configs.get(name), before.get(name), models.get(name))
+        # In the order of the file from now on.
+        order = [name for name in configs if name in self.machines]
+        for name in order:
+            self.machines[name] = self.machines.pop(name)
 
     async def _replace(
         self, name: str, after: Config | None, before: Config | None, models: Sequence[LoadedModels] | None
@@ -153,7 +201,11 @@ class Fleet:
         """Stop a machine and begin it anew as the file has it now, with its models; where that fails, as it was."""
         if before is not None:
             await self._running.pop(name).stop()
+            # What it goes on from is read from the file: an alarm that was acknowledged just now, too.
+            await asyncio.to_thread(self.records.historian.flush)
             self.supervisor.exclude(name)
+            # Of a connection that it shared with others it hears no more.
+            self.machines[name].supervisor.exclude("device")
             del self.machines[name]
             self.images.pop(before.serve.unit, None)
         for config in () if after is None else (after, before):
@@ -165,7 +217,7 @@ class Fleet:
                 driver = self._driver(config)
                 self.machines[name] = await asyncio.to_thread(self._opened, config, driver, loaded, alone=False)
                 machine = self.machines[name]
-                self._running[name] = _Running(machine, self._stop, self._image_of(machine))
+                self._running[name] = _Running(machine, self._stop, self._image_of(machine), taken=self._scanned)
             except (ConfigError, OSError) as error:
                 self.log.error("a machine cannot be begun as the file has it now", machine=name, reason=str(error))
                 models = None
@@ -176,6 +228,18 @@ class Fleet:
     def several(self) -> bool:
         """Whether the plant file has [[machine]] tables."""
         return any(machine.config.several for machine in self.machines.values())
+
+    def statuses(self) -> dict[str, GatewayStatus]:
+        """How all machines are, by their names."""
+        return {name: snapshot(machine) for name, machine in self.machines.items()}
+
+    def pictures(self) -> dict[str, Callable[[], GatewayStatus]]:
+        """What takes each machine's status, by its name: one that nobody looks at costs nothing."""
+        return {name: partial(snapshot, machine) for name, machine in self.machines.items()}
+
+    async def answer(self, line: bytes) -> dict[str, Any]:
+        """The reply to a request at the control socket."""
+        return await answer(ControlScope(self.machines, snapshot, self.reload), line)
 
     def _image_of(self, machine: Machine) -> DeviceImage | None:
         """What peers are shown of a machine; None where nothing is served."""
@@ -189,6 +253,8 @@ class Fleet:
     async def stop(self) -> None:
         """Stop all machines, then close what they have in common."""
         ended = await asyncio.gather(*(one.stop() for one in self._running.values()), return_exceptions=True)
+        if self.notifier is not None:
+            await asyncio.to_thread(self.notifier.close)
         complete = await asyncio.to_thread(self.records.close)
         for machine in self.machines.values():
             machine.phase = "stopped"
@@ -212,9 +278,15 @@ class _Running:
     """
 
     def __init__(
-        self, machine: Machine, gateway: asyncio.Event, image: DeviceImage | None, *, pause: float = 0.0
+        self,
+        machine: Machine,
+        gateway: asyncio.Event,
+        image: DeviceImage | None,
+        *,
+        taken: Callable[[str], None],
+        pause: float = 0.0,
     ) -> None:
-        self._machine, self._image, self._pause = machine, image, pause
+        self._machine, self._image, self._taken, self._pause = machine, image, taken, pause
         self._stop, self._over = _Stop(gateway), asyncio.Event()
         tasks = {"scans": self._scan_until_stopped, "stop": self._stop.follow}
         self._tasks = {machine.supervisor.task(name, work) for name, work in tasks.items()}
@@ -277,6 +349,7 @@ class _Running:
                         if self._image is not None:
                             self._image.take(scan)
                         await machine.take(scan)
+                        self._taken(config.machine)
             except Exception as error:  # noqa: BLE001 - the supervisor's part for the scans: it is said, and begun anew
                 machine.supervisor.failed("scans", error)
                 machine.counters.failures, machine.counters.last_failure = machine.counters.failures + 1, repr(error)

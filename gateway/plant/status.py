@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.machine import FollowedTemperature, Machine
-from gateway.machine.alarms import AlarmBoard, AlarmState
+from gateway.machine.alarms import BY_PERSONS, AlarmBoard, AlarmState, possible
 from gateway.machine.model import ScanPrediction, block_values
 from gateway.machine.reading import STALE_PERIODS, Redundant, Scan, unread
 from gateway.machine.writing import WritebackStage
@@ -81,7 +81,7 @@ def snapshot(machine: Machine) -> GatewayStatus:
         events=counters.events,
         recent_events=list(counters.recent),
         alarms={name: alarm.state.value for name, alarm in machine.alarms.alarms.items()},
-        alarm_summary=_alarm_summary(machine.alarms),
+        alarm_summary=alarm_statuses(machine.alarms, normal=False),
         historian=HistorianStatus(
             path=str(historian.path.absolute()),
             dropped=historian.dropped,
@@ -112,8 +112,8 @@ def _temperature(machine: Machine, one: FollowedTemperature, now: float) -> Temp
     )
 
 
-def _alarm_summary(board: AlarmBoard) -> list[AlarmStatus]:
-    """The alarms that are not normal, the most urgent first."""
+def alarm_statuses(board: AlarmBoard, *, normal: bool = True) -> list[AlarmStatus]:
+    """The alarms as they are, the most urgent first; those that are `normal` too, or not."""
     rows = [
         AlarmStatus(
             name=name,
@@ -123,10 +123,19 @@ def _alarm_summary(board: AlarmBoard) -> list[AlarmStatus]:
             active=alarm.active,
             since=alarm.since,
             acknowledged_by=alarm.acknowledged_by,
-            response=board.conditions[name].response,
+            response=condition.response,
+            consequence=condition.consequence,
+            kind=condition.kind,
+            standing=alarm.standing,
+            raised=alarm.raised,
+            first_up=alarm.first_up,
+            until=alarm.until,
+            by=alarm.by,
+            reason=alarm.reason,
+            possible=[change.value for change in possible(alarm, latching=condition.latches) if change in BY_PERSONS],
         )
         for name, alarm in board.alarms.items()
-        if alarm.state is not AlarmState.NORMAL and name in board.conditions
+        if (condition := board.conditions.get(name)) is not None and (normal or alarm.state is not AlarmState.NORMAL)
     ]
     return sorted(rows, key=lambda row: (row.priority, row.since))
 
@@ -176,6 +185,7 @@ def _writeback(writing: WritebackStage | None, one: FollowedTemperature, now: fl
         "mode": writer.mode,
         "armed_until": writer.arming.until if writer.arming else None,
         "armed_by": writer.arming.by if writer.arming else None,
+        "armed_reason": writer.arming.reason if writer.arming else None,
         **asdict(writer.counters),
         "audit": {"path": str(one.config.audit), "complaint": writing.audit.complaint},
         "last_verdict": last.verdict if last else None,

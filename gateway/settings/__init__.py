@@ -1,5 +1,6 @@
 """What may stand in the plant file and in a device file, checked whole before anything starts."""
 
+from gateway.settings.alarm_kinds import ALARM_KINDS, AlarmKind, settings_of, suppressing
 from gateway.settings.changes import changed_machines
 from gateway.settings.config import (
     LEAST_BLOCKS,
@@ -9,17 +10,32 @@ from gateway.settings.config import (
     ForecastSection,
     HistorianSection,
     LogSection,
+    ModelSection,
+    PageSection,
     WritebackSection,
+    configs_from_json,
+    configs_to_json,
     load_config,
     load_plant,
 )
 from gateway.settings.devices import BLOCK_FIELDS, DeviceMap, WritebackLayout, load_device
 from gateway.settings.links import DeviceLink
+from gateway.settings.notify import (
+    FROM_SECRETS,
+    NotifySecrets,
+    NotifySection,
+    RecipientRow,
+    SmtpSection,
+    load_secrets,
+)
 
 __all__ = [
+    "ALARM_KINDS",
     "BLOCK_FIELDS",
+    "FROM_SECRETS",
     "LEAST_BLOCKS",
     "MAX_ARMED_MINUTES",
+    "AlarmKind",
     "Config",
     "DeviceLink",
     "DeviceMap",
@@ -27,10 +43,21 @@ __all__ = [
     "ForecastSection",
     "HistorianSection",
     "LogSection",
+    "ModelSection",
+    "NotifySecrets",
+    "NotifySection",
+    "PageSection",
+    "RecipientRow",
+    "SmtpSection",
     "WritebackLayout",
     "WritebackSection",
     "changed_machines",
+    "configs_from_json",
+    "configs_to_json",
     "load_config",
     "load_device",
     "load_plant",
+    "load_secrets",
+    "settings_of",
+    "suppressing",
 ]

@@ -40,6 +40,8 @@ def _differences(before: Config, after: Config) -> Iterator[str]:
         old, new = getattr(before, field.name), getattr(after, field.name)
         if field.compare and old != new and isinstance(old, BaseModel) and isinstance(new, BaseModel):
             yield from _of_section(field.name, old.model_dump(mode="json"), new.model_dump(mode="json"))
+        elif field.name == "alarm" and old != new:
+            yield "alarm: its tables differ"
         elif field.name == "temperatures" and old != new:
             names = [", ".join(row.tag for row in rows) for rows in (old, new)]
             yield f"temperature: {names[0]} -> {names[1]}" if names[0] != names[1] else "temperature: its table differs"

@@ -6,19 +6,28 @@ is common: a machine has it too, key for key, where its own table says nothing e
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, StringConstraints, field_validator, model_validator
+from pydantic import Field, StringConstraints, TypeAdapter, field_validator, model_validator
 
-from drivers.settings import ConfigError, Section, checked, read_toml
+from drivers.settings import ConfigError, Line, Section, checked, read_toml
+from gateway.settings.alarm_kinds import AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
+from gateway.settings.notify import NotifySection
 
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 Seconds = Annotated[tuple[float, ...], Field(strict=False)]
 
+OF_THE_TYPE = (
+    "the machine whose correction is taken, where the model is of a type of machine: this one's by its name without "
+    "this key, none with an empty text"
+)
 MAX_ARMED_MINUTES = 480.0
 LEAST_BLOCKS = 10.0
 
@@ -39,6 +48,7 @@ class ModelSection(Section):
 
     path: FilePath | None = Field(None, description="a model directory or a model's JSON file, relative to this file")
     temperature: str = Field("TCuscinettiRiduttore", description="the tag of the temperature to be predicted")
+    correction: str | None = Field(None, description=OF_THE_TYPE)
 
 
 class TemperatureSection(Section):
@@ -47,6 +57,7 @@ class TemperatureSection(Section):
     tag: str = Field(description="the tag of the temperature")
     model: FilePath | None = Field(None, description="a model directory or a model's JSON file, relative to this file")
     limit: float | None = Field(None, description="its alarm limit, alarms.limit without this key")
+    correction: str | None = Field(None, description=OF_THE_TYPE)
 
 
 class WritebackSection(Section):
@@ -103,6 +114,38 @@ class AlarmSection(Section):
         None, gt=0, description="degC of a cycle's free-run error that is drift, or no key for the model's own band"
     )
     drift_cycles: int = Field(3, ge=1, le=100, description="the cycles running beyond that which are worth an alarm")
+    trend: float | None = Field(
+        300.0,
+        gt=0,
+        le=86_400,
+        description="the seconds within which a straight line reaches the limit that are worth an alarm; false: never",
+    )
+    sensors: bool = Field(True, description="whether the watched temperatures' sensors are looked after")
+    twins: Names = Field(
+        (), max_length=2, description="two tags of bearings that warm alike, or no key for two watched temperatures"
+    )
+    acknowledge: str | None = Field(
+        None, description="the tag whose rise from 0 acknowledges all alarms of the machine, beside AcknowledgeBits"
+    )
+    longest_shelving: float = Field(
+        480.0, gt=0, le=10_080, description="the most minutes for which an alarm may be shelved, at most 10080"
+    )
+    disk_mb: float = Field(200.0, ge=0, description="the megabytes left on the records' disk that are worth an alarm")
+    certificate_days: float = Field(
+        30.0, ge=0, le=3660, description="the days until a certificate runs out that are worth an alarm"
+    )
+
+    @field_validator("trend", mode="before")
+    @classmethod
+    def _seconds_or_never(cls, seconds: object) -> object:
+        return None if seconds is False else seconds
+
+    @field_validator("twins")
+    @classmethod
+    def _two(cls, twins: tuple[str, ...]) -> tuple[str, ...]:
+        if len(twins) == 1 or len(set(twins)) != len(twins):
+            raise ValueError(f"{list(twins)} are not two tags; give two tags, or [] for none")
+        return twins
 
 
 class HistorianSection(Section):
@@ -213,6 +256,60 @@ class ServeSection(Section):
     most_clients: int = Field(8, ge=1, le=256, description="how many peers are served at a time, 1 to 256")
 
 
+MOST_WORKERS = 64
+
+
+class PlantSection(Section):
+    """How the machines of a plant are carried: by one process, or split over several."""
+
+    workers: int = Field(
+        1,
+        ge=1,
+        le=MOST_WORKERS,
+        description=f"a whole number of processes that the machines are split over, 1 to {MOST_WORKERS}",
+    )
+
+
+class PageSection(Section):
+    """The page: what a browser shows of the gateway, served by the gateway itself; off unless enabled."""
+
+    enabled: bool = Field(False, description="true or false")
+    host: str = Field(
+        "127.0.0.1", min_length=1, description="the address to listen on: this machine only, if not given"
+    )
+    port: int = Field(8080, ge=0, le=65535, description="a TCP port from 1 to 65535, or 0 for a free one")
+    certificates: FilePath | None = Field(
+        None,
+        description="a folder with server.pem and server.key, as `decanter certificates` makes them; the page is "
+        "served over TLS then",
+    )
+    users: FilePath | None = Field(
+        None, description="the path of the file of accounts, beside the historian without this key"
+    )
+    open_reading: bool = Field(
+        True, description="true: whoever is on this machine may read without an account; elsewhere nobody may"
+    )
+    session_minutes: float = Field(30.0, ge=1, le=720, description="the idle minutes after which a session ends")
+    most_clients: int = Field(64, ge=1, le=1000, description="how many browsers are served at a time, 1 to 1000")
+    labels: dict[str, Line] = Field({}, description="words for people by the names of machines and tags")
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this machine can reach it."""
+        with suppress(ValueError):
+            return ip_address(self.host).is_loopback
+        return self.host == "localhost"
+
+    @model_validator(mode="after")
+    def _protected_elsewhere(self) -> "PageSection":
+        if self.enabled and not self.loopback and self.certificates is None:
+            raise ValueError(
+                f"host {self.host!r} can be reached from other machines, and passwords would cross the network as they "
+                "are; give certificates (`decanter certificates FOLDER --host NAME` makes them), or listen on 127.0.0.1"
+            )
+        return self
+
+
 class _MachineName(Section):
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,59}$")] = Field(
         description="a name of letters, digits, '_', '-' and '.', 60 at most"
@@ -228,6 +325,10 @@ class _PlantFile(Section):
     )
     writeback: WritebackSection = Field(default_factory=WritebackSection, description="a [writeback] table")
     alarms: AlarmSection = Field(default_factory=AlarmSection, description="an [alarms] table")
+    alarm: Annotated[tuple[AlarmRow, ...], Field(strict=False)] = Field(
+        (), max_length=1000, description="[[alarm]] tables, each with the name of a kind of alarm"
+    )
+    notify: NotifySection = Field(default_factory=NotifySection, description="a [notify] table")
     historian: HistorianSection = Field(default_factory=HistorianSection, description="a [historian] table")
     log: LogSection = Field(default_factory=LogSection, description="a [log] table")
     forecast: ForecastSection = Field(default_factory=ForecastSection, description="a [forecast] table")
@@ -235,9 +336,11 @@ class _PlantFile(Section):
     control: ControlSection = Field(default_factory=ControlSection, description="a [control] table")
     clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
     serve: ServeSection = Field(default_factory=ServeSection, description="a [serve] table")
+    plant: PlantSection = Field(default_factory=PlantSection, description="a [plant] table")
+    page: PageSection = Field(default_factory=PageSection, description="a [page] table")
 
 
-COMMON = ("historian", "log", "control")
+COMMON = ("historian", "log", "control", "notify", "plant", "page")
 """Sections of the whole gateway: no machine has one of its own."""
 COMMON_KEYS = {
     "clock": ("speed",),
@@ -266,6 +369,8 @@ class Config:
     temperatures: tuple[TemperatureSection, ...]
     writeback: WritebackSection
     alarms: AlarmSection
+    alarm: tuple[AlarmRow, ...]
+    notify: NotifySection
     historian: HistorianSection
     log: LogSection
     forecast: ForecastSection
@@ -273,6 +378,8 @@ class Config:
     control: ControlSection
     clock: ClockSection
     serve: ServeSection
+    plant: PlantSection
+    page: PageSection
     links: tuple[DeviceLink, ...]
 
     @property
@@ -286,7 +393,7 @@ class Config:
         own = []
         for place, row in enumerate(self.temperatures):
             limit = self.alarms.limit if row.limit is None else row.limit
-            model = ModelSection(path=row.model, temperature=row.tag)
+            model = ModelSection(path=row.model, temperature=row.tag, correction=row.correction)
             # The models of an ensemble are followed beside the first one, and predict its temperature.
             ensemble = self.ensemble if place == 0 else self.ensemble.model_copy(update={"members": ()})
             alarms = self.alarms.model_copy(update={"limit": limit})
@@ -313,6 +420,11 @@ class Config:
     def control_socket(self) -> Path:
         """Where the running gateway can be asked."""
         return self.control.path or self.historian.path.with_suffix(".sock")
+
+    @property
+    def users(self) -> Path:
+        """The file of the page's accounts."""
+        return self.page.users or self.historian.path.with_name("users.json")
 
     @property
     def audit(self) -> Path:
@@ -347,17 +459,23 @@ class Config:
     @property
     def watched(self) -> tuple[str, ...]:
         """The tags of the temperatures under the threshold alarm."""
-        predicted = tuple(row.tag for row in self.temperatures)
-        return (
-            tuple(dict.fromkeys((*self.alarms.tags, *predicted)))
-            if len(predicted) > 1
-            else self.alarms.tags or predicted
-        )
+        return watched_tags(self.alarms, [row.tag for row in self.temperatures])
+
+    @property
+    def twins(self) -> tuple[str, ...]:
+        """The two tags of temperatures that warm alike: the named ones, or the two that are watched; () without."""
+        named = "twins" in self.alarms.model_fields_set
+        return self.alarms.twins if named or len(self.watched) != 2 else self.watched
 
     @property
     def block_horizon(self) -> float:
         """The horizon (s) of the forecast in the block: the configured one, or the longest."""
         return self.writeback.horizon or self.forecast.horizons[-1]
+
+
+def watched_tags(alarms: AlarmSection, predicted: Sequence[str]) -> tuple[str, ...]:
+    """The tags under the threshold alarm: the named ones, of several predicted temperatures these too."""
+    return tuple(dict.fromkeys((*alarms.tags, *predicted)) if len(predicted) > 1 else alarms.tags or predicted)
 
 
 def load_config(path: Path, overrides: Mapping[str, Any] | None = None, *, machine: str | None = None) -> Config:
@@ -401,6 +519,11 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
         except ConfigError as error:
             problems += error.problems
     problems = problems or _same_places(machines)
+    if not problems and machines[0].serve.port is not None and machines[0].plant.workers > 1:
+        problems = [
+            f"{path}: plant.workers: peers ([serve]) are served by a gateway of one process only; set workers to 1, or "
+            "leave serve.port out"
+        ]
     if problems:
         # What is wrong at the top is wrong for several machines: it is said once, and of none of them.
         bare = [re.sub(r": machine '[^']*'", "", problem, count=1) for problem in problems]
@@ -410,6 +533,22 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
             )
         )
     return tuple(machines)
+
+
+@cache
+def _plain_configs() -> TypeAdapter[tuple[Config, ...]]:
+    return TypeAdapter(tuple[Config, ...])  # at its first use: few programs need it, and it takes its time
+
+
+def configs_to_json(configs: Sequence[Config]) -> str:
+    """Checked configurations as JSON, for a process of our own: it need not read the files, which may have changed."""
+    # Without what was not given: some tables may not have keys beside others, not even at their defaults.
+    return _plain_configs().dump_json(tuple(configs), exclude_unset=True).decode()
+
+
+def configs_from_json(text: str) -> tuple[Config, ...]:
+    """The configurations that `configs_to_json` has made JSON of, equal to those."""
+    return _plain_configs().validate_json(text)
 
 
 def _same_places(machines: Sequence[Config]) -> list[str]:
@@ -442,7 +581,11 @@ def _over_common(data: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str,
         common.pop("model", None)
     elif "model" in table:
         common.pop("temperature", None)
-    return {key: _over(common.get(key), table.get(key)) for key in dict.fromkeys((*common, *table))}
+    whole = {key: _over(common.get(key), table.get(key)) for key in dict.fromkeys((*common, *table))}
+    # The rows of a list go over one another: a machine's come after those that all have.
+    if isinstance(rows := common.get("alarm"), list) and isinstance(own := table.get("alarm"), list):
+        whole["alarm"] = [*rows, *own]
+    return whole
 
 
 def _over(common: object, own: object) -> object:
@@ -491,7 +634,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
     content = checked(_PlantFile, data, place)
     home = path.parent
     links = links_of(content.device, home)
-    rows = content.temperature or (TemperatureSection(tag=content.model.temperature, model=content.model.path),)
+    rows = content.temperature or (_only(content.model),)
     problems = _problems(content, rows, links, home)
     if problems:
         raise ConfigError([f"{place}: {problem}" for problem in problems])
@@ -507,7 +650,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         several=bool(name),
         device=content.device,
         scan=content.scan,
-        model=ModelSection(path=first.model, temperature=first.tag),
+        model=ModelSection(path=first.model, temperature=first.tag, correction=first.correction),
         temperatures=temperatures,
         writeback=content.writeback.model_copy(
             update={
@@ -516,6 +659,8 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
             }
         ),
         alarms=content.alarms,
+        alarm=content.alarm,
+        notify=_notify(content.notify, home),
         historian=historian,
         log=log,
         forecast=content.forecast,
@@ -523,8 +668,23 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         control=content.control.model_copy(update={"path": content.control.path and home / content.control.path}),
         clock=content.clock,
         serve=content.serve,
+        plant=content.plant,
+        page=content.page.model_copy(
+            update={key: (given := getattr(content.page, key)) and home / given for key in ("certificates", "users")}
+        ),
         links=links,
     )
+
+
+def _only(model: ModelSection) -> TemperatureSection:
+    """The one temperature of a file that names it in [model]."""
+    return TemperatureSection(tag=model.temperature, model=model.path, correction=model.correction)
+
+
+def _notify(section: NotifySection, home: Path) -> NotifySection:
+    """The section with its paths made complete."""
+    smtp = section.smtp and section.smtp.model_copy(update={"ca": section.smtp.ca and home / section.smtp.ca})
+    return section.model_copy(update={"secrets": section.secrets and home / section.secrets, "smtp": smtp})
 
 
 def _historian_file(section: HistorianSection, home: Path) -> Path:
@@ -547,10 +707,14 @@ def _problems(
     named = [("alarms.tags", tag) for tag in content.alarms.tags]
     key = "temperature[{}].tag" if content.temperature else "model.temperature"
     named = [*((key.format(place), row.tag) for place, row in enumerate(rows)), *named]
+    named += [("alarms.twins", tag) for tag in content.alarms.twins]
+    named += [("alarms.acknowledge", content.alarms.acknowledge)] if content.alarms.acknowledge else []
     named += [("clock.tag", content.clock.tag)] if content.clock.tag else []
     problems = [
         f"{key}: {tag!r} is not a tag of {device.path}; give one of its names" for key, tag in named if tag not in tags
     ]
+    predicted = [row.tag for row in rows]
+    problems += alarm_problems(content.alarm, tags, watched_tags(content.alarms, predicted), predicted, device.path)
     key = "temperature[{}].model" if content.temperature else "model.path"
     problems += [
         f"{key.format(place)}: there is nothing at {home / row.model}; give a model directory or JSON file, or "
@@ -560,10 +724,10 @@ def _problems(
     ]
     if content.temperature:
         problems += [
-            f"model.{key}: stands beside [[temperature]]; write it into one of these tables"
+            f"model.{key}: stands beside [[temperature]]; write it into one of these tables, as temperature.TAG."
+            f"{'model' if key == 'path' else 'tag'}"
             for key in sorted(content.model.model_fields_set)
         ]
-        predicted = [row.tag for row in rows]
         problems += [
             f"temperature[{place}].tag: {tag!r} is already predicted; name each temperature once"
             for place, tag in enumerate(predicted)

@@ -110,7 +110,12 @@ class ModelStatus:
 
 @dataclass(frozen=True, kw_only=True)
 class AlarmStatus:
-    """An alarm that is not normal, by ISA-18.2: its state and since when, what an operator shall do."""
+    """An alarm by ISA-18.2: its state and since when, what an operator shall do, and what comes of not doing it.
+
+    `standing` is whether its condition stands, shown or not, `raised` when it was last announced. `until` is when a
+    shelved one comes out; `by` and `reason` are of its last change by somebody. `possible` are the changes that persons
+    can make now, by their names in the control socket.
+    """
 
     name: str
     tag: str
@@ -120,6 +125,15 @@ class AlarmStatus:
     since: float
     acknowledged_by: str
     response: str
+    consequence: str = ""
+    kind: str = ""
+    standing: bool = False
+    raised: float | None = None
+    first_up: bool = False
+    until: float | None = None
+    by: str = ""
+    reason: str = ""
+    possible: Sequence[str] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         DISARMED,
         EXPIRED,
         Audit,
+        AuditColumns,
         AuditEntry,
         AuditError,
         AuditRow,
@@ -43,13 +44,16 @@ if TYPE_CHECKING:
     )
     from gateway.store.confirming import confirmation
     from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
+    from gateway.store.files import HistorianError
     from gateway.store.historian import Historian, HistorianView, open_historian, saved_state
-    from gateway.store.queues import Row
+    from gateway.store.numbers import Source
+    from gateway.store.queues import Batch, LostRows, Row
     from gateway.store.read_back import (
         events,
         history,
         machines,
         matured,
+        moment_of,
         newest_scan,
         reading,
         recent,
@@ -59,7 +63,7 @@ if TYPE_CHECKING:
         trend,
     )
     from gateway.store.schema import storable
-    from gateway.store.score import percentile, scorecard
+    from gateway.store.score import percentile, scorecard, warning_score
     from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
     from gateway.store.witness import (
         HEAD_EVENT,
@@ -87,18 +91,23 @@ __all__ = [
     "HEAD_EVENT",
     "HEAD_STATE",
     "Audit",
+    "AuditColumns",
     "AuditEntry",
     "AuditError",
     "AuditRow",
     "AuditVerdict",
     "BackupError",
+    "Batch",
     "HeadSink",
     "Historian",
+    "HistorianError",
     "HistorianView",
+    "LostRows",
     "Manifest",
     "Row",
     "SignedHead",
     "SigningKeyError",
+    "Source",
     "Uptime",
     "WitnessPlaces",
     "acknowledgement",
@@ -121,6 +130,7 @@ __all__ = [
     "machines",
     "make_backup",
     "matured",
+    "moment_of",
     "newest_scan",
     "numbered_files",
     "open_audit",
@@ -149,5 +159,6 @@ __all__ = [
     "trend",
     "trusted_key",
     "verify",
+    "warning_score",
     "write_durably",
 ]

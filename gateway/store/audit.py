@@ -120,6 +120,23 @@ class AuditEntry:
         return subject if isinstance(subject, str) and subject else None
 
 
+AuditColumns = tuple[float, str, str, str, str]
+"""Time, kind, who, reason and detail of an entry, as they are hashed and stored."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Waiting:
+    """An entry with its columns and subject, and the ticket of whoever waits for it.
+
+    Cancelled it is never stored, running it is being committed; None: nobody waits.
+    """
+
+    entry: AuditEntry
+    columns: AuditColumns
+    subject: str | None
+    ticket: "Future[AuditRow] | None" = None
+
+
 @dataclass(frozen=True, slots=True)
 class AuditRow:
     """One stored entry: its number from 1 and the chain's hash at it (hexadecimal)."""
@@ -159,8 +176,7 @@ class Audit:
         self._lost: Counter[str | None] = Counter()
         self._attach = attach
         self._connection = connection
-        # An entry, and the ticket of whoever waits for it: cancelled it is never stored, running it is being committed.
-        self._waiting: deque[tuple[AuditEntry, Future[AuditRow] | None]] = deque()
+        self._waiting: deque[_Waiting] = deque()
         self._backlog: Counter[str | None] = Counter()
         self._wake = threading.Condition()
         self._pressing = self._stopping = False
@@ -172,12 +188,12 @@ class Audit:
 
         Raises ValueError for one that no row can hold.
         """
-        _columns(entry)
+        waiting = _Waiting(entry, _columns(entry), entry.subject)
         with self._wake:
-            if self._backlog[entry.subject] >= BACKLOG and entry.kind not in _ARMINGS:
-                self._lost[entry.subject] += 1
+            if self._backlog[waiting.subject] >= BACKLOG and entry.kind not in _ARMINGS:
+                self._lost[waiting.subject] += 1
                 return
-            self._append(entry, None)
+            self._append(waiting)
             self._pressing = self._pressing or entry.kind in _ARMINGS
             self._wake.notify_all()
 
@@ -214,6 +230,14 @@ class Audit:
             self._given_up(ticket, undo, wanted=False)
             raise
 
+    def submit(self, entries: Iterable[AuditEntry]) -> "list[Future[AuditRow]]":
+        """Have entries committed now, all in one commit where no others of their subjects wait; a ticket for each.
+
+        A ticket fails with sqlite3.Error if the disk refuses, and is cancelled at once while the log is being closed.
+        """
+        with self._wake:
+            return [self._submitted(entry) for entry in entries]
+
     async def kept(self, entry: AuditEntry, timeout: float) -> None:
         """Have the entry stored and wait for it; what takes longer than `timeout` goes on with nobody waiting."""
         if await self.stored(entry, timeout) is None:
@@ -221,12 +245,12 @@ class Audit:
 
     def _submitted(self, entry: AuditEntry) -> "Future[AuditRow]":
         ticket: Future[AuditRow] = Future()
-        _columns(entry)
+        waiting = _Waiting(entry, _columns(entry), entry.subject, ticket)
         with self._wake:
             if self._stopping:
                 ticket.cancel()
                 return ticket
-            self._append(entry, ticket)
+            self._append(waiting)
             self._pressing = True
             self._wake.notify_all()
         return ticket
@@ -242,9 +266,9 @@ class Audit:
             self.put(undo)
         return None
 
-    def _append(self, entry: AuditEntry, ticket: "Future[AuditRow] | None") -> None:
-        self._waiting.append((entry, ticket))
-        self._backlog[entry.subject] += 1
+    def _append(self, waiting: "_Waiting") -> None:
+        self._waiting.append(waiting)
+        self._backlog[waiting.subject] += 1
 
     @property
     def complaint(self) -> str:
@@ -275,15 +299,8 @@ class Audit:
         return not self._waiting and not self.lost
 
     def _work(self) -> None:
-        while (connection := self._connection) is None:
-            try:
-                self._connection = self._attach() if self._attach else None
-                self.failure = ""
-            except AuditError as error:
-                self.failure = str(error)
-                with self._wake:
-                    if self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS):
-                        return
+        if not self._attached():
+            return
         while True:
             with self._wake:
                 self._wake.wait_for(lambda: self._waiting or self._stopping)
@@ -293,18 +310,24 @@ class Audit:
                     if self._stopping:
                         return
                     continue
-            claimed: list[tuple[AuditEntry, Future[AuditRow] | None]] = []
+            claimed: list[_Waiting] = []
             lost: Counter[str | None] = Counter()
+
+            def claim() -> list[tuple[AuditEntry, AuditColumns]]:
+                """The entries of this commit with their columns, behind those that say how many were lost before."""
+                nonlocal claimed, lost
+                with self._wake:
+                    claimed, lost = self._claimed(), self._lost.copy()
+                now = claimed[0].entry.time if claimed else 0.0
+                missing = [_lost(subject, rows, now) for subject, rows in lost.items() if rows and claimed]
+                return [
+                    *((entry, _columns(entry)) for entry in missing),
+                    *((one.entry, one.columns) for one in claimed),
+                ]
+
             try:
-                with connection:
-                    # The write lock comes first, and may take its time: until then an entry can be taken back.
-                    connection.execute("BEGIN IMMEDIATE")
-                    with self._wake:
-                        claimed, lost = self._claimed(), self._lost.copy()
-                    if lost and claimed:
-                        now = claimed[0][0].time
-                        _insert(connection, [_lost(subject, rows, now) for subject, rows in lost.items() if rows])
-                    rows = _insert(connection, [entry for entry, _ in claimed])
+                rows = self._committed(claim)
+                rows = rows[len(rows) - len(claimed) :]
             except sqlite3.Error as error:
                 stored = False
                 self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
@@ -313,51 +336,73 @@ class Audit:
                     if not claimed:  # the lock did not come: who waits learns it now, and what can wait does
                         claimed = self._claimed(len(self._waiting))
                     self._give_back(claimed)
-                for _, ticket in claimed:
-                    if ticket is not None:
-                        ticket.set_exception(error)
+                for one in claimed:
+                    if one.ticket is not None:
+                        one.ticket.set_exception(error)
             except Exception as error:
                 # The supervisor says it and begins anew; what was claimed does not go with it.
                 with self._wake:
                     self._give_back(claimed)
-                for _, ticket in claimed:
-                    if ticket is not None:
-                        ticket.set_exception(sqlite3.OperationalError(str(error)))
+                for one in claimed:
+                    if one.ticket is not None:
+                        one.ticket.set_exception(sqlite3.OperationalError(str(error)))
                 raise
             else:
                 stored, self.failure = True, ""
                 with self._wake:
                     self._lost -= lost if claimed else Counter()
-                for (_, ticket), row in zip(claimed, rows, strict=True):
-                    if ticket is not None:
-                        ticket.set_result(row)
+                for one, row in zip(claimed, rows, strict=True):
+                    if one.ticket is not None:
+                        one.ticket.set_result(row)
             with self._wake:
                 if self._stopping and (not stored or not self._waiting):
                     return
                 if not stored:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
 
-    def _claimed(self, share: int = SHARE) -> list[tuple[AuditEntry, "Future[AuditRow] | None"]]:
+    def _attached(self) -> bool:
+        """Wait until there is a file to write to; False if it is to stop before."""
+        while self._connection is None:
+            try:
+                self._connection = self._attach() if self._attach else None
+                self.failure = ""
+            except AuditError as error:
+                self.failure = str(error)
+                with self._wake:
+                    if self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS):
+                        return False
+        return True
+
+    def _committed(self, claim: Callable[[], Sequence[tuple[AuditEntry, AuditColumns]]]) -> list[AuditRow]:
+        """Commit what `claim` gives, which is asked once the write lock is had. Raises sqlite3.Error."""
+        if (connection := self._connection) is None:
+            raise sqlite3.OperationalError("the audit log is not open")
+        with connection:
+            # The write lock comes first, and may take its time: until then an entry can be taken back.
+            connection.execute("BEGIN IMMEDIATE")
+            return _insert(connection, claim())
+
+    def _claimed(self, share: int = SHARE) -> "list[_Waiting]":
         """Take what the next commit stores: of each subject the oldest entries, `share` at most (the lock is held)."""
         taken: Counter[str | None] = Counter()
-        claimed, left = [], deque[tuple[AuditEntry, Future[AuditRow] | None]]()
-        for entry, ticket in self._waiting:
-            if taken[entry.subject] >= share:
-                left.append((entry, ticket))
+        claimed, left = [], deque[_Waiting]()
+        for one in self._waiting:
+            if taken[one.subject] >= share:
+                left.append(one)
                 continue
-            self._backlog[entry.subject] -= 1
-            if ticket is None or ticket.set_running_or_notify_cancel():
-                taken[entry.subject] += 1
-                claimed.append((entry, ticket))
+            self._backlog[one.subject] -= 1
+            if one.ticket is None or one.ticket.set_running_or_notify_cancel():
+                taken[one.subject] += 1
+                claimed.append(one)
         self._waiting, self._pressing = left, bool(left)
         return claimed
 
-    def _give_back(self, claimed: Sequence[tuple[AuditEntry, "Future[AuditRow] | None"]]) -> None:
+    def _give_back(self, claimed: "Sequence[_Waiting]") -> None:
         """Have what nobody waits for tried again, before what has come since (the lock is held)."""
-        for entry, ticket in reversed(claimed):
-            if ticket is None:
-                self._waiting.appendleft((entry, None))
-                self._backlog[entry.subject] += 1
+        for one in reversed(claimed):
+            if one.ticket is None:
+                self._waiting.appendleft(one)
+                self._backlog[one.subject] += 1
 
 
 def _lost(subject: str | None, rows: int, now: float) -> AuditEntry:
@@ -498,21 +543,20 @@ def hashes(path: Path, rows: Iterable[int] | None = None) -> dict[int, str]:
 # ---------------------------------------------------------------- the file
 
 
-def _insert(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> list[AuditRow]:
-    """Append the entries within a transaction that has the write lock; gives their rows."""
+def _insert(connection: sqlite3.Connection, entries: Sequence[tuple[AuditEntry, AuditColumns]]) -> list[AuditRow]:
+    """Append the entries, each with its columns, within a transaction that has the write lock; gives their rows."""
     last = connection.execute("SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
     number, before = (int(last[0]), bytes(last[1])) if last else (0, BEGIN)
     rows = []
-    for entry in entries:
+    for entry, plain in entries:
         number += 1
-        plain = _columns(entry)
         before = _hash(before, number, *plain)
         connection.execute(f"INSERT INTO audit ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)", (number, *plain, before))  # noqa: S608
         rows.append(AuditRow(number, entry, before.hex()))
     return rows
 
 
-def _columns(entry: AuditEntry) -> tuple[float, str, str, str, str]:
+def _columns(entry: AuditEntry) -> AuditColumns:
     """The entry as it is hashed and stored. Raises ValueError for a time that is no number."""
     if not isfinite(entry.time):
         raise ValueError(f"an audit row needs a time, got {entry.time}")

@@ -74,7 +74,7 @@ class Historian:
         path: Path,
         file: HistorianFile | None,
         attach: Callable[[], HistorianFile],
-        lock: _FileLock,
+        release: Callable[[], None],
         *,
         supervisor: Supervisor,
         failure: str = "",
@@ -82,7 +82,7 @@ class Historian:
         self.path = path
         self.failure = failure
         self.note = file.note if file else ""
-        self._attach, self._lock, self._file = attach, lock, file
+        self._attach, self._release, self._file = attach, release, file
         self._sources: list[Source] = []
         self._units: dict[tuple[str, str], str] = {}
         self._numbers: FileNumbers | None = None
@@ -94,6 +94,7 @@ class Historian:
         self._forget: float | None = None
         self._waits_since: float | None = None
         self._due = monotonic() + BATCH_SECONDS
+        self._packer: Packer | None = None
         self._stop = threading.Event()
         self._thread = supervisor.thread("historian", self._work, stop=self._stop)
 
@@ -108,8 +109,10 @@ class Historian:
                 self._sources.append((machine, temperature))
         return HistorianView(self, machine, temperature)
 
-    def put(self, source: Source, table: str, rows: Iterable[Row]) -> None:
+    def put(self, source: Source, table: str, rows: Sequence[Row]) -> None:
         """Take rows of a source for a table of INSERTS (`HistorianView.put`)."""
+        if not rows:
+            return
         with self._wake:
             (self._urgent if table in DURABLE else self._rows).put(source, table, rows)
             self._drop_beyond_the_queues()
@@ -199,7 +202,7 @@ class Historian:
         if not self._thread.is_alive():
             if self._file is not None:
                 self._file.close()
-            self._lock.free()
+            self._release()
         return complete
 
     @property
@@ -223,7 +226,6 @@ class Historian:
     # ---------------------------------------------------------------- the thread
 
     def _work(self) -> None:
-        packer = None
         while True:
             with self._wake:
                 self._wake.wait_for(
@@ -239,24 +241,29 @@ class Historian:
             if stopping and (not committed or not (self._rows.rows or self._urgent.rows)):
                 return
             if not committed:
-                packer = None
+                self._packer = None
                 self._stop.wait(BATCH_SECONDS)
-                continue
-            if not everything:
-                continue
-            # Only on a disk that takes rows: to pack and to delete is to write as well.
-            packer = packer or Packer(self._normal)
-            for table in PACKED:
-                self._tended(table, partial(self._packed, packer, table))
-            self._tended("tiers", packer.tiers)
-            if moment is not None:
-                for source in sources_in(self._normal):
-                    for table in (*MEASURED, "writes"):
-                        self._tended(table, partial(deleted_before, self._normal, table, source, moment))
-                with self._wake:
-                    # Another moment may have been given while the deletion ran; that one is still to be done.
-                    self._forget = None if self._forget == moment else self._forget
-                self._tended("", partial(gave_back, self._normal))
+            elif everything:
+                self._tend(moment)
+
+    def _tend(self, moment: float | None) -> None:
+        """Between two batches: pack what has grown old, and delete what is older than `moment`, if one is given."""
+        # Only on a disk that takes rows: to pack and to delete is to write as well.
+        packer = self._packer = self._packer or Packer(self._normal)
+        for table in PACKED:
+            self._tended(table, partial(self._packed, packer, table))
+        self._tended("tiers", packer.tiers)
+        if moment is not None:
+            for source in sources_in(self._normal):
+                for table in (*MEASURED, "writes"):
+                    self._tended(table, partial(deleted_before, self._normal, table, source, moment))
+            self._forgotten(moment)
+            self._tended("", partial(gave_back, self._normal))
+
+    def _forgotten(self, moment: float) -> None:
+        with self._wake:
+            # Another moment may have been given while the deletion ran; that one is still to be done.
+            self._forget = None if self._forget == moment else self._forget
 
     def _attached(self) -> bool:
         """Whether there is a file to write to: the one that is open, or, where it has gone, another one."""
@@ -278,9 +285,9 @@ class Historian:
     def _round(self, *, everything: bool) -> bool:
         """Commit what waits now, of the measurements only if `everything`; False if the disk refused some of it."""
         self._at_once = False
-        whole = self._commit(self._full, self._urgent)
-        if everything and self._file is not None:  # it was given up if the first of the two found it damaged
-            whole = self._commit(self._normal, self._rows) and whole
+        whole = self._commit(self._urgent, durable=True)
+        if everything and self._usable:  # it was given up if the first of the two found it damaged
+            whole = self._commit(self._rows, durable=False) and whole
         with self._wake:
             if whole:
                 self.failure = ""
@@ -288,6 +295,11 @@ class Historian:
                 self._waits_since = monotonic() if self._rows.rows or self._urgent.rows else None
             self._wake.notify_all()
         return whole
+
+    @property
+    def _usable(self) -> bool:
+        """Whether there is anything that rows can be given to."""
+        return self._file is not None
 
     def _packed(self, packer: Packer, table: str) -> bool:
         """Have one batch of a table packed; False if none has enough rows for one."""
@@ -297,14 +309,14 @@ class Historian:
         numbers.recount(self._normal, table, source)
         return True
 
-    def _commit(self, connection: sqlite3.Connection, queues: RowQueues) -> bool:
+    def _commit(self, queues: RowQueues, *, durable: bool) -> bool:
         """Commit what waits in the queues; what is not committed goes back to their front."""
         with self._wake:
             batch = queues.take()
         stored = not batch
         try:
             if batch:
-                self._store(connection, batch)
+                self._store(batch, durable)
                 stored = True
         except sqlite3.Error as error:
             self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
@@ -319,8 +331,9 @@ class Historian:
                 self._drop_beyond_the_queues()
         return stored
 
-    def _store(self, connection: sqlite3.Connection, batch: Batch) -> None:
+    def _store(self, batch: Batch, durable: bool) -> None:
         """One transaction with all rows but those that no table takes. Raises sqlite3.Error when the file refuses."""
+        connection = self._full if durable else self._normal
         by_table: dict[tuple[str, Source], list[Row]] = {}
         for source, waiting in batch.items():
             for table, row in waiting:
@@ -454,7 +467,7 @@ class HistorianView:
         self._historian, self.machine, self.temperature = historian, machine, temperature
         self._source = (machine, temperature)
 
-    def put(self, table: str, rows: Iterable[Row]) -> None:
+    def put(self, table: str, rows: Sequence[Row]) -> None:
         """Take rows for a table (`schema.NAMES`); they are committed within about a second, those of AT_ONCE at once.
 
         A row of `samples` begins with its tag's name.
@@ -554,7 +567,7 @@ def open_historian(
     except HistorianError:
         locked.free()
         raise
-    return Historian(path, file, attach, locked, supervisor=supervisor or Supervisor(), failure=failure)
+    return Historian(path, file, attach, locked.free, supervisor=supervisor or Supervisor(), failure=failure)
 
 
 class _FileLock:

@@ -320,14 +320,23 @@ def history(
 
 
 def matured(
-    path: Path, tolerance: float = 5.0, *, machine: str | None = None, temperature: str | None = None
+    path: Path,
+    tolerance: float = 5.0,
+    *,
+    machine: str | None = None,
+    temperature: str | None = None,
+    start: float = -inf,
+    end: float = inf,
 ) -> dict[float, Matured]:
-    """By horizon (s): every forecast and the first good reading at most `tolerance` s after what it spoke of."""
+    """By horizon (s): every forecast made from `start` to `end` (s UTC), and the first good reading at most `tolerance`
+    s after what it spoke of."""
     with reading(path) as connection:
         columns = ("time", "horizon", "levels", "quantiles", "p_limit", "measured")
         whose = selected(connection, machine, temperature)
-        rows = sorted(_rows(connection, whose, "forecasts", columns), key=lambda row: (row[1], row[0]))
-    seen = history(path, machine=machine, temperature=temperature)
+        made = _rows(connection, whose, "forecasts", columns, start=start, end=end)
+        rows = sorted(made, key=lambda row: (row[1], row[0]))
+    farthest = max((row[1] for row in rows), default=0.0)
+    seen = history(path, start, end + farthest + tolerance, machine=machine, temperature=temperature)
     good = np.isfinite(seen.measured)
     times, values = seen.times[good], seen.measured[good]
     by_horizon: dict[float, list[tuple[float, str, str, float, float | None]]] = {}
@@ -424,7 +433,7 @@ def recent(path: Path, since: str, *, machine: str | None = None) -> Trace:
     if last is None:
         raise ValueError(f"{path}: this historian has no scan yet; let the gateway run first")
     # Up to the newest scan and no further: what a clock that was ahead has left beyond it is not recent.
-    trace = to_trace(path, start=_moment(since, last), end=nextafter(last, inf), machine=machine)
+    trace = to_trace(path, start=moment_of(since, last), end=nextafter(last, inf), machine=machine)
     if trace.times.size < 2:
         raise ValueError(f"{path}: there is nothing since {since}; its newest scan is of {_date(last)}")
     return trace
@@ -489,8 +498,8 @@ def trend(
     return Trend(width=width, **dict(zip(("starts", "count", "low", "mean", "high"), columns, strict=True)))
 
 
-def _moment(since: str, last: float) -> float:
-    """Seconds UTC."""
+def moment_of(since: str, last: float) -> float:
+    """The moment (s UTC) that a date, or a span back from `last`, names. Raises ValueError for neither."""
     span = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([dhms])", since.strip())
     if span is not None:
         return last - float(span[1]) * SPANS[span[2]]

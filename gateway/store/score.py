@@ -4,13 +4,22 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import nan
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gateway.store.read_back import Matured, history, matured, reading, row_number, stored_rows
+from gateway.store.read_back import (
+    Matured,
+    history,
+    machines,
+    matured,
+    newest_scan,
+    reading,
+    row_number,
+    stored_rows,
+)
 from sim.scores import coverage, crps_quantiles
 from sim.sha import Array
 
@@ -62,16 +71,24 @@ class Scorecard:
     guards: Mapping[str, Any] = field(default_factory=dict)
 
 
-def scorecard(path: Path, *, machine: str | None = None, temperature: str | None = None) -> Scorecard:
+def scorecard(
+    path: Path,
+    *,
+    machine: str | None = None,
+    temperature: str | None = None,
+    start: float = -inf,
+    end: float = inf,
+) -> Scorecard:
     """The scores of a followed `temperature` of a machine in the historian at `path`, and of its scans and samples.
 
-    None is the only machine, the first temperature that is followed on it. Raises HistorianError.
+    None is the only machine, the first temperature that is followed on it. The predictions, forecasts and writes are
+    those from `start` to `end` (s UTC); the counts are of the whole file. Raises HistorianError.
     """
     with reading(path) as connection:
         counts = {table: row_number(connection, table, machine=machine) for table in ("scans", "samples")}
         counts["events"] = row_number(connection, "events", machine=machine, temperature=temperature)
         columns = ("time", "verdict", "latency_ms")
-        writes = stored_rows(connection, "writes", columns, machine=machine, temperature=temperature)
+        writes = stored_rows(connection, "writes", columns, start, end, machine=machine, temperature=temperature)
         verdicts = dict(Counter(str(verdict) for _, verdict, _ in writes))
         latencies = [float(latency) for _, _, latency in writes if latency is not None]
         # A file of an earlier gateway has no such table, and a run without a model no report in it.
@@ -79,8 +96,8 @@ def scorecard(path: Path, *, machine: str | None = None, temperature: str | None
         if connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'guards'").fetchone()[0]:
             reports = stored_rows(connection, "guards", ("time", "content"), machine=machine, temperature=temperature)
             guards = json.loads(reports[-1][1]) or {} if reports else {}
-    seen = history(path, machine=machine, temperature=temperature)
-    forecasts = matured(path, machine=machine, temperature=temperature)
+    seen = history(path, start, end, machine=machine, temperature=temperature)
+    forecasts = matured(path, machine=machine, temperature=temperature, start=start, end=end)
     known = np.isfinite(seen.mean) & np.isfinite(seen.measured)
     band90 = coverage(seen.low[known], seen.high[known], seen.measured[known]) if known.any() else nan
     return Scorecard(
@@ -94,6 +111,53 @@ def scorecard(path: Path, *, machine: str | None = None, temperature: str | None
         writes=WriteScore(verdicts, percentile(latencies, 0.5), percentile(latencies, 0.99)),
         guards=guards,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WarningScore:
+    """What came of the warnings that a temperature will reach its limit: `hits` that it did within the longest horizon,
+    `false_alarms` that it did not, `misses` that it did without one. `lead` is the median time (s) from a hit's warning
+    to the limit; NaN without any."""
+
+    hits: int
+    misses: int
+    false_alarms: int
+    lead: float
+
+
+def warning_score(
+    path: Path, *, machine: str | None = None, temperature: str | None = None, start: float = -inf, end: float = inf
+) -> WarningScore:
+    """The warnings from `start` to `end` (s UTC) held against the threshold alarm. Raises HistorianError.
+
+    Where somebody heeds a warning, and the limit is not reached for that, it counts as false: the records do not know.
+    """
+    with reading(path) as connection:
+        columns = ("time", "condition", "tag", "state")
+        rows = sorted(stored_rows(connection, "alarms", columns, machine=machine), key=lambda row: row[0])
+        horizons = stored_rows(
+            connection, "forecasts", ("time", "horizon"), start, end, machine=machine, temperature=temperature
+        )
+        last = newest_scan(connection, machine=machine)
+        followed = dict(machines(connection))
+    longest = max((horizon for _, horizon in horizons), default=0.0)
+    # Without a name it is the only machine, as in all that was read above.
+    own = followed.get(machine, []) if machine is not None else next(iter(followed.values()), [])
+    tag = temperature or next(iter(own), "")
+    raised = [row for row in rows if row[3] == "unacknowledged" and row[2] == tag]
+    warned = [row[0] for row in raised if row[1].startswith("predicted over limit")]
+    reached = [row[0] for row in raised if row[1].startswith("over limit")]
+    leads, false_alarms = [], 0
+    for time in warned:
+        after = next((other - time for other in reached if time < other <= time + longest), None)
+        if start <= time < end and after is not None:
+            leads.append(after)
+        elif start <= time < end and last is not None and last >= time + longest:
+            false_alarms += 1
+    misses = sum(
+        start <= time < end and not any(time - longest <= other < time for other in warned) for time in reached
+    )
+    return WarningScore(hits=len(leads), misses=misses, false_alarms=false_alarms, lead=percentile(leads, 0.5))
 
 
 def percentile(values: Sequence[float], share: float) -> float:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sim.artefacts.json_node import JsonNode, parse_json, written_number
-from sim.effects import check_effect, check_sha, in_sensor_scale
+from sim.effects import check_effect, check_sha, in_sensor_scale, of_machine
 from sim.files import ArtefactError, read_text
 from sim.sha import (
     DEGREES,
@@ -28,6 +28,7 @@ from sim.sha import (
     Flow,
     Input,
     Location,
+    MachineCorrection,
     Model,
     PlainMember,
     Provenance,
@@ -75,6 +76,7 @@ KEYS = (
     "semi_markov",
     "calibration",
     "correction",
+    "machines",
     "borrowed",
     "plain",
     "provenance",
@@ -129,6 +131,7 @@ def model_document(model: Model) -> dict[str, Any]:
             for horizon, factor in sorted(model.calibration.items())
         ],
         **_correction_part(model.correction),
+        **({"machines": _machines_part(model.machines)} if model.machines else {}),
         **({"borrowed": sorted(model.borrowed)} if model.borrowed else {}),
         **({"plain": [_plain_part(member) for member in model.plain]} if model.plain else {}),
         "provenance": _provenance_part(model.provenance),
@@ -175,6 +178,7 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
         calibration=_calibration_of(root.get("calibration")),
         provenance=_provenance_of(root.get("provenance")),
         correction=_correction_of(root),
+        machines=root.get("machines").table(_machine_of) if "machines" in root.value else {},
         borrowed=_borrowed_of(root, sha),
         plain=tuple(_plain_of(node) for node in root.get("plain").each()) if "plain" in root.value else (),
         unit=unit,
@@ -198,6 +202,8 @@ def _check(model: Model) -> None:
         check_sha(model.sha)
         check_alphabet(model.alphabet)
         in_sensor_scale(model)
+        for name in model.machines:
+            of_machine(model, name)
         if model.initial is not None:
             check_distribution(model.initial)
         for name, stay in model.semi_markov.items():
@@ -457,6 +463,26 @@ def _correction_of(root: JsonNode) -> Correction:
     node = root.get("correction").only(("gain", "offset"))
     try:
         return Correction(node.get("gain").number(), node.get("offset").number())
+    except ValueError as error:
+        raise node.error(str(error)) from None
+
+
+MACHINE_NUMBERS = ("targets", "targets_error", "gain", "offset")
+
+
+def _machines_part(machines: Mapping[str, MachineCorrection]) -> dict[str, Any]:
+    """What is known of each machine of the type, by name."""
+    return {
+        name: {key: written_number(getattr(own, key)) for key in MACHINE_NUMBERS}
+        for name, own in sorted(machines.items())
+    }
+
+
+def _machine_of(node: JsonNode) -> MachineCorrection:
+    """What `_machines_part` wrote of one machine."""
+    node.only(MACHINE_NUMBERS)
+    try:
+        return MachineCorrection(**{key: node.get(key).number() for key in MACHINE_NUMBERS})
     except ValueError as error:
         raise node.error(str(error)) from None
 

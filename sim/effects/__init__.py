@@ -1,7 +1,7 @@
 """What may act on top of the flows: kinds of effects as one table, and what every engine needs of them."""
 
 from sim.effects.check import check_effect, check_effects, check_sha
-from sim.effects.correction import corrected, in_sensor_scale
+from sim.effects.correction import corrected, in_sensor_scale, of_machine
 from sim.effects.exchange import ABSOLUTE_ZERO, in_scale_of_x, radiation_tangent
 from sim.effects.kind import (
     ABSOLUTE_SECONDS,
@@ -71,6 +71,7 @@ __all__ = [
     "in_sensor_scale",
     "kind_of",
     "of_feature",
+    "of_machine",
     "offset_times",
     "parameter",
     "radiation_tangent",

@@ -11,6 +11,7 @@ automaton's range becomes [k low + b, k high + b].
 from collections.abc import Mapping
 from dataclasses import replace
 from math import log
+from typing import Any
 
 from sim.effects.kinds import kind_of
 from sim.sha import FIXED, RELAXING, SHA, Correction, Distribution, Effect, Flow, Input, Location, Model
@@ -42,6 +43,53 @@ def in_sensor_scale(model: Model) -> Model:
 def corrected(correction: Correction, temperature: float) -> float:
     """What the sensor reads (degC) when the automaton is at `temperature`."""
     return correction.gain * temperature + correction.offset
+
+
+def of_machine(model: Model, name: str) -> Model:
+    """The model of one machine of the type: its targets are its own, and as sure as they are known.
+
+    A machine that the type's training did not see is the type itself, whose offset between machines is its uncertainty.
+    Raises ValueError for a machine that the model does not know, and where targets have laws that cannot be shifted.
+    """
+    if name not in model.machines:
+        known = ", ".join(model.machines) or "none"
+        raise ValueError(f"the model knows no machine {name!r}; it knows {known}")
+    own, sha, type_wide = model.machines[name], model.sha, model.correction
+    locations = tuple(
+        replace(location, **_shifted(sha, location, own.targets)) if location.flow.kind in RELAXING else location
+        for location in sha.locations
+    )
+    # Drawn once for each machine: of a known one only the error of what was learned is left to be drawn.
+    effects = tuple(
+        replace(effect, params={**effect.params, "sigma": own.targets_error})
+        if effect.kind == "machine-offset"
+        else effect
+        for effect in sha.effects
+    )
+    return replace(
+        model,
+        sha=replace(
+            sha,
+            locations=locations,
+            effects=effects,
+            low=sha.low + min(own.targets, 0.0),
+            high=sha.high + max(own.targets, 0.0),
+        ),
+        correction=Correction(own.gain * type_wide.gain, own.gain * type_wide.offset + own.offset),
+        provenance=replace(model.provenance, settings={**model.provenance.settings, "machine": name}),
+        machines={},
+    )
+
+
+def _shifted(sha: SHA, location: Location, targets: float) -> dict[str, Any]:
+    """Law and flow of a location whose target lies `targets` (degC) higher."""
+    flow, law = location.flow, location.distribution
+    try:
+        moved = None if law is None or location.entry == "resample" else _law(law, 1.0, targets)
+    except ValueError as error:
+        raise ValueError(f"SHA {sha.name!r}, location {location.name!r}: {error}") from None
+    fixed = {FIXED: flow.params[FIXED] + targets} if FIXED in flow.params else {}
+    return {"flow": replace(flow, params={**flow.params, **fixed}), "distribution": law if moved is None else moved}
 
 
 def _location(sha: SHA, location: Location, correction: Correction) -> Location:

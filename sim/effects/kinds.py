@@ -60,7 +60,8 @@ def signals_of(sha: SHA, location: str | None = None) -> tuple[str, ...]:
 
 def of_feature(sha: SHA, feature: Feature) -> tuple[Effect, ...]:
     """The effects that engines execute by their code of a feature."""
-    return tuple(effect for effect in sha.effects if kind_of(effect).law == Structural(feature))
+    laws = [(effect, kind_of(effect).law) for effect in sha.effects]
+    return tuple(effect for effect, law in laws if isinstance(law, Structural) and law.feature == feature)
 
 
 def without(sha: SHA, *features: Feature) -> SHA:

@@ -26,6 +26,8 @@ def linear_recursion(a: ArrayLike, b: ArrayLike, x0: ArrayLike) -> Array:
         raise ValueError(f"x0 must be a number or have the shape {factors.shape[1:]}, got {starts.shape}")
     if factors.ndim == 1:
         return _solve(factors, terms, float(starts))
+    if factors.size and factors.strides[1] == 0:
+        return _solve(factors[:, 0], terms, starts)  # one system, many right sides
     batch = np.empty(factors.shape, order="F")
     for column, start in enumerate(np.broadcast_to(starts, factors.shape[1:]).tolist()):
         batch[:, column] = _solve(factors[:, column], terms[:, column], start)
@@ -63,12 +65,13 @@ def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
 _PIECE = 1 << 18
 
 
-def _solve(a: Array, b: Array, x0: float) -> Array:
-    if a.size == 0:
-        return np.empty(0)
+def _solve(a: Array, b: Array, x0: Array | float) -> Array:
+    """x of the shape of `b`, (n,) or (n, p), by the factors `a` (n,), after `x0`."""
+    if b.size == 0:
+        return np.empty(b.shape)
     bands = np.ones((2, a.size), order="F")
     np.negative(a[1:], out=bands[1, :-1])
-    right = np.array(b, dtype=float)
+    right = np.array(b, dtype=float, order="F")
     right[0] += a[0] * x0
     x, _ = scipy.linalg.lapack.dtbtrs(bands, right, uplo="L", diag="U", overwrite_b=True)
-    return np.asarray(x, dtype=float).reshape(-1)
+    return np.asarray(x, dtype=float).reshape(b.shape, order="F")

@@ -222,7 +222,7 @@ def corrected(plant: Plant, belief: Belief, error: float, variance: float) -> Be
     """The belief after a reading that was `error` above its prediction, whose variance (sensor included) is given."""
     hidden, mean, covariance = _states(belief)
     shared = covariance[:, plant.sensed].copy()
-    covariance -= np.outer(shared, shared) / variance
+    covariance -= shared[:, None] * shared / variance
     return _with_states(plant, belief, mean + shared / variance * error, covariance, hidden)
 
 

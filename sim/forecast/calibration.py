@@ -15,8 +15,9 @@ span over their horizon, not their number. It is weighed against the model's own
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import exp, inf, isfinite, log, nan
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,9 @@ class PendingForecast:
     factor: float = 1.0
 
 
+_OF_PENDING = tuple(field.name for field in fields(PendingForecast))
+
+
 @dataclass(frozen=True, slots=True)
 class Horizon:
     """What one horizon has learned: forgetting counts of z by bins, the independent forecasts that they are worth.
@@ -68,6 +72,11 @@ class Horizon:
     missed: int = 0
     shift: float = 0.0
     held: float = 0.0
+
+    def plain(self) -> dict[str, Any]:
+        """The state as JSON can carry it; `asdict` would copy each number of each waiting forecast by itself."""
+        pending = [{key: getattr(waiting, key) for key in _OF_PENDING} for waiting in self.pending]
+        return {field.name: getattr(self, field.name) for field in fields(self)} | {"pending": pending}
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +133,8 @@ def settle(state: Calibration, time: float, temperature: float) -> Calibration:
 
     A reading that is no number settles nothing, but time passes all the same.
     """
+    if not any(horizon.pending and horizon.pending[0].due <= time for horizon in state.horizons.values()):
+        return state
     horizons = dict(state.horizons)
     for ahead, horizon in state.horizons.items():
         # Forecasts wait in the order of their due times, so only the head of the queue is looked at.
@@ -165,6 +176,8 @@ def _due(waiting: PendingForecast) -> float:
 
 def matured(horizon: Horizon, time: float, tolerance: float) -> tuple[PendingForecast, ...]:
     """The forecasts that a reading at `time` settles: due by now, and not longer ago than `tolerance` seconds."""
+    if not horizon.pending or horizon.pending[0].due > time:
+        return ()
     first = bisect_left(horizon.pending, time - tolerance, key=_due)
     last = bisect_right(horizon.pending, time, key=_due)
     return horizon.pending[first:last]

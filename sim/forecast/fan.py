@@ -202,15 +202,21 @@ def _reached(
     """
     if belief.x >= limit:
         return np.ones(grid.size + 1)
+    if limit == inf:
+        return np.zeros(grid.size + 1)  # nobody asked for one
     columns = np.arange(done.end.shape[1])
     start, end, widening = done.start, done.end, np.ones(())
     if np.any(factors != 1.0):
         clock = np.concatenate([[0.0], grid])
         median = np.concatenate([[np.median(start[0])], np.median(end[steps.marks, columns], axis=1)])
-        begins, ends = steps.begin, steps.begin + steps.dt
-        first, widening = (np.interp(times, horizons, factors) for times in (begins, ends))
-        start = widened_runs(start, first, np.interp(begins, clock, median))
-        end = widened_runs(end, widening, np.interp(ends, clock, median))
+        # A step begins where the one before it ends: what is looked up there holds for both.
+        ends = np.vstack([steps.begin[1:], steps.begin[-1] + steps.dt[-1]])
+        widening, middle = np.interp(ends, horizons, factors), np.interp(ends, clock, median)
+        first, from_middle = np.empty_like(ends), np.empty_like(ends)
+        first[0], from_middle[0] = factors[0], median[0]
+        first[1:], from_middle[1:] = widening[:-1], middle[:-1]
+        start = widened_runs(start, first, from_middle)
+        end = widened_runs(end, widening, middle)
     # A run that is below the limit at both ends of a step may have touched it in between: `survival` takes that chance
     # from the bridge, so that what is said of the limit does not depend on how fine the grid is.
     alive = survival(start, end, steps, limit, widening)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         huber_scale,
         training_errors,
     )
-    from sim.learning.machines import MachineSpread, machine_spread, machines_of, next_stay
+    from sim.learning.machines import MachineSpread, machine_corrections, machine_spread, machines_of, next_stay
     from sim.learning.max_rate import Bite, MaxRate, bite, learn_max_rate, with_max_rate
     from sim.learning.noise import Memories, NoiseLevels, drift_noise, fit_noise
     from sim.learning.outcomes import Outcomes, outcomes_of
@@ -122,6 +122,7 @@ __all__ = [
     "learn_plain",
     "level_signals",
     "loads",
+    "machine_corrections",
     "machine_spread",
     "machines_of",
     "name_of",

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 
 from sim.sha import Array, Trace, content_hash, joint_hash
 
@@ -48,7 +47,9 @@ def without_spikes(readings: Array, step: float) -> Array:
     if finite.size < SPIKE_WINDOW:
         return readings
     values = readings[finite]
-    off = np.abs(values - scipy.ndimage.median_filter(values, size=SPIKE_WINDOW, mode="nearest"))
+    # scipy.ndimage has this filter, and takes longer to load than the filter takes for a hundred traces.
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(values, SPIKE_WINDOW // 2, mode="edge"), SPIKE_WINDOW)
+    off = np.abs(values - np.partition(around, SPIKE_WINDOW // 2, axis=1)[:, SPIKE_WINDOW // 2])
     scale = max(1.4826 * float(np.median(off)), float(np.median(np.abs(np.diff(values)))), step, 1e-3)
     cleaned = readings.copy()
     cleaned[finite[off > SPIKE_LIMIT * scale]] = np.nan

@@ -98,27 +98,56 @@ class FreeRunFit:
         return np.asarray(np.sqrt(np.maximum(np.diag(linear) - explained, 0.0)))
 
 
-def steps(runs: FreeRuns, shape: FitShape, log_rates: Array) -> tuple[Array, Array]:
-    """(decay, pull) of every step at the given log(rate); exactly (0, 0) where a run begins."""
-    decay, pull = np.ones(len(runs)), np.zeros(len(runs))
+@dataclass(frozen=True, slots=True)
+class _AlikeSteps:
+    """The `rows` whose locations have one `kind` of flow and one `rate` (a number; -1: none), their age and length."""
+
+    kind: str
+    rate: int
+    rows: Indices | slice
+    age: Array
+    dt: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _StepsOfRuns:
+    """All n steps of some runs, by what does not depend on the rates; `first` (n,) are the knots that begin a run."""
+
+    alike: tuple[_AlikeSteps, ...]
+    first: Mask
+
+    def at(self, log_rates: Array) -> tuple[Array, Array]:
+        """(decay, pull) of every step at the given log(rate); exactly (0, 0) where a run begins."""
+        decay, pull = np.ones(self.first.size), np.zeros(self.first.size)
+        for each in self.alike:
+            params = dict.fromkeys(FLOWS[each.kind].params, 0.0)
+            if each.kind in RATES:
+                params[RATES[each.kind]] = float(np.exp(log_rates[each.rate]))
+            decay[each.rows], pull[each.rows], _ = coefficients(Flow(each.kind, params), each.age, each.dt)
+        # Nothing is carried over from the run before: exactly 0, so that one recursion serves all runs.
+        decay[self.first] = 0.0
+        pull[self.first] = 0.0
+        return decay, pull
+
+
+def _steps_of(runs: FreeRuns, shape: FitShape) -> _StepsOfRuns:
     # Locations of one kind and rate make the same steps, and are done together.
     alike: dict[tuple[str, int], list[int]] = {}
     for place in np.flatnonzero(np.bincount(runs.place)).tolist():
         kind = shape.kinds[place]
         alike.setdefault((kind, int(shape.rate[place]) if kind in RATES else -1), []).append(place)
+    found = []
     for (kind, rate), places in alike.items():
-        params = dict.fromkeys(FLOWS[kind].params, 0.0)
-        if kind in RATES:
-            params[RATES[kind]] = float(np.exp(log_rates[rate]))
         inside = np.zeros(len(shape.kinds), dtype=bool)
         inside[places] = True
-        rows = inside[runs.place] if len(alike) > 1 else slice(None)
-        decay[rows], pull[rows], _ = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
-    # Nothing is carried over from the run before: exactly 0, so that one recursion serves all runs.
-    first = runs.first
-    decay[first] = 0.0
-    pull[first] = 0.0
-    return decay, pull
+        rows = np.flatnonzero(inside[runs.place]) if len(alike) > 1 else slice(None)
+        found.append(_AlikeSteps(kind, rate, rows, runs.age[rows], runs.dt[rows]))
+    return _StepsOfRuns(tuple(found), runs.first)
+
+
+def steps(runs: FreeRuns, shape: FitShape, log_rates: Array) -> tuple[Array, Array]:
+    """(decay, pull) of every step at the given log(rate); exactly (0, 0) where a run begins."""
+    return _steps_of(runs, shape).at(log_rates)
 
 
 def loads(runs: FreeRuns, shape: FitShape) -> Array:
@@ -156,10 +185,12 @@ class _Problem:
 
     runs: FreeRuns
     shape: FitShape
+    steps: _StepsOfRuns
     load: Array
     rows: Indices
     reading: Array
     bounds: Indices
+    sizes: Indices
     weight: Array
     noise: float
 
@@ -168,21 +199,23 @@ class _Problem:
         weighted = (self.weight * start)[:, None]
         norm = np.add.reduceat(weighted * start[:, None], self.bounds)
         part = np.add.reduceat(weighted * columns, self.bounds) / np.maximum(norm, 1e-300)
-        sizes = np.diff(np.append(self.bounds, self.rows.size))
-        return columns - start[:, None] * np.repeat(part, sizes, axis=0), part
+        return columns - start[:, None] * np.repeat(part, self.sizes, axis=0), part
 
 
 def _problem_of(runs: FreeRuns, shape: FitShape) -> _Problem:
     """The problem before there is a residual: all readings weigh the same."""
     rows = np.flatnonzero(np.isfinite(runs.reading))
     reading = runs.reading[rows]
+    bounds = np.flatnonzero(np.concatenate([[True], np.diff(runs.run[rows]) != 0]))
     return _Problem(
         runs=runs,
         shape=shape,
+        steps=_steps_of(runs, shape),
         load=loads(runs, shape),
         rows=rows,
         reading=reading,
-        bounds=np.flatnonzero(np.concatenate([[True], np.diff(runs.run[rows]) != 0])),
+        bounds=bounds,
+        sizes=np.diff(np.append(bounds, rows.size)),
         weight=np.ones(rows.size),
         # Until there are residuals, a tenth of the readings' variance: the priors must neither rule nor vanish
         # meanwhile.
@@ -192,11 +225,11 @@ def _problem_of(runs: FreeRuns, shape: FitShape) -> _Problem:
 
 def _solve(problem: _Problem, log_rates: Array) -> _Linear:
     """Golub & Pereyra's variable projection (1973): at fixed rates all else is linear and solved for exactly."""
-    runs, shape = problem.runs, problem.shape
-    decay, pull = steps(runs, shape, log_rates)
+    shape, first = problem.shape, problem.steps.first
+    decay, pull = problem.steps.at(log_rates)
     # Column j is the whole course that a unit of parameter j alone would make; `begun` that of a unit of a run's start.
     full = linear_recursion(decay[:, None], pull[:, None] * problem.load, np.zeros(shape.centre.size))
-    begun = linear_recursion(decay, runs.first.astype(float), 0.0)
+    begun = linear_recursion(decay, first.astype(float), 0.0)
     start = begun[problem.rows]
     # The starts, one for each run and often hundreds, are taken out run by run, not as columns of the normal equations.
     both, part = problem.project(np.column_stack([full[problem.rows], problem.reading]), start)
@@ -206,7 +239,7 @@ def _solve(problem: _Problem, log_rates: Array) -> _Linear:
     factor = scipy.linalg.cho_factor(columns.T @ weighted + np.diag(prior))
     linear = scipy.linalg.cho_solve(factor, weighted.T @ reading + prior * shape.centre)
     starts = part[:, -1] - part[:, :-1] @ linear
-    mean = full @ linear + begun * starts[np.cumsum(runs.first) - 1]
+    mean = full @ linear + begun * starts[np.cumsum(first) - 1]
     return _Linear(
         columns=columns,
         start=start,
@@ -226,7 +259,7 @@ def _sensitivity(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
     target = problem.load @ solved.linear
     before = np.concatenate([[0.0], solved.mean[:-1]])
     groups = np.append(shape.rate, -1)[runs.place]
-    up, down = (steps(runs, shape, log_rates + sign * step) for sign in (1, -1))
+    up, down = (problem.steps.at(log_rates + sign * step) for sign in (1, -1))
     forcing = ((up[0] - down[0]) * before + (up[1] - down[1]) * target) / (2 * step)
     forcings = np.where(groups[:, None] == np.arange(log_rates.size), forcing[:, None], 0.0)
     return np.asarray(linear_recursion(solved.decay[:, None], forcings, np.zeros(log_rates.size))[problem.rows])

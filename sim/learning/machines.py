@@ -6,20 +6,25 @@ meta-analysis). Few machines tell little of the next one: the standard deviation
 band of a normal law as wide as the prediction interval of Student's t.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
 
+from sim.effects import of_machine
 from sim.engine import linear_recursion
+from sim.learning.correction import learn_correction
 from sim.learning.free_run import FitShape, FreeRunFit, steps
 from sim.learning.noise import NoiseLevels
 from sim.learning.runs import FreeRuns, Indices
-from sim.sha import RELAXING, Array, Effect, Trace
+from sim.learning.structure import LearningError
+from sim.sha import RELAXING, Array, Effect, MachineCorrection, Model, Trace
 
 FIRST_SCATTER = 3.0
 """degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
+SURE_OF_A_SENSOR = 2.0
+"""Standard errors by which the error must fall: the runs of one machine lie in few days, and share what these had."""
 LEAST_TOLD = 100.0
 """degC: a run whose offset is not known better than this says nothing of its machine."""
 _Z95 = 1.6448536269514722
@@ -29,12 +34,14 @@ _Z95 = 1.6448536269514722
 class MachineSpread:
     """`offsets` (degC) of the machines in the training by name, `between` their standard deviation beyond errors.
 
-    `sigma` (degC) is that of the next machine's offset as far as so few tell it; 0 where there is only one.
+    `sigma` (degC) is that of the next machine's offset as far as so few tell it; 0 where there is only one. `errors`
+    (degC) are the standard errors of the offsets.
     """
 
     offsets: dict[str, float]
     between: float
     sigma: float
+    errors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -65,7 +72,7 @@ def small_sample(count: int) -> float:
     """
     if count < 1:
         return small_sample(1)
-    return float(scipy.stats.t.ppf(0.95, count)) / _Z95 * float(np.sqrt(1.0 + 1.0 / count))
+    return float(scipy.special.stdtrit(count, 0.95)) / _Z95 * float(np.sqrt(1.0 + 1.0 / count))
 
 
 def machine_spread(
@@ -92,11 +99,37 @@ def machine_spread(
     if count < 2:
         return MachineSpread(offset, 0.0, 0.0)
     error = variance[told]
+    errors = dict(zip(offset, np.sqrt(error).tolist(), strict=True))
     means, weight = np.array(list(offset.values())), 1.0 / np.array(error)
     heterogeneity = float(weight @ (means - np.average(means, weights=weight)) ** 2)
     spread = (heterogeneity - (count - 1)) / (weight.sum() - float(weight @ weight) / weight.sum())
     between = float(np.sqrt(max(spread, 0.0)))
-    return MachineSpread(offset, between, between * small_sample(count - 1))
+    return MachineSpread(offset, between, between * small_sample(count - 1), errors)
+
+
+def machine_corrections(model: Model, traces: Sequence[Trace], spread: MachineSpread) -> dict[str, MachineCorrection]:
+    """What each machine of the training has of its own in the `model` of their type; nothing where they are alike.
+
+    Its targets are the mean of what its runs tell and what the machines' spread lets expect (the normal law's
+    posterior). What is left is given to its sensor, k and b, where the error of held-out runs falls by it
+    (`learn_correction`).
+    """
+    own: dict[str, MachineCorrection] = {}
+    if spread.between <= 0:
+        return own
+    for name, offset in spread.offsets.items():
+        error, between = spread.errors[name] ** 2, spread.between**2
+        share = between / (between + error)
+        own[name] = MachineCorrection(targets=share * offset, targets_error=float(np.sqrt(share * error)))
+        machine = of_machine(replace(model, machines=own), name)
+        try:
+            fit = learn_correction(machine, [trace for trace in traces if trace.machine == name])
+        except LearningError:
+            continue  # too few runs to tell anything more of it
+        best = fit.best
+        if fit.chosen is not None and best.improvement > SURE_OF_A_SENSOR * best.improvement_error:
+            own[name] = replace(own[name], gain=fit.correction.gain, offset=fit.correction.offset)
+    return own
 
 
 def _offsets(

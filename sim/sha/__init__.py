@@ -15,7 +15,7 @@ from sim.sha.events import (
     encode,
 )
 from sim.sha.flows import FIXED, FLOWS, RELAXING, Coefficients, check_flow, coefficients, mean_step, offset
-from sim.sha.model import Correction, Model, PlainMember, Provenance, Stay, plain_model
+from sim.sha.model import Correction, MachineCorrection, Model, PlainMember, Provenance, Stay, plain_model
 from sim.sha.semi_markov import MOST_STAYS, Chain, Indices, Paths, compile_chain, draw_paths, input_moments, known_paths
 from sim.sha.trace import (
     UNKNOWN,
@@ -56,6 +56,7 @@ __all__ = [
     "Indices",
     "Input",
     "Location",
+    "MachineCorrection",
     "Mask",
     "Model",
     "Paths",

@@ -247,6 +247,11 @@ class Encoder:
             read=tuple(self._read),
         )
 
+    @property
+    def known(self) -> bool:
+        """Whether something is known of every channel."""
+        return None not in self._announced
+
     def feed(self, time: float, readings: Mapping[str, float | None]) -> list[Event]:
         """The events of one row. A signal that is absent has no new reading; None, NaN and inf are of bad quality."""
         if not isfinite(time):

@@ -43,6 +43,28 @@ class Correction:
 
 
 @dataclass(frozen=True, slots=True)
+class MachineCorrection:
+    """What one machine has of its own in a model of its type.
+
+    Its `targets` (degC) lie above the type's, known to `targets_error` (a standard deviation, degC); what its sensor
+    reads is gain * T + offset. Raises ValueError for numbers that cannot be used.
+    """
+
+    targets: float = 0.0
+    targets_error: float = 0.0
+    gain: float = 1.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        Correction(self.gain, self.offset)
+        if not (isfinite(self.targets) and isfinite(self.targets_error) and self.targets_error >= 0):
+            raise ValueError(
+                f"a machine's targets need a finite shift and an error of at least 0, got {self.targets} and "
+                f"{self.targets_error}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class Provenance:
     """Where a model comes from. `data_hash` is the SHA-256 over the training traces' content.
 
@@ -99,6 +121,7 @@ class Model:
     leads from the automaton's temperature to the sensor's; whoever runs a model speaks of the sensor's
     (`sim.effects.correction`), while `sha` alone is the automaton's own. `borrowed` are the locations that no data have
     shown: their parameters are another's, or what physics says. `plain` are the forecasters that may stand beside it.
+    A model of a type of machine has what it knows of each of them in `machines`, by name (`sim.effects.of_machine`).
     """
 
     sha: SHA
@@ -114,6 +137,7 @@ class Model:
     plain: tuple[PlainMember, ...] = ()
     unit: str = DEGREES
     sensor_memory: float = 0.0
+    machines: Mapping[str, MachineCorrection] = field(default_factory=dict)
 
 
 def plain_model(model: Model, member: PlainMember) -> Model:

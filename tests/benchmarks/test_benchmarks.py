@@ -15,7 +15,10 @@ from benchmarks import skill
 from benchmarks.figures import Figure, as_table
 from benchmarks.latency import Scan, follow
 from benchmarks.peers.plcs import judged
-from benchmarks.processes import CURRENT, MAP, TEMPERATURE, learned_model
+from benchmarks.processes import CURRENT, MAP, TEMPERATURE, learned_model, plant_file
+from gateway.settings import load_plant
+from sim.learning.bins import learn as bins
+from sim.learning.calibrate import HeldOutForecasts
 from sim.plc.program.encoding import encode
 from sim.plc.program.registers import read_map
 from sim.plc.record.recording import BlockRow, RequestRow, TruthRow
@@ -58,6 +61,18 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
     assert figures["peak resident size of the gateway"]["value"] > figures["peak resident size of the gateway"]["other"]
 
 
+def test_several_machines_are_one_plant_file_and_a_number_of_none_is_refused(
+    tmp_path: Path, model_folder: Path
+) -> None:
+    plant = plant_file(tmp_path, model_folder / "model", 0.1, forecast=10.0, ports={"east": 1502, "west": 1503})
+    assert [(one.machine, one.device.port, one.forecast.period) for one in load_plant(plant)] == [
+        ("east", 1502, 10.0),
+        ("west", 1503, 10.0),
+    ]
+    refused = CliRunner().invoke(import_module("benchmarks.footprint").main, ["--machines", "1,none"])
+    assert refused.exit_code == 2 and "whole numbers from 1 on" in refused.stderr
+
+
 def test_a_newcomers_hour_ends_with_a_prediction_and_a_shadow_block(model_folder: Path) -> None:
     """From `decanter docs --examples` on, with the installed program and without the learning."""
     figures = by_name(said("first_hour", "--quick", "--model-folder", str(model_folder / "model"))["figures"])
@@ -71,7 +86,11 @@ def test_the_campaigns_benchmark_times_all_four_models(model_folder: Path) -> No
     assert sum("4 jobs" in one["name"] for one in figures) == 4
 
 
-def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_with_its_interval() -> None:
+def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_with_its_interval(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # The bands, for which each model is fitted three times more: nothing is asked of them here.
+    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
     figures = {one["name"]: one for one in said("semantics", "--quick")["figures"]}
     carried = figures["cd1..cd17, held out: MAE, carried"]
     (gain,) = (one for name, one in figures.items() if "gain in MAE, 2 traces" in name)
@@ -98,10 +117,18 @@ def test_a_benchmark_prints_its_figures_as_json(name: str, options: Sequence[str
     assert by_name(said(name, *options)["figures"])
 
 
+def test_what_a_node_does_on_a_shared_bus_costs_the_others_little_and_makes_no_wrong_value_good() -> None:
+    figures = by_name(said("isolation", "--quick", "--link", "canopen")["figures"])
+    assert figures["wrong values that were good, all machines"]["value"] == 0
+    assert figures["faults on the harmed machine"]["value"] > 0
+    assert figures["scans done of the others"]["ratio"] > 0.5
+
+
 def test_peers_sets_the_gateway_against_the_loop_in_c_on_the_same_plcs() -> None:
-    options = ("--count", "2", "--seconds", "1", "--only", "gateway", "--only", "C loop")
+    options = ("--count", "2", "--seconds", "1", "--only", "plant+blocks", "--only", "C loop")
     figures = by_name(said("peers.__main__", *options)["figures"])
-    for name in ("gateway", "C loop"):
+    assert figures["2 PLCs, plant+blocks: blocks written"]["value"] > 0
+    for name in ("plant+blocks", "C loop"):
         assert figures[f"2 PLCs, {name}: polls done"]["other"] == 20
         assert 0 < figures[f"2 PLCs, {name}: polls done"]["value"] <= 20
     assert figures["polls a second that the PLCs answer"]["ratio"] > 1

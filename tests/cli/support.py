@@ -46,3 +46,15 @@ def refused(result: Result, code: int, *words: str) -> str:
 def misused(result: Result, *words: str) -> None:
     """The command was called wrongly: one sentence that names its help, code 2."""
     assert "--help`" in refused(result, 2, *words)
+
+
+def with_one_bearing(trace: Path, folder: Path) -> Path:
+    """The trace without the feed bearing's column: what is not measured is not predicted, and one model is enough."""
+    lines = trace.read_text(encoding="utf-8").splitlines()
+    head = next(number for number, line in enumerate(lines) if not line.startswith("#"))
+    place = lines[head].split(",").index("TCuscinettiAlimentazione")
+    rows = [line.split(",") for line in lines[head:]]
+    path = folder / f"{trace.stem}.csv"
+    kept = [*lines[:head], *(",".join((*row[:place], *row[place + 1 :])) for row in rows)]
+    path.write_text("\n".join(kept) + "\n", encoding="utf-8")
+    return path

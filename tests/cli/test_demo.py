@@ -15,7 +15,7 @@ import pytest
 from gateway.demo.can_bus import LONGEST_PATH, hub_path
 from gateway.demo.summary import verdict
 from gateway.store.read_back import samples
-from tests.cli.support import DATA, decanter, only_object, refused
+from tests.cli.support import DATA, decanter, only_object, refused, with_one_bearing
 
 GATEWAY = (sys.executable, "-m", "gateway.cli.main")
 PATIENCE_S = 180.0
@@ -71,6 +71,25 @@ def test_the_demo_ends_with_one_object_that_holds_together(shown: tuple[Path, di
     assert data["synthetic"] is True
 
 
+def test_both_bearings_are_predicted_written_and_judged_by_the_plc(shown: tuple[Path, dict[str, Any]]) -> None:
+    folder, data = shown
+    assert [bearing["temperature"] for bearing in data["bearings"]] == [
+        "TCuscinettiRiduttore",
+        "TCuscinettiAlimentazione",
+    ]
+    for bearing in data["bearings"]:
+        sane(data | bearing | {"writeback": data["writeback"]})
+        assert bearing["writeback"]["accepted"] > 25 and bearing["writeback"]["refused"] == 0
+    first, second = data["bearings"]
+    assert first["writeback"]["accepted"] + second["writeback"]["accepted"] == data["writeback"]["accepted"]
+    assert first["errors"] == data["errors"] != second["errors"]
+    blocks = [json.loads(row) for row in (folder / "plc.jsonl").read_text(encoding="utf-8").splitlines()]
+    written = {row["address"]: row.get("block", "") for row in blocks if row["k"] == "block"}
+    assert written == {400: "", 430: "Alimentazione"}
+    assert (folder / "demo_TCuscinettiAlimentazione.png").read_bytes().startswith(b"\x89PNG")
+    assert len({path.read_bytes() for path in folder.glob("model*/model.json")}) == 2
+
+
 def judge_again(folder: Path, rows: list[str]) -> dict[str, Any]:
     readings = folder / "changed.jsonl"
     readings.write_text("".join(row + "\n" for row in rows), encoding="utf-8")
@@ -103,7 +122,8 @@ def again(shown: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempPathF
     """A second demonstration, over raw CAN, in a copy of the first one's folder: that folder and its object."""
     folder = tmp_path_factory.mktemp("again") / "out"
     shutil.copytree(shown[0], folder)
-    return folder, performed(folder, "--trace", folder / "replay.csv", "--seconds", 6, "--link", "can")
+    trace = with_one_bearing(folder / "replay.csv", tmp_path_factory.mktemp("one"))
+    return folder, performed(folder, "--trace", trace, "--seconds", 6, "--link", "can")
 
 
 def test_a_second_demo_in_the_same_folder_begins_anew(
@@ -112,6 +132,7 @@ def test_a_second_demo_in_the_same_folder_begins_anew(
     _, data = again
     sane(data)
     assert data["rows"] < shown[1]["rows"]
+    assert len(data["bearings"]) == 1 and not list(again[0].glob("demo_*.png")), "the feed bearing is not measured here"
 
 
 def test_the_demo_runs_the_main_job_over_can_frames(again: tuple[Path, dict[str, Any]]) -> None:
@@ -183,7 +204,8 @@ def test_however_a_demo_is_ended_no_process_stays(
     number: signal.Signals, link: str, processes: int, traces: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "out"
-    options = ["--link", link, "--trace", str(traces / "cd1.csv"), "--seconds", "60", "--out", str(folder)]
+    trace = with_one_bearing(traces / "cd1.csv", tmp_path)
+    options = ["--link", link, "--trace", str(trace), "--seconds", "60", "--out", str(folder)]
     command = [*GATEWAY, "demo", "--json", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as demo:
         try:

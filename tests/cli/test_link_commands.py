@@ -7,7 +7,7 @@ from pathlib import Path
 
 from drivers.modbus.tls import load_identity
 from gateway.demo.links import LINKS
-from tests.cli.support import decanter, only_object, refused
+from tests.cli.support import decanter, only_object, refused, with_one_bearing
 from tests.cli.test_demo import performed, sane
 from tests.gateway.support import MAP
 from tests.plc.bench import running
@@ -64,7 +64,8 @@ def test_check_reads_every_link_and_names_the_one_that_fails(tmp_path: Path) -> 
 
 
 def test_the_demo_does_the_main_job_over_tls(tmp_path: Path, traces: Path) -> None:
-    data = performed(tmp_path / "out", "--trace", traces / "cd1.csv", "--seconds", 8, "--link", "modbus-tls")
+    trace = with_one_bearing(traces / "cd1.csv", tmp_path)
+    data = performed(tmp_path / "out", "--trace", trace, "--seconds", 8, "--link", "modbus-tls")
     sane(data)
     assert data["link"] == "modbus-tls"
     plant = (tmp_path / "out" / "plant.toml").read_text(encoding="utf-8")

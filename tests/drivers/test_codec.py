@@ -1,13 +1,15 @@
 import math
 import struct
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.codec import decode, encode, reader, registers_needed
+from drivers.codec import decode, encode, encoder, reader, registers_needed
 from drivers.errors import AddressError, EncodingError
-from drivers.tag import DType, Order, Quality, Tag
+from drivers.tag import DType, Order, Quality, Tag, Value
 
 # The types' own formats, most significant byte first: the reference that the codec is held against.
 STRUCT = {
@@ -293,3 +295,22 @@ def test_a_reader_says_what_decode_says(data: st.DataObject, order: Order, words
     for registers in (tuple(words), tuple(words[: registers_needed(tag)])):
         said, reference = reader(tag)(registers), decode(tag, registers)
         assert repr(said) == repr(reference) and type(said[0]) is type(reference[0])
+
+
+@settings(max_examples=150)
+@given(
+    st.sampled_from([DType.UINT16, DType.INT16, DType.UINT8, DType.INT32, DType.FLOAT32, DType.BOOL]),
+    orders,
+    st.sampled_from([{}, {"scale": 0.1}, {"low": 0.0}, {"high": 9.0}, {"sentinel": 7}, {"labels": {1: "one"}}]),
+    st.one_of(st.integers(-70_000, 70_000), st.floats(-9e4, 9e4), st.booleans(), st.sampled_from(["one", math.nan])),
+)
+def test_an_encoder_writes_what_encode_writes(dtype: DType, order: Order, more: dict[str, Any], value: Value) -> None:
+    tag = Tag("t", "holding:1", dtype, order, **more)
+
+    def outcome(way: Callable[[], list[int]]) -> list[int] | str:
+        try:
+            return way()
+        except EncodingError as error:
+            return str(error)
+
+    assert outcome(lambda: encoder(tag)(value)) == outcome(lambda: encode(tag, value))

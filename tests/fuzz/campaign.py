@@ -167,6 +167,10 @@ def main() -> int:
         sys.stdout.write("\n".join([*TARGETS, f"{len(TARGETS)} targets"]) + "\n")
         return 0
     inputs, number = int(os.environ.get("INPUTS", "100000")), int(os.environ.get("SEED", "0"))
+    for name in (*sys.argv[1:], *filter(None, [os.environ.get("TARGET")])):
+        if name not in TARGETS:
+            sys.stderr.write(f"No target {name}: `python -m {__spec__.name} --list` prints all of them\n")
+            return 2
     if len(sys.argv) > 1:
         go_on(sys.argv[1], inputs, number)
         return 0

@@ -1,5 +1,6 @@
 """Alarms: every move is in the table, delays and deadband hold, and not knowing changes nothing."""
 
+from dataclasses import replace
 from itertools import product
 
 import pytest
@@ -7,6 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.machine.alarms.states import (
+    CHANGE_WORDS,
+    HIDDEN,
+    LETTERS,
+    MEANINGS,
+    SHOWN,
     TRANSITIONS,
     Alarm,
     AlarmCondition,
@@ -33,21 +39,113 @@ def follow(condition: AlarmCondition, values: list[float | None]) -> list[AlarmS
     return states
 
 
+STANDARD = """
+normal: raise -> unacknowledged
+unacknowledged: acknowledge -> acknowledged
+unacknowledged: clear [plain] -> returned unacknowledged
+unacknowledged: clear [latching] -> latched unacknowledged
+acknowledged: clear [plain] -> normal
+acknowledged: clear [latching] -> latched acknowledged
+returned unacknowledged: raise -> unacknowledged
+returned unacknowledged: acknowledge -> normal
+latched unacknowledged: raise -> unacknowledged
+latched unacknowledged: acknowledge -> latched acknowledged
+latched acknowledged: raise -> unacknowledged
+latched acknowledged: reset -> normal
+"""
+"""The moves among the states that are shown, A to F (ANSI/ISA-18.2-2016, 5.3; IEC 62682:2014, 5.3), typed from it."""
+
+
 def test_the_table_is_the_one_of_isa_18_2() -> None:
-    assert {(a.value, b.value): c.value for (a, b), c in TRANSITIONS.items()} == {
-        ("normal", "raise"): "unacknowledged",
-        ("unacknowledged", "acknowledge"): "acknowledged",
-        ("unacknowledged", "clear"): "returned unacknowledged",
-        ("acknowledged", "clear"): "normal",
-        ("returned unacknowledged", "raise"): "unacknowledged",
-        ("returned unacknowledged", "acknowledge"): "normal",
-    }
+    words = {None: "", True: " [latching]", False: " [plain]"}
+    shown = [
+        f"{row.source}: {row.change}{words[row.latching]} -> {row.target}"
+        for row in TRANSITIONS
+        if row.source in SHOWN and row.target in SHOWN
+    ]
+    assert sorted(shown) == sorted(STANDARD.split("\n")[1:-1])
+    assert {state: letter for letter, state in zip("ABCDEFGHI", AlarmState, strict=True)} == LETTERS
+    assert set(MEANINGS) == set(AlarmState) and set(CHANGE_WORDS) == set(Change)
 
 
-@pytest.mark.parametrize(("state", "change"), [p for p in product(AlarmState, Change) if p not in TRANSITIONS])
+@pytest.mark.parametrize("hidden", HIDDEN)
+def test_every_state_can_be_hidden_and_comes_out_as_it_must(hidden: AlarmState) -> None:
+    enter, leave = HIDDEN[hidden]
+    for latching, state in product((False, True), SHOWN):
+        if latching is False and state.name.startswith("LATCHED"):
+            continue
+        standing = state in (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED)
+        alarm = Alarm("c", "T", 1, state, 5.0, standing=standing)
+        inside = moved(alarm, enter, 6.0, "Ada", until=9.0, latching=latching)
+        assert inside.state is hidden and not inside.active and inside.standing == standing
+        out = moved(inside, leave, 7.0, "Ada", latching=latching)
+        assert out.until is None
+        if standing:
+            assert out.state is AlarmState.UNACKNOWLEDGED, "what stands is announced anew"
+            inside = moved(inside, Change.CLEAR, 6.5, latching=latching)
+            out = moved(inside, leave, 7.0, latching=latching)
+        # What is over comes out as it would have been had it not been hidden.
+        shown = moved(alarm, Change.CLEAR, 6.5, latching=latching)
+        assert out.state is shown.state
+
+
+def test_of_every_alarm_each_change_has_one_row_at_most() -> None:
+    for source, change, latching, standing, kept in product(AlarmState, Change, (0, 1), (0, 1), SHOWN):
+        rows = [
+            row
+            for row in TRANSITIONS
+            if (row.source, row.change) == (source, change)
+            and row.latching in (None, bool(latching))
+            and row.standing in (None, bool(standing))
+            and row.kept in (None, kept)
+        ]
+        assert len(rows) <= 1, rows
+
+
+HAS = {(row.source, row.change) for row in TRANSITIONS}
+
+
+@pytest.mark.parametrize(("state", "change"), [p for p in product(AlarmState, Change) if p not in HAS])
 def test_a_change_that_the_table_does_not_have_leaves_the_alarm_as_it_is(state: AlarmState, change: Change) -> None:
     alarm = Alarm("c", "T", 1, state, 5.0)
     assert moved(alarm, change, 9.0) == alarm
+
+
+def test_a_shelving_has_an_end() -> None:
+    with pytest.raises(ValueError, match="needs an end"):
+        moved(new_alarm(HOT, 0.0), Change.SHELVE, 1.0, "Ada")
+
+
+def test_what_a_person_does_neither_shortens_nor_lengthens_a_delay() -> None:
+    begun = step(SLOW, new_alarm(SLOW, 0.0), 81.0, 1.0)
+    pressed = moved(moved(begun, Change.ACKNOWLEDGE, 2.0, "Ada"), Change.RESET, 2.0, "Ada")
+    assert step(SLOW, pressed, 81.0, 4.0).state is AlarmState.UNACKNOWLEDGED
+    hidden = moved(begun, Change.REMOVE, 2.0, "Ada")
+    assert moved(step(SLOW, hidden, 81.0, 4.0), Change.RETURN, 5.0, "Ada").state is AlarmState.UNACKNOWLEDGED
+
+
+def test_a_latching_alarm_that_came_and_went_where_nobody_saw_it_is_not_forgotten() -> None:
+    condition = replace(HOT, latches=True)
+    alarm = moved(new_alarm(condition, 0.0), Change.SHELVE, 0.0, "Ada", until=9.0)
+    alarm = step(condition, step(condition, alarm, 90.0, 1.0), 20.0, 2.0)
+    assert moved(alarm, Change.UNSHELVE, 9.0, latching=True).state is AlarmState.LATCHED_UNACKNOWLEDGED
+
+
+def test_an_alarm_saved_by_a_release_that_knew_four_states_is_read() -> None:
+    former = {
+        "condition": "over limit T",
+        "tag": "T",
+        "priority": 1,
+        "state": "acknowledged",
+        "since": 5.0,
+        "acknowledged_by": "Ada",
+        "pending": None,
+    }
+    alarm = from_plain(HOT, former)
+    assert (alarm.state, alarm.standing, alarm.acknowledged_by) == (AlarmState.ACKNOWLEDGED, True, "Ada")
+    assert step(HOT, alarm, 20.0, 6.0).state is AlarmState.NORMAL
+    with pytest.raises((KeyError, TypeError, ValueError)):
+        from_plain(HOT, {**former, "state": "shelved"})
 
 
 def test_exactly_at_the_limit_is_not_above_it_and_the_deadband_keeps_the_alarm() -> None:

@@ -15,6 +15,7 @@ from gateway.store.audit import (
     Audit,
     AuditEntry,
     AuditError,
+    _columns,
     _insert,
     head,
     open_audit,
@@ -174,6 +175,7 @@ def test_a_batch_is_stored_whole_or_not_at_all(tmp_path: Path) -> None:
     audit = open_audit(tmp_path / "a.sqlite")
     with pytest.raises(sqlite3.Error), audit._connection:
         audit._connection.execute("BEGIN IMMEDIATE")
-        _insert(audit._connection, [AuditEntry(1.0, "write"), AuditEntry(2.0, None)])  # type: ignore[arg-type]
+        entries = [AuditEntry(1.0, "write"), AuditEntry(2.0, None)]  # type: ignore[arg-type]
+        _insert(audit._connection, [(entry, _columns(entry)) for entry in entries])
     assert audit.close() and verify(tmp_path / "a.sqlite").rows == 0
     assert json.dumps(head(tmp_path / "a.sqlite")) == f'"{"00" * 32}"'

@@ -114,11 +114,11 @@ class Broken(Predictor):
 
     steps = 0
 
-    def step(self, scan: Scan) -> Any:
+    def track(self, scan: Scan) -> bool:
         self.steps += 1
         if self.steps == 20:
             raise ZeroDivisionError("nothing to divide by")
-        return super().step(scan)
+        return super().track(scan)
 
 
 async def test_a_member_that_fails_is_left_out_said_so_and_begun_anew(

@@ -130,3 +130,14 @@ def test_readings_that_do_not_follow_the_model_turn_the_zone_red() -> None:
 
     assert zones(0.0)[-1] == "green" and zones(0.0)[5] == "none"
     assert "red" in zones(0.4)
+
+
+def test_a_model_that_is_only_tracked_believes_what_one_that_predicts_believes() -> None:
+    said, tracked = (Predictor(two_modes(), TEMPERATURE) for _ in range(2))
+    for second in range(60):
+        values = {RUNNING: second >= 5, CURRENT: 150.0 if second % 7 else None, TEMPERATURE: 25.0 + 0.1 * second}
+        scan = scan_of(values, EPOCH + second)
+        prediction = said.step(scan)
+        assert tracked.track(scan) == (prediction.known and prediction.inputs_good)
+        assert tracked.belief == said.belief
+    assert tracked.track(scan_of({RUNNING: True, CURRENT: 150.0}, EPOCH + 60)) is False, "a tag that was not read"

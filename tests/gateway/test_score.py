@@ -8,7 +8,7 @@ import pytest
 
 from drivers.tag import Tag
 from gateway.store.read_back import matured
-from gateway.store.score import error, scorecard
+from gateway.store.score import error, scorecard, warning_score
 from tests.gateway.support import EPOCH, one_machine
 
 LEVELS = [0.05, 0.25, 0.5, 0.75, 0.95]
@@ -58,3 +58,30 @@ def test_a_forecast_is_compared_with_the_first_reading_at_or_after_its_time(tmp_
 def test_no_common_reading_has_no_error() -> None:
     none = error(np.array([np.nan, 1.0]), np.array([1.0, np.nan]))
     assert none.count == 0 and np.isnan(none.rmse)
+
+
+def test_warnings_are_held_against_what_came_within_the_longest_horizon(tmp_path: Path) -> None:
+    store, historian = one_machine(tmp_path / "h.sqlite", (Tag("T", "holding:1"),))
+    followed = store.of("decanter", (), "T")
+
+    def raised(seconds: float, condition: str, tag: str = "T") -> None:
+        historian.put("alarms", [(EPOCH + seconds, condition, tag, 1, "unacknowledged", 1.0, "")])
+
+    raised(100.0, "predicted over limit")
+    raised(400.0, "over limit T")  # 300 s after its warning
+    raised(5000.0, "predicted over limit")  # nothing comes of it
+    raised(7000.0, "over limit T")  # without one
+    raised(7000.0, "over limit U", "U")
+    raised(9900.0, "predicted over limit")  # its time is not over
+    historian.put("scans", [(EPOCH + 10_000.0, 0.01, 0)])
+    followed.put("forecasts", [(EPOCH, 900.0, json.dumps(LEVELS), json.dumps([1.0] * 5), 0.0, 80.0, 1.0)])
+    assert store.close()
+    score = warning_score(tmp_path / "h.sqlite")
+    assert (score.hits, score.misses, score.false_alarms, score.lead) == (1, 1, 1, 300.0)
+    early = warning_score(tmp_path / "h.sqlite", machine="decanter", temperature="T", end=EPOCH + 1000.0)
+    assert (early.hits, early.misses, early.false_alarms) == (1, 0, 0)
+
+
+def test_a_scorecard_of_a_stretch_is_of_that_stretch(tmp_path: Path) -> None:
+    card = scorecard(filled(tmp_path / "h.sqlite"), start=EPOCH, end=EPOCH + 25.0)
+    assert (card.one_step.count, card.forecasts[0].count) == (25, 3), "what came after it is held against its forecasts"

@@ -105,21 +105,22 @@ def _piece(place: tuple, state: Array, begin: float, end: float, opened: bool) -
     thermostat, lag, housing = by.get("thermostatic-cooling"), by.get("sensor-lag"), by.get("housing-thermal-mass")
     there = [e for e in sha.effects if not e.locations or location.name in e.locations]
     acting = [e for e in there if all(isfinite(signals[name]) for name in e.signals.values())]
+    # The solver asks for the slope some thousand times: what stays in the piece is looked up once.
+    m = location.distribution.params["mu"] if location.distribution else 0.0
+    heats = [(HEATS[e.kind], e) for e in acting if e.kind in HEATS]
+    cooled, housed = thermostat is not None and thermostat in acting, housing is not None and housing in acting
 
     def slope(t: float, s: Array) -> Array:
-        x, h = s[0], s[1]
-        m = location.distribution.params["mu"] if location.distribution else 0.0
+        x, h, *lags = s.tolist()
         dx = drift(location.flow, x, m, t - entered, signals)
-        dx += sum(HEATS[e.kind](e, x, t - started, t, signals) for e in acting if e.kind in HEATS)
-        if thermostat is not None and opened and thermostat in acting:
+        dx += sum(heat(e, x, t - started, t, signals) for heat, e in heats)
+        if cooled and opened:
             dx -= thermostat.params["loss"] * (x - thermostat.params["sink"])
         dh = 0.0
         if housing is not None:
             dh = (x - h) / housing.params["tau"]
-            dx += housing.params["coupling"] * (h - x) if housing in acting else 0.0
-        rates = []
-        for i in range(len(s) - 2):
-            rates.append((s[1 + i] if i else x, s[2 + i]))
+            dx += housing.params["coupling"] * (h - x) if housed else 0.0
+        rates = zip([x, *lags], lags, strict=False)
         lagged = [(a - b) * lag.params["order"] / lag.params["tau"] for a, b in rates] if lag is not None else []
         return np.array([dx, dh, *lagged])
 

@@ -231,8 +231,11 @@ class Network:
         if not edge.guard:
             return True
         held = code(edge.guard)(self.env(process))
-        assert np.all(held) == np.any(held), "the runs part ways"
-        return bool(np.all(held))
+        if not np.ndim(held):
+            return bool(held)
+        number = np.count_nonzero(held)
+        assert number in (0, held.size), "the runs part ways"
+        return bool(number)
 
     def _apply(self, process: Process, edge: Edge) -> None:
         if edge.update:

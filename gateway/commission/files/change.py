@@ -9,8 +9,16 @@ import tomlkit
 
 from drivers.device_file import LAYOUT_VERSION
 from drivers.settings import ConfigError
-from gateway.commission.files.device_file import encoding, fields_that_fit, set_block, set_device, set_tag
+from gateway.commission.files.device_file import (
+    encoding,
+    fields_that_fit,
+    further_block,
+    set_block,
+    set_device,
+    set_tag,
+)
 from gateway.commission.files.plan_files import Files, device_edit, plant_edit, save
+from gateway.commission.files.toml_edit import put
 
 _TIMER_S = 5.0
 _MOST_WORDS = 123
@@ -28,9 +36,13 @@ class Binding:
 
 @dataclass(frozen=True, slots=True)
 class BlockPlace:
-    """The write-back block: its first address, its fields (None: as many as fit), the layout's version, the timer."""
+    """The write-back block: its first address, its fields (None: as many as fit), the layout's version, the timer.
+
+    `temperature` is the one that it speaks of; None: the device file's only block is meant.
+    """
 
     address: str
+    temperature: str | None = None
     fields: Sequence[str] | None = None
     version: int | None = None
     timer: float | None = None
@@ -45,6 +57,28 @@ class FileChange:
     heartbeat: str | None = None
     device: Mapping[str, Any] = field(default_factory=dict)
     plant: Mapping[str, Any] = field(default_factory=dict)
+
+
+def put_block(document: tomlkit.TOMLDocument, block: BlockPlace, template: Path) -> None:
+    """Put the block into the device file's document; the fields are those of all its blocks. Raises ConfigError."""
+    table: Any = document.get("writeback", {})
+    row = further_block(document, block.temperature)
+    names = block.fields
+    if names is None and "fields" not in table:
+        # As many as the device takes in one write: the block goes out in one request or not at all.
+        own: Any = document.get("device", {})
+        most = min(_MOST_WORDS, own.get("max_registers", _MOST_WORDS))
+        names = fields_that_fit(int(own.get("max_write_registers", most)))
+    version = block.version if block.version is not None else LAYOUT_VERSION
+    timer = block.timer if block.timer is not None else table.get("timeout_s", _TIMER_S)
+    head: dict[str, Any] = {"layout_version": version, "timeout_s": timer}
+    if row is not None:
+        put(row, "address", block.address)
+    else:
+        head = {"address": block.address, **head}
+        if block.temperature is not None:
+            head["temperature"] = block.temperature
+    set_block(document, head, names, template)
 
 
 def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool) -> dict[str, Any]:
@@ -63,19 +97,8 @@ def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool
             place = lies if tag.place else {key: lies[key] for key in lies if key in tag.keys}
             rest = {key: value for key, value in tag.keys.items() if key not in lies}
             set_tag(document, tag.name, {**place, **rest})
-        block = wanted.block
-        if block is not None:
-            table: Any = document.get("writeback", {})
-            names = block.fields
-            if names is None and "fields" not in table:
-                # As many as the device takes in one write: the block goes out in one request or not at all.
-                own: Any = document.get("device", {})
-                most = min(_MOST_WORDS, own.get("max_registers", _MOST_WORDS))
-                names = fields_that_fit(int(own.get("max_write_registers", most)))
-            version = block.version if block.version is not None else LAYOUT_VERSION
-            timer = block.timer if block.timer is not None else table.get("timeout_s", _TIMER_S)
-            head = {"address": block.address, "layout_version": version, "timeout_s": timer}
-            set_block(document, head, names, template)
+        if wanted.block is not None:
+            put_block(document, wanted.block, template)
 
     device = device_edit(files, change)
     plant = plant_edit(files, wanted.plant)

@@ -120,6 +120,31 @@ def fields_that_fit(words: int) -> list[str]:
     return left
 
 
+def further_block(document: tomlkit.TOMLDocument, temperature: str | None) -> Any:
+    """The `[[writeback.blocks]]` table of this temperature; None where that of `[writeback]` itself is meant.
+
+    Raises ConfigError where nothing says which of several is meant, or no block speaks of the temperature.
+    """
+    table: Any = document.get("writeback", {})
+    rows, first = table.get("blocks", ()), table.get("temperature")
+    known = [str(first or "the first"), *(str(row.get("temperature")) for row in rows)]
+    if temperature is None:
+        if rows:
+            raise ConfigError(
+                [f"--block: the device file has {len(known)} blocks; say which with --block-of {' or '.join(known)}"]
+            )
+        return None
+    row = next((row for row in rows if row.get("temperature") == temperature), None)
+    if row is None and first not in (None, temperature):
+        raise ConfigError(
+            [
+                f"--block-of: no block of the device file speaks of {temperature!r}, only of {', '.join(known)}; "
+                "for one more add a [[writeback.blocks]] table with temperature, address and suffix"
+            ]
+        )
+    return row
+
+
 def set_block(
     document: tomlkit.TOMLDocument, head: Mapping[str, Any], names: Sequence[str] | None, template: Path
 ) -> None:

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
+from tomlkit.items import AoT
 
 from drivers.driver import DRIVERS, LINKS, capabilities
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
 from gateway.commission.files.toml_edit import Edit, commit, edited, put
 from gateway.commission.session import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
-from gateway.settings import load_config, load_device
+from gateway.settings import ModelSection, load_config, load_device
 
 _PLANT = """\
 # The gateway's configuration. Relative paths are relative to this file. `decanter plc check` says what is wrong.
@@ -140,7 +141,9 @@ def device_edit(files: Files, change: Change) -> Edit:
 
 
 def plant_edit(files: Files, keep: Mapping[str, Any]) -> Edit | None:
-    """The plant file with where the device is, and with the keys to `keep` (section.key); None without a plant file.
+    """The plant file with where the device is, and with the keys to `keep`; None without a plant file.
+
+    A key is section.key, or temperature.TAG.key for that of a predicted temperature, which is added where it is new.
 
     Raises ConfigError.
     """
@@ -172,12 +175,38 @@ def plant_edit(files: Files, keep: Mapping[str, Any]) -> Edit | None:
             rows.append(row)
             table["links"] = rows
         for dotted, value in keep.items():
-            section, _, key = dotted.partition(".")
+            section, *tag, key = dotted.split(".")
+            if tag:
+                put(_temperature_row(document, ".".join(tag)), key, value)
+                continue
             if section not in document:
                 document[section] = tomlkit.table()
             put(document[section], key, value)
 
     return edited(files.plant, changed, _PLANT)
+
+
+def _temperature_row(document: tomlkit.TOMLDocument, tag: str) -> Any:
+    """The [[temperature]] table of a tag, made where there is none; a [model] becomes the first of them."""
+    if "temperature" not in document:
+        rows = tomlkit.aot()
+        model: Any = document.pop("model", None)
+        if model is not None:
+            row = tomlkit.table()
+            row["tag"] = model.get("temperature", ModelSection().temperature)
+            if "path" in model:
+                row["model"] = model["path"]
+            rows.append(row)
+        document["temperature"] = rows
+    rows = document["temperature"]
+    if not isinstance(rows, AoT):
+        raise ConfigError(["temperature: is written as a plain list; write each as a [[temperature]] table"])
+    if (found := next((row for row in rows if row.get("tag") == tag), None)) is not None:
+        return found
+    row = tomlkit.table()
+    row["tag"] = tag
+    rows.append(row)
+    return rows[-1]
 
 
 def save(device: Edit, plant: Edit | None) -> list[Path]:
@@ -195,6 +224,13 @@ def save(device: Edit, plant: Edit | None) -> list[Path]:
 def settings_of(pairs: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """--keep KEY=VALUE: (settings of the device, keys of the plant file, which have a dot). Raises ConfigError."""
     plant = {key: value for key, value in pairs.items() if "." in key}
-    if bad := [key for key in plant if not all(key.split(".")) or key.count(".") != 1]:
-        raise ConfigError([f"--keep {bad[0]}: give section.key of the plant file, such as scan.period=1.0"])
+    for key in plant:
+        section, *rest = key.split(".")
+        if not all((section, *rest)) or (len(rest) < 2 if section == "temperature" else len(rest) != 1):
+            raise ConfigError(
+                [
+                    f"--keep {key}: give section.key of the plant file, such as scan.period=1.0, or "
+                    "temperature.TAG.key, such as temperature.TFeed.model=models/feed"
+                ]
+            )
     return {key: value for key, value in pairs.items() if "." not in key}, plant

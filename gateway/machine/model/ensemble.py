@@ -221,8 +221,7 @@ class Ensemble:
                 member.predictor, member.failure = Predictor(member.predictor.model, self.first.temperature), ""
             if not member.failure:
                 try:
-                    prediction = member.predictor.step(scan)
-                    member.known = prediction.known and prediction.inputs_good
+                    member.known = member.predictor.track(scan)
                 except FAULTS as error:
                     self._fail(member, scan.time, repr(error))
             # Its bands learn all the same: forecasts that it made while it was well are still due.

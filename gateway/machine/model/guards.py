@@ -22,10 +22,10 @@ class Guards:
         self.model = model
         self.drift = CycleDrift()
         self._rule = rule_of(model, limit)
-        self.reviews = {INNOVATIONS: Review()} | {f"{horizon:g} s": Review() for horizon in horizons}
+        self._horizons = {f"{horizon:g} s": horizon for horizon in horizons}
+        self.reviews = {INNOVATIONS: Review()} | {name: Review() for name in self._horizons}
         self.forecast_clamps = 0
         self.forecasts_clamped = 0
-        self._horizons = horizons
 
     def look(self, prediction: ScanPrediction, calibration: Calibration) -> None:
         """Take a scan's reading in, before `calibration` settles it. Without a good reading nothing is learned."""
@@ -39,8 +39,7 @@ class Guards:
             z = Z90 * (p.measured - p.mean) / (p.high - p.mean)
             self.reviews[INNOVATIONS] = follow(ONE_STEP, self.reviews[INNOVATIONS], p.time, z)
         # A forecast that is due now is still pending in `calibration`; settling takes it out.
-        for horizon in self._horizons:
-            name = f"{horizon:g} s"
+        for name, horizon in self._horizons.items():
             self.reviews[name] = follow_forecasts(self.reviews[name], calibration, horizon, p.time, p.measured)
 
     def made(self, forecast: Forecast) -> None:

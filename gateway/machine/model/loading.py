@@ -17,6 +17,7 @@ from sim.artefacts import (
     version_directory,
 )
 from sim.checking.proof import verify
+from sim.effects import of_machine
 from sim.sha import Model
 
 
@@ -73,7 +74,7 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
     """The model at `path`, which the configuration gives under `key`."""
     try:
         version = current(path) if is_store(path) else ""
-        model = load(path, version) if version else read_model(path)
+        model = _own(config, load(path, version) if version else read_model(path))
         home = version_directory(path, version) if version else path
         written = (home / MODEL_FILE if home.is_dir() else home).stat().st_mtime
         predictor = Predictor(model, config.model.temperature)
@@ -94,6 +95,18 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
     if problems:
         raise ConfigError([f"{config.path}: {problem}" for problem in problems])
     return LoadedModel(model, model_hash(model), warning, version, written)
+
+
+def _own(config: Config, model: Model) -> Model:
+    """The model with what it knows of this machine, where it is one of a type of machine. Raises ValueError."""
+    wanted = config.model.correction
+    if wanted and wanted not in model.machines:
+        known = ", ".join(sorted(model.machines)) or "none"
+        raise ValueError(
+            f"correction: the model knows no machine {wanted!r}, only {known}; give one of these, or leave the key out"
+        )
+    name = config.machine if wanted is None else wanted
+    return of_machine(model, name) if name in model.machines else model
 
 
 def _unverified(config: Config, model: Model, path: Path, key: str, version: str) -> tuple[str, str]:

@@ -2,12 +2,10 @@
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from math import inf, isfinite
 from typing import Any
-
-import numpy as np
 
 from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import Ensemble, ForecastJob, MixedForecast, bands, foresee, run_job
@@ -32,7 +30,8 @@ class Outlook:
     """The newest forecast of one predictor; at most one is being made at a time, and scans never wait for it.
 
     Runs are drawn from the clock and the configured seed, so that a replay of the same beliefs gives the same fans.
-    `levels` are those of its fans, LEVELS among them; whoever scores them wants more.
+    `levels` are those of its fans, LEVELS among them; whoever scores them wants more. `turns` are taken with the
+    forecasts of other machines, so that few are made at once.
     """
 
     def __init__(
@@ -45,8 +44,9 @@ class Outlook:
         *,
         levels: tuple[float, ...] = LEVELS,
         supervisor: Supervisor | None = None,
+        turns: asyncio.Semaphore | None = None,
     ) -> None:
-        self._supervisor = supervisor or Supervisor()
+        self._supervisor, self._turns = supervisor or Supervisor(), turns
         self.predictor, self.section, self.limit = predictor, section, limit
         self.ensemble, self.levels = ensemble, levels
         self.latest: Forecast | None = None
@@ -128,7 +128,7 @@ class Outlook:
                 limit=self.limit,
                 levels=self.levels,
             )
-        self._task = self._supervisor.job("forecast", work)
+        self._task = self._supervisor.job("forecast", work, self._turns)
 
     async def finished(self) -> None:
         """Wait for the forecast being made, if any; the next `collect` gives it. For a clock that is not the wall's."""
@@ -143,7 +143,7 @@ class Outlook:
 
     def snapshot(self) -> dict[str, Any]:
         """What the bands have learned, as JSON can carry it."""
-        return {f"{horizon:g}": asdict(one) for horizon, one in self.calibration.horizons.items()}
+        return {f"{horizon:g}": one.plain() for horizon, one in self.calibration.horizons.items()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a snapshot, for the horizons that are still configured. Raises KeyError or TypeError."""
@@ -156,9 +156,19 @@ class Outlook:
         self.calibration = Calibration(horizons, section.memory, section.weight, section.tolerance)
 
 
+def limit_probability(made: Forecast, horizon: float) -> float:
+    """The probability of reaching the limit within the horizon that is nearest to `horizon` (s)."""
+    return made.exceedance[_column(made, horizon)].probability
+
+
+def _column(made: Forecast, horizon: float) -> int:
+    apart = [abs(own - horizon) for own in made.horizons.tolist()]
+    return apart.index(min(apart))
+
+
 def block_values(made: Forecast, horizon: float, now: float) -> dict[str, float | None]:
     """The block's fields that a forecast fills, brought to `now`: horizon and minutes have shrunk since it was made."""
-    column = int(np.argmin(np.abs(made.horizons - horizon)))
+    column = _column(made, horizon)
     by_level = dict(zip(made.levels, made.quantiles[:, column].tolist(), strict=True))
     # The forecast is of fixed moments: as time goes on they come nearer, and the quantiles stay as they are.
     elapsed = now - made.time

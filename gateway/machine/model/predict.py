@@ -109,8 +109,20 @@ class Predictor:
         """The inputs that a register map lacks."""
         return [name for name in self._inputs if name not in tags]
 
-    def step(self, scan: Scan) -> ScanPrediction:
-        """Take one scan in. Only good readings count: anything else makes its channel unknown and corrects nothing."""
+    def track(self, scan: Scan) -> bool:
+        """Take one scan in and say nothing of it; whether all that the model reads is good, and no channel unknown.
+
+        Of the free run, which nothing looks at then, there is none.
+        """
+        self._moved(scan)
+        samples = (scan.samples.get(name) for name in self._inputs)
+        return self.encoder.known and all(sample is not None and sample.quality.is_good for sample in samples)
+
+    def _moved(self, scan: Scan) -> tuple[list[Event], dict[str, float], float | None, Belief]:
+        """The events, inputs and reading of one scan, and what was expected of that reading; the belief has it by now.
+
+        Only good readings count: anything else makes its channel unknown and corrects nothing.
+        """
         # The order is the model's: events change the location, inputs the flow in it, and only then does the reading
         # say how right the temperature was that all of them led to.
         events = self.encoder.feed(scan.time, {name: scan.good(name) for name in self._channels})
@@ -135,6 +147,12 @@ class Predictor:
         if expected.time < scan.time:
             expected = advance(self.tracker, expected, scan.time)
         self.belief = expected if measured is None else observe(self.tracker, expected, scan.time, measured)
+        return events, signals, measured, expected
+
+    def step(self, scan: Scan) -> ScanPrediction:
+        """Take one scan in, and say what was expected of it."""
+        events, signals, measured, expected = self._moved(scan)
+        belief = expected if self.belief is None else self.belief
         free_run = self._free_run(scan.time, events, signals, expected, measured)
         self.events += len(events)
 
@@ -150,10 +168,10 @@ class Predictor:
                 age = float("inf")
             else:
                 age = max(age, scan.time - (sample.time if sample.sent is None else sample.sent))
-        known = None not in self.encoder.state.announced
-        score = anomaly(self.belief) + 0.0  # -log10 of a p-value of 1 is -0.0, which nobody should read
+        known = self.encoder.known
+        score = anomaly(belief) + 0.0  # -log10 of a p-value of 1 is -0.0, which nobody should read
         zone: Zone
-        if not known or worst > 0 or len(self.belief.recent) < FEWEST:
+        if not known or worst > 0 or len(belief.recent) < FEWEST:
             zone = "none"
         else:
             zone = "green" if score < YELLOW else "yellow" if score < RED else "red"
@@ -161,8 +179,8 @@ class Predictor:
         sigma = sqrt(expected.xx + self.tracker.sensor)
         return ScanPrediction(
             time=scan.time,
-            location=self.belief.location,
-            location_index=self._index[self.belief.location],
+            location=belief.location,
+            location_index=self._index[belief.location],
             known=known,
             inputs_good=worst == 0,
             worst=worst,
@@ -177,7 +195,7 @@ class Predictor:
             events=tuple(events),
             reset=any(event.symbol == UNKNOWN for event in events),
             free_sigma=None if free_run is None or self.free is None else sqrt(self.free.xx + self.tracker.sensor),
-            borrowed=self.belief.location in self.model.borrowed,
+            borrowed=belief.location in self.model.borrowed,
         )
 
     def _free_run(
@@ -188,7 +206,7 @@ class Predictor:
             self._restart = True
         if self._restart:
             # It begins from a reading, and only in a location that is known; until both are there, there is none.
-            if measured is None or None in self.encoder.state.announced:
+            if measured is None or not self.encoder.known:
                 self.free = None
                 return None
             self.free = restarted(self.tracker, expected, measured)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import Ensemble
 from gateway.machine.model.guards import Guards
 from gateway.machine.model.loading import LoadedModel
-from gateway.machine.model.outlook import FinishedForecast, Outlook, block_values
+from gateway.machine.model.outlook import FinishedForecast, Outlook, limit_probability
 from gateway.machine.model.pickup import Pickup, ReadyModel
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.reading import Scan
@@ -25,7 +27,8 @@ class ModelUnit:
 
     In a scan its methods are called in their order here: `pick_up` before anything is computed with the model, `follow`
     for the prediction, `settle` for what its reading teaches, `foresee` once the block is on its way. `loaded` is the
-    model that runs, `members` those of an ensemble beside it, `prediction` what was said of the newest scan.
+    model that runs, `members` those of an ensemble beside it, `prediction` what was said of the newest scan; `turns`
+    are those of the gateway's forecasts.
     """
 
     def __init__(
@@ -37,9 +40,11 @@ class ModelUnit:
         historian: HistorianView,
         log: FilteringBoundLogger,
         supervisor: Supervisor | None = None,
+        turns: asyncio.Semaphore | None = None,
     ) -> None:
         self.config, self.loaded, self.members = config, loaded, members
         self._historian, self._log, self._supervisor = historian, log, supervisor or Supervisor()
+        self._turns = turns
         self.pickup = Pickup(config, loaded, self._supervisor)
         self.begin_anew()
         for model in (loaded, *members):
@@ -64,7 +69,13 @@ class ModelUnit:
             else None
         )
         self.outlook = Outlook(
-            self.predictor, config.forecast, config.alarms.limit, period, ensemble, supervisor=self._supervisor
+            self.predictor,
+            config.forecast,
+            config.alarms.limit,
+            period,
+            ensemble,
+            supervisor=self._supervisor,
+            turns=self._turns,
         )
         self.guards = Guards(self.loaded.model, config.forecast.horizons, config.alarms.drift)
         self.prediction: ScanPrediction | None = None
@@ -139,7 +150,7 @@ class ModelUnit:
     def findings(self, prediction: ScanPrediction, forecast: Forecast | None) -> dict[str, float | None]:
         """What the alarms of the model look at, in the order in which they are stepped; None where it is not known."""
         p, trusted = prediction, prediction.known and prediction.inputs_good
-        limit = None if forecast is None else block_values(forecast, self.config.block_horizon, p.time)["p_limit"]
+        limit = None if forecast is None else limit_probability(forecast, self.config.block_horizon)
         return {
             "predicted over limit": limit,
             "anomaly": p.anomaly if trusted else None,
@@ -176,6 +187,24 @@ class ModelUnit:
             "version": model.version,
             "written": model.written,
             "refused": self.pickup.refused,
+        }
+
+    def description(self) -> dict[str, Any]:
+        """The automaton, the present location (None where it is not known), and where the model comes from."""
+        model, sha, now = self.loaded.model, self.loaded.model.sha, self.prediction
+        edges: dict[tuple[str, str], list[str]] = {}
+        for edge in sha.edges:
+            edges.setdefault((edge.source, edge.target), []).append(edge.symbol)
+        return {
+            **self.report(),
+            "locations": [
+                {"name": place.name, "flow": place.flow.kind, "borrowed": place.name in model.borrowed}
+                for place in sha.locations
+            ],
+            "edges": [{"source": a, "target": b, "symbols": symbols} for (a, b), symbols in edges.items()],
+            "initial": sha.initial,
+            "present": now.location if now is not None and now.known else None,
+            "provenance": asdict(model.provenance),
         }
 
     def guard_report(self) -> dict[str, Any]:

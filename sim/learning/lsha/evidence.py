@@ -34,12 +34,13 @@ Sums = tuple[float, float, float, float, float, float, float]
 """Over a set of segments, m relative to a common centre: count, w, w m, w^2, w^2 m, w^2 m^2, w^2 v."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class PooledEvidence:
     """What a set of segments says: their sums, and the mean that follows (NaN without any segment).
 
     `variance` is that of the mean, with `freedom` degrees of freedom: the sandwich estimate from `n_min` segments on,
-    below that what the common scatter makes it.
+    below that what the common scatter makes it. Nobody changes one; not frozen, because that takes three times as long
+    to make, and each merge that is tried makes many.
     """
 
     sums: Sums

@@ -297,6 +297,7 @@ class Plc:
             taken = self.intakes[layout.number] = writeback.taken(layout, intake, address, values, now)
             fields = None if reason == writeback.LENGTH else writeback.decoded(layout, values)
             written = {"peer": peer, "address": address, "words": list(values), "fields": fields}
+            written |= writeback.named(layout)
             self.record("block", now, {**written, "verdict": reason, "accepted": taken.accepted > intake.accepted})
 
     # ---------------------------------------------------------------- what others ask

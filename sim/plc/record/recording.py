@@ -60,7 +60,10 @@ class RequestRow:
 
 @dataclass(frozen=True, slots=True)
 class BlockRow:
-    """One write into the write-back area. `fields` are None where length or start was wrong."""
+    """One write into the write-back area. `fields` are None where length or start was wrong.
+
+    `block` is the suffix of the block that it reached into, "" for the first.
+    """
 
     monotonic: float
     time: float
@@ -70,6 +73,7 @@ class BlockRow:
     fields: Mapping[str, float] | None
     verdict: str
     accepted: bool
+    block: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,4 +210,5 @@ def _block(row: Mapping[str, Any], time: float) -> BlockRow:
         fields=row["fields"],
         verdict=row["verdict"],
         accepted=row["accepted"],
+        block=row.get("block", ""),
     )

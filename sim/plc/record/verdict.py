@@ -7,6 +7,7 @@ good. For programs that may not import the software PLC, the gateway first of al
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from math import isfinite
 from pathlib import Path
@@ -44,9 +45,13 @@ def _sample(row: Mapping[str, Any]) -> Sample:
     return Sample(row["tag"], value, Quality(row["quality"]), moments[0], None if sent is None else moments[1])
 
 
-def counts(recording: PlcRecording) -> dict[str, int]:
-    """What the PLC saw of the gateway: requests, blocks accepted and refused, rows that the recording lacks."""
+def counts(recording: PlcRecording) -> dict[str, Any]:
+    """What the PLC saw of the gateway: requests, blocks accepted and refused, rows that the recording lacks.
+
+    `blocks` has the accepted and refused ones of each block by its suffix.
+    """
     accepted = sum(block.accepted for block in recording.blocks)
+    verdicts = Counter((block.block, block.accepted) for block in recording.blocks)
     return {
         "requests": len(recording.requests),
         "writes_outside": sum(
@@ -56,6 +61,10 @@ def counts(recording: PlcRecording) -> dict[str, int]:
         + sum(row.event == "write refused" for row in recording.events),
         "blocks_accepted": accepted,
         "blocks_refused": len(recording.blocks) - accepted,
+        "blocks": {
+            suffix: {"accepted": verdicts[suffix, True], "refused": verdicts[suffix, False]}
+            for suffix in sorted({block.block for block in recording.blocks})
+        },
         "missing": recording.missing,
         "damaged": recording.damaged,
     }

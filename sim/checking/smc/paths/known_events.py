@@ -9,8 +9,20 @@ import numpy as np
 
 from sim.checking.smc.paths import long_steps
 from sim.checking.smc.paths.long_steps import NestedStep
-from sim.checking.smc.paths.plan import FINE, LEAST_DECAY, Indices, Piece, State, World, clamp, draw_start, limit
-from sim.checking.smc.paths.tilting import Tilts, chosen, scored, start_at, start_tiltable, tiltable
+from sim.checking.smc.paths.plan import (
+    FINE,
+    LEAST_DECAY,
+    Indices,
+    Piece,
+    State,
+    World,
+    clamp,
+    draw_start,
+    limit,
+    start_at,
+    start_tiltable,
+)
+from sim.checking.smc.paths.tilting import Tilts, chosen, scored, tiltable
 from sim.engine import Schedule, schedule, step_coefficients
 from sim.sha import (
     UNKNOWN,

@@ -13,12 +13,13 @@ is drawn apart: the joint law of a rise and a fall within one piece is that of i
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from math import exp
-from typing import TYPE_CHECKING, Protocol
+from math import exp, sqrt
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.checking.smc.paths.tilting import Tilts, tiltable
 from sim.engine import Belief, Plant, Tracker, draw_belief, draw_states, drawn_start
 from sim.sha import (
     RELAXING,
@@ -32,9 +33,6 @@ from sim.sha import (
     drawn_parameter,
     mode_parameter,
 )
-
-if TYPE_CHECKING:
-    from sim.checking.smc.paths.tilting import Tilts
 
 Indices = NDArray[np.intp]
 
@@ -198,7 +196,7 @@ class Engine(Protocol):
         """How many mode parameters may be drawn by laws of their own (`sim.checking.smc.paths.tilting`)."""
         ...
 
-    def tilted(self, tilts: "Tilts") -> "Engine":
+    def tilted(self, tilts: Tilts) -> "Engine":
         """The same with those mode parameters drawn by these laws."""
         ...
 
@@ -222,6 +220,25 @@ def limit(flow: Flow, age: float | Array) -> float | Array:
         step = 0.5 * FINE * np.exp(np.minimum(age / twice, 50.0))
         return np.where(step < 1.0, -twice * np.log1p(-np.minimum(step, 1.0 - 1e-12)), np.inf)
     return FINE * (flow.params["t0"] + age) if flow.kind == "logarithmic" else np.inf
+
+
+def start_tiltable(world: World) -> bool:
+    """Whether m at the start is normal and not known."""
+    if world.belief is not None:
+        return world.belief.mm > 0
+    return tiltable(drawn_parameter(world.sha.locations[world.location]))
+
+
+def start_at(world: World, scores: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """(X, m) of runs at the start whose m has these standard scores; X by its law, a belief's given m."""
+    belief = world.belief
+    if belief is None:
+        mean, variance = mode_parameter(world.sha.locations[world.location])
+        return distributions.draw(world.first, scores.size, rng), mean + sqrt(variance) * scores
+    # The belief's joint normal law the other way round: X given m, as it is m that is chosen here.
+    share = belief.xm / sqrt(belief.mm)
+    own = sqrt(max(belief.xx - share * share, 0.0))
+    return belief.x + share * scores + own * rng.standard_normal(scores.size), belief.m + sqrt(belief.mm) * scores
 
 
 def draw_start(world: World, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -8,13 +8,11 @@ log N(z; mean, 1).
 """
 
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
 import scipy
 
-from sim.checking.smc.paths.plan import World
-from sim.sha import Array, Distribution, distributions, drawn_parameter, mode_parameter
+from sim.sha import Array, Distribution
 
 MOST = 6
 """Stays whose m is drawn so, at most: those on which m has the greatest effect."""
@@ -85,28 +83,9 @@ def tiltable(law: Distribution | None) -> bool:
     return law is not None and law.kind == "normal" and law.params["sigma"] > 0
 
 
-def start_tiltable(world: World) -> bool:
-    """Whether m at the start is normal and not known."""
-    if world.belief is not None:
-        return world.belief.mm > 0
-    return tiltable(drawn_parameter(world.sha.locations[world.location]))
-
-
 def scored(law: Distribution, scores: Array) -> Array:
     """m of a normal law at these standard scores."""
     return np.asarray(law.params["mu"] + law.params["sigma"] * scores)
-
-
-def start_at(world: World, scores: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """(X, m) of runs at the start whose m has these standard scores; X by its law, a belief's given m."""
-    belief = world.belief
-    if belief is None:
-        mean, variance = mode_parameter(world.sha.locations[world.location])
-        return distributions.draw(world.first, scores.size, rng), mean + sqrt(variance) * scores
-    # The belief's joint normal law the other way round: X given m, as it is m that is chosen here.
-    share = belief.xm / sqrt(belief.mm)
-    own = sqrt(max(belief.xx - share * share, 0.0))
-    return belief.x + share * scores + own * rng.standard_normal(scores.size), belief.m + sqrt(belief.mm) * scores
 
 
 def chosen(effects: Array) -> list[int]:

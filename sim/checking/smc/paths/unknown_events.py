@@ -25,8 +25,10 @@ from sim.checking.smc.paths.plan import (
     draw_mode,
     draw_start,
     limit,
+    start_at,
+    start_tiltable,
 )
-from sim.checking.smc.paths.tilting import Tilts, start_at, start_tiltable
+from sim.checking.smc.paths.tilting import Tilts
 from sim.effects import disturbance_step
 from sim.sha import (
     MOST_STAYS,

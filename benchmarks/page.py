@@ -1,0 +1,233 @@
+"""What the page costs: first paint, an update's way to the screen, twenty clients, and what a scan notices of them.
+
+    python -m benchmarks.page [--seconds 20] [--clients 20]
+
+One gateway with a model on a device in memory, one scan a second, as a process of its own; the browser is headless
+Chromium. An update's latency is from the reading's own time to the frame in which the browser shows it. What the
+clients cost is the gateway's processor time with them less that without. What a scan notices is how far its begin is
+off the period, and how long it takes, without clients and with them.
+"""
+
+import argparse
+import asyncio
+import http.client
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from math import sin
+from pathlib import Path
+from typing import Any
+
+from drivers.tag import Tag
+from gateway.machine.reading import plant_clock
+from gateway.plant.app import SWITCH_SECONDS, run
+from gateway.store import percentile, reading, stored_rows
+from gateway.web.reader import HistorianReader
+from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, logged, one_machine, two_modes
+
+SHOWN = """
+() => {
+  window.late = [];
+  const big = document.querySelector('.row .big');
+  new MutationObserver(() => requestAnimationFrame(() => {
+    const shown = Number(big.textContent.replace(/[^0-9.]/g, ''));
+    window.late.push([shown, Date.now() / 1000]);
+  })).observe(big, { characterData: true, childList: true, subtree: true });
+}
+"""
+
+
+async def gateway(folder: Path) -> None:
+    """The gateway, until SIGTERM; what its device reads changes with each second."""
+    text = "[page]\nenabled = true\nport = 0\n[forecast]\nhorizons = [60.0, 300.0, 900.0]\n"
+    config = config_in(folder, text, model=two_modes())
+    clock, stop = plant_clock(1.0), asyncio.Event()
+    bench = Bench(config, clock)  # type: ignore[arg-type]
+    bench.plan = {}
+    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, stop.set)
+    for name, value in ((RUNNING, True), (CURRENT, 150.0), (TEMPERATURE, 40.0)):
+        bench.soft.put(name, value)
+
+    async def vary() -> None:
+        step = 0
+        while True:
+            # A tenth of a degree tells one reading from the next on the screen.
+            bench.soft.put(TEMPERATURE, 40.0 + (step % 50) / 10.0)
+            step += 1
+            await asyncio.sleep(1.0)
+
+    varying = asyncio.create_task(vary())
+    await run(config, clock=clock, driver=bench, stop=stop)
+    varying.cancel()
+
+
+@contextmanager
+def running(folder: Path) -> Iterator[tuple[int, int]]:
+    """The process and the port of a gateway with its page."""
+    process = subprocess.Popen([sys.executable, "-m", "benchmarks.page", "--serve", str(folder)])
+    try:
+        for _ in range(400):
+            lines = logged(folder) if (folder / "gateway.jsonl").exists() else []
+            if found := [line["address"] for line in lines if line["event"] == "the page is served"]:
+                break
+            time.sleep(0.05)
+        yield process.pid, int(found[0].rpartition(":")[2])
+    finally:
+        process.terminate()
+        process.wait(20.0)
+
+
+def processor(pid: int) -> float:
+    """Processor seconds of a process so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def follow(port: int, stop: threading.Event, late: list[float]) -> None:
+    """One client of the stream; notes how late each picture comes after it was taken."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10.0)
+    connection.request("GET", "/api/live")
+    stream = connection.getresponse()
+    while not stop.is_set():
+        line = stream.readline()
+        if line.startswith(b"data: "):
+            taken = re.search(rb'"taken": ([0-9.]+)', line)
+            if taken:
+                late.append(time.time() - float(taken[1]))
+    connection.close()
+
+
+def delays(folder: Path, start: float, end: float) -> list[float]:
+    """How far each space between two scans is from the period (s), between two times, and how long a scan took."""
+    with reading(folder / "history.sqlite") as connection:
+        rows = stored_rows(connection, "scans", ("time", "duration"), start, end)
+    return [abs(after[0] - before[0] - 1.0) + after[1] for before, after in pairwise(rows)]
+
+
+def browser(port: int, seconds: float) -> dict[str, Any]:
+    """First paint and updates, by headless Chromium."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox", "--disable-gpu"])
+        paints = []
+        for _ in range(5):
+            page = chromium.new_page()
+            page.goto(f"http://127.0.0.1:{port}/")
+            page.wait_for_selector(".row .sentence")
+            paints.append(
+                page.evaluate(
+                    "performance.getEntriesByName('first-contentful-paint')[0]?.startTime ?? performance.now()"
+                )
+            )
+            page.close()
+        page = chromium.new_page()
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_selector(".row .sentence")
+        page.evaluate(SHOWN)
+        page.wait_for_timeout(1000.0 * seconds)
+        shown = page.evaluate("window.late")
+        heap = page.evaluate("performance.memory?.usedJSHeapSize ?? 0")
+        chromium.close()
+    return {"first_paint_ms": paints, "shown": shown, "heap_mb": heap / 1e6}
+
+
+def week_of_trends() -> dict[str, float]:
+    """Seconds until a trend is there, by what it spans, from a week of one reading a second (the median of five)."""
+    with tempfile.TemporaryDirectory() as name:
+        path, begin, count = Path(name) / "history.sqlite", 1_700_000_000.0, 7 * 86_400
+        tag = Tag("T", "holding:0", unit="degC")
+        store, view = one_machine(path, [tag])
+        for first in range(0, count, 20_000):
+            times = [begin + second for second in range(first, min(first + 20_000, count))]
+            view.put("scans", [(time_, 0.01, 0) for time_ in times])
+            view.put("samples", [("T", time_, 50.0 + 10.0 * sin(time_ / 3000.0), 0, time_) for time_ in times])
+            store.flush(60.0)
+        store.close()
+
+        async def ask() -> dict[str, float]:
+            reader, found = HistorianReader(path, 15.0), {}
+            end = begin + count
+            await reader.trend("decanter", "T", end - 60.0, end)  # the process begins
+            for label, span in (("7 d", count), ("1 d", 86_400), ("1 h", 3600), ("1 min", 60)):
+                took = []
+                for place in range(5):
+                    begun = time.perf_counter()
+                    await reader.trend("decanter", "T", end - span - place, end - place)
+                    took.append(time.perf_counter() - begun)
+                found[label] = round(percentile(took, 0.5), 3)
+            await reader.close()
+            return found
+
+        return asyncio.run(ask())
+
+
+def measure(seconds: float, clients: int) -> dict[str, Any]:
+    """All figures."""
+    with tempfile.TemporaryDirectory() as name, running(Path(name)) as (pid, port):
+        folder = Path(name)
+        time.sleep(5.0)
+        begun, before = time.time(), processor(pid)
+        time.sleep(seconds)
+        alone, alone_end = processor(pid) - before, time.time()
+        stop, late = threading.Event(), list[float]()
+        threads = [threading.Thread(target=follow, args=(port, stop, late), daemon=True) for _ in range(clients)]
+        for thread in threads:
+            thread.start()
+        time.sleep(2.0)
+        with_begun, before = time.time(), processor(pid)
+        time.sleep(seconds)
+        crowd, with_end = processor(pid) - before, time.time()
+        stop.set()
+        for thread in threads:
+            thread.join(3.0)
+        seen = browser(port, seconds)
+        time.sleep(2.0)
+        with reading(folder / "history.sqlite") as connection:
+            rows = stored_rows(connection, "predictions", ("time", "measured"))
+        by_value = {round(measured, 1): at for at, measured in rows if measured is not None and at > with_end}
+        screen = [at - by_value[value] for value, at in seen["shown"] if value in by_value and at >= by_value[value]]
+        return {
+            "first_paint_ms": sorted(round(paint) for paint in seen["first_paint_ms"]),
+            "screen_ms": {
+                name: round(1000 * percentile(screen, share)) for name, share in (("p50", 0.5), ("p99", 0.99))
+            },
+            "updates": len(screen),
+            "stream_ms": {
+                name: round(1000 * percentile(late, share), 1) for name, share in (("p50", 0.5), ("p99", 0.99))
+            },
+            "clients": clients,
+            "core_share": round((crowd - alone) / seconds, 4),
+            "scan_delay_ms": {
+                "alone": round(1000 * percentile(delays(folder, begun, alone_end), 0.99), 2),
+                "with clients": round(1000 * percentile(delays(folder, with_begun, with_end), 0.99), 2),
+            },
+            "heap_mb": round(seen["heap_mb"], 1),
+        }
+
+
+def main() -> None:
+    """Measure, and print one line of JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--clients", type=int, default=20)
+    parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.serve is not None:
+        sys.setswitchinterval(SWITCH_SECONDS)
+        asyncio.run(gateway(given.serve))
+        return
+    print(json.dumps({**measure(given.seconds, given.clients), "trend_s": week_of_trends()}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,23 @@
+"""`decanter user`: the accounts of the page, made at the box."""
+
+import click
+
+from gateway.entry import LazyGroup, Table
+
+COMMANDS: Table = {
+    "add": ("gateway.cli.accounts:add", "Make an account; its password is asked for."),
+    "list": ("gateway.cli.accounts:list_accounts", "List the accounts and what each may do."),
+    "password": ("gateway.cli.accounts:password", "Give an account another password; its sessions end."),
+    "remove": ("gateway.cli.accounts:remove", "Remove an account; its sessions end."),
+}
+EXAMPLES = {
+    "add": "user add rossi --role operator --config plant.toml",
+    "list": "user list --config plant.toml",
+    "password": "user password rossi --config plant.toml",
+    "remove": "user remove rossi --config plant.toml",
+}
+
+
+@click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES)
+def user() -> None:
+    """Make, list and remove the page's accounts."""

@@ -1,0 +1,41 @@
+"""Who may do what at the page: accounts made at the box, sessions that end, lock-out."""
+
+from typing import TYPE_CHECKING
+
+from sim.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from gateway.web.access.accounts import (
+        ROLES,
+        AccountRole,
+        Accounts,
+        AccountsError,
+        PageAccount,
+        PasswordChecks,
+        add_account,
+        change_password,
+        password_problem,
+        read_accounts,
+        remove_account,
+    )
+    from gateway.web.access.lockout import Lockout
+    from gateway.web.access.sessions import Session, Sessions
+else:
+    __getattr__ = opened_at_use(__name__)
+
+__all__ = [
+    "ROLES",
+    "AccountRole",
+    "Accounts",
+    "AccountsError",
+    "Lockout",
+    "PageAccount",
+    "PasswordChecks",
+    "Session",
+    "Sessions",
+    "add_account",
+    "change_password",
+    "password_problem",
+    "read_accounts",
+    "remove_account",
+]

@@ -1,0 +1,111 @@
+// What is inside: the model, the links, the computer.
+import { ask, bytes, clock, duration, h, moment, number, s, say, shown } from "./dom.js";
+import { isCut, state } from "./live.js";
+import { badge } from "./plant.js";
+import { can } from "./records.js";
+import { strip } from "./draw.js";
+
+const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label), h("dd", {}, what));
+const grid = (heads, rows) => h("div", { class: "scroll", tabindex: "0" }, h("table", {},
+  h("thead", {}, h("tr", {}, heads.map((text) => h("th", { scope: "col" }, text)))),
+  h("tbody", {}, rows.map(([first, ...rest]) => h("tr", {}, h("th", { scope: "row" }, first), rest.map((cell) => h("td", {}, cell)))))));
+
+// ---------------------------------------------------------------- the model
+
+const models = new Map(); // machine -> {key, temperatures}
+export function modelView() {
+  return h("section", { class: "view" }, state.order.flatMap((name) => {
+    const { status, label, temperatures } = state.machines[name];
+    const key = JSON.stringify([status.model?.hash, status.further.map((one) => one.model?.hash)]);
+    if (models.get(name)?.key !== key) {
+      models.set(name, { key });
+      ask("GET", "/api/model", { machine: name }).then((found) => models.set(name, { key, ...found }), (error) => models.set(name, { key, error: error.message }));
+    }
+    const known = models.get(name);
+    return temperatures.map((row, place) => h("section", { class: "card", "data-key": `${name} ${row.tag}` }, h("h2", {}, `${label}: ${row.label}`),
+      known.error ? h("p", { class: "error" }, known.error) : !known.temperatures ? h("p", { class: "quiet" }, say("word.loading"))
+        : modelCard(known.temperatures[row.tag], (place ? status.further[place - 1] : status).prediction)));
+  }));
+}
+
+function modelCard(model, prediction) {
+  if (!model) return h("p", { class: "quiet" }, say("model.none"));
+  const from = model.provenance, present = prediction?.known ? prediction.location : null;
+  return h("div", {},
+    model.refused && h("p", { class: "error" }, `${say("model.refused")}: ${model.refused}`),
+    h("dl", { class: "facts" },
+      fact(say("model.runs"), model.name), fact(say("model.hash"), h("code", {}, model.hash.slice(0, 12))), model.version && fact(say("model.version"), model.version),
+      model.written && fact(say("model.written"), moment(model.written)), fact(say("model.method"), from.method),
+      from.traces.length > 0 && fact(say("model.traces"), from.traces.slice(0, 6).join(", ") + (from.traces.length > 6 ? " …" : ""), from.synthetic && h("small", {}, say("model.synthetic")))),
+    h("h3", {}, say("model.automaton")),
+    h("p", { class: "quiet" }, say("model.locations", { locations: model.locations.length, edges: model.edges.length }), " · ", h("span", { class: "key present" }, present ?? say("word.unknown")), ` ${say("model.present")}`),
+    automaton(model, present));
+}
+
+// The locations on a circle, the moves as arcs that keep to their right, so that there and back are two lines.
+function automaton(model, present) {
+  const count = model.locations.length, size = Math.max(420, 40 * count + 200), middle = size / 2, radius = middle - 92;
+  const at = Object.fromEntries(model.locations.map((place, index) => {
+    const angle = (2 * Math.PI * index) / count - Math.PI / 2;
+    return [place.name, { x: middle + radius * Math.cos(angle), y: middle + radius * Math.sin(angle), angle }];
+  }));
+  const moves = model.edges.filter((edge) => edge.source !== edge.target).map((edge) => {
+    const a = at[edge.source], b = at[edge.target], dx = b.x - a.x, dy = b.y - a.y, length = Math.hypot(dx, dy) || 1;
+    const bend = 0.16 * length, cx = (a.x + b.x) / 2 + (dy / length) * bend, cy = (a.y + b.y) / 2 - (dx / length) * bend;
+    const near = (from, to, by) => { const l = Math.hypot(to.x - from.x, to.y - from.y) || 1; return [from.x + ((to.x - from.x) / l) * by, from.y + ((to.y - from.y) / l) * by]; };
+    const [x1, y1] = near(a, { x: cx, y: cy }, 24), [x2, y2] = near(b, { x: cx, y: cy }, 30);
+    const here = edge.source === present;
+    return s("g", { class: `move${here ? " here" : ""}` }, s("path", { d: `M${x1.toFixed(1)} ${y1.toFixed(1)} Q${cx.toFixed(1)} ${cy.toFixed(1)} ${x2.toFixed(1)} ${y2.toFixed(1)}`, "marker-end": "url(#tip)" }, s("title", {}, `${edge.source} → ${edge.target}: ${edge.symbols.join(", ")}`)),
+      count <= 8 && s("text", { x: ((x1 + 2 * cx + x2) / 4).toFixed(1), y: ((y1 + 2 * cy + y2) / 4).toFixed(1) }, edge.symbols.slice(0, 2).join(", ") + (edge.symbols.length > 2 ? " …" : "")));
+  });
+  const places = model.locations.map((place) => {
+    const { x, y } = at[place.name];
+    return s("g", { class: `place${place.name === present ? " present" : ""}${place.borrowed ? " borrowed" : ""}` },
+      s("circle", { cx: x.toFixed(1), cy: y.toFixed(1), r: 22 }), s("text", { x: x.toFixed(1), y: (y + 36 * (y < middle - 1 ? -1 : 1) + 4).toFixed(1) }, place.name), s("title", {}, `${place.name} (${place.flow})${place.borrowed ? `, ${say("model.borrowed")}` : ""}`));
+  });
+  return h("div", { class: "scroll automaton", tabindex: "0" }, s("svg", { viewBox: `0 0 ${size} ${size}`, role: "img", "aria-label": `${say("model.automaton")}: ${say("model.present")} ${present ?? say("word.unknown")}` },
+    s("defs", {}, s("marker", { id: "tip", viewBox: "0 0 8 8", refX: 6, refY: 4, markerWidth: 7, markerHeight: 7, orient: "auto" }, s("path", { d: "M0 0 L8 4 L0 8 z" }))),
+    moves, places));
+}
+
+// ---------------------------------------------------------------- the links
+
+export function communicationView() {
+  return h("section", { class: "view" }, state.order.map((name) => {
+    const { status, label } = state.machines[name];
+    const outages = [...status.link.outages].reverse().slice(0, 10);
+    return h("section", { class: "card", "data-key": name }, h("h2", {}, label),
+      h("div", { class: "linkline" }, h("span", {}, say("word.link_hour")), strip(status), h("span", { class: status.link.alive ? "" : "bad" }, say(status.link.alive ? "word.link_good" : "word.link_lost"))),
+      status.link.reason && h("p", { class: "error" }, status.link.reason),
+      h("dl", { class: "facts" }, fact(say("link.scans"), status.scan.count), fact(say("link.missed"), status.scan.missed), fact(say("link.period"), `${number(status.scan.period, 1)} s`), fact(say("word.writeback"), badge(status.writeback))),
+      grid([say("word.link"), say("link.place"), say("link.active"), say("link.connected"), say("word.reason")], status.links.map((link) => [link.name, link.place, shown(link.active), shown(link.connected), link.reason || ""])),
+      outages.length > 0 && [h("h3", {}, say("link.outages")), grid([say("link.begin"), say("link.end")], outages.map((each) => [clock(each.last_good), each.recovered_s === null ? say("link.lasts") : duration(each.recovered_s)]))],
+      Object.keys(status.driver).length > 0 && [h("h3", {}, say("link.counters")), grid([say("word.name"), say("word.count")], Object.entries(status.driver).map(([key, count]) => [key.replaceAll("_", " "), shown(count)]))],
+      Object.keys(status.writeback).includes("written") && grid([say("word.writeback"), say("word.count")], ["written", "accepted", "refused", "failed"].filter((key) => key in status.writeback).map((key) => [key, shown(status.writeback[key])])));
+  }));
+}
+
+// ---------------------------------------------------------------- the computer
+
+let box = { asked: 0, facts: null };
+export function boxView() {
+  if (performance.now() - box.asked > 5000 && !isCut()) {
+    box.asked = performance.now();
+    ask("GET", "/api/box").then((facts) => (box.facts = facts), () => {});
+  }
+  const { status } = state.machines[state.order[0]], f = box.facts, historian = status.historian;
+  const share = (part, whole) => (part === null || !whole ? "" : ` (${number((100 * part) / whole, 0)} %)`);
+  const lost = historian.dropped + historian.refused;
+  const parts = state.order.flatMap((name) => Object.entries(state.machines[name].status.parts).map(([part, how]) => [state.order.length > 1 ? `${state.machines[name].label}: ${part}` : part, how]));
+  return h("section", { class: "view" },
+    h("section", { class: "card" }, h("h2", {}, say("nav.box")), h("dl", { class: "facts" },
+      f && [fact(say("box.disk"), bytes(f.disk.free), h("small", {}, share(f.disk.free, f.disk.total))), fact(say("box.memory"), bytes(f.memory.available), h("small", {}, share(f.memory.available, f.memory.total))),
+        fact(say("box.process"), bytes(f.memory.process)), fact(say("box.load"), f.load.map((each) => number(each, 2)).join("  ")), fact(say("box.up"), duration(f.up))],
+      fact(say("box.clock"), status.clock.complaint || say("box.clock_good"), h("small", {}, moment(status.time)))),
+      can("administrator") && h("button", { "data-act": "reload" }, say("person.reload"))),
+    h("section", { class: "card" }, h("h2", {}, say("box.records")), (historian.failure || historian.complaint) && h("p", { class: "error" }, historian.failure || historian.complaint),
+      h("dl", { class: "facts" }, fact(say("box.records"), lost ? say("box.lost", { count: lost }) : say("box.kept")),
+        fact(say("box.historian"), f ? bytes(f.records.historian) : "–", h("small", {}, historian.path)), f && fact(say("box.audit"), bytes(f.records.audit)))),
+    h("section", { class: "card" }, h("h2", {}, say("box.parts")),
+      grid([say("word.name"), say("box.running"), say("box.restarts"), say("box.failure")], parts.map(([part, how]) => [part, shown(how.running), how.restarts, how.failure]))));
+}

@@ -1,0 +1,97 @@
+// The frame of the page: which view is shown, the banner when the stream is cut, who is logged in.
+import { ask, duration, h, morph, say, setPerson, start } from "./dom.js";
+import { age, follow, isCut, state } from "./live.js";
+import { acts, personBox } from "./person.js";
+import { alarmsView, scorecardView } from "./records.js";
+import { boxView, communicationView, modelView } from "./inside.js";
+import { machineView, plantView } from "./plant.js";
+import { trendsView } from "./trends.js";
+
+const VIEWS = {
+  plant: plantView,
+  alarms: alarmsView,
+  trends: trendsView,
+  scorecard: scorecardView,
+  model: modelView,
+  communication: communicationView,
+  box: boxView,
+};
+const view = document.getElementById("view");
+let place = "", rendered = null;
+
+function here() {
+  const [name, ...rest] = location.hash.replace(/^#\/?/, "").split("/").map(decodeURIComponent);
+  return { name: name in VIEWS || name === "machine" ? name : "plant", rest };
+}
+
+function render() {
+  const { name, rest } = here();
+  const cut = start.may_read && isCut();
+  document.body.classList.toggle("cut", cut);
+  showCut(cut);
+  showNav(name);
+  morph(document.getElementById("person"), personBox());
+  const fresh = h("main", { id: "view", tabindex: "-1" }, content(name, rest, cut));
+  if (place !== location.hash) {
+    view.replaceChildren(...fresh.childNodes);
+    if (place !== "") view.focus({ preventScroll: true }), scrollTo(0, 0);
+    place = location.hash;
+  } else morph(view, fresh);
+  rendered?.();
+}
+
+// A view gives its elements, or [elements, what is drawn once they are there].
+function content(name, rest, cut) {
+  rendered = null;
+  if (!start.may_read) return h("p", { class: "lead" }, say("person.needed"));
+  if (!state.order.length) return h("p", { class: "lead" }, cut ? say("live.never") : say("word.loading"));
+  const made = name === "machine" ? machineView(rest[0], cut) : VIEWS[name](rest, cut);
+  if (!Array.isArray(made)) return made;
+  rendered = made[1];
+  return made[0];
+}
+
+function showCut(cut) {
+  const banner = document.getElementById("cut");
+  banner.hidden = !cut;
+  if (!cut) return;
+  const seconds = age();
+  const said = seconds === null ? say("live.never") : say("live.age", { age: duration(seconds) });
+  morph(banner, h("div", { id: "cut", role: "alert" }, h("strong", {}, say("live.cut")), h("span", {}, said)));
+}
+
+function showNav(name) {
+  const waiting = state.order.reduce(
+    (sum, each) => sum + state.machines[each].alarms.filter((alarm) => alarm.state.includes("unacknowledged")).length, 0,
+  );
+  const links = Object.keys(VIEWS).map((each) =>
+    h("a", { href: `#/${each}`, "aria-current": each === name ? "page" : null },
+      say(`nav.${each}`), each === "alarms" && waiting > 0 && h("span", { class: "count" }, String(waiting))));
+  morph(document.getElementById("nav"), h("nav", { id: "nav", "aria-label": say("nav.main") }, links));
+}
+
+document.addEventListener("click", (event) => {
+  const target = event.target.closest("[data-act]");
+  if (target) acts[target.dataset.act]?.(target, render);
+});
+document.addEventListener("change", (event) => {
+  if (event.target.id === "language") location.search = `?lang=${event.target.value}`;
+});
+addEventListener("hashchange", render);
+
+ask("GET", "/api/session")
+  .then((found) => setPerson(found))
+  .catch(() => {})
+  .finally(render);
+let waiting = false;
+follow(() => {
+  // Many pictures between two frames are drawn once; a hidden page is drawn when it is looked at.
+  if (waiting || document.hidden) return;
+  waiting = true;
+  requestAnimationFrame(() => {
+    waiting = false;
+    render();
+  });
+});
+document.addEventListener("visibilitychange", render);
+render();

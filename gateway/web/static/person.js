@@ -1,0 +1,104 @@
+// Who is logged in, and what a person may change.
+import { ask, h, person, say, setPerson, start } from "./dom.js";
+
+export const personBox = () => h("div", { id: "person" }, person.name
+  ? [h("span", { class: "who" }, h("b", {}, person.name), h("small", {}, say(`role.${person.role}`))),
+    h("button", { "data-act": "logout" }, say("person.logout"))]
+  : h("button", { "data-act": "login" }, say("person.login")));
+
+const box = document.getElementById("dialog");
+
+// A dialog with fields; `work` gets their values, and its error is said in the dialog.
+function dialog(title, fields, confirm, work, more = []) {
+  const said = h("p", { class: "error", role: "alert" });
+  const inputs = fields.map(([name, label, attributes]) => h("label", {}, h("span", {}, label), h("input", { name, required: true, ...attributes })));
+  const form = h("form", { method: "dialog" }, h("h2", { id: "dialog-title" }, title), more, inputs, said,
+    h("div", { class: "buttons" }, h("button", { type: "button", value: "cancel" }, say("person.cancel")), h("button", { type: "submit", class: "main" }, confirm)));
+  form.querySelector("[value=cancel]").onclick = () => box.close();
+  form.onsubmit = async (event) => {
+    event.preventDefault();
+    said.textContent = "";
+    try {
+      await work(Object.fromEntries(new FormData(form)));
+      box.close();
+    } catch (error) {
+      said.textContent = error.message;
+    }
+  };
+  box.replaceChildren(form);
+  box.showModal();
+}
+
+const line = { autocomplete: "off", maxlength: 200 };
+
+export const acts = {
+  login(_, changed) {
+    dialog(say("person.login"), [["name", say("person.name"), { autocomplete: "username", maxlength: 60, autofocus: true }], ["password", say("person.password"), { type: "password", autocomplete: "current-password", maxlength: 200 }]],
+      say("person.login"), async (given) => {
+        setPerson(await ask("POST", "/api/session", given));
+        if (!start.may_read) location.reload();
+        changed();
+      });
+  },
+  async logout(_, changed) {
+    await ask("DELETE", "/api/session").catch(() => {});
+    setPerson({ name: null, role: null, token: null });
+    if (!start.open) location.reload();
+    changed();
+  },
+  async alarm(button, changed) {
+    const { machine, of: alarm, change } = button.dataset;
+    if (change !== "acknowledge") {
+      const minutes = change === "shelve" ? [["minutes", say("person.minutes"), { type: "number", min: 1, value: 60 }]] : [];
+      dialog(`${button.textContent}: ${alarm}`, [["reason", say("person.reason"), line], ...minutes], button.textContent, async (given) => {
+        const more = given.minutes ? { minutes: Number(given.minutes) } : {};
+        await ask("POST", "/api/alarm", { machine, alarm, change, reason: given.reason, ...more }).catch((error) => expired(error, changed));
+      });
+      return;
+    }
+    button.disabled = true;
+    try {
+      await ask("POST", "/api/alarm", { machine, alarm, change });
+    } catch (error) {
+      await failed(error, changed);
+    } finally {
+      button.disabled = false;
+    }
+  },
+  arm(button, changed) {
+    dialog(say("person.arm"), [["reason", say("person.reason"), line], ["minutes", say("person.minutes"), { type: "number", min: 1, max: 480, value: 60 }]], say("person.arm"), async ({ reason, minutes }) => {
+      await ask("POST", "/api/arm", { machine: button.dataset.machine, reason, minutes: Number(minutes) }).catch((error) => expired(error, changed));
+    });
+  },
+  disarm(button, changed) {
+    dialog(say("person.disarm"), [["reason", say("person.reason"), line]], say("person.disarm"), async ({ reason }) => {
+      await ask("POST", "/api/disarm", { machine: button.dataset.machine, reason }).catch((error) => expired(error, changed));
+    });
+  },
+  async reload(_, changed) {
+    try {
+      const { changes } = await ask("POST", "/api/reload", { dry_run: true });
+      const rows = Object.entries(changes).flatMap(([name, sentences]) => sentences.map((each) => h("li", {}, `${name}: ${each}`)));
+      dialog(say("person.reload"), [], say("person.confirm"), () => ask("POST", "/api/reload", { dry_run: false }),
+        [h("h3", {}, say("person.changes")), rows.length ? h("ul", {}, rows) : h("p", {}, say("person.no_changes"))]);
+    } catch (error) {
+      await failed(error, changed);
+    }
+  },
+};
+
+// A session that has ended is logged in anew; anything else is said.
+function expired(error, changed) {
+  if (error.status === 401) {
+    setPerson({ name: null, role: null, token: null });
+    changed();
+  }
+  throw error;
+}
+async function failed(error, changed) {
+  if (error.status === 401) {
+    setPerson({ name: null, role: null, token: null });
+    changed();
+    acts.login(null, changed);
+  } else dialog(say("word.attention"), [], say("person.confirm"), () => {}, [h("p", {}, error.message)]);
+}

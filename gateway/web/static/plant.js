@@ -1,0 +1,150 @@
+// The plant (a row a temperature) and one machine.
+import { clock, duration, h, number, say, shown, unit } from "./dom.js";
+import { age, isCut, state } from "./live.js";
+import { fanChart, sparkline, strip } from "./draw.js";
+import { alarmTable, can } from "./records.js";
+import { coverageOf } from "./scores.js";
+
+const SIGNS = { normal: "", attention: "!", unknown: "?", alarm: "!!" };
+
+export const sign = (level) =>
+  h("span", { class: `sign ${level}`, title: say(`level.${level}`) }, h("span", { "aria-hidden": "true" }, SIGNS[level]), h("span", { class: "hidden" }, say(`level.${level}`)));
+
+// A value that is not a present one is never shown like one: what it was, and that it was.
+export function value(row, machine) {
+  const text = row.value === null ? "–" : `${number(row.value)} ${row.unit}`;
+  return isCut(machine) && row.value !== null ? h("span", { class: "old" }, say("live.was", { value: text })) : text;
+}
+
+// Its sentence and what that is worth: of what was, where nothing is known of now.
+function sentence(row, machine) {
+  if (!isCut(machine)) return [row.sentence, row.validity];
+  return [say("live.before", { age: duration(age(machine)), sentence: row.sentence }), say("validity.none")];
+}
+
+const forecastOf = (machine, tag) => {
+  const status = machine.status;
+  return status.temperature === tag ? status : status.further.find((one) => one.temperature === tag) || status;
+};
+
+export function badge(writeback) {
+  const mode = writeback.mode;
+  const until = writeback.armed_until ? clock(writeback.armed_until) : "";
+  const words = mode === "armed"
+    ? say("word.armed_by", { by: writeback.armed_by, until, reason: writeback.armed_reason || "" })
+    : say(`word.${mode}_means`);
+  return h("span", { class: `badge ${mode}` }, h("b", {}, say(`word.${mode}`)), " ", h("span", {}, words));
+}
+
+export function plantView() {
+  const rows = state.order.flatMap((name) => {
+    const machine = state.machines[name], worst = machine.alarms[0];
+    return machine.temperatures.map((row, place) => {
+      const level = place === 0 ? machine.level : row.level;
+      return h("a", { class: `row ${level} ${row.valid}`, href: `#/machine/${encodeURIComponent(name)}`, "data-key": `${name} ${row.tag}`, "data-machine": name, "data-tag": row.tag },
+        sign(level),
+        h("span", { class: "what" }, h("b", {}, machine.label), h("span", {}, row.label)),
+        h("span", { class: "big" }, value(row, name)),
+        h("span", { class: "sentence" }, sentence(row, name)[0], h("small", { class: "validity" }, sentence(row, name)[1])),
+        h("span", { class: "picture" }, sparkline(name, row, forecastOf(machine, row.tag).forecast, machine.status.speed)),
+        h("span", { class: "worst" }, place === 0 && worst
+          ? h("span", { class: `chip ${worst.level}` }, `${worst.name} · ${say(`alarm.${stateKey(worst.state)}`)}`)
+          : h("span", { class: "quiet" }, say("alarm.none"))));
+    });
+  });
+  return h("section", { class: "plant", "aria-label": say("nav.plant") }, rows);
+}
+
+export const stateKey = (text) => text.replaceAll(" ", "_");
+
+// ---------------------------------------------------------------- one machine
+
+export function machineView(name, cut) {
+  const machine = state.machines[name];
+  if (!machine) return h("p", { class: "lead" }, `${name}: ${say("word.unknown")}`);
+  const status = machine.status, extra = age(name) || 0;
+  const cards = machine.temperatures.map((row) => temperatureCard(name, machine, row));
+  const parts = h("section", { class: "machine" },
+    h("div", { class: "head" },
+      h("h2", {}, machine.label), badge(status.writeback),
+      can("engineer") && status.writeback.mode !== "off" && h("button", { "data-act": status.writeback.mode === "armed" ? "disarm" : "arm", "data-machine": name }, say(status.writeback.mode === "armed" ? "person.disarm" : "person.arm"))),
+    findings(machine),
+    h("div", { class: "linkline" }, h("span", {}, say("word.link_hour")), strip(status),
+      h("span", { class: status.link.alive ? "" : "bad" }, say(status.link.alive ? "word.link_good" : "word.link_lost")),
+      h("span", { class: "quiet" }, say("word.outages", { count: status.link.outage_count }))),
+    cards,
+    machine.alarms.length > 0 && h("section", { class: "card" }, h("h3", {}, say("nav.alarms")), alarmTable([name])),
+    h("div", { class: "columns" },
+      h("section", { class: "card" }, h("h3", {}, say("word.events")), eventList(status)),
+      h("section", { class: "card wide" }, h("h3", {}, say("word.inputs")), inputs(status, extra, cut))),
+  );
+  return [parts, () => machine.temperatures.forEach((row) => {
+    const place = document.querySelector(`[data-chart="${CSS.escape(`${name} ${row.tag}`)}"]`);
+    if (place && window.uPlot) fanChart(place, name, row, forecastOf(machine, row.tag).forecast);
+  })];
+}
+
+function findings(machine) {
+  if (!machine.findings.length) return h("p", { class: "well" }, say("word.all_well"));
+  return h("ul", { class: "findings" }, machine.findings.map((each) => h("li", {}, h("b", {}, each.check), ": ", each.sentence)));
+}
+
+// How long the plant has been in its state: since the event that brought it there, if that is among the newest.
+function stay(status) {
+  const events = status.recent_events, now = status.prediction?.location;
+  let begun = null;
+  for (let place = events.length - 1; place >= 0 && events[place][2] === now; place--) {
+    begun = { time: events[place][0], whole: place > 0 };
+  }
+  if (!begun) return "";
+  const seconds = Math.max(status.time - begun.time, 0) / status.speed;
+  return begun.whole ? duration(seconds) : say("word.at_least", { age: duration(seconds) });
+}
+
+const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label), h("dd", {}, what));
+
+function temperatureCard(name, machine, row) {
+  const one = forecastOf(machine, row.tag), status = machine.status, forecast = one.forecast, p = one.prediction;
+  const present = row.value !== null && !isCut(name), usable = forecast && forecast.usable && present;
+  const last = forecast ? forecast.horizons.at(-1) / 60 : 0;
+  const minutes = (which) => {
+    const found = forecast.block[`minutes_${which}`];
+    if (found === null || found > last) return say("sentence.beyond", { minutes: number(last, 0) });
+    return found < 1 ? "< 1" : number(found, 0);
+  };
+  const main = row.tag === status.temperature;
+  return h("section", { class: `card temperature ${row.level}`, "data-key": row.tag },
+    h("p", { class: "lead" }, sign(row.level), sentence(row, name)[0]),
+    h("p", { class: `validity ${row.valid}` }, `${say("word.validity")}: ${sentence(row, name)[1]}`),
+    h("dl", { class: "facts" },
+      fact(say("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${row.quality} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
+      fact(say("word.limit"), `${number(row.limit)} ${row.unit}`),
+      p && fact(say("word.predicted"), present ? `${number(p.mean)} ${row.unit}` : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
+      p && fact(say("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
+      p && fact(say("word.confidence"), h("span", { class: `zone ${p.zone}` }, present ? p.zone : "–"), h("small", {}, present && zoneReason(machine, main))),
+      forecast && fact(say("word.minutes_to_limit"), usable ? `${minutes("median")}` : "–", usable && h("small", {}, `${minutes("low")} – ${minutes("high")}`)),
+      forecast && fact(say("word.p_limit"), forecast.horizons.map((horizon, place) => h("div", {}, `${say("word.in_minutes", { minutes: number(horizon / 60, 0) })}: ${usable ? `${number(100 * forecast.p_limit[place], 0)} %` : "–"}`))),
+      forecast && fact(say("word.coverage"), coverageOf(name, row.tag)),
+    ),
+    h("div", { class: "chart", "data-keep": "", "data-key": `${name} ${row.tag}`, "data-chart": `${name} ${row.tag}`, role: "img", "aria-label": row.sentence }));
+}
+
+const zoneReason = (machine, main) => (main && machine.findings.find((each) => each.check === "model")?.sentence) || "";
+
+function eventList(status) {
+  if (!status.recent_events.length) return h("p", { class: "quiet" }, say("word.none"));
+  return h("ol", { class: "events" }, status.recent_events.slice(-8).reverse().map(([time, symbol, where]) =>
+    h("li", {}, h("time", {}, clock(time)), h("b", {}, symbol), h("span", {}, where))));
+}
+
+function inputs(status, extra, cut) {
+  const rank = (tag) => (tag.quality === "GOOD" ? 1 : 0);
+  const rows = Object.entries(status.values).sort(([, a], [, b]) => rank(a) - rank(b));
+  return h("div", { class: "scroll", tabindex: "0" }, h("table", {},
+    h("thead", {}, h("tr", {}, ["tag", "value", "age", "quality", "reason"].map((key) => h("th", { scope: "col", class: key === "value" || key === "age" ? "number" : null }, say(`word.${key}`))))),
+    h("tbody", {}, rows.map(([name, tag]) => h("tr", { class: tag.quality === "GOOD" ? "" : "bad" },
+      h("th", { scope: "row" }, name),
+      h("td", { class: "number" }, cut ? h("span", { class: "old" }, say("live.was", { value: `${shown(tag.value)} ${unit(tag.unit)}` })) : `${shown(tag.value)} ${unit(tag.unit)}`),
+      h("td", { class: "number" }, duration(tag.age / status.speed + extra)),
+      h("td", {}, tag.quality), h("td", {}, tag.reason))))));
+}

@@ -1,0 +1,107 @@
+// Any tags over any time: what was measured, gaps as gaps, and beside it what had been said before.
+import { ask, duration, h, number, say, unit } from "./dom.js";
+import { state } from "./live.js";
+import { chart, COLOURS, faint, measuredSeries } from "./draw.js";
+
+const SPANS = [["90 d", 7776000], ["7 d", 604800], ["1 d", 86400], ["6 h", 21600], ["1 h", 3600], ["10 min", 600], ["1 min", 60]];
+const now = (machine) => state.machines[machine].status.time;
+
+// What is looked at: `past` are the stretches that were zoomed out of.
+const look = { machine: null, tags: [], span: 3600, range: null, past: [], horizon: "", asked: "", data: null, error: "" };
+
+export function trendsView([wanted]) {
+  const machine = look.machine && state.machines[look.machine] ? look.machine : (look.machine = wanted && state.machines[wanted] ? wanted : state.order[0]);
+  const { status } = state.machines[machine];
+  const names = Object.keys(status.values).filter((name) => typeof status.values[name].value !== "string");
+  look.tags = look.tags.filter((tag) => names.includes(tag));
+  if (!look.tags.length) look.tags = [status.temperature];
+  const horizons = status.forecast?.horizons ?? [];
+  const parts = h("section", { class: "view trends" },
+    h("div", { class: "controls" },
+      h("label", {}, h("span", {}, say("word.machine")), h("select", { id: "trend-machine" }, state.order.map((name) => h("option", { value: name, selected: name === machine }, state.machines[name].label)))),
+      h("div", { class: "spans", role: "group", "aria-label": say("trend.span") }, SPANS.map(([label, seconds]) => h("button", { "data-act": "span", "data-span": seconds, "aria-pressed": String(!look.range && look.span === seconds) }, label)),
+        h("button", { "data-act": "back", disabled: !look.past.length }, say("trend.back"))),
+      horizons.length > 0 && h("label", {}, h("span", {}, say("trend.forecasts")), h("select", { id: "trend-horizon" }, h("option", { value: "" }, "–"),
+        horizons.map((each) => h("option", { value: each, selected: String(each) === look.horizon }, say("trend.said_before", { minutes: number(each / 60, 0) })))))),
+    h("details", { class: "tags", open: innerWidth > 700 }, h("summary", {}, say("trend.signals")), names.map((name) =>
+      h("label", {}, h("input", { type: "checkbox", value: name, "data-tag": name, checked: look.tags.includes(name) }), `${name} ${status.values[name].unit && `(${unit(status.values[name].unit)})`}`))),
+    h("p", { class: look.error ? "error" : "quiet" }, look.error || `${say("trend.hint")} ${look.data ? say("trend.resolution", { width: look.data.width ? duration(look.data.width) : say("trend.readings") }) : ""}`),
+    h("div", { class: "chart", id: "trend", "data-keep": "", "data-key": "trend" }));
+  return [parts, () => fetchOnce(machine, status)];
+}
+
+addEventListener("change", (event) => {
+  const { target } = event;
+  if (target.id === "trend-machine") Object.assign(look, { machine: target.value, tags: [], past: [], range: null });
+  else if (target.id === "trend-horizon") look.horizon = target.value;
+  else if (target.dataset?.tag) look.tags = target.checked ? [...new Set([...look.tags, target.value])].slice(-8) : look.tags.filter((tag) => tag !== target.value);
+  else return;
+  dispatchEvent(new HashChangeEvent("hashchange"));
+});
+addEventListener("click", (event) => {
+  const button = event.target.closest("[data-act=span], [data-act=back]");
+  if (!button) return;
+  if (button.dataset.act === "back") look.range = look.past.pop() ?? null;
+  else Object.assign(look, { span: Number(button.dataset.span), range: null, past: [] });
+  dispatchEvent(new HashChangeEvent("hashchange"));
+});
+
+// Ask for what is looked at; what goes on until now is asked again as time passes, by a hundredth of the span.
+function fetchOnce(machine, status) {
+  const step = Math.max(look.span / 100, 2);
+  const end = look.range ? look.range[1] : Math.ceil(now(machine) / step) * step;
+  const start = look.range ? look.range[0] : end - look.span;
+  const key = JSON.stringify([machine, look.tags, start, end, look.horizon]);
+  const place = document.getElementById("trend");
+  if (!place || !window.uPlot) return;
+  if (look.asked === key) {
+    if (!place.firstChild && look.data) draw(place);
+    return;
+  }
+  look.asked = key;
+  const followed = [status.temperature, ...status.further.map((one) => one.temperature)];
+  const asks = look.tags.map((tag) => ask("GET", "/api/trend", { machine, tag, start, end }));
+  const said = look.horizon && look.tags.find((tag) => followed.includes(tag));
+  if (said) asks.push(ask("GET", "/api/forecasts", { machine, temperature: said, horizon: look.horizon, start, end }));
+  Promise.all(asks).then((all) => {
+    if (look.asked !== key) return;
+    look.error = "";
+    look.data = { width: all[0].width, start, end, tags: [...look.tags], trends: all.slice(0, look.tags.length), said: said ? all.at(-1) : null };
+    draw(document.getElementById("trend") ?? place);
+  }, (error) => (look.error = error.message));
+}
+
+function draw(place) {
+  const { trends, tags, said, start, end } = look.data;
+  const tables = [], series = [], bands = [];
+  trends.forEach((seen, place) => {
+    const colour = COLOURS[place % COLOURS.length];
+    if (seen.width) {
+      tables.push([seen.times, seen.low, seen.high, seen.mean]);
+      series.push({ ...faint(`${tags[place]} min`, colour), width: 0 }, { ...faint(`${tags[place]} max`, colour), width: 0 });
+      bands.push({ series: [series.length, series.length - 1], fill: `${colour}30` });
+    } else tables.push([seen.times, seen.mean]);
+    series.push(measuredSeries(tags[place], colour));
+  });
+  if (said) {
+    const colour = "#4a7a9c";
+    tables.push([said.times, said.low, said.high, said.mean]);
+    series.push(faint("5 %", colour), faint("95 %", colour));
+    bands.push({ series: [series.length, series.length - 1], fill: "rgba(74,122,156,.2)" });
+    series.push({ ...measuredSeries(say("trend.said_before", { minutes: number(said.horizon / 60, 0) }), colour), dash: [6, 4] });
+  }
+  // A null that stands for a gap is kept as one; a time that only another column has is none (uPlot's modes 2 and 1).
+  const data = uPlot.join(tables, tables.map((table) => table.map((_, column) => (column ? 2 : 0))));
+  chart(place, {
+    height: 360, series, bands, select: true,
+    scales: { x: { time: true, range: () => [start, end] } },
+    hooks: { setSelect: [(u) => {
+      if (u.select.width < 8) return;
+      const from = u.posToVal(u.select.left, "x"), to = u.posToVal(u.select.left + u.select.width, "x");
+      look.past.push(look.range ?? null);
+      look.range = [from, to];
+      u.setSelect({ width: 0, height: 0 }, false);
+      dispatchEvent(new HashChangeEvent("hashchange"));
+    }] },
+  }, data);
+}

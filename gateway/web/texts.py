@@ -1,0 +1,47 @@
+"""Every word that a browser shows, from one table of texts (`texts.toml`): a key, and its text in each language."""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+LANGUAGES = ("en", "it", "de")
+"""The first one is what a browser gets that asks for none of them."""
+
+
+class Words:
+    """The texts of one language by their keys (`section.name`)."""
+
+    def __init__(self, language: str, texts: Mapping[str, str]) -> None:
+        self.language, self.texts = language, texts
+
+    def say(self, key: str, **parts: object) -> str:
+        """The text with its parts in their places. Raises KeyError for a key or a part that is not there."""
+        return self.texts[key].format_map(parts)
+
+    def number(self, value: float, digits: int) -> str:
+        """A number as this language writes it: the decimal sign is its own."""
+        text = f"{value:.{digits}f}"
+        return text if self.language == "en" else text.replace(".", ",")
+
+
+def all_words() -> dict[str, Words]:
+    """The words of every language."""
+    table = tomllib.loads((Path(__file__).parent / "texts.toml").read_text(encoding="utf-8"))
+    return {
+        language: Words(
+            language,
+            {f"{section}.{key}": rows[language] for section, keys in table.items() for key, rows in keys.items()},
+        )
+        for language in LANGUAGES
+    }
+
+
+def preferred(accepted: str) -> str:
+    """The language of an `Accept-Language` header: ours that has the greatest weight (RFC 9110, 12.5.4)."""
+    weighted = []
+    for place, part in enumerate(accepted[:500].split(",")):
+        match = re.fullmatch(r"\s*([A-Za-z]{1,8})(?:-[A-Za-z0-9-]*)?\s*(?:;\s*q=([01](?:\.[0-9]{0,3})?)\s*)?", part)
+        if match and match[1].lower() in LANGUAGES:
+            weighted.append((-float(match[2] or 1), place, match[1].lower()))
+    return min(weighted)[2] if weighted else LANGUAGES[0]

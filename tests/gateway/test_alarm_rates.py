@@ -1,0 +1,127 @@
+"""Rates of alarms: every figure by hand, at the borders of what the standards say."""
+
+import random
+
+import pytest
+
+from gateway.machine.alarms import JournalRow, alarm_rates
+from gateway.machine.alarms.rates import AlarmFlood, alarm_floods, most_within
+
+DAY = 86_400.0
+
+
+def row(
+    time: float, alarm: str = "a", state: str = "unacknowledged", *, priority: int = 3, machine: str = "m"
+) -> JournalRow:
+    return JournalRow(
+        time=time, machine=machine, alarm=alarm, tag="T", priority=priority, state=state, value=None, by="", reason=""
+    )
+
+
+def test_the_average_is_per_ten_minutes_and_only_announcements_count() -> None:
+    rows = [row(0.0), row(1.0), row(2.0, state="acknowledged"), row(3.0, state="normal"), row(3600.0), row(3601.0)]
+    found = alarm_rates(rows, 0.0, 3600.0)
+    assert found.announced == 2, "after the start, up to the end"
+    assert found.per_ten_minutes == pytest.approx(2 / 6)
+    assert found.verdict == "very likely acceptable" and found.ok
+
+
+@pytest.mark.parametrize(
+    ("alarms", "verdict"),
+    [
+        (6, "very likely acceptable"),
+        (7, "manageable"),
+        (12, "manageable"),
+        (13, "likely over-demanding"),
+        (30, "likely over-demanding"),
+        (31, "very likely unacceptable"),
+    ],
+)
+def test_the_verdict_is_that_of_eemua_191(alarms: int, verdict: str) -> None:
+    rows = [row(100.0 * number, f"a{number}") for number in range(1, alarms + 1)]
+    found = alarm_rates(rows, 0.0, 3600.0)
+    assert found.verdict == verdict and bool(found.findings) == (alarms > 6)
+
+
+def test_the_peak_is_of_any_ten_minutes_and_not_of_the_clocks() -> None:
+    # Five just before a full ten minutes and six just after: eleven within 20 s.
+    rows = [row(590.0 + n, f"a{n}") for n in range(5)] + [row(605.0 + n, f"b{n}") for n in range(6)]
+    found = alarm_rates(rows, 0.0, DAY)
+    assert (found.peak, found.peak_at) == (11, 610.0)
+    assert [(flood.start, flood.alarms) for flood in found.floods] == [(610.0, 11)]
+
+
+def test_ten_minutes_are_half_open() -> None:
+    assert most_within([0.0, 600.0], 600.0) == (1, 0.0)
+    assert most_within([0.0, 599.9], 600.0) == (2, 599.9)
+    assert most_within([], 600.0) == (0, None)
+
+
+def test_a_flood_begins_with_the_eleventh_and_ends_when_fewer_than_five_are_left() -> None:
+    times = [float(n) for n in range(10)]
+    assert alarm_floods(times, DAY) == []
+    times = [float(n) for n in range(11)]
+    # Of eleven that came at 0..10 the seventh leaves at 606: four are left.
+    assert alarm_floods(times, DAY) == [AlarmFlood(start=10.0, end=606.0, alarms=11)]
+    assert alarm_floods(times, 300.0) == [AlarmFlood(start=10.0, end=300.0, alarms=11)]
+    more = [*times, 500.0, 501.0]
+    assert alarm_floods(more, DAY) == [AlarmFlood(start=10.0, end=608.0, alarms=13)]
+    again = [*times, *(2000.0 + n for n in range(11))]
+    assert [flood.start for flood in alarm_floods(again, DAY)] == [10.0, 2010.0]
+
+
+def test_a_flood_is_what_counting_at_every_moment_finds() -> None:
+    rng = random.Random(3)
+    for _ in range(6):
+        times = sorted(rng.randrange(0, 4000) * 1.0 for _ in range(rng.randrange(5, 60)))
+        floods, flooding = [], None
+        for moment in range(6000):
+            inside = sum(moment - 600 < time <= moment for time in times)
+            if flooding is None and inside > 10:
+                flooding = moment
+            elif flooding is not None and inside < 5:
+                floods.append((flooding, moment))
+                flooding = None
+        assert [(flood.start, flood.end) for flood in alarm_floods(times, 6000.0)] == floods
+
+
+def test_chattering_is_three_within_a_minute_of_one_alarm() -> None:
+    rows = [row(0.5), row(30.0), row(60.4), row(100.0, "b"), row(160.0, "b"), row(219.0, "b"), row(7.0, "c")]
+    found = alarm_rates(rows, 0.0, DAY)
+    assert dict(found.chattering) == {"a": 3}
+    assert dict(found.frequent) == {"a": 3, "b": 3, "c": 1}
+
+
+def test_what_stands_is_told_from_what_is_stale_also_when_it_began_before() -> None:
+    rows = [
+        row(-2 * DAY, "old"),
+        row(-1.5 * DAY, "old", "acknowledged"),
+        row(0.0, "young"),
+        row(10.0, "over"),
+        row(20.0, "over", "returned unacknowledged"),
+        row(-DAY, "latched"),
+        row(-0.5 * DAY, "latched", "latched unacknowledged"),
+        row(5.0, "hidden"),
+        row(6.0, "hidden", "shelved"),
+    ]
+    found = alarm_rates(rows, 0.0, DAY)
+    assert dict(found.standing) == {"old": 3 * DAY, "latched": 2 * DAY, "young": DAY}
+    assert set(found.stale) == {"old", "latched"}, "a day exactly is not more than a day"
+
+
+def test_shares_by_priority_and_machines_together() -> None:
+    rows = [row(10_000.0 * n, f"a{n}", priority=3) for n in range(1, 19)]
+    rows += [row(10_000.0 * n + 5.0, f"b{n}", priority=1, machine="n") for n in range(1, 3)]
+    found = alarm_rates(rows, 0.0, 10 * DAY)
+    assert dict(found.priorities) == {1: 2, 3: 18} and found.shares[1] == pytest.approx(0.1)
+    assert "priority 1" not in " ".join(found.findings), "twice the advised share is not yet too many"
+    assert "n: b1" in found.frequent
+    more = [*rows, row(5.0, "c", priority=1)]
+    assert "priority 1" in " ".join(alarm_rates(more, 0.0, 10 * DAY).findings)
+
+
+def test_no_time_has_no_rates() -> None:
+    with pytest.raises(ValueError, match="the end must be after the start"):
+        alarm_rates([], 5.0, 5.0)
+    empty = alarm_rates([], 0.0, DAY)
+    assert (empty.announced, empty.peak, empty.ok) == (0, 0, True)

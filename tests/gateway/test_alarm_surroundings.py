@@ -1,0 +1,112 @@
+"""Alarms about what a machine relies on: link, disk, certificates, messages; and each kind is watched by something."""
+
+import asyncio
+import datetime as dt
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.certificates import days_left, make_all
+from gateway.machine.alarms import make_conditions
+from gateway.settings import ALARM_KINDS
+from gateway.settings.config import Config, load_config
+from tests.gateway.support import EPOCH, MAP, TEMPERATURE, config_in, plant_file, two_modes
+from tests.gateway.test_alarm_desk import OTHER, QUICK, Stand, standing
+
+DAY = dt.timedelta(days=1)
+BEGIN = dt.datetime.fromtimestamp(EPOCH, dt.UTC)
+
+
+def over_tls(folder: Path, text: str, days: int, **keys: Any) -> Config:
+    """The configuration of a PLC over TLS, with certificates that run out so many days after the begin."""
+    # Made a hundred days ago.
+    make_all(folder / "tls", hosts=["127.0.0.1"], days=100 + days, now=BEGIN - 100 * DAY)
+    device = folder / "device.toml"
+    own = f'driver = "modbus"\ntransport = "tls"\ncertificates = "{folder}/tls"\n'
+    device.write_text(MAP.read_text().replace('driver = "modbus"\n', own))
+    return load_config(plant_file(folder, text, device=device, **keys), {"writeback.mode": "shadow"})
+
+
+async def looked(stand: Stand) -> None:
+    """Scan until disk and certificates were looked at, and once more."""
+    while stand.machine.surroundings.free_mb is None:
+        await stand.scan()
+        await asyncio.sleep(0.005)
+    await stand.scan()
+
+
+async def test_a_link_without_a_good_reading_is_an_alarm_and_ends_with_the_next_one(tmp_path: Path) -> None:
+    async with standing(config_in(tmp_path, QUICK)) as stand:
+        await stand.scan()
+        gone = dict.fromkeys(stand.values)
+        await stand.scan(**gone)
+        await stand.scan(9.0)
+        assert stand.state("link") == "normal", "not before its delay"
+        await stand.scan(2.0)
+        assert stand.state("link") == "unacknowledged"
+        await stand.scan(**{TEMPERATURE: 25.0, OTHER: 25.0, "AcknowledgeBits": 0})
+        assert stand.state("link") == "returned unacknowledged"
+
+
+@pytest.mark.parametrize(("days", "state"), [(31, "normal"), (29, "unacknowledged"), (-1, "unacknowledged")])
+async def test_a_certificate_that_runs_out_is_an_alarm_in_time(days: int, state: str, tmp_path: Path) -> None:
+    async with standing(over_tls(tmp_path, QUICK, days)) as stand:
+        await looked(stand)
+        assert stand.state("certificate") == state
+
+
+def test_a_certificate_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
+    make_all(tmp_path / "tls", hosts=["127.0.0.1"], days=10, now=BEGIN)
+    (tmp_path / "tls" / "ca.pem").write_text("no certificate")
+    found = days_left(tmp_path / "tls", EPOCH)
+    assert len(found) == 2 and all(9.9 < days < 10.1 for days in found)
+    assert days_left(tmp_path / "nothing", EPOCH) == []
+
+
+async def test_a_disk_that_is_nearly_full_is_an_alarm(tmp_path: Path) -> None:
+    async with standing(config_in(tmp_path, QUICK + "disk_mb = 1e12\n")) as stand:
+        await looked(stand)
+        assert stand.state("disk") == "unacknowledged"
+
+
+async def test_messages_that_are_not_delivered_are_an_alarm(tmp_path: Path) -> None:
+    text = QUICK + '[[notify.to]]\nname = "shift"\nwebhook = "https://example.com/x"\n'
+    async with standing(config_in(tmp_path, text)) as stand:
+        await stand.scan()
+        stand.machine.notification_complaint = lambda: "shift: the web hook cannot be reached"
+        await stand.scan()
+        assert stand.state("notification") == "unacknowledged"
+
+
+async def test_every_kind_of_alarm_can_be_had_and_each_is_looked_at_in_a_scan(tmp_path: Path) -> None:
+    text = QUICK.replace("sensors = false", "sensors = true").replace("trend = false", "trend = 300")
+    text += '[[notify.to]]\nname = "a"\nwebhook = "https://example.com/x"\n'
+    config = over_tls(tmp_path, text, 100, model=two_modes())
+    conditions = make_conditions(config, config.watched, complains=True)
+    assert {condition.kind for condition in conditions.values()} == set(ALARM_KINDS)
+    for condition in conditions.values():
+        kind = ALARM_KINDS[condition.kind]
+        assert (condition.priority, condition.bit, condition.consequence) == (kind.priority, kind.bit, kind.consequence)
+        assert condition.response and "{" not in condition.response
+    async with standing(config) as stand:
+        board, seen = stand.machine.alarms, set[str]()
+        step = board._step
+
+        def noted(values, now, before):  # type: ignore[no-untyped-def]
+            seen.update(values)
+            step(values, now, before)
+
+        board._step = noted  # type: ignore[method-assign]
+        # A reading that does not move, jumps or fails says something of every watch but that of the twins.
+        for second in range(5):
+            await stand.scan(**{TEMPERATURE: 25.0 + 0.1 * second})
+        assert set(board.conditions) <= seen | {f"sensor drifting {TEMPERATURE}"}
+
+
+async def test_an_alarm_that_is_switched_off_is_not_there_and_nothing_fails(tmp_path: Path) -> None:
+    rows = "".join(f'[[alarm]]\nname = "{name}"\nenabled = false\n' for name in ALARM_KINDS)
+    async with standing(config_in(tmp_path, QUICK + rows)) as stand:
+        await stand.scan(**{TEMPERATURE: 90.0})
+        await looked(stand)
+        assert stand.machine.alarms.alarms == {} and stand.machine.alarms.word(TEMPERATURE) == 0

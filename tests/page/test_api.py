@@ -1,0 +1,263 @@
+"""The REST interface over real sockets: what is read, who may change what, and that it is on record."""
+
+import http.client
+import json
+import ssl
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.certificates import make_all
+from gateway.web.access import AccountRole, change_password, remove_account
+from tests.gateway.support import TEMPERATURE, logged
+from tests.page.served import PAGE, PASSWORD, PERIOD, Client, Served, eventually, served
+
+ACCOUNTS = {
+    "olga": AccountRole.OPERATOR,
+    "enzo": AccountRole.ENGINEER,
+    "ada": AccountRole.ADMINISTRATOR,
+    "guest": AccountRole.OPERATOR,
+}
+ALARM = f"over limit {TEMPERATURE}"
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    with served(tmp_path_factory.mktemp("page"), accounts=ACCOUNTS) as running:
+        client = Client(running.port)
+        eventually(
+            lambda: client.ask("GET", "/api/plant")[1]["machines"]["decanter"]["temperatures"][0]["valid"] != "none"
+        )
+        yield running
+
+
+def as_(gateway: Served, name: str) -> Client:
+    client = Client(gateway.port)
+    assert client.log_in(name) == 200
+    return client
+
+
+def test_all_that_the_page_shows_can_be_asked_for(gateway: Served) -> None:
+    client = Client(gateway.port)
+    status, plant = client.ask("GET", "/api/plant?lang=de")
+    machine = plant["machines"]["decanter"]
+    assert status == 200 and plant["order"] == ["decanter"]
+    assert machine["temperatures"][0]["sentence"].startswith("decanter: gearbox bearing")
+    assert machine["status"]["values"][TEMPERATURE]["quality"] == "GOOD"
+    now = machine["status"]["time"]
+    queries = {
+        "/api/machine": "machine=decanter",
+        "/api/trend": f"machine=decanter&tag={TEMPERATURE}&start={now - 60}&end={now}",
+        "/api/forecasts": f"machine=decanter&temperature={TEMPERATURE}&horizon=60&start={now - 60}&end={now + 60}",
+        "/api/alarms": "machine=decanter",
+        "/api/scorecard": f"machine=decanter&temperature={TEMPERATURE}",
+        "/api/model": "machine=decanter",
+        "/api/box": "",
+        "/api/session": "",
+    }
+    for path, query in queries.items():
+        assert client.ask("GET", f"{path}?{query}")[0] == 200, path
+    document = client.ask("GET", "/api/openapi.json")[1]
+    assert document["openapi"].startswith("3.1") and {*queries, "/api/plant"} <= set(document["paths"])
+
+
+def test_a_trend_is_the_readings_themselves_when_near_and_tiers_when_far(gateway: Served) -> None:
+    client = Client(gateway.port)
+    now = client.ask("GET", "/api/plant")[1]["machines"]["decanter"]["status"]["time"]
+    query = f"/api/trend?machine=decanter&tag={TEMPERATURE}&end={now}&start="
+
+    def near() -> bool:
+        trend = client.ask("GET", f"{query}{now - 60}")[1]
+        return trend["width"] == 0 and 45.0 in trend["mean"]
+
+    eventually(near)
+    assert client.ask("GET", f"{query}{now - 86400}")[1]["width"] == 60
+    assert client.ask("GET", f"{query}{now - 90 * 86400}")[1]["width"] == 3600
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("/api/trend?machine=decanter&tag=x&start=0&end=90000", "no tag"),
+        ("/api/trend?machine=nobody&tag=x&start=0&end=1", "nobody"),
+        (f"/api/trend?machine=decanter&tag={TEMPERATURE}&start=5&end=1", "before end"),
+        ("/api/machine?machine=nobody", "there is no machine"),
+        ("/api/machine", "is missing"),
+        ("/api/alarms?machine=decanter&most=many", "must be a whole number"),
+        ("/api/alarms?machine=decanter&more=1", "no such key"),
+    ],
+)
+def test_what_cannot_be_answered_is_refused_in_one_sentence(gateway: Served, path: str, said: str) -> None:
+    status, answered = Client(gateway.port).ask("GET", path)
+    assert status in (404, 422) and said in answered["reason"] and "\n" not in answered["reason"]
+
+
+def test_an_alarm_is_acknowledged_by_a_person_and_on_record_with_name_and_address(gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 48.0)
+    olga = as_(gateway, "olga")
+
+    def state() -> str:
+        alarms = olga.ask("GET", "/api/plant")[1]["machines"]["decanter"]["alarms"]
+        return next((str(alarm["state"]) for alarm in alarms if alarm["name"] == ALARM), "normal")
+
+    eventually(lambda: state() == "unacknowledged")
+    asked = {"machine": "decanter", "alarm": ALARM}
+    assert Client(gateway.port).ask("POST", "/api/alarm", asked)[0] == 401
+    assert olga.ask("POST", "/api/alarm", asked) == (200, {"state": "acknowledged"})
+    assert olga.ask("POST", "/api/alarm", {"machine": "decanter", "alarm": "nothing"})[0] == 409
+    assert state() == "acknowledged"
+    gateway.put(TEMPERATURE, 45.0)
+    row = ("page: acknowledge", "olga at 127.0.0.1")
+    eventually(lambda: row in [(kind, who) for kind, who, _ in gateway.audited()])
+    rows = eventually(
+        lambda: [row for row in olga.ask("GET", "/api/alarms?machine=decanter")[1]["rows"] if row["acknowledged_by"]]
+    )
+    assert rows[-1]["acknowledged_by"] == "olga at 127.0.0.1" and rows[-1]["condition"] == ALARM
+
+
+def test_an_alarm_is_put_aside_for_a_while_with_a_reason_and_taken_back(gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 48.0)
+    olga = as_(gateway, "olga")
+
+    def alarm() -> dict[str, Any]:
+        alarms = olga.ask("GET", "/api/plant")[1]["machines"]["decanter"]["alarms"]
+        return next((alarm for alarm in alarms if alarm["name"] == ALARM), {})
+
+    eventually(lambda: alarm().get("active"))
+    if "shelve" not in alarm().get("possible", ()):
+        pytest.skip("the alarms of this gateway cannot be shelved")
+    asked = {"machine": "decanter", "alarm": ALARM, "reason": "sensor is being changed"}
+    assert olga.ask("POST", "/api/alarm", {**asked, "change": "remove from service"})[0] == 403
+    assert olga.ask("POST", "/api/alarm", {**asked, "change": "shelve"})[0] == 409
+    assert olga.ask("POST", "/api/alarm", {**asked, "change": "shelve", "minutes": 5.0}) == (200, {"state": "shelved"})
+    assert (alarm()["level"], alarm()["by"], alarm()["reason"]) == ("normal", "olga at 127.0.0.1", asked["reason"])
+    assert olga.ask("POST", "/api/alarm", {**asked, "change": "unshelve"})[0] == 200
+    gateway.put(TEMPERATURE, 45.0)
+
+
+def test_each_role_may_do_its_own_and_no_more(gateway: Served) -> None:
+    arming = {"machine": "decanter", "reason": "test", "minutes": 5.0}
+    olga, enzo, ada = (as_(gateway, name) for name in ("olga", "enzo", "ada"))
+    assert olga.ask("POST", "/api/arm", arming)[0] == 403
+    assert enzo.ask("POST", "/api/reload", {"dry_run": True})[0] == 403
+    status, armed = enzo.ask("POST", "/api/arm", arming)
+    assert status == 200 and armed["by"] == "enzo at 127.0.0.1"
+    badge = enzo.ask("GET", "/api/plant")[1]["machines"]["decanter"]["status"]["writeback"]
+    assert (badge["mode"], badge["armed_by"], badge["armed_reason"]) == ("armed", "enzo at 127.0.0.1", "test")
+    assert enzo.ask("POST", "/api/disarm", {"machine": "decanter", "reason": "over"}) == (200, {"was_armed": True})
+    assert ada.ask("POST", "/api/reload", {"dry_run": True}) == (200, {"changes": {}, "applied": False})
+    kinds = {kind for kind, _, _ in gateway.audited()}
+    assert {"page: arm", "armed", "disarmed", "page: reload", "page: refused", "page: logged in"} <= kinds
+
+
+def test_a_log_in_fails_and_locks_and_another_account_is_none_the_worse(gateway: Served) -> None:
+    client = Client(gateway.port)
+    wrong = [client.log_in("guest", "a wrong password") for _ in range(6)]
+    assert wrong == [401] * 5 + [429]
+    status, headers, _ = client.raw("POST", "/api/session", {"name": "guest", "password": PASSWORD})
+    assert status == 429 and 25 <= int(headers["retry-after"]) <= 30
+    assert client.log_in("nobody at all") == 401
+    assert as_(gateway, "olga").ask("GET", "/api/session")[1]["name"] == "olga"
+    locked = eventually(lambda: [who for kind, who, _ in gateway.audited() if kind == "page: log-in locked"])
+    assert locked == ["guest at 127.0.0.1"]
+
+
+def test_a_session_ends_with_the_log_out_with_another_password_and_with_the_account(gateway: Served) -> None:
+    asked = {"machine": "decanter", "alarm": ALARM}
+    client = as_(gateway, "olga")
+    before = client.cookie
+    assert client.ask("DELETE", "/api/session")[0] == 200
+    client.cookie = before
+    assert client.ask("POST", "/api/alarm", asked)[0] == 401
+    client = as_(gateway, "ada")
+    change_password(gateway.config.users, "ada", "another horse battery")
+    assert client.ask("POST", "/api/reload", {"dry_run": True})[0] == 401
+    client = as_(gateway, "enzo")
+    remove_account(gateway.config.users, "enzo")
+    assert client.ask("POST", "/api/disarm", {"machine": "decanter", "reason": "x"})[0] == 401
+
+
+def test_what_another_site_has_a_browser_ask_is_refused(gateway: Served) -> None:
+    olga = as_(gateway, "olga")
+    asked = {"machine": "decanter", "alarm": ALARM}
+    assert olga.ask("POST", "/api/alarm", asked, origin="http://evil.example")[0] == 403
+    assert olga.ask("POST", "/api/alarm", asked, sec_fetch_site="cross-site")[0] == 403
+    assert olga.ask("POST", "/api/alarm", asked, content_type="text/plain")[0] == 415
+    assert olga.ask("POST", "/api/alarm", asked, x_csrf_token="guessed")[0] == 403  # noqa: S106
+    # A name of another site that leads here: reading, too.
+    assert olga.raw("GET", "/api/plant", host="evil.example")[0] == 400
+    # From our own page the gateway is asked: it acknowledges, or there is nothing to acknowledge.
+    assert olga.ask("POST", "/api/alarm", asked)[0] in (200, 409)
+
+
+def test_every_answer_has_the_headers_that_keep_a_browser_to_our_own_page(gateway: Served) -> None:
+    client = Client(gateway.port)
+    for path in ("/", "/api/plant", "/static/page.js", "/nothing"):
+        _, headers, _ = client.raw("GET", path)
+        policy = headers["content-security-policy"]
+        assert "default-src 'none'" in policy and "script-src 'self'" in policy and "unsafe" not in policy
+        assert headers["x-content-type-options"] == "nosniff" and headers["x-frame-options"] == "DENY"
+        assert "server" not in headers
+    assert client.raw("GET", "/api/plant")[1]["cache-control"] == "no-store"
+    status, headers, _ = client.raw("POST", "/api/session", {"name": "olga", "password": PASSWORD})
+    assert status == 200 and "httponly" in headers["set-cookie"].lower()
+    assert "samesite=strict" in headers["set-cookie"].lower()
+
+
+def test_an_update_is_sent_within_300_ms_of_its_scan(gateway: Served) -> None:
+
+    connection = http.client.HTTPConnection("127.0.0.1", gateway.port, timeout=10.0)
+    connection.request("GET", "/api/live")
+    stream, late = connection.getresponse(), []
+    assert stream.getheader("content-type") == "text/event-stream"
+    while len(late) < 15:
+        line = stream.readline()
+        if line.startswith(b"data: "):
+            status = json.loads(line[6:])["machines"]["decanter"]["status"]
+            # From the reading of the newest value to here; the pictures that time alone has moved are older.
+            late.append(time.time() - status["values"][TEMPERATURE]["time"])
+    connection.close()
+    assert sorted(late)[len(late) // 2] < 0.3 + PERIOD
+
+
+def test_reading_stays_possible_without_an_account_on_this_machine_alone(tmp_path: Path) -> None:
+    with served(tmp_path, accounts={"olga": AccountRole.OPERATOR}, text=CLOSED) as gateway:
+        client = Client(gateway.port)
+        for path in ("/api/plant", "/api/live", "/api/box"):
+            assert client.ask("GET", path)[0] == 401
+        shell = client.raw("GET", "/")[2].decode()
+        assert '"state": null' in shell and "gearbox" not in shell
+        assert client.log_in("olga") == 200
+        assert client.ask("GET", "/api/plant")[0] == 200
+
+
+def test_over_tls_the_cookie_is_secure_and_browsers_stay_with_it(tmp_path: Path) -> None:
+    make_all(tmp_path / "tls", hosts=["127.0.0.1"])
+    text = PAGE.replace("port = 0", 'port = 0\ncertificates = "tls"')
+    with served(tmp_path, text, {"olga": AccountRole.OPERATOR}) as gateway:
+        context = ssl.create_default_context(cafile=str(tmp_path / "tls/ca.pem"))
+        connection = http.client.HTTPSConnection("127.0.0.1", gateway.port, timeout=10.0, context=context)
+        given = json.dumps({"name": "olga", "password": PASSWORD})
+        connection.request("POST", "/api/session", given, {"content-type": "application/json"})
+        answer = connection.getresponse()
+        assert answer.status == 200 and "secure" in str(answer.getheader("set-cookie")).lower()
+        assert str(answer.getheader("strict-transport-security")).startswith("max-age=")
+        connection.close()
+        with pytest.raises((ConnectionError, http.client.HTTPException)):
+            Client(gateway.port).ask("GET", "/api/plant")
+
+
+def test_a_request_that_fails_is_no_secret(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gateway.web.api.box_facts", lambda config: 1 / 0)
+    with served(tmp_path) as gateway:
+        status, headers, body = Client(gateway.port).raw("GET", "/api/box")
+        assert status == 500 and b"ZeroDivision" not in body and "content-security-policy" in headers
+        lines = eventually(lambda: [line for line in logged(tmp_path) if "has failed" in line["event"]])
+        assert "ZeroDivisionError" in lines[0]["reason"] and lines[0]["path"] == "/api/box"
+        assert Client(gateway.port).ask("GET", "/api/plant")[0] == 200
+
+
+CLOSED = "[page]\nenabled = true\nport = 0\nopen_reading = false\n[scan]\nperiod = 0.1\n"

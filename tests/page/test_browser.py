@@ -1,0 +1,167 @@
+"""The page in a real browser (headless Chromium): what people see, and what it says when nothing is known any more."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway.web.access import AccountRole
+from tests.gateway.support import TEMPERATURE
+from tests.page.served import PASSWORD, Served, served
+
+playwright = pytest.importorskip("playwright.sync_api")
+from playwright.sync_api import Browser, Page, expect  # noqa: E402 - only where it is there
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+AXE = os.environ.get("AXE_CORE")
+VIEWS = ("plant", "machine/decanter", "alarms", "trends", "scorecard", "model", "communication", "box")
+WAIT_MS = 15_000
+
+
+@pytest.fixture(scope="module")
+def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
+    if request.config.getoption("--without-processes"):
+        pytest.skip("starts a process: `make test` runs it")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium is installed")
+    with playwright.sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    accounts = {"olga": AccountRole.OPERATOR, "guest": AccountRole.OPERATOR}
+    with served(tmp_path_factory.mktemp("page"), accounts=accounts) as running:
+        yield running
+
+
+@pytest.fixture
+def page(browser: Browser, gateway: Served) -> Iterator[Page]:
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, locale="en-GB")
+    context.set_default_timeout(WAIT_MS)
+    opened, said = context.new_page(), list[str]()
+    opened.on("pageerror", lambda error: said.append(str(error)))
+    # What the content security policy refuses is said on the console.
+    opened.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
+    opened.goto(f"http://127.0.0.1:{gateway.port}/")
+    yield opened
+    context.close()
+    assert [text for text in said if "status of 4" not in text] == []
+
+
+expect.set_options(timeout=WAIT_MS)
+
+
+def log_in(page: Page, name: str, password: str = PASSWORD) -> None:
+    page.get_by_role("button", name="Log in").first.click()
+    page.get_by_label("Name").fill(name)
+    page.get_by_label("Password").fill(password)
+    page.get_by_role("dialog").get_by_role("button", name="Log in").click()
+
+
+def test_one_sentence_says_how_the_bearing_is_in_three_languages(page: Page, gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 45.0)
+    row = page.locator(".row").first
+    expect(row.locator(".big")).to_have_text("45.0 °C")
+    expect(row.locator(".sentence")).to_contain_text("decanter: gearbox bearing 45.0")
+    expect(row.locator("svg.spark .fan").first).to_be_attached()
+    for language, words in (("it", "Impianto"), ("de", "Anlage"), ("en", "Plant")):
+        page.locator("#language").select_option(language)
+        expect(page.locator("#nav a").first).to_have_text(words)
+        expect(page.locator("html")).to_have_attribute("lang", language)
+
+
+def test_an_alarm_appears_and_is_acknowledged_by_who_has_logged_in(page: Page, gateway: Served) -> None:
+    row = page.locator(".row").first
+    gateway.put(TEMPERATURE, 48.0)
+    expect(row).to_contain_class("alarm")
+    expect(row.locator(".sentence")).to_contain_text("above its limit of 47")
+    page.get_by_role("link", name="Alarms").click()
+    entry = page.locator(f'li[data-alarm="over limit {TEMPERATURE}"]')
+    expect(entry).to_contain_text("unacknowledged")
+    # Who is not logged in is offered nothing.
+    expect(entry.get_by_role("button")).to_have_count(0)
+    log_in(page, "olga")
+    entry.get_by_role("button", name="Acknowledge").click()
+    expect(entry).to_contain_text("Acknowledged by olga at 127.0.0.1")
+    expect(entry).to_contain_class("attention")
+    gateway.put(TEMPERATURE, 45.0)
+    expect(entry).to_have_count(0)
+    expect(page.locator("table")).to_contain_text("olga at 127.0.0.1")
+
+
+def test_a_lost_link_is_said_and_its_last_number_is_not_shown_as_present(page: Page, gateway: Served) -> None:
+    row = page.locator(".row").first
+    gateway.put(TEMPERATURE, 45.0)
+    expect(row.locator(".big")).to_have_text("45.0 °C")
+    gateway.bench.soft.fail("silent")
+    try:
+        expect(row).to_contain_class("unknown")
+        expect(row.locator(".sentence")).to_contain_text("nothing is known of now")
+        expect(row.locator(".big")).to_have_text("–")
+    finally:
+        gateway.bench.soft.fail(None)
+    expect(row.locator(".big")).to_have_text("45.0 °C")
+
+
+def test_a_log_in_fails_in_words_and_locks(page: Page, gateway: Served) -> None:
+    page.get_by_role("button", name="Log in").first.click()
+    page.get_by_label("Name").fill("guest")
+    confirm = page.get_by_role("dialog").get_by_role("button", name="Log in")
+    for _ in range(5):
+        page.get_by_label("Password").fill("a wrong password")
+        with page.expect_response("**/api/session"):
+            confirm.click()
+    expect(page.locator("dialog .error")).to_have_text("the name or the password is wrong")
+    page.get_by_label("Password").fill(PASSWORD)
+    confirm.click()
+    expect(page.locator("dialog .error")).to_contain_text("too many wrong passwords; try again in")
+
+
+@pytest.mark.parametrize("width", [320, 1280])
+def test_every_view_fits_a_phone_and_a_panel(page: Page, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 700})
+    address = page.url
+    for view in VIEWS:
+        page.goto(f"{address}#/{view}")
+        expect(page.locator("main h2, main .row, main .controls").first).to_be_visible()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width, view
+    expect(page.locator("main")).to_contain_text("Threads and tasks")
+
+
+@pytest.mark.skipif(AXE is None, reason="AXE_CORE names no axe.min.js (axe-core is no part of this project)")
+def test_axe_finds_nothing_serious(page: Page) -> None:
+    address = page.url
+    # The policy of the page keeps a script from outside out, this one too: it is evaluated by the browser's own hand.
+    script = Path(str(AXE)).read_text(encoding="utf-8")
+    for view in VIEWS:
+        page.goto(f"{address}#/{view}")
+        page.wait_for_timeout(500)
+        page.evaluate(script)
+        found = page.evaluate("axe.run().then((result) => result.violations)")
+        serious = [(one["id"], one["nodes"][0]["html"]) for one in found if one["impact"] in ("serious", "critical")]
+        assert serious == [], view
+
+
+def test_a_stream_that_is_cut_leaves_the_last_state_and_its_age_in_large_letters(
+    browser: Browser, tmp_path: Path
+) -> None:
+    with served(tmp_path) as gateway:
+        page = browser.new_page(locale="en-GB")
+        page.goto(f"http://127.0.0.1:{gateway.port}/")
+        expect(page.locator(".row .big")).to_have_text("45.0 °C")
+        expect(page.locator("#cut")).to_be_hidden()
+    try:
+        expect(page.locator("#cut")).to_contain_text("No connection to the gateway")
+        expect(page.locator("#cut")).to_contain_text("old")
+        expect(page.locator(".row .big")).to_have_text("was 45.0 °C")
+        expect(page.locator(".row .sentence")).to_contain_text("s ago: decanter: gearbox bearing")
+        expect(page.locator(".row .validity")).to_have_text("not valid")
+        size = page.locator("#cut span").evaluate("node => parseFloat(getComputedStyle(node).fontSize)")
+        assert size >= 25.0
+    finally:
+        page.close()

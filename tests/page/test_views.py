@@ -1,0 +1,120 @@
+"""What the page says in words: sentences from a status, in three languages from one table."""
+
+import re
+import tomllib
+from pathlib import Path
+from string import Formatter
+from typing import Any
+
+import pytest
+
+import gateway.web
+from gateway.status import read_status
+from gateway.web import LANGUAGES, all_words, machine_view
+from gateway.web.texts import preferred
+from tests.gateway.status_picture import alarm, picture, tag
+from tests.gateway.support import EPOCH, TEMPERATURE
+
+WORDS = all_words()
+LABELS = {TEMPERATURE: "gearbox bearing", "decanter": "Decanter 2"}
+
+
+def row(language: str = "en", **changes: Any) -> dict[str, Any]:
+    found: dict[str, Any] = machine_view(WORDS[language], LABELS, read_status(picture(**changes)))["temperatures"][0]
+    return found
+
+
+def forecast(low: float | None, median: float | None, high: float | None, p: float = 0.25) -> dict[str, Any]:
+    minutes = {"minutes_low": low, "minutes_median": median, "minutes_high": high}
+    made: dict[str, Any] = picture()["forecast"]
+    return {"forecast__block": {**made["block"], **minutes}, "forecast__p_limit": [0.0, 0.1, p]}
+
+
+def test_the_sentence_says_when_the_limit_is_reached_if_it_goes_on_so() -> None:
+    what = "Decanter 2: gearbox bearing 45.7 °C, reaches 80 °C in 11 min (5 to beyond 15) if it goes on so"
+    assert row()["sentence"].replace("\u00a0", " ") == what
+    assert row(**forecast(9.0, 11.0, 14.0))["sentence"].endswith("in 11 min (9 to 14) if it goes on so")
+    german = row("de", **forecast(0.4, 11.0, 14.0))["sentence"].replace("\u00a0", " ")
+    assert german == (
+        "Decanter 2: gearbox bearing 45,7 °C, erreicht 80 °C in 11 min (< 1 bis 14), wenn es so weitergeht"
+    )
+    assert (row()["level"], row()["valid"]) == ("attention", "good")
+
+
+def test_what_is_beyond_the_horizons_is_not_promised() -> None:
+    stays = row(**forecast(None, None, None))
+    assert stays["sentence"].endswith("stays below 80\u00a0°C for the next 15 min if it goes on so")
+    assert stays["level"] == "normal"
+    may = row(**forecast(12.0, None, None, p=0.14))
+    assert "may reach 80\u00a0°C from 12 min on (14 % within 15 min)" in may["sentence"] and may["level"] == "normal"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said", "level", "valid"),
+    [
+        ({"values__" + TEMPERATURE: tag(85.0)}, "85.0\u00a0°C, above its limit of 80\u00a0°C", "alarm", "good"),
+        ({"forecast": None}, "no forecast: the newest one is too old", "normal", "none"),
+        ({"forecast__usable": False}, "no forecast: the newest one is too old", "normal", "none"),
+        ({"prediction__known": False}, "no forecast: the state of the plant is not known", "normal", "none"),
+        ({"model": None, "prediction": None, "forecast": None}, "no model is configured", "normal", "none"),
+        ({"prediction__zone": "red"}, "reaches 80\u00a0°C", "attention", "doubtful"),
+    ],
+)
+def test_what_the_sentence_is_worth_is_said_beside_it(
+    changes: dict[str, Any], said: str, level: str, valid: str
+) -> None:
+    found = row(**changes)
+    assert said in found["sentence"] and (found["level"], found["valid"]) == (level, valid)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"link__alive": False, "link__last_good": EPOCH - 200.0}, "no reading for 3 min; nothing is known of now"),
+        ({"scan__late": True, "link__last_good": EPOCH - 5.0}, "no reading for 5.0 s; nothing is known of now"),
+        ({"link__alive": False, "link__last_good": None}, "has not been read yet"),
+        ({"values__" + TEMPERATURE: tag(45.0, "OUT_OF_RANGE", reason="300 is no reading")}, "(300 is no reading)"),
+        ({"values__" + TEMPERATURE: tag(None, "TIMEOUT")}, "(TIMEOUT)"),
+    ],
+)
+def test_a_number_that_is_no_present_one_is_not_given(changes: dict[str, Any], said: str) -> None:
+    found = row(**changes)
+    assert said in found["sentence"] and "45" not in found["sentence"]
+    assert (found["value"], found["level"], found["valid"]) == (None, "unknown", "none")
+
+
+def test_a_machine_is_as_bad_as_the_worst_of_it() -> None:
+    def level(**changes: Any) -> str:
+        return str(
+            machine_view(WORDS["en"], {}, read_status(picture(**forecast(None, None, None), **changes)))["level"]
+        )
+
+    assert level() == "normal"
+    assert level(alarm_summary=[alarm("over limit T")]) == "alarm"
+    assert level(alarm_summary=[alarm("over limit T", "acknowledged")]) == "attention"
+    assert level(alarm_summary=[alarm("over limit T", "shelved", active=False)]) == "normal"
+    assert level(alarm_summary=[alarm("over limit T", "returned unacknowledged", active=False)]) == "attention"
+
+
+def test_every_text_is_there_in_every_language_with_the_same_parts_and_is_used() -> None:
+    home = Path(gateway.web.__file__).parent
+    table = tomllib.loads((home / "texts.toml").read_text(encoding="utf-8"))
+    used = "".join(file.read_text(encoding="utf-8") for file in (*home.rglob("*.js"), *home.rglob("*.py")))
+    used += (home / "templates/page.html.j2").read_text(encoding="utf-8")
+    for section, keys in table.items():
+        for key, texts in keys.items():
+            assert tuple(texts) == LANGUAGES, f"{section}.{key}"
+            parts = {
+                language: {part for _, part, _, _ in Formatter().parse(text) if part}
+                for language, text in texts.items()
+            }
+            assert len({frozenset(each) for each in parts.values()}) == 1, f"{section}.{key}"
+            assert re.search(rf"{section}\.(?:{key}\b|\$\{{|\{{)", used), f"{section}.{key} is used nowhere"
+
+
+@pytest.mark.parametrize(
+    ("accepted", "language"),
+    [("", "en"), ("it-IT,it;q=0.9,en;q=0.8", "it"), ("fr, de;q=0.5, en;q=0.4", "de"), ("*", "en"), ("x" * 9999, "en")],
+)
+def test_the_browser_is_answered_in_the_language_that_it_prefers(accepted: str, language: str) -> None:
+    assert preferred(accepted) == language
