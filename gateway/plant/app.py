@@ -100,7 +100,7 @@ async def run(
         control = Control(fleet, configs[0].control_socket, log)
         serving = {fleet.supervisor.task("control", control.serve)}
         serve = configs[0].serve
-        if serve.port is not None and isinstance(fleet, Fleet):
+        if serve.port is not None:
             peers = PeerServer(serve.host, serve.port, fleet.images, most_clients=serve.most_clients)
             serving.add(fleet.supervisor.task("peers", peers.serve))
         if hangup is not None:

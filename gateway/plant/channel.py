@@ -20,11 +20,13 @@ from itertools import count
 from typing import Any
 
 from drivers.supervision import Supervisor
+from drivers.tag import Quality, Sample
+from gateway.machine.reading import Scan
 
 ORPHANED = 70
 """The exit code of a worker whose supervisor is gone."""
 MOST_NEWS = 1_000
-"""Pieces of news (lines of the log) that may wait to be sent; beyond that the oldest is dropped."""
+"""Pieces of news (lines of the log, scans) that may wait to be sent; beyond that the oldest is dropped."""
 
 Message = dict[str, Any]
 
@@ -137,3 +139,15 @@ def _plain(value: object) -> object:
 def plain_rows(rows: list[list[Any]]) -> list[tuple[Any, ...]]:
     """Rows as they were before they were sent."""
     return [tuple(bytes.fromhex(v[BYTES]) if isinstance(v, dict) else v for v in row) for row in rows]
+
+
+def scan_message(unit: int, scan: Scan) -> Message:
+    """A scan as news for the process that shows it to peers under a unit number."""
+    samples = [(name, one.value, int(one.quality), one.time) for name, one in scan.samples.items()]
+    return {"unit": unit, "number": scan.number, "time": scan.time, "missed": scan.missed, "samples": samples}
+
+
+def scan_from(message: Message) -> Scan:
+    """The scan of `scan_message`, as far as peers are shown of it: not how long it took, nor why a reading is bad."""
+    samples = {name: Sample(name, value, Quality(quality), time) for name, value, quality, time in message["samples"]}
+    return Scan(message["number"], message["time"], samples, message["missed"], duration=0.0)

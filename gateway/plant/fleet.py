@@ -51,7 +51,8 @@ class Fleet:
     Raises ConfigError, HistorianError or AuditError for what cannot be opened; nothing is left open then. `driver` is
     used for the first machine, by default all have those of their configurations. `read_anew` gives the configurations
     as they are in the file by now. `open_records` is called for the records once the models are read, by a worker
-    process, which has some of the plant's machines and none of its stores.
+    process, which has some of the plant's machines and none of its stores; so is `show`, for each scan of a machine
+    that peers are served.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Fleet:
         driver: Driver | None = None,
         read_anew: Callable[[], Sequence[Config]] | None = None,
         open_records: Callable[[Supervisor], PlantRecords] | None = None,
+        show: Callable[[Config, Scan], None] | None = None,
     ) -> None:
         self.clock, self.log, self._rng = clock, log, rng
         self._read_anew = read_anew or partial(load_plant, configs[0].path)
@@ -76,6 +78,7 @@ class Fleet:
         self._stop = asyncio.Event()
         self._connections = Connections()
         self.images: dict[int, DeviceImage] = {}
+        self._show = show or self._take_into_image
         drivers = {config.machine: self._driver(config) for config in configs[1 if driver else 0 :]}
         if driver is not None:
             drivers[configs[0].machine] = driver
@@ -148,7 +151,7 @@ class Fleet:
         self._stop = stop
         for place, (name, machine) in enumerate(self.machines.items()):
             pause = place / len(self.machines) * machine.config.scan.period
-            self._running[name] = _Running(machine, stop, self._image_of(machine), taken=self._scanned, pause=pause)
+            self._running[name] = _Running(machine, stop, self._shown(machine), taken=self._scanned, pause=pause)
 
     def _scanned(self, machine: str) -> None:
         self.on_scan(machine)
@@ -217,7 +220,7 @@ class Fleet:
                 driver = self._driver(config)
                 self.machines[name] = await asyncio.to_thread(self._opened, config, driver, loaded, alone=False)
                 machine = self.machines[name]
-                self._running[name] = _Running(machine, self._stop, self._image_of(machine), taken=self._scanned)
+                self._running[name] = _Running(machine, self._stop, self._shown(machine), taken=self._scanned)
             except (ConfigError, OSError) as error:
                 self.log.error("a machine cannot be begun as the file has it now", machine=name, reason=str(error))
                 models = None
@@ -241,9 +244,12 @@ class Fleet:
         """The reply to a request at the control socket."""
         return await answer(ControlScope(self.machines, snapshot, self.reload), line)
 
-    def _image_of(self, machine: Machine) -> DeviceImage | None:
-        """What peers are shown of a machine; None where nothing is served."""
-        return self.images.get(machine.config.serve.unit)
+    def _shown(self, machine: Machine) -> Callable[[Scan], None] | None:
+        """Who takes a machine's scans for its peers; None where nothing is served."""
+        return None if machine.config.serve.port is None else partial(self._show, machine.config)
+
+    def _take_into_image(self, config: Config, scan: Scan) -> None:
+        self.images[config.serve.unit].take(scan)
 
     def stopping(self) -> None:
         """Say of every machine that it is being stopped."""
@@ -281,12 +287,12 @@ class _Running:
         self,
         machine: Machine,
         gateway: asyncio.Event,
-        image: DeviceImage | None,
+        show: Callable[[Scan], None] | None,
         *,
         taken: Callable[[str], None],
         pause: float = 0.0,
     ) -> None:
-        self._machine, self._image, self._taken, self._pause = machine, image, taken, pause
+        self._machine, self._show, self._taken, self._pause = machine, show, taken, pause
         self._stop, self._over = _Stop(gateway), asyncio.Event()
         tasks = {"scans": self._scan_until_stopped, "stop": self._stop.follow}
         self._tasks = {machine.supervisor.task(name, work) for name, work in tasks.items()}
@@ -346,8 +352,8 @@ class _Running:
                     )
                 ) as stream:
                     async for scan in stream:
-                        if self._image is not None:
-                            self._image.take(scan)
+                        if self._show is not None:
+                            self._show(scan)
                         await machine.take(scan)
                         self._taken(config.machine)
             except Exception as error:  # noqa: BLE001 - the supervisor's part for the scans: it is said, and begun anew

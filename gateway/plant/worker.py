@@ -21,15 +21,15 @@ from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
 from gateway.machine import PlantRecords
 from gateway.machine.model import LoadedModels
-from gateway.machine.reading import PlantClock
+from gateway.machine.reading import PlantClock, Scan
 from gateway.plant.allocator import keep_freed_memory
-from gateway.plant.channel import Message, SupervisorChannel
+from gateway.plant.channel import Message, SupervisorChannel, scan_message
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.fleet import SWITCH_SECONDS, Fleet
 from gateway.plant.log import handed_logger
 from gateway.plant.status import snapshot
 from gateway.plant.worker_records import WorkerRecords
-from gateway.settings import configs_from_json
+from gateway.settings import Config, configs_from_json
 from sim.strict_json import strict
 
 _SIGNAL_AT_PARENTS_DEATH = 1
@@ -63,8 +63,11 @@ async def _work(sock: socket.socket) -> None:
         channel.ask("open")
         return WorkerRecords(configs, channel, clock=clock, log=log, supervisor=supervisor)
 
+    def show(config: Config, scan: Scan) -> None:
+        channel.tell("scan", **scan_message(config.serve.unit, scan))
+
     try:
-        fleet = Fleet(configs, clock=clock, log=log, rng=SystemRandom(), open_records=open_records)
+        fleet = Fleet(configs, clock=clock, log=log, rng=SystemRandom(), open_records=open_records, show=show)
     except (ConfigError, OSError) as error:
         channel.ask("refused", problems=list(error.problems) if isinstance(error, ConfigError) else [str(error)])
         channel.close()

@@ -30,12 +30,13 @@ from drivers.tag import Quality, Sample
 from gateway.machine import RECORDING, PlantRecords
 from gateway.machine.reading import PlantClock, unread
 from gateway.machine.writing import ArmingError, AuditTrail, disarm_in_log
-from gateway.plant.channel import Message, plain_rows
+from gateway.plant.channel import Message, plain_rows, scan_from
 from gateway.plant.control import COMMANDS, ControlScope, answer, disarm_words, meant_machine
 from gateway.plant.log import log_again
 from gateway.plant.split import split_over
 from gateway.plant.status import snapshot
 from gateway.plant.worker_line import PlantWorker, WorkerEnded, WorkerLine
+from gateway.serving import DeviceImage
 from gateway.settings import Config, changed_machines, configs_to_json
 from gateway.status import ControlError, GatewayStatus, read_status
 from gateway.store import AuditEntry, HistorianError, Source
@@ -69,7 +70,8 @@ class WorkerPool:
     """The machines of a plant in worker processes: what a `Fleet` is in one.
 
     `look_seconds` is how often it is looked how the machines are, and `on_scan` is told the name of each machine that
-    was looked at. `open` begins them, `stop` ends them.
+    was looked at. `images` are what peers are shown of them, by their unit numbers. `open` begins them, `stop` ends
+    them. Raises ConfigError for what cannot be shown to peers.
     """
 
     several = True
@@ -89,6 +91,7 @@ class WorkerPool:
         self._configs = {config.machine: config for config in configs}
         self._log_failure, self._read_anew, self._look_seconds = log_failure, read_anew, look_seconds
         self._most = configs[0].plant.workers
+        self.images = {config.serve.unit: image for config, image in self._images_of(configs)}
         self._workers: dict[int, PlantWorker] = {}
         self._places: dict[str, int] = {}
         self._records: PlantRecords | None = None
@@ -168,6 +171,10 @@ class WorkerPool:
         message = "a part of the gateway failed and is begun anew"
         trace = None if isinstance(error, WorkerEnded) else error
         self.log.error(message, part=part, reason=str(error) if trace is None else repr(error), exc_info=trace)
+
+    def _images_of(self, configs: Iterable[Config]) -> list[tuple[Config, DeviceImage]]:
+        """What peers are to be shown of machines; none where nothing is served. Raises ConfigError."""
+        return [(config, DeviceImage(config, self.clock.now)) for config in configs if config.serve.port is not None]
 
     def _note_sources(self, configs: Iterable[Config]) -> None:
         for config in configs:
@@ -272,6 +279,8 @@ class WorkerPool:
             log_again(self.log.bind(worker=worker.number + 1), message["event"])
         elif message["tell"] == "forget":
             self.records.historian.forget_before(message["moment"])
+        elif message["tell"] == "scan" and (image := self.images.get(message["unit"])) is not None:
+            image.take(scan_from(message))
 
     async def _replied(self, worker: PlantWorker, line: WorkerLine, message: Message) -> None:
         try:
@@ -497,6 +506,7 @@ class WorkerPool:
                 stay = {name: place for name, place in self._places.items() if name in configs and name not in changes}
                 places = split_over(list(configs.values()), self._most, stay)
                 new = [configs[name] for name in changes if name in configs]
+                images = self._images_of(new)
                 by_place: dict[int, list[Config]] = {}
                 for config in new:
                     by_place.setdefault(places[config.machine], []).append(config)
@@ -509,6 +519,10 @@ class WorkerPool:
             except (ConfigError, WorkerEnded) as error:
                 raise ControlError(f"the file is refused and everything goes on as it was: {error}") from None
             if apply and changes:
+                for name in changes:
+                    if name in self._configs:
+                        self.images.pop(self._configs[name].serve.unit, None)
+                self.images |= {config.serve.unit: image for config, image in images}
                 await self._take_over(list(changes), configs, places)
                 self.log.warning("the plant file was read anew", machines=", ".join(changes))
             return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}

@@ -519,11 +519,6 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
         except ConfigError as error:
             problems += error.problems
     problems = problems or _same_places(machines)
-    if not problems and machines[0].serve.port is not None and machines[0].plant.workers > 1:
-        problems = [
-            f"{path}: plant.workers: peers ([serve]) are served by a gateway of one process only; set workers to 1, or "
-            "leave serve.port out"
-        ]
     if problems:
         # What is wrong at the top is wrong for several machines: it is said once, and of none of them.
         bare = [re.sub(r": machine '[^']*'", "", problem, count=1) for problem in problems]

@@ -50,7 +50,7 @@ class PageState:
 
     async def plant(self, language: str) -> dict[str, Any]:
         """All machines as they are now, taken for this. Raises ControlError."""
-        statuses = (await self.calls.ask("plant"))["statuses"]
+        statuses = await self.calls.plant()
         taken = time.time()
         shown = {name: {"taken": taken, **self.show(language, status)} for name, status in statuses.items()}
         return {"order": list(statuses), "machines": shown}

@@ -51,12 +51,9 @@ def test_a_number_of_processes_that_cannot_be_is_refused_in_a_sentence(tmp_path:
     assert "plant.workers: " in problem and "a whole number of processes" in problem
 
 
-def test_the_number_is_the_whole_plants_and_goes_with_no_server_for_peers(tmp_path: Path) -> None:
+def test_the_number_is_the_whole_plants(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"machine 'a': plant: is common to all machines"):
         plant_of(tmp_path, 'name = "a"\nplant = { workers = 2 }')
-    two = ("name = 'a'\ndevice = { port = 1 }", "name = 'b'\ndevice = { port = 2 }\nserve = { unit = 2 }")
-    with pytest.raises(ConfigError, match=r"plant.workers: peers .* set workers to 1, or leave serve.port out"):
-        plant_of(tmp_path, *two, top="[serve]\nport = 5020")
 
 
 def test_configurations_reach_a_process_as_they_are(tmp_path: Path) -> None:

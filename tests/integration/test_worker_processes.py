@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
@@ -10,14 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from subprocess import PIPE, Popen
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
+from pymodbus.client import ModbusTcpClient
 
+from gateway.serving import served_rows
+from gateway.settings import load_plant
 from gateway.store import machines, read, reading, stored_rows, verify
 from tests.cli.support import decanter, only_object
 from tests.rig.pair import MAP, ROOT, Gateway, Plc, end, plc_process
 
 MACHINES = ("a", "b", "c", "d")
+TEMPERATURE, HEARTBEAT = "TCuscinettiRiduttore", "PlcHeartbeat"
 
 
 @dataclass(frozen=True)
@@ -27,6 +33,7 @@ class SplitPlant:
     file: Path
     gateway: Gateway
     plc: Plc
+    served: int
 
     def ask(self, *words: str) -> dict[str, Any]:
         """What a command of the program answers."""
@@ -64,7 +71,12 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SplitPlant]:
         plc = plc_process("--device", MAP, "--cycle", 0.02, "--stdin", *options)
         ending.callback(end, plc.process)
         ports = {name: int(own["port"]) for name, own in plc.ready["machines"].items()}
-        rows = "\n".join(f'[[machine]]\nname = "{name}"\ndevice = {{ port = {port} }}' for name, port in ports.items())
+        rows = "\n".join(
+            f'[[machine]]\nname = "{name}"\ndevice = {{ port = {port} }}\nserve = {{ unit = {unit} }}'
+            for unit, (name, port) in enumerate(ports.items(), start=1)
+        )
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            served = free.getsockname()[1]
         file = folder / "plant.toml"
         file.write_text(
             f"""
@@ -81,6 +93,11 @@ path = "h.sqlite"
 path = "log.jsonl"
 [writeback]
 mode = "shadow"
+[serve]
+port = {served}
+[page]
+enabled = true
+port = 0
 {rows}
 """,
             encoding="utf-8",
@@ -88,7 +105,7 @@ mode = "shadow"
         command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(file), "--quiet"]
         process = Popen([*command, "--status", str(folder / "s.json")], stdout=PIPE, stderr=PIPE, text=True, cwd=ROOT)
         ending.callback(end, process)
-        yield SplitPlant(file, Gateway(process, folder / "s.json"), plc)
+        yield SplitPlant(file, Gateway(process, folder / "s.json"), plc, served)
 
 
 def test_the_machines_of_all_processes_are_read_and_shown_as_one_plants(plant: SplitPlant) -> None:
@@ -99,6 +116,32 @@ def test_the_machines_of_all_processes_are_read_and_shown_as_one_plants(plant: S
     assert plant.ask("status", "--machine", "d")["status"]["machine"] == "d"
     refused = decanter("status", "--machine", "e", "--config", plant.file)
     assert refused.exit_code == 2 and "this gateway has a, b, c, d" in refused.stderr
+
+
+def test_peers_and_browsers_are_shown_the_machines_of_all_processes(plant: SplitPlant) -> None:
+    configs = {config.machine: config for config in load_plant(plant.file)}
+    with ModbusTcpClient("127.0.0.1", port=plant.served) as peer:
+        for unit, name in enumerate(MACHINES, start=1):
+            rows = {row.tag.name: row for row in served_rows(configs[name])}
+            plc = ModbusTcpClient("127.0.0.1", port=plant.plc.ready["machines"][name]["port"])
+            with plc as direct:
+                # Without a trace the PLC's sensors have failed; its words are good.
+                for tag, good in ((TEMPERATURE, False), (HEARTBEAT, True)):
+                    row = rows[tag]
+                    told = peer.read_holding_registers(row.start, count=row.count, device_id=unit)
+                    assert told.isError() is not good
+                    quality, age = peer.read_holding_registers(row.quality, count=2, device_id=unit).registers
+                    assert (quality == 0) is good and (age < 20) is good
+                own = direct.read_holding_registers(row.start, count=row.count, device_id=1).registers
+            assert 0 <= own[0] - told.registers[0] < 100
+        assert peer.read_holding_registers(0, count=1, device_id=5).isError()
+    log = plant.file.with_name("log.jsonl").read_text(encoding="utf-8").splitlines()
+    (address,) = (row["address"] for row in map(json.loads, log) if row["event"] == "the page is served")
+    with urlopen(f"{address}/api/plant", timeout=10.0) as reply:  # noqa: S310 - its own address
+        shown = json.load(reply)
+    assert list(shown["machines"]) == list(MACHINES)
+    with urlopen(f"{address}/api/live", timeout=10.0) as stream:  # noqa: S310
+        assert set(json.loads(stream.readline().removeprefix(b"data: "))["machines"]) == set(MACHINES)
 
 
 def test_one_machine_is_armed_and_disarmed_by_its_name(plant: SplitPlant) -> None:
