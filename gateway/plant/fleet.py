@@ -302,10 +302,12 @@ class _Running:
         machine = self._machine
         machine.phase = "stopping"
         self._stop.set()
-        await self._over.wait()
-        for task in self._tasks:
+        # Scans that are cancelled from outside, with all else in the loop, never come to say that they are over.
+        tasks = {*self._tasks, asyncio.ensure_future(self._over.wait())}
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in tasks:
             task.cancel()
-        await asyncio.wait(self._tasks)
+        await asyncio.wait(tasks)
         # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in there.
         await _withdrawn(machine, "stop")
         writing = machine.writing
