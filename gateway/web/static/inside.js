@@ -24,8 +24,17 @@ export function modelView() {
     const known = models.get(name);
     return temperatures.map((row, place) => h("section", { class: "card", "data-key": `${name} ${row.tag}` }, h("h2", {}, `${label}: ${row.label}`),
       known.error ? h("p", { class: "error" }, known.error) : !known.temperatures ? h("p", { class: "quiet" }, say("word.loading"))
-        : modelCard(known.temperatures[row.tag], (place ? status.further[place - 1] : status).prediction)));
+        : [versionList(known.temperatures[row.tag], name, row.tag), modelCard(known.temperatures[row.tag], (place ? status.further[place - 1] : status).prediction)]));
   }));
+}
+
+// The versions of the store, the newest first; a person may have another one run than the one that does.
+const NEWEST = 6;
+function versionList(model, machine, temperature) {
+  if (!model?.versions.length) return null;
+  return h("ul", { class: "versions" }, [...model.versions].reverse().slice(0, NEWEST).map((version) => h("li", {}, h("code", {}, version), " ",
+    version === model.version ? h("span", { class: "key present" }, say("model.runs"))
+      : can("engineer") && h("button", { "data-act": "promote", "data-machine": machine, "data-of": temperature, "data-version": version }, say("model.promote")))));
 }
 
 function modelCard(model, prediction) {
