@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.driver import Driver
 from gateway.machine.reading import Clock, PlantClock, plant_clock
+from gateway.machine.writing import SIGN_SECONDS
 from gateway.plant.control import Control
 from gateway.plant.fleet import SWITCH_SECONDS, Fleet
 from gateway.plant.log import log_file, open_log
@@ -153,13 +154,21 @@ async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIt
         raise RuntimeError("the page is enabled, and the audit log was not opened")
     page = PageServer(configs, answer=fleet.answer, audit=trail.audit, now=fleet.clock.now, log=fleet.log)
 
+    async def witness() -> None:
+        # A gateway that writes no blocks signs no heads, and what people do is to be witnessed all the same.
+        while True:
+            await asyncio.to_thread(trail.witnessing.sign, fleet.clock.now())
+            await asyncio.sleep(SIGN_SECONDS)
+
     fleet.on_scan = page.note_scan
     feed = fleet.supervisor.task("page feed", partial(page.feed, fleet.pictures))
+    signing = fleet.supervisor.task("page witness", witness)
     thread = fleet.supervisor.thread("page", page.run, stop=page.stop)
     try:
         yield
     finally:
         feed.cancel()
+        signing.cancel()
         page.close()
         await asyncio.to_thread(thread.join, PAGE_STOP_SECONDS)
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from gateway.certificates import make_all
+from gateway.machine.writing import places_of
 from gateway.web.access import AccountRole, change_password, remove_account
 from sim.artefacts import promote
 from sim.artefacts.formats import save
@@ -131,7 +132,10 @@ def test_the_alarms_of_a_week_are_held_against_what_a_person_can_deal_with(gatew
     gateway.put(TEMPERATURE, 45.0)
 
 
-def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(tmp_path: Path) -> None:
+def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gateway.plant.app.SIGN_SECONDS", 0.1)
     store, model = tmp_path / "models", two_modes()
     renamed = replace(model, sha=replace(model.sha, name="challenger"))
     slope = Distribution("normal", {"mu": 0.05, "sigma": 0.0})
@@ -155,6 +159,8 @@ def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(
         eventually(lambda: (runs()["version"], runs()["name"]) == (second, "challenger"))
         said = [(kind, detail["version"]) for kind, _, detail in gateway.audited() if kind == "page: promote"]
         assert said == [("page: promote", third), ("page: promote", second)]
+        # Also where no block is ever written the end of the log is witnessed while the gateway runs.
+        eventually(places_of(gateway.config).heads.is_file)
 
 
 def test_an_alarm_is_put_aside_for_a_while_with_a_reason_and_taken_back(gateway: Served) -> None:

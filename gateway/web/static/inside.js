@@ -16,7 +16,7 @@ const models = new Map(); // machine -> {key, temperatures}
 export function modelView() {
   return h("section", { class: "view" }, state.order.flatMap((name) => {
     const { status, label, temperatures } = state.machines[name];
-    const key = JSON.stringify([status.model?.hash, status.further.map((one) => one.model?.hash)]);
+    const key = JSON.stringify([status.model, status.further.map((one) => one.model)]);
     if (models.get(name)?.key !== key) {
       models.set(name, { key });
       ask("GET", "/api/model", { machine: name }).then((found) => models.set(name, { key, ...found }), (error) => models.set(name, { key, error: error.message }));
