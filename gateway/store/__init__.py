@@ -45,6 +45,17 @@ if TYPE_CHECKING:
     from gateway.store.confirming import confirmation
     from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
     from gateway.store.files import HistorianError
+    from gateway.store.follow import (
+        FOLLOWABLE,
+        FollowedRow,
+        FollowedRows,
+        RowPosition,
+        RowStream,
+        newest_rows,
+        position_at,
+        row_streams,
+        rows_after,
+    )
     from gateway.store.historian import Historian, HistorianView, open_historian, saved_state
     from gateway.store.numbers import Source
     from gateway.store.queues import Batch, LostRows, Row
@@ -88,6 +99,7 @@ __all__ = [
     "CONFIRMED",
     "DISARMED",
     "EXPIRED",
+    "FOLLOWABLE",
     "HEAD_EVENT",
     "HEAD_STATE",
     "Audit",
@@ -98,6 +110,8 @@ __all__ = [
     "AuditVerdict",
     "BackupError",
     "Batch",
+    "FollowedRow",
+    "FollowedRows",
     "HeadSink",
     "Historian",
     "HistorianError",
@@ -105,6 +119,8 @@ __all__ = [
     "LostRows",
     "Manifest",
     "Row",
+    "RowPosition",
+    "RowStream",
     "SignedHead",
     "SigningKeyError",
     "Source",
@@ -131,6 +147,7 @@ __all__ = [
     "make_backup",
     "matured",
     "moment_of",
+    "newest_rows",
     "newest_scan",
     "numbered_files",
     "open_audit",
@@ -139,12 +156,15 @@ __all__ = [
     "over",
     "percentile",
     "places_beside",
+    "position_at",
     "public_path",
     "put_in_place",
     "read",
     "read_manifest",
     "reading",
     "recent",
+    "row_streams",
+    "rows_after",
     "samples",
     "saved_state",
     "scorecard",
