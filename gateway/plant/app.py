@@ -23,7 +23,7 @@ from gateway.plant.log_file import LogFile
 from gateway.plant.status import write_status
 from gateway.plant.worker_pool import WorkerPool
 from gateway.serving import PeerServer
-from gateway.settings import Config, load_plant
+from gateway.settings import Config, NorthboundSecrets, load_plant
 from gateway.status import SAID_BY_CHANGES, ChangeLines, ControlError, GatewayStatus, opening
 
 if TYPE_CHECKING:
@@ -70,6 +70,7 @@ async def run(
             log = opened.enter_context(open_log(file, configs[0].log.level))
         if configs[0].page.enabled:
             _check_page(configs[0])
+        secrets = _checked_northbound(configs[0])
         log_failure: Callable[[], str] = (lambda: "") if file is None else file.complaint
         fleet: Fleet | WorkerPool
         watched = status_path is not None or say is not None or configs[0].page.enabled
@@ -106,7 +107,10 @@ async def run(
         if hangup is not None:
             serving.add(fleet.supervisor.task("hangup", partial(_reloaded_at, hangup, fleet)))
         try:
-            async with _page(configs, fleet) if configs[0].page.enabled else nullcontext():
+            async with (
+                _page(configs, fleet) if configs[0].page.enabled else nullcontext(),
+                nullcontext() if secrets is None else _northbound(configs[0], secrets, fleet),
+            ):
                 await stop.wait()
         finally:
             fleet.stopping()
@@ -162,6 +166,38 @@ async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIt
         feed.cancel()
         page.close()
         await asyncio.to_thread(thread.join, PAGE_STOP_SECONDS)
+
+
+def _checked_northbound(config: Config) -> NorthboundSecrets | None:
+    """The secrets for those who are told what is on record; None where nobody is. Raises ConfigError."""
+    if not config.northbound.enabled:
+        return None
+    # Here and below: a gateway that tells nobody loads nothing of it.
+    from gateway.northbound import check_northbound
+
+    return check_northbound(config)
+
+
+@asynccontextmanager
+async def _northbound(config: Config, secrets: NorthboundSecrets, fleet: Fleet | WorkerPool) -> AsyncIterator[None]:
+    """Tell others meanwhile what is on record, each in a thread of its own."""
+    from gateway.northbound import Northbound
+
+    northbound = Northbound(
+        config,
+        secrets,
+        machines=lambda: fleet.configs,
+        historian=fleet.records.historian,
+        pictures=fleet.pictures,
+        answer=fleet.answer,
+        now=fleet.clock.now,
+        supervisor=fleet.supervisor,
+        log=fleet.log,
+    )
+    try:
+        yield
+    finally:
+        await asyncio.to_thread(northbound.close)
 
 
 async def _reloaded_at(hangup: asyncio.Event, fleet: Fleet | WorkerPool) -> None:

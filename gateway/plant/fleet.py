@@ -225,6 +225,11 @@ class Fleet:
             return
 
     @property
+    def configs(self) -> dict[str, Config]:
+        """The machines' configurations, by their names."""
+        return {name: machine.config for name, machine in self.machines.copy().items()}
+
+    @property
     def several(self) -> bool:
         """Whether the plant file has [[machine]] tables."""
         return any(machine.config.several for machine in self.machines.values())

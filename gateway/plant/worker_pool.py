@@ -176,6 +176,11 @@ class WorkerPool:
                 self.records.historian.of(config.machine, config.map.tags, row.tag)
 
     @property
+    def configs(self) -> dict[str, Config]:
+        """The machines' configurations, by their names."""
+        return self._configs
+
+    @property
     def records(self) -> PlantRecords:
         """The stores. Raises HistorianError before they are open."""
         if self._records is None:

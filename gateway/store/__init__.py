@@ -76,6 +76,7 @@ if TYPE_CHECKING:
     from gateway.store.schema import storable
     from gateway.store.score import percentile, scorecard, warning_score
     from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
+    from gateway.store.tables import TABLE_COLUMNS, Cells, TableColumn, cells_of
     from gateway.store.witness import (
         HEAD_EVENT,
         HEAD_STATE,
@@ -102,6 +103,7 @@ __all__ = [
     "FOLLOWABLE",
     "HEAD_EVENT",
     "HEAD_STATE",
+    "TABLE_COLUMNS",
     "Audit",
     "AuditColumns",
     "AuditEntry",
@@ -110,6 +112,7 @@ __all__ = [
     "AuditVerdict",
     "BackupError",
     "Batch",
+    "Cells",
     "FollowedRow",
     "FollowedRows",
     "HeadSink",
@@ -124,6 +127,7 @@ __all__ = [
     "SignedHead",
     "SigningKeyError",
     "Source",
+    "TableColumn",
     "Uptime",
     "WitnessPlaces",
     "acknowledgement",
@@ -131,6 +135,7 @@ __all__ = [
     "armings",
     "as_one_file",
     "cancelling",
+    "cells_of",
     "confirmation",
     "discard",
     "end_of",

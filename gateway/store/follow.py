@@ -59,9 +59,11 @@ class FollowedRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowedRows:
-    """Rows of a stream after a position; `newest` is the key of the stream's last row, `gone` counts those
-    before them that there are no more: deleted by retention, or in a batch that cannot be read. Without rows it goes on from
-    `passed`: a table that is not packed has other sources' rows in between."""
+    """Rows of a stream after a position; `newest` is the key of the stream's last row.
+
+    `gone` counts those before them that there are no more: deleted by retention, or in a batch that cannot be read.
+    Without rows it goes on from `passed`: a table that is not packed has other sources' rows in between.
+    """
 
     rows: Sequence[FollowedRow]
     newest: int
