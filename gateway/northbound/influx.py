@@ -49,6 +49,7 @@ class InfluxSink:
 
     def open(self, present: Present) -> None:
         """Connect."""
+        self.close()
         parts = urlsplit(self._row.url)
         host, port = parts.hostname or "", parts.port or 8086
         if parts.scheme == "https":

@@ -35,6 +35,7 @@ class PostgresSink:
 
     def open(self, present: Present) -> None:
         """Connect, and make the tables that are not there."""
+        self.close()
         row = self._row
         try:
             self._connection = connection = psycopg.connect(

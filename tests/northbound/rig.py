@@ -3,6 +3,7 @@
 import os
 import random
 import shutil
+import signal
 import socket
 import subprocess
 import threading
@@ -78,6 +79,7 @@ class Plant:
     rng: random.Random = field(default_factory=lambda: random.Random(7))
     feeds: list[SinkFeed] = field(default_factory=list)
     logged: list[dict[str, Any]] = field(default_factory=list)
+    _counted: tuple[int, int] = (-1, 0)
 
     def __post_init__(self) -> None:
         self.supervisor = Supervisor()
@@ -150,7 +152,9 @@ class Plant:
     @property
     def count(self) -> int:
         """The rows on record that are handed on."""
-        return sum(len(self.rows(table)) for table in TABLES)
+        if self._counted[0] != self.scans:
+            self._counted = self.scans, sum(len(self.rows(table)) for table in TABLES)
+        return self._counted[1]
 
     def close(self) -> None:
         for feed in self.feeds:
@@ -208,7 +212,9 @@ class Line:
 
 
 @contextmanager
-def running(command: list[str], port: int, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
+def running(
+    command: list[str], port: int, *, end: signal.Signals = signal.SIGTERM, **options: Any
+) -> Iterator[subprocess.Popen[bytes]]:
     """A server, once it answers at its port, until it is ended."""
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **options) as process:
         try:
@@ -216,5 +222,8 @@ def running(command: list[str], port: int, **options: Any) -> Iterator[subproces
             assert process.poll() is None, f"{command[0]} does not start"
             yield process
         finally:
-            process.terminate()
-            process.wait(10.0)
+            process.send_signal(end)
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
