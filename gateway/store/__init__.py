@@ -55,6 +55,7 @@ if TYPE_CHECKING:
         position_at,
         row_streams,
         rows_after,
+        rows_between,
     )
     from gateway.store.historian import Historian, HistorianView, open_historian, saved_state
     from gateway.store.numbers import Source
@@ -170,6 +171,7 @@ __all__ = [
     "recent",
     "row_streams",
     "rows_after",
+    "rows_between",
     "samples",
     "saved_state",
     "scorecard",

@@ -10,13 +10,14 @@ orders have had the same rows (`FollowedRow.position`).
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import inf, nextafter
 from typing import Any
 
 from drivers.tag import Quality
 from gateway.store.columns import Cell, PackedError, unpack
+from gateway.store.files import HistorianError
 from gateway.store.read_back import one_moment
-from gateway.store.schema import FOLLOWED, NAMES, PACKED, restored
+from gateway.store.schema import FOLLOWED, NAMES, PACKED, VERSION, restored
 from gateway.store.sqlite_file import key_range, keys_of
 
 FOLLOWABLE = ("samples", "predictions", "forecasts", "events", "alarms")
@@ -72,7 +73,11 @@ class FollowedRows:
 
 
 def row_streams(connection: sqlite3.Connection, machines: Iterable[str]) -> list[RowStream]:
-    """The streams of these machines that there are so far."""
+    """The streams of these machines that there are so far. Raises HistorianError for a file of an older layout."""
+    layout = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    if layout < VERSION:
+        file = connection.execute("PRAGMA database_list").fetchone()[2]
+        raise HistorianError(f"{file}: has layout {layout}; a gateway of this version converts it when it starts on it")
     wanted = set(machines)
     query = "SELECT id, machine, temperature FROM sources ORDER BY id"
     return [
@@ -104,7 +109,7 @@ def rows_after(connection: sqlite3.Connection, stream: RowStream, position: RowP
             return FollowedRows(rows=unpacked, newest=newest, gone=0, passed=end or position)
         # Packed meanwhile: of the batches that reach beyond the position the oldest that can be read comes next.
         following = []
-        for batch, first, rows in _packed(connection, stream, lowest):
+        for batch, first, rows, _ in _packed(connection, stream, lowest):
             if first + rows <= begin:
                 break
             following.append((batch, first))
@@ -129,10 +134,11 @@ def position_at(connection: sqlite3.Connection, stream: RowStream, time: float) 
         if found is not None:
             key = int(found) - _base(stream)
             return RowPosition(key, _time_of(connection, stream, key))
-        for batch, first, _ in _packed(connection, stream, lowest):
-            before = [row for row in _batch_rows(connection, stream, batch, first) if row.time <= time]
-            if before:
-                return RowPosition(before[-1].key, before[-1].time)
+        for batch, first, _, earliest in _packed(connection, stream, lowest):
+            if earliest <= time:
+                before = [row for row in _batch_rows(connection, stream, batch, first) if row.time <= time]
+                if before:
+                    return RowPosition(before[-1].key, before[-1].time)
             lowest = first
         return RowPosition(lowest - 1, -inf)
 
@@ -151,6 +157,22 @@ def newest_rows(connection: sqlite3.Connection, stream: RowStream) -> tuple[list
         group = f" GROUP BY t.{signal}" if signal else ""
         newest = f"SELECT max(t.id) FROM {stream.table} t WHERE {condition}{group}"  # noqa: S608
         return _selected_rows(connection, stream, f"t.id IN ({newest}) ORDER BY t.id", values), ends[1]
+
+
+def rows_between(
+    connection: sqlite3.Connection, machines: Iterable[str], table: str, start: float, end: float
+) -> Iterator[FollowedRow]:
+    """The rows of a table with start <= time < end, machine by machine in the order of their arrival.
+
+    Read batch by batch: of years of rows no more than some ten thousand are held. Raises HistorianError.
+    """
+    for stream in row_streams(connection, machines):
+        if stream.table != table:
+            continue
+        position = position_at(connection, stream, nextafter(start, -inf))
+        while (batch := rows_after(connection, stream, position)).rows:
+            yield from (row for row in batch.rows if start <= row.time < end)
+            position = batch.rows[-1].position or position
 
 
 # -------------------------------------------------------------------- where the rows of a stream lie
@@ -194,21 +216,21 @@ def _time_of(connection: sqlite3.Connection, stream: RowStream, key: int) -> flo
     return -inf if row is None else float(row[0])
 
 
-def _packed(connection: sqlite3.Connection, stream: RowStream, lowest: int) -> Iterator[tuple[int, int, int]]:
-    """(batch, number of its first row, rows) of the packed batches of a stream, the newest first.
+def _packed(connection: sqlite3.Connection, stream: RowStream, lowest: int) -> Iterator[tuple[int, int, int, float]]:
+    """(batch, number of its first row, rows, least time) of the packed batches of a stream, the newest first.
 
     The newest ends before `lowest`, the oldest row that is not packed.
     """
     if stream.table not in PACKED:
         return
     kind = "stamps" if stream.table == "samples" else stream.table
-    query = "SELECT batch, rows FROM chunks WHERE kind = ? AND tag = ? ORDER BY batch DESC"
-    for batch, rows in connection.execute(query, (kind, stream.number)).fetchall():
+    query = "SELECT batch, rows, first FROM chunks WHERE kind = ? AND tag = ? ORDER BY batch DESC"
+    for batch, rows, earliest in connection.execute(query, (kind, stream.number)).fetchall():
         if stream.table == "samples":  # its chunks are those of its tags
             query = "SELECT sum(rows) FROM chunks WHERE batch = ? AND kind = 'samples'"
             (rows,) = connection.execute(query, (batch,)).fetchone()
         lowest -= int(rows or 0)
-        yield int(batch), lowest, int(rows or 0)
+        yield int(batch), lowest, int(rows or 0), float(earliest)
 
 
 # -------------------------------------------------------------------- reading them
