@@ -14,6 +14,7 @@ import sqlite3
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from time import monotonic
@@ -27,6 +28,7 @@ from gateway.store import (
     HistorianView,
     RowPosition,
     RowStream,
+    newest_position,
     newest_rows,
     position_at,
     reading,
@@ -40,8 +42,8 @@ if TYPE_CHECKING:
 
 POLL_SECONDS = 1.0
 """How often it is looked for new rows: the historian commits them once a second."""
-MOST = 5_000
-"""Rows that are read before they are handed on; a packed batch comes whole."""
+MOST = 4_000
+"""Rows in hand from which on no more are read."""
 PIECE = 1_000
 """Rows that are handed over at a time."""
 FIRST_RETRY, LONGEST_RETRY = 1.0, 30.0
@@ -123,6 +125,7 @@ class SinkFeed:
                     self._note_failure(str(error))
                     self._end_session()
                     self._save()
+                    self._see_backlog()
                     self._stop.wait(pause)
                     pause = min(2.0 * pause, LONGEST_RETRY)
         finally:
@@ -144,6 +147,16 @@ class SinkFeed:
             self._sink.idle(POLL_SECONDS, self._stop)
         if self._unsaved and monotonic() - self._saved_at >= SAVE_SECONDS:
             self._save()
+
+    def _see_backlog(self) -> None:
+        """See how many rows wait by now, while there is nobody to hand them on to."""
+        with suppress(HistorianError, sqlite3.Error), reading(self._path) as connection:
+            for stream in self._streams(connection):
+                if stream not in self._positions:
+                    oldest = self._now() - self._backlog
+                    self._positions[stream] = self._first_position(connection, stream, oldest)
+                end = newest_position(connection, stream)
+                self._newest[stream] = 0 if end is None else end.key
 
     def _begin_session(self) -> None:
         present: dict[str, list[FollowedRow]] = {name: [] for name in self._machines()}

@@ -10,8 +10,11 @@ orders have had the same rows (`FollowedRow.position`).
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from math import inf, nextafter
 from typing import Any
+
+import numpy as np
 
 from drivers.tag import Quality
 from gateway.store.columns import Cell, PackedError, unpack
@@ -22,6 +25,11 @@ from gateway.store.sqlite_file import key_range, keys_of
 
 FOLLOWABLE = ("samples", "predictions", "forecasts", "events", "alarms")
 """Tables whose rows can be followed."""
+MOST_FOLLOWED = 2_000
+"""Rows that are read at a time: more of them at once would keep the interpreter's collector of garbage busy, and with
+it every thread."""
+MOST_AT_ONCE = 2_000
+"""Rows that one scan of a machine may bring: so many are looked at beyond the last one, to see where a moment ends."""
 _SIGNAL = {"samples": "tag", "forecasts": "horizon", "alarms": "condition"}
 """The column that tells the signals of a table apart, where it has several."""
 
@@ -90,13 +98,13 @@ def row_streams(connection: sqlite3.Connection, machines: Iterable[str]) -> list
 
 
 def rows_after(connection: sqlite3.Connection, stream: RowStream, position: RowPosition) -> FollowedRows:
-    """The next rows of a stream, those of one packed batch or all that are not packed (`retention.Packer`).
+    """The next rows of a stream, about MOST_FOLLOWED of them.
 
     A position that the file does not know (it was begun anew) is found again by its time. Raises sqlite3.Error.
     """
     with one_moment(connection):
         # Mostly there is nothing new, which one look-up says.
-        end = _newest(connection, stream)
+        end = newest_position(connection, stream)
         if end in (None, position) or (ends := _ends(connection, stream)) is None:
             return FollowedRows(rows=(), newest=position.key, gone=0, passed=position)
         lowest, newest = ends
@@ -114,7 +122,7 @@ def rows_after(connection: sqlite3.Connection, stream: RowStream, position: RowP
                 break
             following.append((batch, first))
         for batch, first in reversed(following):
-            packed = [row for row in _batch_rows(connection, stream, batch, first) if row.key >= begin]
+            packed = _batch_rows(connection, stream, batch, first, skip=max(begin - first, 0))
             if packed:
                 return FollowedRows(rows=packed, newest=newest, gone=packed[0].key - begin, passed=position)
         unpacked = _unpacked_from(connection, stream, lowest)
@@ -136,7 +144,8 @@ def position_at(connection: sqlite3.Connection, stream: RowStream, time: float) 
             return RowPosition(key, _time_of(connection, stream, key))
         for batch, first, _, earliest in _packed(connection, stream, lowest):
             if earliest <= time:
-                before = [row for row in _batch_rows(connection, stream, batch, first) if row.time <= time]
+                packed = _batch_rows(connection, stream, batch, first, most=PACKED[stream.table])
+                before = [row for row in packed if row.time <= time]
                 if before:
                     return RowPosition(before[-1].key, before[-1].time)
             lowest = first
@@ -198,11 +207,11 @@ def _ends(connection: sqlite3.Connection, stream: RowStream) -> tuple[int, int] 
     if stream.table in PACKED:
         keys = keys_of(connection, stream.table, stream.number)
         return None if keys is None else (keys[0] - _base(stream), keys[1] - _base(stream))
-    end = _newest(connection, stream)
+    end = newest_position(connection, stream)
     return None if end is None else (1, end.key)
 
 
-def _newest(connection: sqlite3.Connection, stream: RowStream) -> RowPosition | None:
+def newest_position(connection: sqlite3.Connection, stream: RowStream) -> RowPosition | None:
     """The last row of a stream that is not packed, of a table that never is the last of all sources; None without."""
     condition, values = _mine(stream) if stream.table in PACKED else ("1", ())
     query = f"SELECT t.id, t.time FROM {stream.table} t WHERE {condition} ORDER BY t.id DESC LIMIT 1"  # noqa: S608
@@ -253,40 +262,53 @@ def _selected_rows(
 
 
 def _unpacked_from(connection: sqlite3.Connection, stream: RowStream, begin: int) -> list[FollowedRow]:
-    """The rows from the number `begin` on."""
+    """The rows from the number `begin` on, to the last position among the first MOST_FOLLOWED."""
     condition, values = _mine(stream)
-    return _selected_rows(
-        connection, stream, f"{condition} AND t.id >= ? ORDER BY t.id", (*values, begin + _base(stream))
-    )
+    condition += f" AND t.id >= ? ORDER BY t.id LIMIT {MOST_FOLLOWED + MOST_AT_ONCE}"
+    rows = _selected_rows(connection, stream, condition, (*values, begin + _base(stream)))
+    if len(rows) < MOST_FOLLOWED + MOST_AT_ONCE:
+        return rows
+    end = next((place for place in range(MOST_FOLLOWED, 0, -1) if rows[place - 1].position), MOST_FOLLOWED)
+    return rows[:end]
 
 
-def _batch_rows(connection: sqlite3.Connection, stream: RowStream, batch: int, first: int) -> list[FollowedRow]:
-    """The rows of one packed batch, whose first has the number `first`; one that cannot be read has none."""
+def _batch_rows(
+    connection: sqlite3.Connection,
+    stream: RowStream,
+    batch: int,
+    first: int,
+    *,
+    skip: int = 0,
+    most: int = MOST_FOLLOWED,
+) -> list[FollowedRow]:
+    """The rows of one packed batch, whose first has the number `first`, after `skip` of them; none that cannot be
+    read."""
     query = "SELECT chunks.kind, chunks.data, tags.name, tags.unit FROM chunks "
     query += "LEFT JOIN tags ON chunks.kind = 'samples' AND tags.id = chunks.tag WHERE batch = ? ORDER BY chunks.tag"
     try:
         chunks = [(kind, unpack(data), *tag) for kind, data, *tag in connection.execute(query, (batch,))]
     except PackedError:
         return []
-    found: list[tuple[int, dict[str, Any]]]
+    found: list[dict[str, Any]]
     if stream.table == "samples":
         stamps: list[list[Cell]] = next((columns for kind, columns, *_ in chunks if kind == "stamps"), [[], []])
-        rows: list[tuple[int, dict[str, Any]]] = []
-        for kind, columns, tag, unit in chunks:
-            if kind == "samples":
-                for which, value, quality in zip(*columns, strict=True):
-                    time, sent = stamps[0][which], stamps[1][which]
-                    values = {"tag": tag, "time": time, "value": value, "quality": quality, "sent": sent, "unit": unit}
-                    rows.append((which, values))
-        rows.sort(key=lambda row: row[0])
-        found = [(first + place, values) for place, (_, values) in enumerate(rows)]
+        own = [(columns, tag, unit) for kind, columns, tag, unit in chunks if kind == "samples"]
+        # By their moments, which are numbered as they came; within one by tag and then as they came.
+        moments = np.concatenate([np.array(columns[0], dtype=int) for columns, *_ in own] or [np.empty(0, dtype=int)])
+        begins = np.cumsum([0, *(len(columns[0]) for columns, *_ in own)])
+        found = []
+        for place in np.argsort(moments, kind="stable")[skip : skip + most].tolist():
+            which = int(np.searchsorted(begins, place, side="right")) - 1
+            (_, values, qualities), tag, unit = own[which]
+            row, moment = place - int(begins[which]), int(moments[place])
+            time, sent = stamps[0][moment], stamps[1][moment]
+            read = {"value": values[row], "quality": qualities[row]}
+            found.append({"tag": tag, "time": time, **read, "sent": sent, "unit": unit})
     else:
         plain = [name.strip('"') for name in NAMES[stream.table]]
-        columns = chunks[0][1] if chunks else []
-        found = [
-            (first + place, dict(zip(plain, row, strict=True))) for place, row in enumerate(zip(*columns, strict=True))
-        ]
-    return _followed(stream, found, packed=True)
+        rows = zip(*(chunks[0][1] if chunks else []), strict=True)
+        found = [dict(zip(plain, row, strict=True)) for row in islice(rows, skip, skip + most)]
+    return _followed(stream, list(enumerate(found, first + skip)), packed=True)
 
 
 def _followed(

@@ -18,8 +18,8 @@ import pytest
 
 from gateway.store import machines, read, reading, stored_rows, verify
 from tests.cli.support import decanter, only_object
-from tests.northbound.rig import free_port, until
 from tests.rig.pair import MAP, ROOT, Gateway, Plc, end, plc_process
+from tests.rig.servers import free_port, until
 
 MACHINES = ("a", "b", "c", "d")
 

@@ -1,17 +1,9 @@
-"""What the tests of northbound share: a plant's historian that fills, a line that can be cut, real servers."""
+"""What the tests of northbound share: a plant's historian that fills, and feeds from it."""
 
-import os
 import random
-import shutil
-import signal
-import socket
-import subprocess
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import monotonic, sleep
 from typing import Any
 
 from drivers.supervision import Supervisor
@@ -20,8 +12,6 @@ from gateway.northbound import Sink, SinkFeed
 from gateway.store import Historian, RowPosition, open_historian, reading, row_streams, rows_after
 from tests.gateway.support import EPOCH
 
-PATH = os.environ.get("PATH", "") + ":/usr/sbin:/usr/lib/postgresql/15/bin"
-"""Debian has some servers where no user's PATH looks."""
 MACHINES = ("one", "two")
 TAGS = {
     "T": Tag("T", "holding:1", unit="degC"),
@@ -30,30 +20,6 @@ TAGS = {
     "Recipe": Tag("Recipe", "holding:3", dtype=DType.STRING, length=8),
 }
 TABLES = ("samples", "predictions", "forecasts", "events", "alarms")
-
-
-def program(name: str) -> str | None:
-    """The path of a server, if this machine has it."""
-    return shutil.which(name, path=PATH)
-
-
-def free_port() -> int:
-    with closing(socket.create_server(("127.0.0.1", 0))) as probe:
-        return int(probe.getsockname()[1])
-
-
-def until(true: Any, seconds: float = 15.0) -> None:
-    """Wait until it is so."""
-    end = monotonic() + seconds
-    while not true():
-        assert monotonic() < end, "it did not come about in time"
-        sleep(0.01)
-
-
-def answers(port: int) -> bool:
-    with suppress(OSError), closing(socket.create_connection(("127.0.0.1", port), 1.0)):
-        return True
-    return False
 
 
 @dataclass
@@ -162,68 +128,3 @@ class Plant:
         for feed in self.feeds:
             feed.join()
         self.store.close()
-
-
-class Line:
-    """A TCP line to a port on this machine that can be cut and mended."""
-
-    def __init__(self, target: int) -> None:
-        self.target, self.port = target, free_port()
-        self._pairs: list[socket.socket] = []
-        self._listener: socket.socket | None = None
-        self.mend()
-
-    def mend(self) -> None:
-        self._listener = socket.create_server(("127.0.0.1", self.port))
-        threading.Thread(target=self._accept, args=(self._listener,), daemon=True).start()
-
-    def _accept(self, listener: socket.socket) -> None:
-        with suppress(OSError):
-            while True:
-                near = listener.accept()[0]
-                try:
-                    far = socket.create_connection(("127.0.0.1", self.target))
-                except OSError:
-                    near.close()
-                    continue
-                self._pairs += [near, far]
-                for one, other in ((near, far), (far, near)):
-                    threading.Thread(target=self._carry, args=(one, other), daemon=True).start()
-
-    def _carry(self, one: socket.socket, other: socket.socket) -> None:
-        with suppress(OSError):
-            while data := one.recv(65536):
-                other.sendall(data)
-        for end in (one, other):
-            with suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-
-    def cut(self) -> None:
-        """End every connection at once, and take no other."""
-        if self._listener is not None:
-            with suppress(OSError):
-                self._listener.shutdown(socket.SHUT_RDWR)
-            self._listener.close()
-        for end in self._pairs:
-            with suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-            end.close()
-        self._pairs.clear()
-
-
-@contextmanager
-def running(
-    command: list[str], port: int, *, end: signal.Signals = signal.SIGTERM, **options: Any
-) -> Iterator[subprocess.Popen[bytes]]:
-    """A server, once it answers at its port, until it is ended."""
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **options) as process:
-        try:
-            until(lambda: answers(port) or process.poll() is not None)
-            assert process.poll() is None, f"{command[0]} does not start"
-            yield process
-        finally:
-            process.send_signal(end)
-            try:
-                process.wait(10.0)
-            except subprocess.TimeoutExpired:
-                process.kill()

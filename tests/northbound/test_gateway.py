@@ -22,7 +22,7 @@ from gateway.northbound.metrics import METRICS
 from gateway.plant.app import run
 from gateway.settings import load_config
 from tests.gateway.support import CURRENT, ROOT, RUNNING, TEMPERATURE, Bench, config_in, plant_file, two_modes
-from tests.northbound.rig import free_port, program, running
+from tests.rig.servers import free_port, program, running
 
 MOSQUITTO, PROMTOOL = program("mosquitto"), program("promtool")
 DASHBOARD = ROOT / "config/grafana/decanter.json"

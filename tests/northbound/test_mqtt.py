@@ -17,7 +17,8 @@ from gateway.certificates import make_all
 from gateway.northbound.mqtt import ACKNOWLEDGE, JsonSink, SparkplugSink
 from gateway.settings import MqttRow
 from tests.gateway.support import EPOCH
-from tests.northbound.rig import MACHINES, TAGS, Line, Plant, free_port, program, running, until
+from tests.northbound.rig import MACHINES, TAGS, Plant
+from tests.rig.servers import Line, free_port, program, running, until
 
 MOSQUITTO = program("mosquitto")
 pytestmark = pytest.mark.skipif(MOSQUITTO is None, reason="needs mosquitto (apt-get install mosquitto)")
@@ -156,8 +157,10 @@ def test_every_row_reaches_a_sparkplug_host_once_in_order_and_marked_over_two_ou
     plant.scan(150)
     until(lambda: "cannot be reached" in feed.reason)
     plant.scan(5)
+    until(lambda: feed.waiting > 155 * 8 + 155 * 2)
     line.mend()
     until(lambda: feed.delivered == plant.count)
+    assert feed.waiting == 0
     after = plant.scans
     plant.scan(3)
     until(lambda: feed.delivered == plant.count)

@@ -22,7 +22,8 @@ from gateway.northbound.postgres import PostgresSink
 from gateway.settings import InfluxRow, PostgresRow
 from gateway.store import FollowedRow, RowPosition, RowStream
 from tests.gateway.support import EPOCH
-from tests.northbound.rig import TABLES, Line, Plant, free_port, program, running, until
+from tests.northbound.rig import TABLES, Plant
+from tests.rig.servers import Line, free_port, program, running, until
 
 INITDB, POSTGRES, INFLUXD = program("initdb"), program("postgres"), program("influxd")
 
