@@ -121,7 +121,7 @@ def judged(path: Path, plant: FullPlant, outage: tuple[int, int]) -> dict[str, i
             found["twice"] += len(times) - len(set(times))
             found["disordered"] += sum(later < earlier for earlier, later in pairwise(times))
             # The session begins anew somewhat after the line was mended; what came until then is history too.
-            again = next((time for time, flag in rows if time > outage[1] and not flag), plant.second)
+            again = next((time for time, flag in rows if time > outage[1] and not flag), plant.second + 1)
             found["wrongly_marked"] += sum(flag != (outage[0] < time < again) for time, flag in rows if time > 2)
     return dict(found)
 

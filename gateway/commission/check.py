@@ -35,6 +35,7 @@ from gateway.commission.session import (
 from gateway.commission.writeback.write_plan import problems_of
 from gateway.entry import Exit, exit_code, sentences
 from gateway.machine.model import load_model
+from gateway.northbound import check_northbound
 from gateway.settings import load_plant, load_secrets
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})
@@ -47,7 +48,7 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
     `sites` are the device over each of its links, by the links' names.
     """
     first = next(iter(sites.values()))
-    steps = [*_files(first), *_models(first), *_contract(first), *_messages(first)]
+    steps = [*_files(first), *_models(first), *_contract(first), *_messages(first), *_northbound(first)]
     rows: list[dict[str, Any]] = []
     absent: list[DriverError] = []
     for name, site in sites.items():
@@ -103,6 +104,20 @@ def _messages(site: Site) -> list[CheckStep]:
     except ConfigError as error:
         return [failed("messages", problem) for problem in error.problems]
     return [ok("messages", f"alarms are told to {', '.join(row.name for row in config.notify.to)}")]
+
+
+def _northbound(site: Site) -> list[CheckStep]:
+    """Whether other systems can be told: what has to be installed, and the file of secrets; nothing is sent."""
+    config = site.target.config
+    if config is None or not config.northbound.enabled:
+        return []
+    try:
+        check_northbound(config)
+    except ConfigError as error:
+        return [failed("northbound", problem) for problem in error.problems]
+    names = [row.name for row in config.northbound.sinks]
+    names += ["Prometheus"] if config.northbound.metrics.port is not None else []
+    return [ok("northbound", f"what is on record is told to {', '.join(names)}")]
 
 
 def _places(site: Site) -> list[CheckStep]:

@@ -52,6 +52,8 @@ MOST_METRICS = 500
 """Metrics in one Sparkplug message."""
 TOGETHER = 10
 """Sparkplug messages that are confirmed together."""
+LONGEST_NAME = 300
+"""Characters of an alarm's name that are heard: whoever publishes longer ones fills no log."""
 ACKNOWLEDGE = "Alarm Control/Acknowledge"
 """The metric by which a device is told to acknowledge an alarm, by the alarm's name."""
 
@@ -307,16 +309,19 @@ class SparkplugSink:
         """Do what was commanded; what makes no sense is passed over, as the specification wants it."""
         while self._broker.received:
             message = self._broker.received.popleft()
-            try:
-                command = Payload.FromString(message.payload)
-            except DecodeError:
-                continue
             kind, *device = message.topic.split("/")[2:3] + message.topic.split("/")[4:]
-            for metric in command.metrics:
-                if kind == "NCMD" and metric.name == "Node Control/Rebirth" and metric.boolean_value:
+            try:
+                told = [
+                    (one.name, one.boolean_value, one.string_value)
+                    for one in Payload.FromString(message.payload).metrics
+                ]
+            except (DecodeError, UnicodeDecodeError):
+                continue
+            for name, is_true, text in told:
+                if kind == "NCMD" and name == "Node Control/Rebirth" and is_true:
                     self._give_birth()
-                elif kind == "DCMD" and device and metric.name == ACKNOWLEDGE and metric.string_value:
-                    self._acknowledge(device[0], [metric.string_value], f"mqtt {self._row.name}")
+                elif kind == "DCMD" and device and name == ACKNOWLEDGE and text:
+                    self._acknowledge(device[0], [text[:LONGEST_NAME]], f"mqtt {self._row.name}")
 
     def close(self) -> None:
         """Die in order: a broker tells the will only of who is gone without a word."""
@@ -379,7 +384,7 @@ class JsonSink:
             message = self._broker.received.popleft()
             alarm = message.payload.decode(errors="replace").strip()
             if alarm and not message.retain:
-                self._acknowledge(message.topic.split("/")[2], [alarm], f"mqtt {self._row.name}")
+                self._acknowledge(message.topic.split("/")[2], [alarm[:LONGEST_NAME]], f"mqtt {self._row.name}")
 
     def close(self) -> None:
         """Say that it is offline, and disconnect."""

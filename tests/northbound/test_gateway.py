@@ -9,18 +9,17 @@ from typing import Any
 from urllib.request import Request, urlopen
 
 import pytest
-from click.testing import CliRunner
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 from prometheus_client.parser import text_string_to_metric_families
 
 from drivers.settings import ConfigError
-from gateway.cli.main import main
 from gateway.machine.reading import plant_clock
 from gateway.northbound import check_northbound, northbound
 from gateway.northbound.metrics import METRICS
 from gateway.plant.app import run
 from gateway.settings import load_config
+from tests.cli.support import decanter, refused
 from tests.gateway.support import CURRENT, ROOT, RUNNING, TEMPERATURE, Bench, config_in, plant_file, two_modes
 from tests.rig.servers import free_port, program, running
 
@@ -156,12 +155,13 @@ def test_secrets_and_extras_that_are_missing_are_named(tmp_path: Path, monkeypat
     with pytest.raises(ConfigError, match="others may read the secrets"):
         check_northbound(config)
     secrets.chmod(0o600)
-    with pytest.raises(ConfigError) as refused:
+    with pytest.raises(ConfigError) as lacking:
         check_northbound(config)
-    assert "there is no sink 'b'" in str(refused.value) and "has none for 'a'" in str(refused.value)
-    assert "sesame" not in str(refused.value)
+    assert "there is no sink 'b'" in str(lacking.value) and "has none for 'a'" in str(lacking.value)
+    assert "sesame" not in str(lacking.value)
     secrets.write_text("[passwords]\na = 'sesame'\n", encoding="utf-8")
     assert check_northbound(config).passwords == {"a": "sesame"}
+    assert "what is on record is told to a" in decanter("plc", "check", "--offline", "--config", config.path).output
 
     def absent(name: str) -> Any:
         raise ModuleNotFoundError(f"No module named {name!r}", name=name.partition(".")[0])
@@ -172,4 +172,6 @@ def test_secrets_and_extras_that_are_missing_are_named(tmp_path: Path, monkeypat
     assert str(missing.value) == (
         f"{config.path}: northbound.mqtt: needs paho, which is not installed; pip install 'decanter-gateway[mqtt]'"
     )
-    assert CliRunner().invoke(main, ["run", "--config", str(config.path)]).exit_code == 2
+    refused(decanter("run", "--config", config.path), 2, "pip install 'decanter-gateway[mqtt]'")
+    checked = decanter("plc", "check", "--offline", "--config", config.path)
+    assert checked.exit_code == 1 and "needs paho" in checked.output

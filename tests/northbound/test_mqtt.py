@@ -217,7 +217,10 @@ def test_a_host_can_ask_for_birth_again_and_acknowledge_and_nothing_else_does_an
     feed = plant.feed(sparkplug(plant, broker, broker.tls, commands))
     until(lambda: feed.delivered == plant.count)
     births = len(listener.payloads("DBIRTH"))
-    listener.client.publish(f"{TOPIC.format('NCMD')}", b"\xff\xff no payload")
+    nonsense = [b"\xff\xff no payload", b"", b"\x12\x04\x0a\x02\xff\xfe", bytes(5000), b"\x12\xff\xff\xff\x7f"]
+    for bad in nonsense:
+        listener.client.publish(TOPIC.format("NCMD"), bad)
+        listener.client.publish(f"{TOPIC.format('DCMD')}/two", bad)
     rebirth = Payload(timestamp=1)
     rebirth.metrics.add(name="Node Control/Rebirth", datatype=11, boolean_value=True)
     listener.client.publish(TOPIC.format("NCMD"), rebirth.SerializeToString())
