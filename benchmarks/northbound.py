@@ -9,6 +9,7 @@ taken down by mosquitto's own client and decoded afterwards, by the definition o
 """
 
 import asyncio
+import gc
 import subprocess
 import sys
 import tempfile
@@ -193,7 +194,9 @@ def main(machines: int, tags: int, outage: int, live: float, as_json: bool) -> N
     """Measure an outage of a broker at full rate."""
     if program("mosquitto") is None or program("mosquitto_sub") is None:
         raise click.ClickException("needs mosquitto and its client (apt-get install mosquitto mosquitto-clients)")
+    # As `decanter run` has it (`gateway.plant.app`).
     sys.setswitchinterval(SWITCH_SECONDS)
+    gc.freeze()
     with tempfile.TemporaryDirectory() as folder:
         figures = asyncio.run(measured(Path(folder), machines, tags, outage, live))
     if as_json:

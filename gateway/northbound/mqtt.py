@@ -17,7 +17,6 @@ from threading import Event
 from time import monotonic
 from typing import Any
 
-from google.protobuf.message import DecodeError
 from paho.mqtt.client import (
     Client,
     ConnectFlags,
@@ -33,10 +32,12 @@ from gateway.northbound.sink import OutgoingRow, Present, SinkUnreachable
 from gateway.northbound.sparkplug import (
     BOOLEAN,
     INT64,
+    LONGEST_NAME,
     STRING,
     Payload,
     SparkplugMetric,
     add_metric,
+    commands_in,
     metrics_of,
     milliseconds,
 )
@@ -52,8 +53,6 @@ MOST_METRICS = 500
 """Metrics in one Sparkplug message."""
 TOGETHER = 10
 """Sparkplug messages that are confirmed together."""
-LONGEST_NAME = 300
-"""Characters of an alarm's name that are heard: whoever publishes longer ones fills no log."""
 ACKNOWLEDGE = "Alarm Control/Acknowledge"
 """The metric by which a device is told to acknowledge an alarm, by the alarm's name."""
 
@@ -310,18 +309,11 @@ class SparkplugSink:
         while self._broker.received:
             message = self._broker.received.popleft()
             kind, *device = message.topic.split("/")[2:3] + message.topic.split("/")[4:]
-            try:
-                told = [
-                    (one.name, one.boolean_value, one.string_value)
-                    for one in Payload.FromString(message.payload).metrics
-                ]
-            except (DecodeError, UnicodeDecodeError):
-                continue
-            for name, is_true, text in told:
-                if kind == "NCMD" and name == "Node Control/Rebirth" and is_true:
+            for command in commands_in(bytes(message.payload)):
+                if kind == "NCMD" and command.name == "Node Control/Rebirth" and command.is_true:
                     self._give_birth()
-                elif kind == "DCMD" and device and name == ACKNOWLEDGE and text:
-                    self._acknowledge(device[0], [text[:LONGEST_NAME]], f"mqtt {self._row.name}")
+                elif kind == "DCMD" and device and command.name == ACKNOWLEDGE and command.text:
+                    self._acknowledge(device[0], [command.text], f"mqtt {self._row.name}")
 
     def close(self) -> None:
         """Die in order: a broker tells the will only of who is gone without a word."""
@@ -383,8 +375,8 @@ class JsonSink:
         while self._broker.received:
             message = self._broker.received.popleft()
             alarm = message.payload.decode(errors="replace").strip()
-            if alarm and not message.retain:
-                self._acknowledge(message.topic.split("/")[2], [alarm[:LONGEST_NAME]], f"mqtt {self._row.name}")
+            if 0 < len(alarm) <= LONGEST_NAME and alarm.isprintable() and not message.retain:
+                self._acknowledge(message.topic.split("/")[2], [alarm], f"mqtt {self._row.name}")
 
     def close(self) -> None:
         """Say that it is offline, and disconnect."""

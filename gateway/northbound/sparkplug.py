@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.message import DecodeError
 
 from drivers.tag import DType, Tag
 from gateway.store import FollowedRow
@@ -18,6 +19,8 @@ INT32, INT64, DOUBLE, BOOLEAN, STRING = 3, 4, 10, 11, 12
 """Sparkplug's data types that are used here."""
 GOOD, STALE, BAD = 192, 500, 0
 """Values of the property `Quality`."""
+LONGEST_NAME, MOST_COMMANDS = 300, 100
+"""Characters of an alarm's name, and metrics of one command, that are heard."""
 
 _FIELDS: Mapping[str, Sequence[tuple[int, str, str]]] = {
     "PropertyValue": (
@@ -73,6 +76,30 @@ class SparkplugMetric:
     time: float
     quality: int = GOOD
     unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SparkplugCommand:
+    """One metric of a command: its name, and what it says as a truth and as a text."""
+
+    name: str
+    is_true: bool
+    text: str
+
+
+def commands_in(payload: bytes) -> list[SparkplugCommand]:
+    """What a command asks for; nothing where its bytes make no sense. Whoever may publish may send anything."""
+    try:
+        metrics = Payload.FromString(payload).metrics
+    except DecodeError:
+        return []
+    # protobuf gives a text that is no UTF-8 as its bytes.
+    return [
+        SparkplugCommand(one.name, one.boolean_value, one.string_value)
+        for one in metrics[:MOST_COMMANDS]
+        if isinstance(one.name, str) and isinstance(one.string_value, str)
+        if one.string_value.isprintable() and len(one.string_value) <= LONGEST_NAME
+    ]
 
 
 def metrics_of(row: FollowedRow, tags: Mapping[str, Tag]) -> Iterator[SparkplugMetric]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import signal
 import sys
 from collections.abc import AsyncIterator, Callable, Sequence
@@ -49,6 +50,7 @@ async def run(
     say: Callable[[str], None] | None = None,
     read_anew: Callable[[], Sequence[Config]] | None = None,
     hangup: asyncio.Event | None = None,
+    own_process: bool = False,
 ) -> dict[str, Any]:
     """Run the machines of `configs` until `stop` is set; gives the last status, of several machines one by name each.
 
@@ -58,7 +60,7 @@ async def run(
     configured ones unless given, as is the `log`, with its `file`; `rng` draws this start's numbers as a writer, by
     default from the system's randomness. `say` takes the lines for a person: three for each machine to begin with, then
     one for each change of state. `read_anew` gives the configurations as they are in the file by then, for `reload`,
-    which `hangup` asks for too.
+    which `hangup` asks for too. In an `own_process` what is loaded by the start is never looked through for garbage.
 
     Raises ConfigError or HistorianError, before anything runs, for what cannot be opened.
     """
@@ -111,6 +113,10 @@ async def run(
                 _page(configs, fleet) if configs[0].page.enabled else nullcontext(),
                 nullcontext() if secrets is None else _northbound(configs[0], secrets, fleet),
             ):
+                if own_process:
+                    # A full collection looks through everything that lives, and holds up every thread meanwhile: with
+                    # all libraries and models it took longer than a scan, each time a feed had handed on some rows.
+                    gc.freeze()
                 await stop.wait()
         finally:
             fleet.stopping()
@@ -300,6 +306,7 @@ def serve(
             say=say,
             read_anew=read_anew,
             hangup=hangup,
+            own_process=True,
         )
 
     file = _log_file(configs[0])

@@ -57,6 +57,8 @@ def _files(*patterns: str) -> Callable[[], Sequence[bytes]]:
 
 # ---------------------------------------------------------------- files
 
+REBIRTH = b"\x12\x1a\n\x14Node Control/Rebirth \x0bp\x01"
+ACKNOWLEDGEMENT = b"\x12\x2b\n\x19Alarm Control/Acknowledge \x0cz\x0cover limit T"
 DBC = b"""VERSION ""
 NS_ :
 BS_:
@@ -369,6 +371,7 @@ TARGETS: dict[str, FuzzTarget] = {
         (InputError,),
         r".*/x.jsonl: ",
     ),
+    "sparkplug-command": FuzzTarget(lambda: [REBIRTH, ACKNOWLEDGEMENT], plain(sides.sparkplug_command)),
     "gateway-control": FuzzTarget(_texts(*REQUESTS), live.gateway_control),
     "plc-control": FuzzTarget(_texts(*ORDERS), live.plc_control),
 }
