@@ -13,8 +13,8 @@ from threading import Event
 from typing import Any
 from urllib.parse import urlencode, urlsplit
 
-from gateway.northbound.sink import OutgoingRow, Present, RowsRefused, SinkUnreachable
-from gateway.settings import InfluxRow
+from gateway.northbound.sink import OutgoingRow, Present, RowsRefused, Sink, SinkContext, SinkUnreachable
+from gateway.settings import InfluxRow, NorthboundSecrets
 from gateway.store import TABLE_COLUMNS, FollowedRow, cells_of
 
 ANSWER_SECONDS = 10.0
@@ -28,6 +28,11 @@ TAGS: Mapping[str, Sequence[str]] = {
 """The columns that are tags; `node` is one of every measurement, and the others are fields."""
 _TAG = str.maketrans({",": r"\,", "=": r"\=", " ": r"\ ", "\n": " ", "\r": " "})
 _TEXT = str.maketrans({'"': r"\"", "\\": r"\\", "\n": " ", "\r": " "})
+
+
+def make_sink(row: InfluxRow, secrets: NorthboundSecrets, _: SinkContext) -> Sink:
+    """The sink of a database or a bucket."""
+    return InfluxSink(row, secrets.passwords.get(row.name), secrets.tokens.get(row.name))
 
 
 class InfluxSink:

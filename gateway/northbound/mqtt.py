@@ -10,7 +10,7 @@ paho gets no thread of its own: all is done in the feed's.
 import json
 import ssl
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
 from math import isfinite
 from threading import Event
@@ -27,8 +27,8 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersi
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from drivers.tag import Quality, Tag
-from gateway.northbound.sink import OutgoingRow, Present, SinkUnreachable
+from drivers.tag import Quality
+from gateway.northbound.sink import Acknowledge, OutgoingRow, Present, Sink, SinkContext, SinkUnreachable, Tags
 from gateway.northbound.sparkplug import (
     BOOLEAN,
     INT64,
@@ -41,7 +41,7 @@ from gateway.northbound.sparkplug import (
     metrics_of,
     milliseconds,
 )
-from gateway.settings import MqttRow
+from gateway.settings import MqttRow, NorthboundSecrets
 from gateway.store import FollowedRow
 
 CONNECT_SECONDS, ANSWER_SECONDS = 5.0, 10.0
@@ -56,10 +56,13 @@ TOGETHER = 10
 ACKNOWLEDGE = "Alarm Control/Acknowledge"
 """The metric by which a device is told to acknowledge an alarm, by the alarm's name."""
 
-Tags = Callable[[], Mapping[str, Mapping[str, Tag]]]
-"""Gives the tags of each machine, by their names."""
-Acknowledge = Callable[[str, Sequence[str], str], None]
-"""Acknowledges alarms of a machine by their names, for somebody."""
+
+def make_sink(row: MqttRow, secrets: NorthboundSecrets, context: SinkContext) -> Sink:
+    """The sink of a broker, by its kind of payload."""
+    password = secrets.passwords.get(row.name)
+    if row.payload == "json":
+        return JsonSink(row, password, acknowledge=context.acknowledge)
+    return SparkplugSink(row, password, tags=context.tags, now=context.now, acknowledge=context.acknowledge)
 
 
 class BrokerConnection:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +13,8 @@ from drivers.json_lines import packed
 from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
 from gateway.northbound.feed import SinkFeed
-from gateway.northbound.sink import Sink
-from gateway.settings import Config, InfluxRow, MqttRow, NorthboundSecrets, PostgresRow, load_northbound_secrets
+from gateway.northbound.sink import SinkContext
+from gateway.settings import Config, NorthboundSecrets, load_northbound_secrets
 from gateway.store import Historian
 
 if TYPE_CHECKING:
@@ -23,32 +24,41 @@ if TYPE_CHECKING:
 
 Answer = Callable[[bytes], Awaitable[Mapping[str, Any]]]
 """Gives the reply to one request of the control socket, in the gateway's loop."""
-SinkRow = MqttRow | PostgresRow | InfluxRow
 JOIN_SECONDS = 2.0
 
-EXTRAS: Mapping[str, tuple[str, ...]] = {
-    "mqtt": ("paho.mqtt.client", "google.protobuf"),
-    "postgres": ("psycopg",),
-    "prometheus": ("prometheus_client",),
+
+@dataclass(frozen=True, slots=True)
+class SinkKind:
+    """A kind of sink: the `module` whose `make_sink` makes one, the extra of this package that it needs ("" none), and
+    what of that has to be there. Neither is loaded before a section asks for it."""
+
+    module: str
+    extra: str = ""
+    needs: tuple[str, ...] = ()
+
+
+SINK_KINDS: Mapping[str, SinkKind] = {
+    "mqtt": SinkKind("gateway.northbound.mqtt", "mqtt", ("paho.mqtt.client", "google.protobuf")),
+    "postgres": SinkKind("gateway.northbound.postgres", "postgres", ("psycopg",)),
+    "influx": SinkKind("gateway.northbound.influx"),
 }
-"""The extras of this package, by what their sections need to be imported."""
+"""The kinds of sinks by the names of their sections; a new one is a row here, a section and a module."""
 
 
 def check_northbound(config: Config) -> NorthboundSecrets:
     """The secrets of the section. Raises ConfigError, before anything runs, for what is missing."""
     section = config.northbound
-    needed = {"mqtt": bool(section.mqtt), "postgres": bool(section.postgres)}
-    needed["prometheus"] = section.metrics.port is not None
-    for extra, is_needed in needed.items():
-        if is_needed:
-            key = {"prometheus": "metrics"}.get(extra, extra)
-            _load_extra(extra, f"{config.path}: northbound.{key}")
+    for name, kind in SINK_KINDS.items():
+        if getattr(section, name):
+            _load_extra(kind.extra, kind.needs, f"{config.path}: northbound.{name}")
+    if section.metrics.port is not None:
+        _load_extra("prometheus", ("prometheus_client",), f"{config.path}: northbound.metrics")
     return load_northbound_secrets(section)
 
 
-def _load_extra(extra: str, key: str) -> None:
+def _load_extra(extra: str, needs: Iterable[str], key: str) -> None:
     try:
-        for module in EXTRAS[extra]:
+        for module in needs:
             import_module(module)
     except ImportError as error:
         raise ConfigError(
@@ -77,12 +87,13 @@ class Northbound:
         log: FilteringBoundLogger,
     ) -> None:
         section = config.northbound
-        self._machines, self._now, self._answer, self._log = machines, now, answer, log
+        self._machines, self._answer, self._log = machines, answer, log
         self._loop = asyncio.get_running_loop()
+        context = SinkContext(tags=self._tags, now=now, acknowledge=self._acknowledge)
         self.feeds: Sequence[SinkFeed] = [
             SinkFeed(
                 row.name,
-                self._sink(row, secrets),
+                import_module(kind.module).make_sink(row, secrets, context),
                 path=historian.path,
                 machines=lambda: list(machines()),
                 view=historian.of,
@@ -92,31 +103,16 @@ class Northbound:
                 supervisor=supervisor,
                 log=log,
             )
-            for row in section.sinks
+            for name, kind in SINK_KINDS.items()
+            for row in getattr(section, name)
         ]
         self.metrics: MetricsServer | None = None
         if section.metrics.port is not None:
-            # Here and below: what a plant does not use is not loaded, and need not be installed.
+            # What a plant does not use is not loaded, and need not be installed.
             from gateway.northbound.metrics_server import MetricsServer
 
             self.metrics = MetricsServer(section.metrics, pictures, self.feeds)
             self._thread = supervisor.thread("metrics", self.metrics.run, stop=self.metrics.stop)
-
-    def _sink(self, row: SinkRow, secrets: NorthboundSecrets) -> Sink:
-        password = secrets.passwords.get(row.name)
-        if isinstance(row, MqttRow):
-            from gateway.northbound.mqtt import JsonSink, SparkplugSink
-
-            if row.payload == "json":
-                return JsonSink(row, password, acknowledge=self._acknowledge)
-            return SparkplugSink(row, password, tags=self._tags, now=self._now, acknowledge=self._acknowledge)
-        if isinstance(row, PostgresRow):
-            from gateway.northbound.postgres import PostgresSink
-
-            return PostgresSink(row, password)
-        from gateway.northbound.influx import InfluxSink
-
-        return InfluxSink(row, password, secrets.tokens.get(row.name))
 
     def _tags(self) -> Mapping[str, Mapping[str, Any]]:
         return {name: config.map.by_name for name, config in self._machines().items()}

@@ -9,8 +9,8 @@ from typing import Any
 import psycopg
 from psycopg import sql
 
-from gateway.northbound.sink import OutgoingRow, Present, RowsRefused, SinkUnreachable
-from gateway.settings import PostgresRow
+from gateway.northbound.sink import OutgoingRow, Present, RowsRefused, Sink, SinkContext, SinkUnreachable
+from gateway.settings import NorthboundSecrets, PostgresRow
 from gateway.store import TABLE_COLUMNS, cells_of
 
 TYPES: Mapping[str, str] = {
@@ -19,6 +19,11 @@ TYPES: Mapping[str, str] = {
 }  # fmt: skip
 """PostgreSQL's types of the kinds of columns."""
 CONNECT_SECONDS, ANSWER_MS = 5, 10_000
+
+
+def make_sink(row: PostgresRow, secrets: NorthboundSecrets, _: SinkContext) -> Sink:
+    """The sink of a database."""
+    return PostgresSink(row, secrets.passwords.get(row.name))
 
 
 class PostgresSink:

@@ -1,10 +1,11 @@
 """What a sink is: something that takes rows of the historian, in their order, and says which of them it has."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from threading import Event
 from typing import Protocol
 
+from drivers.tag import Tag
 from gateway.store import FollowedRow
 
 
@@ -18,6 +19,21 @@ class OutgoingRow:
 
 Present = Mapping[str, Sequence[FollowedRow]]
 """The newest row of each signal, by machine."""
+
+
+Tags = Callable[[], Mapping[str, Mapping[str, Tag]]]
+"""Gives the tags of each machine, by their names."""
+Acknowledge = Callable[[str, Sequence[str], str], None]
+"""Acknowledges alarms of a machine by their names, for somebody; it waits for nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SinkContext:
+    """What a sink may want of its gateway; `now` is the plant's time (s UTC)."""
+
+    tags: Tags
+    now: Callable[[], float]
+    acknowledge: Acknowledge
 
 
 class SinkUnreachable(Exception):
