@@ -7,6 +7,7 @@ of a socket pair. It ends when it is told to, or with its supervisor.
 from __future__ import annotations
 
 import asyncio
+import gc
 import signal
 import socket
 import sys
@@ -77,6 +78,7 @@ async def _work(sock: socket.socket) -> None:
                 machine.supervisor.failed("process", RuntimeError(begin["former"]))
         fleet.start(work.stop)
         serving = fleet.supervisor.task("requests", partial(work.serve, requests))
+        gc.freeze()  # as in `gateway.plant.app.run`
         channel.ask("ready")
         await work.stop.wait()
         fleet.stopping()
