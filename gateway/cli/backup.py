@@ -9,13 +9,13 @@ import click
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from drivers.driver import capabilities
 from drivers.named_files import writing
 from gateway.cli.plant_file import config_option
 from gateway.commission.session import login
 from gateway.commission.writeback.block_writer import gateway_runs
 from gateway.console import emit, json_option
 from gateway.entry import Exit, fail, sentences
+from gateway.plant import configuration_files
 from gateway.settings import Config, load_plant
 from gateway.store import (
     DISARMED,
@@ -62,11 +62,7 @@ def backup(path: Path, folder: Path, as_json: bool) -> None:
 def sources_of(machines: Sequence[Config]) -> list[tuple[str, Path]]:
     """Every file of a gateway with what it is to it, in the order in which they are copied."""
     config = machines[0]
-    rows: list[tuple[str, Path]] = [("plant", config.path)]
-    for link in (link for machine in machines for link in machine.links):
-        rows.append(("device", link.map.path))
-        named = [link.settings.get(key) for key in capabilities(link.map.driver).files]
-        rows += [("device", Path(name)) for name in named if isinstance(name, str) and Path(name).is_file()]
+    rows = configuration_files(machines)
     predicted = [row.model for machine in machines for row in machine.temperatures]
     for model in (*predicted, *(member for machine in machines for member in machine.ensemble.members)):
         if model is not None:

@@ -3,6 +3,7 @@
 import click
 
 from gateway.cli.alarm import alarm
+from gateway.cli.config import config
 from gateway.cli.machine import machine
 from gateway.cli.model import model
 from gateway.cli.plc import plc
@@ -76,7 +77,7 @@ def main(traceback: bool) -> None:
     one_thread()
 
 
-for group in (plc, machine, alarm, user, trace, model):
+for group in (plc, machine, alarm, user, config, trace, model):
     main.add_command(group)
 
 if __name__ == "__main__":

@@ -16,10 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.driver import Driver
 from gateway.machine.reading import Clock, PlantClock, plant_clock
+from gateway.plant.configurations import keep_configuration
 from gateway.plant.control import Control
 from gateway.plant.fleet import SWITCH_SECONDS, Fleet
 from gateway.plant.log import log_file, open_log
 from gateway.plant.log_file import LogFile
+from gateway.plant.service import ServiceManager, service_manager
 from gateway.plant.status import write_status
 from gateway.plant.worker_pool import WorkerPool
 from gateway.serving import PeerServer
@@ -49,6 +51,7 @@ async def run(
     say: Callable[[str], None] | None = None,
     read_anew: Callable[[], Sequence[Config]] | None = None,
     hangup: asyncio.Event | None = None,
+    service: ServiceManager | None = None,
 ) -> dict[str, Any]:
     """Run the machines of `configs` until `stop` is set; gives the last status, of several machines one by name each.
 
@@ -58,7 +61,7 @@ async def run(
     configured ones unless given, as is the `log`, with its `file`; `rng` draws this start's numbers as a writer, by
     default from the system's randomness. `say` takes the lines for a person: three for each machine to begin with, then
     one for each change of state. `read_anew` gives the configurations as they are in the file by then, for `reload`,
-    which `hangup` asks for too.
+    which `hangup` asks for too. `service` hears when it is ready and when it stops, and its watchdog is fed by scans.
 
     Raises ConfigError or HistorianError, before anything runs, for what cannot be opened.
     """
@@ -95,6 +98,8 @@ async def run(
                 read_anew=read_anew,
             )
             fleet.start(stop)
+        fleet.on_taken_over = partial(_kept, fleet, "reload")
+        await asyncio.to_thread(_kept, fleet, "start", configs)
         reporter = fleet.supervisor.task("status", lambda: _report(fleet, status_path, say))
         opened.enter_context(fleet.supervisor.hearing_all())
         control = Control(fleet, configs[0].control_socket, log)
@@ -107,8 +112,13 @@ async def run(
             serving.add(fleet.supervisor.task("hangup", partial(_reloaded_at, hangup, fleet)))
         try:
             async with _page(configs, fleet) if configs[0].page.enabled else nullcontext():
+                if service is not None:
+                    service.tell(f"READY=1\nSTATUS=reading {', '.join(config.machine for config in configs)}")
+                    serving.add(fleet.supervisor.task("watchdog", partial(service.watch, fleet)))
                 await stop.wait()
         finally:
+            if service is not None:
+                service.tell("STOPPING=1\nSTATUS=stopping")
             fleet.stopping()
             for task in serving:
                 task.cancel()
@@ -133,6 +143,14 @@ async def _opened(pool: WorkerPool, stop: asyncio.Event) -> bool:
     if begun and isinstance(outcomes[0], BaseException):
         raise outcomes[0]
     return begun
+
+
+def _kept(fleet: Fleet | WorkerPool, note: str, configs: Sequence[Config]) -> None:
+    """Keep the configuration that was taken over; a gateway that cannot keep it runs all the same."""
+    try:
+        keep_configuration(configs, now=fleet.clock.now(), note=note)
+    except (OSError, ValueError) as error:
+        fleet.log.warning("the configuration could not be kept for the history", reason=str(error))
 
 
 def _check_page(config: Config) -> None:
@@ -264,6 +282,7 @@ def serve(
             say=say,
             read_anew=read_anew,
             hangup=hangup,
+            service=service_manager(),
         )
 
     file = _log_file(configs[0])

@@ -136,7 +136,8 @@ class _Requests:
 
     def _plain_statuses(self) -> Message:
         plain: dict[str, Any] = strict({name: snapshot(one) for name, one in self._fleet.machines.items()})
-        return {"statuses": plain}
+        progress = {name: (one.completed, one.restarts) for name, one in self._fleet.progress().items()}
+        return {"statuses": plain, "progress": progress}
 
     async def _examine(self, message: Message) -> Message:
         """What keeps machines from being begun as they are in these configurations; their models are kept for it."""
