@@ -127,7 +127,7 @@ def fill_environment(tree: Path, work: Path) -> None:
     subprocess.run([home / "bin" / PYTHON, *compiled, packages], check=False)  # some have files for other Pythons
 
 
-def fill_rest(tree: Path, date: int) -> None:
+def fill_rest(tree: Path, number: str, date: int) -> None:
     """What is not the environment: command, unit, documents."""
     for source, target, mode in (
         ("decanter.sh", "usr/bin/decanter", 0o755),
@@ -139,17 +139,17 @@ def fill_rest(tree: Path, date: int) -> None:
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(DEPLOY / source, place)
         place.chmod(mode)
-    entry = f"{NAME} ({version()}) stable; urgency=medium\n\n  * See the program's own CHANGELOG.\n\n"
+    entry = f"{NAME} ({number}) stable; urgency=medium\n\n  * See the program's own CHANGELOG.\n\n"
     entry += f" -- {MAINTAINER}  {formatdate(date)}\n"
     with (tree / f"usr/share/doc/{NAME}/changelog.gz").open("wb") as raw:
         raw.write(gzip.compress(entry.encode(), 9, mtime=0))
 
 
-def control(tree: Path) -> str:
-    """The control file of the tree as it is."""
+def control(tree: Path, number: str) -> str:
+    """The control file of the tree as it is; `number` is the package's version."""
     size = sum(max(1, -(-file.lstat().st_size // 1024)) for file in tree.rglob("*"))
     return (
-        f"Package: {NAME}\nVersion: {version()}\nArchitecture: {run('dpkg', '--print-architecture')}\n"
+        f"Package: {NAME}\nVersion: {number}\nArchitecture: {run('dpkg', '--print-architecture')}\n"
         f"Maintainer: {MAINTAINER}\nSection: misc\nPriority: optional\nInstalled-Size: {size}\n"
         f"Depends: {', '.join(DEPENDS)}\nRecommends: systemd, systemd-timesyncd | time-daemon\n"
         f"Description: {DESCRIPTION}\n"
@@ -165,23 +165,23 @@ def settle(tree: Path, date: int) -> None:
             os.utime(path, (date, date), follow_symlinks=False)
 
 
-def build(out: Path) -> Path:
-    """Make the package in the folder `out`; gives its file."""
+def build(out: Path, number: str) -> Path:
+    """Make the package of this version in the folder `out`; gives its file."""
     work, date = out / "work", source_date()
     shutil.rmtree(work, ignore_errors=True)
     tree = work / "tree"
     tree.mkdir(parents=True)
     fill_environment(tree, work)
-    fill_rest(tree, date)
+    fill_rest(tree, number, date)
     meta = tree / "DEBIAN"
-    text = control(tree)
+    text = control(tree, number)
     meta.mkdir()
     (meta / "control").write_text(text, encoding="utf-8")
     for script in sorted((DEPLOY / "maintainer").iterdir()):
         shutil.copyfile(script, meta / script.name)
         (meta / script.name).chmod(0o755)
     settle(tree, date)
-    file = out / f"{NAME}_{version()}_{run('dpkg', '--print-architecture')}.deb"
+    file = out / f"{NAME}_{number}_{run('dpkg', '--print-architecture')}.deb"
     run("dpkg-deb", "--root-owner-group", "-Zzstd", "-z6", "--build", tree, file, SOURCE_DATE_EPOCH=str(date))
     return file
 
@@ -200,12 +200,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Build, or say what a built tree is linked to."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "dist")
+    parser.add_argument("--version", default=version(), help="of the package  [default: the program's]")
     parser.add_argument("--libraries", action="store_true", help="what the tree that was built last is linked to")
     given = parser.parse_args(arguments)
     if given.libraries:
         print("\n".join(sorted(libraries(given.out / "work/tree"))))
         return
-    file = build(given.out.absolute())
+    file = build(given.out.absolute(), given.version)
     print(f"{file}: {file.stat().st_size / 1e6:.0f} MB")
 
 

@@ -8,4 +8,9 @@ if [ "$(id -u)" -ne 0 ]; then
 fi
 export DECANTER_BY="${DECANTER_BY:-${SUDO_USER:-root}}"
 export HOME=/var/lib/decanter
-exec setpriv --reuid=decanter --regid=decanter --init-groups "$program" "$@"
+as_service="setpriv --reuid=decanter --regid=decanter --init-groups"
+if ! $as_service test -x .; then
+    echo "decanter: works in /etc/decanter: the user decanter may not look into this folder" >&2
+    cd /etc/decanter
+fi
+exec $as_service "$program" "$@"
