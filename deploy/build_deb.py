@@ -1,7 +1,7 @@
 """`make deb`: one Debian package with the program and an environment of its own, installed without a network.
 
 The tree is /usr/lib/decanter (a virtual environment on Debian's own Python), its command in /usr/bin, the unit. The
-packages are those of requirements.lock, by hash. Two builds of one commit are the same to the byte.
+packages are those of requirements.lock, by hash. Nothing in it is younger than the commit that it is built from.
 """
 
 import argparse

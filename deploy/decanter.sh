@@ -7,6 +7,7 @@ if [ "$(id -u)" -ne 0 ]; then
     exec "$program" "$@"
 fi
 export DECANTER_BY="${DECANTER_BY:-${SUDO_USER:-root}}"
+export DECANTER_RECORDS="${DECANTER_RECORDS:-/var/lib/decanter/commissioning.jsonl}"
 export HOME=/var/lib/decanter
 as_service="setpriv --reuid=decanter --regid=decanter --init-groups"
 if ! $as_service test -x .; then

@@ -101,7 +101,7 @@ def _date(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
-@click.command(short_help="Show what differs between two configurations, or to the files as they are now.")
+@click.command(short_help="Show what differs between two configurations, or to the files now.")
 @click.argument("old", type=int, required=False)
 @click.argument("new", type=int, required=False)
 @config_option
@@ -121,7 +121,7 @@ def diff(path: Path, folder: Path | None, old: int | None, new: int | None) -> N
     click.echo("\n".join(lines) if lines else "nothing differs")
 
 
-@click.command(short_help="Put the files of a former configuration back, and have them taken over.")
+@click.command(short_help="Put the files of a former configuration back, never armed.")
 @click.argument("number", type=int)
 @click.option("--reason", required=True, help="Why, for the history.")
 @click.option("--by", default="", envvar="DECANTER_BY", help="Who does it.  [default: the login]")
