@@ -54,6 +54,12 @@ def test_the_unit_is_told_when_it_is_ready_and_watches_and_never_gives_up() -> N
     assert (service["User"], service["CapabilityBoundingSet"], service["ProtectSystem"]) == ("decanter", "", "strict")
 
 
+def test_the_unit_may_ask_for_the_clock() -> None:
+    # The last line counts: @privileged, which is taken away before, has adjtimex in it.
+    filters = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if line.startswith("SystemCallFilter=")]
+    assert filters[-1] == "SystemCallFilter=adjtimex clock_adjtime" and "ProtectClock" not in unit()["Service"]
+
+
 def test_the_unit_speaks_of_what_is_there() -> None:
     for name in ("ExecStart", "ExecReload"):
         program, command, *options = shlex.split(unit()["Service"][name])

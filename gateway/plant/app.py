@@ -99,7 +99,6 @@ async def run(
             )
             fleet.start(stop)
         fleet.on_taken_over = partial(_kept, fleet, "reload")
-        await asyncio.to_thread(_kept, fleet, "start", configs)
         reporter = fleet.supervisor.task("status", lambda: _report(fleet, status_path, say))
         opened.enter_context(fleet.supervisor.hearing_all())
         control = Control(fleet, configs[0].control_socket, log)
@@ -111,6 +110,7 @@ async def run(
         if hangup is not None:
             serving.add(fleet.supervisor.task("hangup", partial(_reloaded_at, hangup, fleet)))
         try:
+            await asyncio.to_thread(_kept, fleet, "start", configs)
             async with _page(configs, fleet) if configs[0].page.enabled else nullcontext():
                 if service is not None:
                     service.tell(f"READY=1\nSTATUS=reading {', '.join(config.machine for config in configs)}")

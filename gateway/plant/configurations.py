@@ -9,7 +9,8 @@ from __future__ import annotations
 import difflib
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -59,21 +60,21 @@ def configuration_files(machines: Sequence[Config]) -> list[tuple[str, Path]]:
 
 def kept_configurations(folder: Path) -> list[KeptConfiguration]:
     """All that are kept and whole, the oldest first. One that is damaged is left out. Raises OSError."""
-    found = []
-    for path in _numbered(folder):
-        try:
-            found.append(KeptConfiguration(int(path.name), path, read_manifest(path)))
-        except BackupError:
-            continue
-    return found
+    return list(_whole(_numbered(folder)))
+
+
+def _whole(folders: Iterable[Path]) -> Iterator[KeptConfiguration]:
+    for path in folders:
+        with suppress(BackupError):
+            yield KeptConfiguration(int(path.name), path, read_manifest(path))
 
 
 def keep_files(folder: Path, files: Sequence[tuple[str, Path]], *, now: float, note: str) -> KeptConfiguration | None:
     """Keep the files, unless they are as in the newest configuration; `note` is why. Raises BackupError or OSError."""
     numbered = _numbered(folder)
-    newest = kept_configurations(folder)[-1:]
+    newest = next(_whole(reversed(numbered)), None)
     present = {file.absolute(): file.read_bytes() for _, file in files}
-    if newest and newest[0].files == present:
+    if newest is not None and newest.files == present:
         return None
     number = int(numbered[-1].name) + 1 if numbered else 1
     folder.mkdir(parents=True, exist_ok=True)
