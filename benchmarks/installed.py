@@ -30,7 +30,7 @@ from deploy.build_deb import build, version
 from tests.rig.pair import ROOT
 
 SUITE = "bookworm"
-PACKAGES = "systemd,systemd-sysv,dbus,python3.11,python3.11-distutils,adduser,procps,iproute2"
+PACKAGES = "systemd,systemd-sysv,dbus,python3.11,adduser,procps"
 NEEDED = ("debootstrap", "unshare", "nsenter", "dpkg-deb", "pivot_root")
 PORT, PAGE_PORT = 15020, 8080
 PATIENCE_S = 90.0
