@@ -31,7 +31,7 @@ from tests.rig.pair import ROOT
 
 SUITE = "bookworm"
 PACKAGES = "systemd,systemd-sysv,dbus,python3.11,adduser,procps"
-NEEDED = ("debootstrap", "unshare", "nsenter", "dpkg-deb", "pivot_root")
+NEEDED = ("debootstrap", "unshare", "nsenter", "dpkg-deb", "pivot_root", "ip")
 PORT, PAGE_PORT = 15020, 8080
 PATIENCE_S = 90.0
 MOST_COMMANDS, MOST_S = 6, 600.0
