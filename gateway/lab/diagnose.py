@@ -23,7 +23,7 @@ from gateway.console import (
 from gateway.entry import sentences
 from gateway.lab.traces.load import load
 from gateway.store import recent
-from sim.artefacts import model_hash
+from sim.artefacts import model_hash, read_effect_lines
 from sim.artefacts.formats import find_model
 from sim.checking.proof import verify
 from sim.discrepancy import Diagnosis, DiagnosisOutcome, augmented, span
@@ -31,7 +31,7 @@ from sim.discrepancy import diagnose as diagnose_model
 from sim.discrepancy.fitting import overlapping
 from sim.discrepancy.output import MODEL, Occasion, check_folder, document, write_diagnosis
 from sim.effects import ROLES
-from sim.sha import Model, Trace, joint_hash, shown_unit
+from sim.sha import EffectLine, Model, Trace, joint_hash, shown_unit
 from sim.traces import ColumnMap, load_map
 
 Progress = Callable[[str, float], None]
@@ -42,7 +42,7 @@ class DiagnosisRequest:
     """What is to be diagnosed, and where the result goes. `created` is the time for the report, in seconds UTC.
 
     `source` says where the traces are from, as it stands in the report; `most` is how many effects may be named.
-    Without `report` there are no page and no pictures.
+    Without `report` there are no page and no pictures. `lines` are effects of the engineer's own that may be named too.
     """
 
     where: str
@@ -53,6 +53,7 @@ class DiagnosisRequest:
     created: float
     temperature: str | None = None
     report: bool = True
+    lines: tuple[EffectLine, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +99,9 @@ def run(
 ) -> DiagnosisResult:
     """Diagnose and write everything. Raises ValueError or OSError; then nothing in the folder has changed."""
     check_traces(model, traces, request.source)
-    outcome = diagnose_model(model, traces, seed=request.seed, roles=roles, most=request.most, progress=progress)
+    outcome = diagnose_model(
+        model, traces, seed=request.seed, roles=roles, lines=request.lines, most=request.most, progress=progress
+    )
     progress("writing the report", 0.97)
     new = new_model(request, model, traces, outcome)
     reasons = None if new is None else verify(new).reasons
@@ -162,6 +165,9 @@ RECENT = "14d"
 @historian_machine_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder for the diagnosis.")
+@click.option(
+    "--effects", "effects", type=click.Path(path_type=Path), help="A TOML file of your own effects, to be named too."
+)
 @click.option("--max-names", "most", type=click.IntRange(1, 3), default=3, show_default=True, help="Effects at most.")
 @click.option("--temperature", help="The signal that a set of artefacts predicts, which does not say it itself.")
 @click.option("--no-report", is_flag=True, help="No page and no pictures: half of the time, for programs.")
@@ -176,6 +182,7 @@ def diagnose(
     machine: str | None,
     map_name: str,
     out: Path,
+    effects: Path | None,
     most: int,
     temperature: str | None,
     no_report: bool,
@@ -204,6 +211,7 @@ def diagnose(
             created=time.time(),
             temperature=temperature,
             report=not no_report,
+            lines=() if effects is None else read_effect_lines(effects),
         )
         report("reading", 0.0)
         # The model before the traces: it is refused in a moment, and a historian of weeks takes its time.

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
+    from sim.artefacts.effect_lines import effect_lines_text, read_effect_lines
     from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
     from sim.artefacts.model_json import model_hash, model_text
     from sim.artefacts.store import (
@@ -35,6 +36,7 @@ __all__ = [
     "Force",
     "check_store",
     "current",
+    "effect_lines_text",
     "forced",
     "is_store",
     "listed",
@@ -45,6 +47,7 @@ __all__ = [
     "number_of",
     "promote",
     "promotion",
+    "read_effect_lines",
     "read_model",
     "sha256",
     "version_directory",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, Verdict
-from sim.discrepancy.fitting import Fitted, catalogue
+from sim.discrepancy.fitting import CatalogueEntry, Fitted
 from sim.discrepancy.gap import Excess
 from sim.discrepancy.held_out import HeldOutRun
 from sim.discrepancy.naming import MARGIN, NEAR, NamingStep
@@ -171,12 +171,12 @@ def verdict_of(
     return "agree", ()
 
 
-def untested(present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:
+def untested(entries: Sequence[CatalogueEntry], present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:
     """The effects that were off the table, with the reason."""
     out = {}
-    for entry in catalogue():
-        missing = [role for role in entry.needs if role not in present]
+    for entry in entries:
+        missing = [role for role in entry.needs if entry.role_key(role) not in present]
         if missing:
-            signal = roles.get(missing[0], missing[0])
+            signal = roles.get(entry.role_key(missing[0]), missing[0])
             out[entry.name] = f"needs {signal} ({missing[0]}), which these traces do not have or which never changes"
     return out

@@ -12,7 +12,19 @@ import numpy as np
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import Diagnosis
 from sim.discrepancy.evidence import candidates_of, effect_of
-from sim.discrepancy.fitting import Fitted, Named, fit, frame_of, in_order, named_of, on, patiently, record_of
+from sim.discrepancy.fitting import (
+    Fitted,
+    Named,
+    catalogue,
+    fit,
+    frame_of,
+    in_order,
+    named_of,
+    on,
+    own_roles,
+    patiently,
+    record_of,
+)
 from sim.discrepancy.gap import excess, spread_of
 from sim.discrepancy.held_out import by_cycles, compared
 from sim.discrepancy.judging import doubts, left_over, systematic, untested, verdict_of
@@ -21,7 +33,7 @@ from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.story import course_of, sentence_of
 from sim.effects import ROLES, in_sensor_scale
-from sim.sha import Model, Trace, shown_unit, unit_of
+from sim.sha import EffectLine, Model, Trace, shown_unit, unit_of
 
 HELD_OUT = 0.3
 LEAST_CYCLES = 4
@@ -46,19 +58,23 @@ def diagnose(
     *,
     seed: int,
     roles: Mapping[str, str] = ROLES,
+    lines: Sequence[EffectLine] = (),
     most: int = MOST_NAMES,
     progress: Progress | None = None,
 ) -> DiagnosisOutcome:
     """The diagnosis of `traces` against `model`, with at most `most` names.
 
-    `roles` gives the signal of each role; those that no trace has take their effects off the table. Raises ValueError,
-    in one sentence, when the traces cannot be followed at all.
+    `lines` are engineers' own effects, which are looked for beside the catalogue's. `roles` gives the signal of each
+    role of these; those that no trace has take their effects off the table. Raises ValueError, in one sentence, when
+    the traces cannot be followed at all.
     """
     report = progress or (lambda _stage, _share: None)
     # Artefacts of the public learner know no unit: then that of the traces is the model's.
     model = replace(in_sensor_scale(model), unit=unit_of(traces, model.temperature, model.unit))
     report("laying out the traces", 0.0)
     laid_out = [patiently(trace, model.alphabet) for trace in in_order(traces)]
+    entries = catalogue(lines)
+    roles = {**roles, **own_roles(lines)}
     present = present_roles(laid_out, roles)
     record = record_of(model, laid_out, signals_needed(model, present))
     cycles = np.unique(record.cycle)
@@ -75,7 +91,7 @@ def diagnose(
     base = fit(training, named_of(model))
     report("what a free learner could still explain", 0.2)
     ceiling_before = ceiling(base, seed)
-    path = name(base, present, seed, most, report)
+    path = name(base, present, seed, most, report, entries=entries)
 
     report("held-out cycles", 0.85)
     # Both fits are held against the spread that the given model states for itself, not against a noise fitted here: the
@@ -123,7 +139,7 @@ def diagnose(
         ceiling_before=ceiling_before,
         ceiling_after=ceiling_after if kept else None,
         candidates=candidates_of(path.steps, kept),
-        untested=untested(present, roles),
+        untested=untested(entries, present, roles),
         held_out=held,
         course=course_of(base, after, first, second),
         settings={

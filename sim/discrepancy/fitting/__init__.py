@@ -1,7 +1,7 @@
 """Free runs under effects fitted to measured traces, with the noise of a rough plant."""
 
 from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, signals_of
+from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, signals_of
 from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, on_sensor
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit
@@ -33,6 +33,7 @@ __all__ = [
     "on",
     "on_sensor",
     "overlapping",
+    "own_roles",
     "patiently",
     "record_of",
     "signals_of",
