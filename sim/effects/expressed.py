@@ -122,8 +122,9 @@ def enclosure(tree: Expression, params: Params, ranges: Mapping[str, Interval], 
         for role, (left, right) in ranges.items():
             falls, rises = bounds(_slope(tree, role), box)
             up, down = falls >= 0, rises <= 0
-            least[role] = np.where(down, right, left), np.where(up, left, right)
-            most[role] = np.where(up, right, left), np.where(down, left, right)
+            # Where it neither rises nor falls, either end will do, but it must be the same for both sides of the box.
+            least[role] = np.where(up, left, np.where(down, right, left)), np.where(up, left, right)
+            most[role] = np.where(up, right, left), np.where(up, right, np.where(down, left, right))
         low, high = np.maximum(low, bounds(tree, least)[0]), np.minimum(high, bounds(tree, most)[1])
     return scale * low, scale * high
 

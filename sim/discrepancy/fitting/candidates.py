@@ -71,10 +71,11 @@ class CatalogueEntry:
 def catalogue(own: Sequence[EffectLine] = ()) -> tuple[CatalogueEntry, ...]:
     """Every kind that can be named, in the table's order, and then those of the lines. Raises LineError."""
     known = tuple(CatalogueEntry(kind, kind.candidate) for kind in EFFECTS.values() if kind.candidate is not None)
-    return (*known, *(_of_line(line) for line in own))
+    return (*known, *(entry_of_line(line) for line in own))
 
 
-def _of_line(line: EffectLine) -> CatalogueEntry:
+def entry_of_line(line: EffectLine) -> CatalogueEntry:
+    """The entry of an engineer's line. Raises LineError, a ValueError, with the key and the reason."""
     kind = own_kind(line)
     if kind.candidate is None:
         raise ValueError(f"the effect {line.name!r} does not say how it is looked for")
@@ -83,13 +84,13 @@ def _of_line(line: EffectLine) -> CatalogueEntry:
 
 def own_roles(own: Sequence[EffectLine]) -> dict[str, str]:
     """The signals of the lines' roles, by `role_key`."""
-    return {_of_line(line).role_key(role): signal for line in own for role, signal in line.signals}
+    return {entry_of_line(line).role_key(role): signal for line in own for role, signal in line.signals}
 
 
 def entry_of_effect(effect: Effect) -> CatalogueEntry:
     """The entry of an effect that a model has. Raises ValueError for one that a diagnosis does not know."""
     kind_of(effect)
-    return entry_of(effect.kind) if effect.line is None else _of_line(effect.line)
+    return entry_of(effect.kind) if effect.line is None else entry_of_line(effect.line)
 
 
 def entry_of(name: str) -> CatalogueEntry:

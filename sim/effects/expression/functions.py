@@ -127,10 +127,12 @@ SIMPLIFIED: Mapping[str, Callable[..., Expression]] = {
 
 def _outward(low: Array, high: Array, steps: int = 1) -> Interval:
     """The interval a few floats wider: the ends were rounded, and the library's powers are not the nearest floats."""
-    low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+    left, right = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     for _ in range(steps):
-        low, high = np.nextafter(low, -inf), np.nextafter(high, inf)
-    return low, high
+        left, right = np.nextafter(left, -inf), np.nextafter(right, inf)
+    # A sum is 0 only where it is exact, a product where a factor is 0; what underflows to 0 here does so in the program
+    # too. Widened, such an end would have another sign, and times infinity none at all.
+    return np.where(low == 0.0, 0.0, left), np.where(high == 0.0, 0.0, right)
 
 
 def _corners(function: Callable[[Array, Array], Array], a: Interval, b: Interval, steps: int = 1) -> Interval:
