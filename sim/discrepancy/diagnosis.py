@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from sim.sha import DEGREES, Array
+from sim.sha import DEGREES, Array, EffectLine
 
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
@@ -125,6 +125,28 @@ class HeldOutProof:
     per_cycle: tuple[tuple[float, float, float], ...]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CandidateLaw:
+    """An expression with which goes what has no name: no name either, but something to look at.
+
+    `strength` times `expression` is the heat (degC/s), while the machine runs where `running`. `gain` (nats) is of the
+    fitted cycles, `share` that of what is left on held-out ones, `cycles` (better foreseen, in all) those. `tried` are
+    the expressions that were searched, which the gain has to pay for; `alike` are others that these data cannot tell
+    from it. `line` is the effect that a person may adopt; None where no engine can execute it.
+    """
+
+    expression: str
+    running: bool
+    strength: float
+    gain: float
+    share: float
+    cycles: tuple[int, int]
+    tried: int
+    experiment: str
+    alike: tuple[str, ...]
+    line: EffectLine | None
+
+
 @dataclass(frozen=True, slots=True)
 class DiagnosisCourse:
     """What the pictures show, over all windows (m,): absolute times, readings, free runs before and after.
@@ -151,7 +173,8 @@ class Diagnosis:
 
     `sentence` is the verdict in words, `reasons` why it is none better, `untested` the effects that were off the table,
     by name with the reason. `settings` holds seed, thresholds and noise, by name. `unit` is that of the followed
-    variable: what is said to be in degC anywhere in a diagnosis is in it.
+    variable: what is said to be in degC anywhere in a diagnosis is in it. `laws` are expressions to look at where
+    the gap has no name.
     """
 
     verdict: Verdict
@@ -171,3 +194,4 @@ class Diagnosis:
     model_before: str
     model_after: str | None
     unit: str = DEGREES
+    laws: tuple[CandidateLaw, ...] = ()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.ceiling import ceiling
-from sim.discrepancy.diagnosis import Diagnosis
+from sim.discrepancy.diagnosis import CandidateLaw, Diagnosis
 from sim.discrepancy.evidence import candidates_of, effect_of
 from sim.discrepancy.fitting import (
     Fitted,
@@ -28,6 +28,7 @@ from sim.discrepancy.fitting import (
 from sim.discrepancy.gap import excess, spread_of
 from sim.discrepancy.held_out import by_cycles, compared
 from sim.discrepancy.judging import doubts, left_over, systematic, untested, verdict_of
+from sim.discrepancy.law_search import candidate_laws
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
@@ -117,6 +118,12 @@ def diagnose(
     effects = tuple(effect_of(step, after) for step in path.taken) if kept else ()
     moved = shifts(after)
     unexplained = remaining if verdict == "unexplained" or (kept and systematic(ceiling_after)) else ()
+    laws: tuple[CandidateLaw, ...] = ()
+    if verdict == "unexplained":
+        report("laws to look at", 0.97)
+        # All that is measured, not only what the catalogue knows a role for: a record of its own on the same knots.
+        everything = record_of(model, laid_out, measured_signals(model, laid_out))
+        laws = candidate_laws(base, everything, int(first_held_out), seed)
     fitted_cycles = int(np.unique(base.frame.record.cycle).size)
     noise = path.fitted.noise
     pairs = zip(("excess_before", "excess_after"), beyond, strict=True)
@@ -155,6 +162,7 @@ def diagnose(
         model_before=model.sha.name,
         model_after=None,
         unit=model.unit,
+        laws=laws,
     )
     return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after)
 
@@ -174,6 +182,14 @@ def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
     """The inputs of the model's flows and the signals of the roles, each once."""
     inputs = [driving.signal for location in model.sha.locations for driving in location.flow.inputs]
     return tuple(dict.fromkeys([*inputs, *present.values()]))
+
+
+def measured_signals(model: Model, traces: Sequence[Trace]) -> tuple[str, ...]:
+    """All signals beside the temperature that some trace has with at least two different values."""
+    names = dict.fromkeys(name for trace in traces for name in trace.signals if name != model.temperature)
+    present = present_roles(traces, {name: name for name in names})
+    inputs = [driving.signal for location in model.sha.locations for driving in location.flow.inputs]
+    return tuple(dict.fromkeys([*inputs, *present]))
 
 
 def _too_little(model: Model, cycles: int) -> Diagnosis:

@@ -4,7 +4,7 @@ from sim.effects.check import check_effect, check_effects, check_sha
 from sim.effects.correction import corrected, in_sensor_scale, of_machine
 from sim.effects.exchange import ABSOLUTE_ZERO, in_scale_of_x, radiation_tangent
 from sim.effects.expressed import SINCE, TEMPERATURE, cells, enclosure, steepest_loss
-from sim.effects.expression import Expression
+from sim.effects.expression import Expression, compiled, parse
 from sim.effects.expression import names as names_in
 from sim.effects.kind import (
     ABSOLUTE_SECONDS,
@@ -72,6 +72,7 @@ __all__ = [
     "check_effect",
     "check_effects",
     "check_sha",
+    "compiled",
     "corrected",
     "dead_time",
     "disturbance_step",
@@ -87,6 +88,7 @@ __all__ = [
     "offset_times",
     "own_kind",
     "parameter",
+    "parse",
     "radiation_tangent",
     "refuse",
     "sensor_offset",

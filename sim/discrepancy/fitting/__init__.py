@@ -2,8 +2,8 @@
 
 from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, signals_of
-from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at
-from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, on_sensor
+from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at, sensitivity
+from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged, on_sensor
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
 from sim.discrepancy.fitting.noise import Whitener, decay_and_pull
@@ -29,6 +29,7 @@ __all__ = [
     "heat_and_loss",
     "held",
     "in_order",
+    "lagged",
     "named_of",
     "on",
     "on_sensor",
@@ -36,5 +37,6 @@ __all__ = [
     "own_roles",
     "patiently",
     "record_of",
+    "sensitivity",
     "signals_of",
 ]
