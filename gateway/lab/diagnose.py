@@ -21,12 +21,13 @@ from gateway.console import (
     table,
 )
 from gateway.entry import sentences
+from gateway.lab.adopt import adopt
 from gateway.lab.traces.load import load
 from gateway.store import recent
 from sim.artefacts import model_hash, read_effect_lines
 from sim.artefacts.formats import find_model
 from sim.checking.proof import verify
-from sim.discrepancy import Diagnosis, DiagnosisOutcome, augmented, span
+from sim.discrepancy import Diagnosis, DiagnosisOutcome, augmented, law_sentence, look_at, overlap_sentence, span
 from sim.discrepancy import diagnose as diagnose_model
 from sim.discrepancy.fitting import overlapping
 from sim.discrepancy.output import MODEL, Occasion, check_folder, document, write_diagnosis
@@ -156,7 +157,20 @@ RECENT = "14d"
 """What of a historian is read where nobody says how much."""
 
 
-@click.command(short_help="Find where model and traces disagree; name what is missing.")
+class DiagnoseCommand(click.Command):
+    """`decanter diagnose [TRACES]...`, with one word of its own in the first place: `decanter diagnose adopt`."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """That of the other command where its word comes first; a trace of that name is given as ./adopt."""
+        # No group: its first argument is a trace's path, which a group would take for a command.
+        if args[:1] == ["adopt"]:
+            return adopt.make_context(f"{info_name} adopt", args[1:], parent=parent, **extra)
+        return super().make_context(info_name, args, parent=parent, **extra)
+
+
+@click.command(cls=DiagnoseCommand, short_help="Find where model and traces disagree; name what is missing.")
 @click.argument("more", nargs=-1, metavar="[TRACES]...")
 @click.option("--model", "where", required=True, help="A model directory, a store, a model.json, or DIR/NAME.")
 @click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
@@ -194,6 +208,9 @@ def diagnose(
     --out gets diagnosis.json, report.html, pictures, and model/ where an effect was named: an ordinary model that can
     be verified, promoted and diagnosed again. Nothing is named that chance, moved parameters or a rough plant could
     make: the verdict may be "agree", "unexplained" or "too-little-data". The exit code is 0 whatever the verdict.
+
+    What has no name gets laws to look at; `decanter diagnose adopt OUT --name NAME --effects FILE` makes one of them an
+    effect of your own, and --effects FILE has such effects named too.
     """
     sources = (*paths, *more)
     if bool(sources) == (historian is not None):
@@ -238,6 +255,8 @@ def show(result: DiagnosisResult, out: Path) -> None:
     click.echo(f"{diagnosis.verdict}: {diagnosis.sentence}")
     for reason in diagnosis.reasons:
         click.echo(f"  {reason}")
+    for look in look_at(diagnosis):
+        click.echo(f"look at {look}")
     if diagnosis.places:
         rows = [
             [
@@ -254,6 +273,10 @@ def show(result: DiagnosisResult, out: Path) -> None:
         ]
         columns = ("location", "after", "seconds", "share", f"heat ({unit}/h)", "cycles", "p", "goes with")
         table("where the unexplained heat is", columns, rows)
+        if overlap := overlap_sentence(diagnosis.places[:5]):
+            click.echo(overlap)
+    for number, law in enumerate(diagnosis.laws, start=1):
+        click.echo(f"law {number}, {law_sentence(law)}")
     if diagnosis.effects:
         rows = [
             [effect.name, ", ".join(effect.members), effect.confidence, effect.gain, dict(effect.params)]

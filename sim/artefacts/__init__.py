@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from sim.artefacts.effect_lines import effect_lines_text, read_effect_lines
+    from sim.artefacts.effect_lines import effect_line_in, effect_line_part, effect_lines_text, read_effect_lines
     from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
     from sim.artefacts.model_json import model_hash, model_text
     from sim.artefacts.store import (
@@ -36,6 +36,8 @@ __all__ = [
     "Force",
     "check_store",
     "current",
+    "effect_line_in",
+    "effect_line_part",
     "effect_lines_text",
     "forced",
     "is_store",

@@ -37,6 +37,11 @@ def read_effect_lines(path: Path) -> tuple[EffectLine, ...]:
     return lines
 
 
+def effect_line_in(value: Any, file: Path, path: str) -> EffectLine:
+    """The line of an entry that stands at a key path of somebody else's document. Raises ArtefactError."""
+    return effect_line_of(JsonNode(value, file, path))
+
+
 def effect_line_of(node: JsonNode) -> EffectLine:
     """The line of an entry, checked as a whole. Raises ArtefactError with the key that is wrong."""
     table = node.only(KEYS).value

@@ -59,7 +59,7 @@ class NamedEffect:
 
     `members` are the names that these data cannot tell apart (the first is `name`); `signal_to_noise` is the rms of
     what it does that the model's parameters cannot imitate, over the sensor's sigma. `errors` are standard errors by
-    parameter.
+    parameter. `look` says what to look at at the machine.
     """
 
     name: str
@@ -73,6 +73,7 @@ class NamedEffect:
     signal_to_noise: float
     plain: str
     experiment: str
+    look: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

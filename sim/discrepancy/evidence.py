@@ -72,6 +72,7 @@ def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
         signal_to_noise=best.amplitude / max(after.frame.record.model.sensor_sigma, 1e-6),
         plain=best.entry.plain,
         experiment=best.entry.experiment,
+        look=best.entry.candidate.look,
     )
 
 

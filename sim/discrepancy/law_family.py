@@ -13,14 +13,13 @@ import numpy as np
 from sim.discrepancy.fitting import Fitted, held, lagged
 from sim.discrepancy.heat import since_switch
 from sim.effects import SINCE, TEMPERATURE
+from sim.learning import first_switch
 from sim.sha import Array
 
 MOST_SIGNALS = 10
 """Signals at most, those that change most often: products grow with their square."""
 LAGS: Mapping[str, float] = {"15min": 900.0, "1h": 3600.0, "4h": 14400.0}
 DAY = 86400.0
-RHYTHMS = (20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 240.0, 360.0, 480.0)
-"""Minutes of a period that is looked for."""
 PHASES = 4
 FADING, GROWING = (120.0, 600.0, 1800.0, 7200.0), (1800.0, 14400.0)
 """Seconds since a start (or a stop) by which a heat dies away, or up to which it grows."""
@@ -50,8 +49,13 @@ class LawColumns:
     binary: frozenset[str] = field(default_factory=frozenset)
 
 
-def columns_on(fitted: Fitted, smooth: Array, names: Mapping[str, str], begin: float) -> LawColumns:
-    """The columns of a record: `names` are (name, signal), `smooth` (n,) degC the temperature, `begin` absolute s."""
+def columns_on(
+    fitted: Fitted, smooth: Array, names: Mapping[str, str], begin: float, periods: Sequence[float]
+) -> LawColumns:
+    """The columns of a record: `names` are (name, signal), `smooth` (n,) degC the temperature, `begin` absolute s.
+
+    `periods` (s) are those of rhythms.
+    """
     record = fitted.frame.record
     runs = record.runs
     values: dict[str, Array] = {TEMPERATURE: smooth}
@@ -68,16 +72,18 @@ def columns_on(fitted: Fitted, smooth: Array, names: Mapping[str, str], begin: f
     for phase in range(PHASES):
         angle = np.pi * phase / PHASES
         values[f"daily_{phase * 12 // PHASES}h"] = np.cos(2.0 * np.pi * middle / DAY - angle)
-        for minutes in RHYTHMS:
-            values[f"every_{minutes:g}min_{phase}"] = np.cos(2.0 * np.pi * (middle - begin) / (60.0 * minutes) - angle)
+        for period in periods:
+            values[f"every_{period / 60.0:.0f}min_{phase}"] = np.cos(2.0 * np.pi * (middle - begin) / period - angle)
     binary = frozenset(name for name in names if np.unique(values[name]).size <= 2)
     return LawColumns(values=values, signals=names, binary=binary)
 
 
 def signal_names(fitted: Fitted) -> dict[str, str]:
-    """name in an expression -> signal: those of the record that change, MOST_SIGNALS at most."""
+    """name in an expression -> signal: those of the record that change, MOST_SIGNALS at most, without its switch."""
     record = fitted.frame.record
+    switch = first_switch(record.model.alphabet)
     changes = {signal: int(np.count_nonzero(np.diff(held(record, signal)))) for signal in record.signals}
+    changes.pop(switch.signal if switch is not None else "", None)
     often = sorted((signal for signal in changes if changes[signal] > 1), key=lambda signal: -changes[signal])
     chosen = [signal for signal in record.signals if signal in often[:MOST_SIGNALS]]
     names: dict[str, str] = {}
@@ -129,7 +135,12 @@ def family(columns: LawColumns, running: Array) -> list[LawForm]:
                     both = f"change {signal} at constant {pump}, then {pump} at constant {signal}"
                     tried(f"({name} - temperature) * max({other}, 0)", 3, both, exchange=True)
     for (name, signal), (other, second) in combinations(columns.signals.items(), 2):
-        tried(f"{name} * {other}", 2, f"change {signal} at constant {second}, then {second} at constant {signal}")
+        both = f"change {signal} at constant {second}, then {second} at constant {signal}"
+        tried(f"{name} * {other}", 2, both)
+        # About its mean a signal adds nothing of the other's own.
+        for moving, gate in ((name, other), (other, name)):
+            if moving not in columns.binary:
+                tried(f"({moving} - {float(np.mean(values[moving])):.4g}) * {gate}", 3, both)
     for share in (0.3, 0.5, 0.7, 0.85):
         level = f"{cold + share * span:.4g}"
         tried(f"-max(temperature - {level}, 0)", 2, f"a slow ramp of the load up and down across {level}")

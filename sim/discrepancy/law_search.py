@@ -13,7 +13,7 @@ import numpy as np
 
 from sim.discrepancy.diagnosis import CandidateLaw
 from sim.discrepancy.fitting import Fitted, Record, as_read, filtered, on, sensitivity
-from sim.discrepancy.held_out import HeldOutRun, by_cycles, floor_squares, let_run
+from sim.discrepancy.held_out import HeldOutRun, by_cycles, let_run
 from sim.discrepancy.law_family import LawColumns, LawForm, columns_on, family, products, signal_names
 from sim.discrepancy.screen import Projector, smooth_course
 from sim.effects import SINCE, TEMPERATURE, LineError, compiled, names_in, own_kind, parse
@@ -29,6 +29,10 @@ ALIKE = 0.9
 """Cosine from which two laws are one to these data."""
 SIMPLER = 2.0
 """Nats that one more term must be worth."""
+CLOSE_BEHIND = 0.7
+"""The part of the surest law's gain that a further one must have."""
+SHORTEST, LONGEST, RHYTHMS = 1200.0, 48 * 3600.0, 2
+"""Seconds between which rhythms are looked for, and how many of them become expressions."""
 CHUNK = 64
 
 
@@ -52,23 +56,24 @@ class _Scored:
         )
 
 
-def candidate_laws(base: Fitted, record: Record, fitted_until: int, seed: int) -> tuple[CandidateLaw, ...]:
+def candidate_laws(base: Fitted, record: Record, fitted_until: int, floor: float) -> tuple[CandidateLaw, ...]:
     """At most three laws for what `base` leaves, the surest first; none where none holds on the held-out cycles.
 
     `record` has all that is measured, on the knots from which the fit's record was cut; cycles from `fitted_until` on
-    are held out.
+    are held out. `floor` (degC) is the error that the given model allows itself.
     """
     training, later = record.where(record.cycle < fitted_until), record.where(record.cycle >= fitted_until)
     if not later.rows.size or training.runs.time.shape != base.frame.record.runs.time.shape:
         return ()
     fitted = replace(base, frame=on(base.frame, training))
     names, begin = signal_names(fitted), float(training.runs.time[0])
-    columns = columns_on(fitted, smooth_course(fitted), names, begin)
     projector = Projector(fitted)
+    periods, scanned = _rhythms(training.times, projector.weighed_residual)
+    columns = columns_on(fitted, smooth_course(fitted), names, begin, periods)
     scored = _scored(fitted, projector, columns, family(columns, training.running))
     best = [scored.forms[number] for number in np.argsort(-scored.gain, kind="stable")[:BEST].tolist()]
     scored = scored.joined(_scored(fitted, projector, columns, products(best, columns)))
-    tried = len(scored.forms)
+    tried = len(scored.forms) + scanned
 
     trial = let_run(base, by_cycles(later))
     unseen = replace(
@@ -78,9 +83,8 @@ def candidate_laws(base: Fitted, record: Record, fitted_until: int, seed: int) -
         grid=trial.whitener.grid,
         residual=trial.residual,
     )
-    there = columns_on(unseen, smooth_course(unseen), names, begin)
+    there = columns_on(unseen, smooth_course(unseen), names, begin, periods)
     own = trial.record.windowed(sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first]))
-    floor = floor_squares(trial, seed)
     laws: list[CandidateLaw] = []
     for number in _distinct(scored, tried):
         form = scored.forms[number]
@@ -106,6 +110,22 @@ def candidate_laws(base: Fitted, record: Record, fitted_until: int, seed: int) -
                 )
             )
     return tuple(laws)
+
+
+def _rhythms(times: Array, score: Array) -> tuple[list[float], int]:
+    """(the periods (s) that the score of the residual goes with most, how many were looked at)."""
+    # A periodogram, twice as fine as the record's length tells periods apart; neighbours of a peak are its own.
+    length = float(times[-1] - times[0])
+    frequencies = np.arange(1.0 / min(LONGEST, length), 1.0 / SHORTEST, 0.5 / length)
+    clock = times - times[0]
+    power = np.array([np.abs(np.sum(score * np.exp(-2j * np.pi * each * clock))) * each**-1 for each in frequencies])
+    periods: list[float] = []
+    for number in np.argsort(-power, kind="stable").tolist():
+        if all(abs(frequencies[number] - 1.0 / period) > 2.0 / length for period in periods):
+            periods.append(1.0 / float(frequencies[number]))
+        if len(periods) == RHYTHMS:
+            break
+    return periods, 2 * frequencies.size
 
 
 def _heats(fitted: Fitted, columns: LawColumns, forms: Sequence[LawForm]) -> Array:
@@ -167,7 +187,11 @@ def _distinct(scored: _Scored, tried: int) -> list[int]:
     while len(chosen) < MOST and np.isfinite(left).any():
         number = int(np.argmax(left))
         chosen.append(number)
-        left = np.where(np.abs(_cosines(scored, number)) >= ALIKE, -np.inf, left)
+        text = scored.forms[number].text
+        # What only adds a factor to a surer law says nothing new.
+        contained = np.array([text in form.text for form in scored.forms])
+        same = contained | (np.abs(_cosines(scored, number)) >= ALIKE)
+        left = np.where(same | (scored.gain < CLOSE_BEHIND * scored.gain[chosen[0]]), -np.inf, left)
     return chosen
 
 
@@ -180,15 +204,15 @@ def _alike(scored: _Scored, number: int) -> tuple[str, ...]:
     return tuple(text for text in texts if text != scored.forms[number].text)[:3]
 
 
-def _held_out(trial: HeldOutRun, after: Array, floor: Array) -> tuple[float, int, int]:
+def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int, int]:
     """(share of the error above the floor that is gone, cycles that are better foreseen, cycles)."""
     order, begun = trial.order, trial.begun
     part = np.bincount(order, begun * after) / np.maximum(np.bincount(order, begun**2), 1e-12)
     left = after - begun * part[order]
     old, new = np.bincount(order, trial.residual**2), np.bincount(order, left**2)
     counts = np.bincount(order)
-    excess = float(np.sum(old - floor * counts))
-    share = float(np.sum(old - new)) / excess if excess > 0 else 0.0
+    excess = float(np.sum(old) - floor**2 * np.sum(counts))
+    share = float(np.sum(old) - np.sum(new)) / excess if excess > 0 else 0.0
     return min(share, 1.0), int(np.count_nonzero(new < old)), int(counts.size)
 
 

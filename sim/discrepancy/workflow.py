@@ -123,7 +123,7 @@ def diagnose(
         report("laws to look at", 0.97)
         # All that is measured, not only what the catalogue knows a role for: a record of its own on the same knots.
         everything = record_of(model, laid_out, measured_signals(model, laid_out))
-        laws = candidate_laws(base, everything, int(first_held_out), seed)
+        laws = candidate_laws(base, everything, int(first_held_out), own)
     fitted_cycles = int(np.unique(base.frame.record.cycle).size)
     noise = path.fitted.noise
     pairs = zip(("excess_before", "excess_after"), beyond, strict=True)

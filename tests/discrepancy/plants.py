@@ -44,7 +44,7 @@ def plant(seed: int, days: int = 4, *, pump: float = 0.0, churning: float = 0.0,
     400 s as a logistic, `offset` degC is read too much from 40 % of the time on."""
     rng = np.random.default_rng(seed)
     size = int(days * 86400 / PERIOD)
-    on, current, pumping = _operation(rng, size)
+    on, current, pumping = operation(rng, size)
     temperature = np.empty(size)
     x, heat, friction, since = 17.0, 0.0, 1.0, 1e9
     for row in range(size):
@@ -91,7 +91,7 @@ def simulated(source: Model, seed: int, days: int = 4) -> Trace:
     """`days` days of three cycles of the very automaton, everything that is random in it drawn, read to 0.1 degC."""
     rng = np.random.default_rng(seed)
     size = int(days * 86400 / PERIOD)
-    on, current, pumping = _operation(rng, size)
+    on, current, pumping = operation(rng, size)
     signals = {"MarciaDecanter": on, "Assorbimento": current, "MarciaPmpFango": pumping}
     trace = Trace(f"drawn{seed}", 1.7e9 + PERIOD * np.arange(size), signals, synthetic=True)
     trace = replace(trace, events=encode(trace, ALPHABET))
@@ -100,7 +100,8 @@ def simulated(source: Model, seed: int, days: int = 4) -> Trace:
     return replace(trace, signals={**signals, "T": np.round(read, 1)})
 
 
-def _operation(rng: np.random.Generator, size: int) -> tuple[Array, Array, Array]:
+def operation(rng: np.random.Generator, size: int) -> tuple[Array, Array, Array]:
+    """(running, current, pump) of so many rows: three cycles a day."""
     on, current, pumping = np.zeros(size), np.zeros(size), np.zeros(size)
     hour = 3600 / PERIOD
     for begin in range(int(5 * hour), size, int(24 * hour)):
