@@ -321,9 +321,9 @@ def _effect_of(node: JsonNode) -> Effect:
         node.get("kind").text(),
         node.get("params").table(JsonNode.number),
         node.get("signals").table(JsonNode.text),
-        tuple(item.text() for item in node.get("locations").each()),
-        node.get("event").text(),
-        effect_line_of(node.get("line")) if "line" in node.value else None,
+        locations=tuple(item.text() for item in node.get("locations").each()),
+        event=node.get("event").text(),
+        line=effect_line_of(node.get("line")) if "line" in node.value else None,
     )
     try:
         check_effect(effect)

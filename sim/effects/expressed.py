@@ -13,8 +13,8 @@ import numpy as np
 
 from sim.effects.expression import (
     Expression,
+    ExpressionNumber,
     Interval,
-    Number,
     bounds,
     compiled,
     derivative,
@@ -51,7 +51,7 @@ def expressed(heat: str) -> ExpressedLaws:
 
 def heat_and_loss(tree: Expression) -> tuple[Expression, Expression]:
     """(heat, loss) of a heat that is straight in the temperature: h = heat - loss temperature."""
-    return substituted(tree, TEMPERATURE, Number(0.0)), negate(derivative(tree, TEMPERATURE))
+    return substituted(tree, TEMPERATURE, ExpressionNumber(0.0)), negate(derivative(tree, TEMPERATURE))
 
 
 def held_law(text: str) -> HeldLaw:

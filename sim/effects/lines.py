@@ -17,8 +17,8 @@ from sim.effects.expression import (
     FUNCTIONS_OF_A_LINE,
     Expression,
     ExpressionError,
+    ExpressionNumber,
     Interval,
-    Number,
     bounds,
     compiled,
     crossings,
@@ -194,7 +194,9 @@ def _check_strength(line: EffectLine, tree: Expression) -> None:
     if line.strength not in [each.name for each in line.parameters]:
         raise LineError("strength", f"{line.strength!r} is no parameter of this effect")
     slope = derivative(tree, line.strength)
-    if line.strength in names(slope) or substituted(tree, line.strength, Number(0.0)) != Number(0.0):
+    if line.strength in names(slope) or substituted(tree, line.strength, ExpressionNumber(0.0)) != ExpressionNumber(
+        0.0
+    ):
         raise LineError("heat", f"it is not proportional to {line.strength!r}; write {line.strength} * (...)")
     count = int(
         np.prod(

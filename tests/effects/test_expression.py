@@ -10,7 +10,7 @@ from sim.effects.expression.functions import (
     Apply,
     Expression,
     ExpressionName,
-    Number,
+    ExpressionNumber,
     bounds,
     compiled,
     derivative,
@@ -46,7 +46,7 @@ def made(rng: np.random.Generator, depth: int) -> str:
 def exact(tree: Expression, values: dict[str, Fraction]) -> Fraction:
     """The value in rational numbers, by the rules of arithmetic and none of the table's."""
     match tree:
-        case Number(value):
+        case ExpressionNumber(value):
             return Fraction(value)
         case ExpressionName(name):
             return values[name]
@@ -148,8 +148,8 @@ def test_an_interval_without_end_is_not_lost() -> None:
 
 
 def test_constants_are_worked_out() -> None:
-    assert derivative(parse("3 * a + 2"), "a") == Number(3.0)
-    assert substituted(parse("a * (b + c)"), "a", Number(0.0)) == Number(0.0)
+    assert derivative(parse("3 * a + 2"), "a") == ExpressionNumber(3.0)
+    assert substituted(parse("a * (b + c)"), "a", ExpressionNumber(0.0)) == ExpressionNumber(0.0)
 
 
 @pytest.mark.parametrize(

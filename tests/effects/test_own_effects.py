@@ -1,5 +1,6 @@
 """An engineer's own effect, one line of TOML: every engine takes it from there, and what is wrong in it is refused."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -282,3 +283,16 @@ def test_a_line_inside_a_model_is_checked_as_well(lines: dict[str, EffectLine]) 
         with pytest.raises(ArtefactError) as error:
             parse_model(text.replace(good, bad, 1))
         assert sentence in str(error.value), error.value
+
+
+def test_the_page_is_literally_true(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "own_effects.md").read_text(encoding="utf-8")
+    (entry,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    path = tmp_path / "effects.toml"
+    path.write_text(entry, encoding="utf-8")
+    (line,) = read_effect_lines(path)
+    assert line.name == "slurry-coupling"
+    path.write_text(entry.replace("(feed -", "(fed -"), encoding="utf-8")
+    with pytest.raises(ArtefactError) as error:
+        read_effect_lines(path)
+    assert str(error.value).replace(f"{tmp_path}/", "") in page

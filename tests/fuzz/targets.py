@@ -25,6 +25,7 @@ from drivers.tag import Tag
 from drivers.vehicle.log import Log
 from gateway.commission.files.cells import ListError, read_sheet
 from gateway.settings import load_config
+from sim.artefacts.effect_lines import read_effect_lines
 from sim.artefacts.formats.dot import read_source
 from sim.artefacts.formats.flow_file import read_flow_file
 from sim.artefacts.formats.histogram import read_histogram
@@ -233,6 +234,18 @@ CRC = crc_hqx(b"ABCDEFGHIJ", 0).to_bytes(2, "little")
 PLACE = ObjectPlace(0x2001, 1)
 TOML = r"(is not TOML: |byte \d+|[^:]+: )"
 
+OWN_EFFECTS = """
+[[effect]]
+name = "slurry"
+meaning = "what is pumped"
+heat = "gain * (feed - temperature) * max(pump, 0) ^ 1.5 / (1 + abs(feed) / knee)"
+acts = "anywhere"
+experiment = "pump at two temperatures"
+signals = { feed = "TFango", pump = "P" }
+parameters = { gain = { unit = "1/s", low = 0 }, knee = { unit = "degC", low = 1, high = 50, try = [5] } }
+"""
+
+
 TARGETS: dict[str, FuzzTarget] = {
     "modbus-client": FuzzTarget(
         lambda: [sides.ANSWER, sides.ANSWER * 2],
@@ -349,6 +362,9 @@ TARGETS: dict[str, FuzzTarget] = {
     ),
     "model-json": FuzzTarget(
         lambda: [model_text(_model()).encode()], of_file("x.json", read_model_file), (ArtefactError,), ".*/x.json(:|: )"
+    ),
+    "effects-toml": FuzzTarget(
+        _texts(OWN_EFFECTS), of_file("x.toml", read_effect_lines), (ArtefactError,), r".*/x.toml: "
     ),
     "xlsx": FuzzTarget(
         lambda: [_workbook()],

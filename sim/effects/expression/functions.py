@@ -23,7 +23,7 @@ TINY = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
-class Number:
+class ExpressionNumber:
     """A constant."""
 
     value: float
@@ -44,8 +44,8 @@ class Apply:
     arguments: tuple["Expression", ...]
 
 
-Expression = Number | ExpressionName | Apply
-ZERO, ONE = Number(0.0), Number(1.0)
+Expression = ExpressionNumber | ExpressionName | Apply
+ZERO, ONE = ExpressionNumber(0.0), ExpressionNumber(1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,15 +72,15 @@ class Function:
 
 def add(a: Expression, b: Expression) -> Expression:
     """a + b."""
-    if isinstance(a, Number) and isinstance(b, Number):
-        return Number(a.value + b.value)
+    if isinstance(a, ExpressionNumber) and isinstance(b, ExpressionNumber):
+        return ExpressionNumber(a.value + b.value)
     return b if a == ZERO else a if b == ZERO else Apply("+", (a, b))
 
 
 def subtract(a: Expression, b: Expression) -> Expression:
     """a - b."""
-    if isinstance(a, Number) and isinstance(b, Number):
-        return Number(a.value - b.value)
+    if isinstance(a, ExpressionNumber) and isinstance(b, ExpressionNumber):
+        return ExpressionNumber(a.value - b.value)
     if a == b:
         return ZERO
     return a if b == ZERO else negate(b) if a == ZERO else Apply("-", (a, b))
@@ -88,15 +88,15 @@ def subtract(a: Expression, b: Expression) -> Expression:
 
 def negate(a: Expression) -> Expression:
     """-a."""
-    if isinstance(a, Number):
-        return Number(-a.value)
+    if isinstance(a, ExpressionNumber):
+        return ExpressionNumber(-a.value)
     return a.arguments[0] if isinstance(a, Apply) and a.function == "neg" else Apply("neg", (a,))
 
 
 def multiply(a: Expression, b: Expression) -> Expression:
     """a b."""
-    if isinstance(a, Number) and isinstance(b, Number):
-        return Number(a.value * b.value)
+    if isinstance(a, ExpressionNumber) and isinstance(b, ExpressionNumber):
+        return ExpressionNumber(a.value * b.value)
     if ZERO in (a, b):
         return ZERO
     return b if a == ONE else a if b == ONE else Apply("*", (a, b))
@@ -223,10 +223,10 @@ def _exceeds(a: Expression, b: Expression) -> Expression:
 
 def _slopes_of_power(a: Expression, b: Expression) -> tuple[Expression, ...]:
     by_base = multiply(b, power(a, subtract(b, ONE)))
-    if isinstance(b, Number):
+    if isinstance(b, ExpressionNumber):
         return by_base, ZERO
     # a^b log a goes to 0 with a, and a^b is 0 there: the logarithm needs any finite value.
-    return by_base, multiply(power(a, b), Apply("log", (Apply("max", (a, Number(TINY))),)))
+    return by_base, multiply(power(a, b), Apply("log", (Apply("max", (a, ExpressionNumber(TINY))),)))
 
 
 FUNCTIONS: Mapping[str, Function] = {
@@ -241,7 +241,7 @@ FUNCTIONS: Mapping[str, Function] = {
     "-": Function(
         value=np.subtract,
         bounds=lambda a, b: _outward(a[0] - b[1], a[1] - b[0]),
-        slopes=lambda a, b: (ONE, Number(-1.0)),
+        slopes=lambda a, b: (ONE, ExpressionNumber(-1.0)),
         text=lambda a, b: f"({a} - {b})",
         infix="-",
         binds=1,
@@ -249,7 +249,7 @@ FUNCTIONS: Mapping[str, Function] = {
     "neg": Function(
         value=np.negative,
         bounds=lambda a: (-a[1], -a[0]),
-        slopes=lambda a: (Number(-1.0),),
+        slopes=lambda a: (ExpressionNumber(-1.0),),
         text=lambda a: f"(0.0 - {a})",
         infix="-",
         binds=3,
@@ -315,7 +315,7 @@ FUNCTIONS: Mapping[str, Function] = {
     "sqrt": Function(
         value=np.sqrt,
         bounds=_monotone(lambda x: np.sqrt(np.maximum(x, 0.0)), 1),
-        slopes=lambda a: (divide(Number(0.5), Apply("sqrt", (a,))),),
+        slopes=lambda a: (divide(ExpressionNumber(0.5), Apply("sqrt", (a,))),),
         text=lambda a: f"sqrt({a})",
         wrong=_not_negative,
     ),
@@ -350,7 +350,7 @@ def jumps(tree: Expression) -> bool:
 def compiled(tree: Expression) -> Callable[[Values], Array]:
     """The expression as a function of what its names stand for."""
     match tree:
-        case Number(value):
+        case ExpressionNumber(value):
             constant = value
             return lambda values: np.asarray(constant)
         case ExpressionName(name):
@@ -365,7 +365,7 @@ def compiled(tree: Expression) -> Callable[[Values], Array]:
                 return lambda values: value_of(only(values))
             # A constant exponent stays a Python number: numpy squares by multiplying then.
             first, second = compiled(arguments[0]), compiled(arguments[1])
-            if isinstance(arguments[1], Number):
+            if isinstance(arguments[1], ExpressionNumber):
                 number = arguments[1].value
                 return lambda values: value_of(first(values), number)
             return lambda values: value_of(first(values), second(values))
@@ -398,7 +398,7 @@ def derivative(tree: Expression, name: str) -> Expression:
 def bounds(tree: Expression, intervals: Mapping[str, Interval]) -> Interval:
     """An enclosure of all values while each name lies in its interval (natural interval extension, outward rounded)."""
     match tree:
-        case Number(value):
+        case ExpressionNumber(value):
             return np.asarray(value), np.asarray(value)
         case ExpressionName(name):
             low, high = intervals[name]
@@ -413,7 +413,7 @@ def bounds(tree: Expression, intervals: Mapping[str, Interval]) -> Interval:
 def problem(tree: Expression, intervals: Mapping[str, Interval]) -> str:
     """Which part is not defined somewhere in these intervals, in words with its text; "" where all is."""
     if not isinstance(tree, Apply):
-        return "" if not isinstance(tree, Number) or isfinite(tree.value) else "a number is not finite"
+        return "" if not isinstance(tree, ExpressionNumber) or isfinite(tree.value) else "a number is not finite"
     for argument in tree.arguments:
         if inner := problem(argument, intervals):
             return inner
@@ -434,7 +434,7 @@ def crossings(tree: Expression) -> tuple[Expression, ...]:
 def written(tree: Expression, outside: int = 0) -> str:
     """The expression as it may be read again; `outside` is how tightly what is around it binds."""
     match tree:
-        case Number(value):
+        case ExpressionNumber(value):
             text = f"{value:.12g}"
             return f"({text})" if value < 0 and outside > 1 else text
         case ExpressionName(name):
@@ -455,7 +455,7 @@ def written(tree: Expression, outside: int = 0) -> str:
 def uppaal_text(tree: Expression, texts: Mapping[str, str], constant: Callable[[float], str]) -> str:
     """The expression in UPPAAL's words; `texts` are those of the names, `constant` writes a number."""
     match tree:
-        case Number(value):
+        case ExpressionNumber(value):
             return constant(value)
         case ExpressionName(name):
             return texts[name]

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from math import isfinite
 
-from sim.effects.expression.functions import FUNCTIONS, Apply, Expression, ExpressionName, Number
+from sim.effects.expression.functions import FUNCTIONS, Apply, Expression, ExpressionName, ExpressionNumber
 
 LONGEST, DEEPEST = 300, 40
 """Characters of an expression, and brackets inside one another, at most."""
@@ -94,7 +94,7 @@ class _Parser:
         if token.kind == "number":
             if not isfinite(float(token.text)):
                 raise ExpressionError(f"column {token.column}: {token.text} is larger than any number can be")
-            return Number(float(token.text))
+            return ExpressionNumber(float(token.text))
         if token.kind == "name":
             if self.token.text == "(":
                 return self.call(token, depth)
@@ -103,7 +103,7 @@ class _Parser:
             return ExpressionName(token.text)
         if token.text == "-":
             inner = self.expression(_NEGATION, depth + 1)
-            return Number(-inner.value) if isinstance(inner, Number) else Apply("neg", (inner,))
+            return ExpressionNumber(-inner.value) if isinstance(inner, ExpressionNumber) else Apply("neg", (inner,))
         if token.text == "(":
             inner = self.expression(0, depth + 1)
             self.close(token)
