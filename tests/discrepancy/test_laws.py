@@ -42,7 +42,7 @@ def coupled(_: float, x: float, signals: dict[str, float]) -> float:
 
 @pytest.fixture(scope="module")
 def found() -> Diagnosis:
-    return diagnose(model(), [plant(1, coupled)], seed=0, most=1).diagnosis
+    return diagnose(model(), [plant(1, coupled, days=3)], seed=0, most=1).diagnosis
 
 
 def test_a_hidden_exchange_is_described_by_its_law_and_not_named(found: Diagnosis) -> None:
@@ -50,11 +50,15 @@ def test_a_hidden_exchange_is_described_by_its_law_and_not_named(found: Diagnosi
     law = found.laws[0]
     assert law.expression == "(TMandata - temperature) * max(Valvola, 0)" and not law.running
     assert law.strength == pytest.approx(1e-4, rel=0.15)
-    assert law.share > 0.8 and law.cycles == (4, 4) and law.tried > 300
-    assert law_sentence(law).startswith("not a name: ") and "on 4 of 4 held-out cycles" in law_sentence(law)
+    assert law.share > 0.8 and law.cycles[0] == law.cycles[1] >= 3 and law.tried > 300
+    assert law_sentence(law).startswith("not a name: ") and "held-out cycles (" in law_sentence(law)
     assert "to find out: change TMandata at constant Valvola, then Valvola at constant TMandata" in law_sentence(law)
     written = document(found)["laws"][0]
-    assert written["expression"] == law.expression and written["cycles"] == "4/4" and written["tried"] == law.tried
+    assert (
+        written["expression"] == law.expression
+        and written["cycles"] == f"{law.cycles[0]}/{law.cycles[1]}"
+        and written["tried"] == law.tried
+    )
     assert any(look.startswith("what goes with (TMandata - temperature)") for look in look_at(found))
 
 
