@@ -264,8 +264,9 @@ def show(result: DiagnosisResult, out: Path) -> None:
     if held is not None:
         errors = f"{held.rmse_before:.3f} {unit}"
         if diagnosis.effects:
-            low, high = held.ci95
             errors += f" before, {held.rmse_after:.3f} {unit} after"
+        if held.excess_removed is not None and held.ci95 is not None:
+            low, high = held.ci95
             errors += f"; {held.excess_removed:.0%} of the excess removed ({low:.0%} to {high:.0%})"
         click.echo(
             f"held out: {held.cycles} cycles, free-run error {errors}; noise floor {held.noise_floor:.3f} {unit}"

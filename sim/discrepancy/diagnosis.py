@@ -75,6 +75,15 @@ class NamedEffect:
     experiment: str
 
 
+@dataclass(frozen=True, slots=True)
+class TraceOfEffect:
+    """An effect that is certain and does not matter: it moves the temperature by `moves` (degC rms), `gain` nats."""
+
+    name: str
+    gain: float
+    moves: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeatPlace:
     """A place where unexplained heat lies: in `location`, `seconds` after the event `after`, by strata of a signal.
@@ -113,15 +122,16 @@ class Ceiling:
 class HeldOutProof:
     """Free runs over cycles that were never fitted: root mean squares in degC, the noise floor, the excess removed.
 
-    `cycles` counts them, `per_cycle` holds (before, after, floor) of each.
+    `cycles` counts them, `per_cycle` holds (before, after, floor) of each. The excess removed and its interval are None
+    where nothing was named, or where the error before is no greater than the floor: then there is no excess.
     """
 
     cycles: int
     rmse_before: float
     rmse_after: float
     noise_floor: float
-    excess_removed: float
-    ci95: tuple[float, float]
+    excess_removed: float | None
+    ci95: tuple[float, float] | None
     per_cycle: tuple[tuple[float, float, float], ...]
 
 
@@ -149,9 +159,10 @@ class DiagnosisCourse:
 class Diagnosis:
     """All that a diagnosis found.
 
-    `sentence` is the verdict in words, `reasons` why it is none better, `untested` the effects that were off the table,
-    by name with the reason. `settings` holds seed, thresholds and noise, by name. `unit` is that of the followed
-    variable: what is said to be in degC anywhere in a diagnosis is in it.
+    `sentence` is the verdict in words, `reasons` why it is none better, `untested` the effects that were off the
+    table, by name with the reason. `material`: the held-out free run is further off than the floor by what could be
+    felt; `traces` are the effects that are certain and are not. `settings` holds seed, thresholds and noise, by
+    name. `unit` is that of the followed variable: what is said to be in degC anywhere in a diagnosis is in it.
     """
 
     verdict: Verdict
@@ -164,6 +175,8 @@ class Diagnosis:
     ceiling_before: Ceiling | None
     ceiling_after: Ceiling | None
     candidates: tuple[TriedEffect, ...]
+    material: bool
+    traces: tuple[TraceOfEffect, ...]
     untested: Mapping[str, str]
     held_out: HeldOutProof | None
     course: DiagnosisCourse | None

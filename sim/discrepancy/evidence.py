@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import NamedEffect, TriedEffect
+from sim.discrepancy.diagnosis import NamedEffect, TraceOfEffect, TriedEffect
 from sim.discrepancy.fitting import Fitted
+from sim.discrepancy.judging import NamingResult, immaterial
 from sim.discrepancy.naming import INVISIBLE, NEAR, SAME, EffectEvidence, NamingStep
 
 
@@ -50,6 +51,12 @@ def fate(evidence: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -
     if step.best is not None and not refusal:
         return f"explains {step.best.gain - evidence.gain:.1f} nats less than the best"
     return "adds nothing that chance does not"
+
+
+def traces_of(path: NamingResult) -> tuple[TraceOfEffect, ...]:
+    """What the path met that is certain and does not matter."""
+    best = [step.best for step, refusal in path.steps if refusal and immaterial(step)]
+    return tuple(TraceOfEffect(each.entry.name, each.gain, each.amplitude) for each in best if each is not None)
 
 
 def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:

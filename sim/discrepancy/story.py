@@ -4,7 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import DiagnosisCourse, HeatPlace, HeldOutProof, NamedEffect, Shift, Verdict
+from sim.discrepancy.diagnosis import (
+    DiagnosisCourse,
+    HeatPlace,
+    HeldOutProof,
+    NamedEffect,
+    Shift,
+    TraceOfEffect,
+    Verdict,
+)
 from sim.discrepancy.fitting import Fitted, Record
 from sim.discrepancy.heat import HOUR, implied_heat, since_switch
 from sim.discrepancy.held_out import HeldOutRun
@@ -19,6 +27,7 @@ def sentence_of(
     shifts: Sequence[Shift],
     held: HeldOutProof | None,
     cycles: int,
+    traces: Sequence[TraceOfEffect] = (),
     unit: str,
 ) -> str:
     """The verdict in one or two sentences; errors are in `unit`, as people read it."""
@@ -32,7 +41,11 @@ def sentence_of(
             f"{abs(surest.sigma):.0f} sigma."
         )
     if verdict == "agree":
-        return "Model and data agree within noise." + moved
+        trace = "".join(
+            f" A trace of {each.name} moves the temperature by {each.moves:.2g} {unit}, less than could be felt."
+            for each in traces
+        )
+        return "Model and data agree within noise." + trace + moved
     gain = ""
     if held is not None and effects:
         gain = (

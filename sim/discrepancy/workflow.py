@@ -11,11 +11,11 @@ import numpy as np
 
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import Diagnosis
-from sim.discrepancy.evidence import candidates_of, effect_of
+from sim.discrepancy.evidence import candidates_of, effect_of, traces_of
 from sim.discrepancy.fitting import Fitted, Named, fit, frame_of, in_order, named_of, on, patiently, record_of
-from sim.discrepancy.gap import excess, spread_of
+from sim.discrepancy.gap import excess, floor_of
 from sim.discrepancy.held_out import by_cycles, compared
-from sim.discrepancy.judging import doubts, left_over, systematic, untested, verdict_of
+from sim.discrepancy.judging import doubts, left_over, matters, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
@@ -78,22 +78,22 @@ def diagnose(
     path = name(base, present, seed, most, report)
 
     report("held-out cycles", 0.85)
-    # Both fits are held against the spread that the given model states for itself, not against a noise fitted here: the
-    # refit's own noise has swallowed what it could not explain.
-    own = spread_of(model, laid_out, base)
-    beyond = excess(base, own), excess(path.fitted, own)
+    # Both fits are held against a floor that neither has chosen: their own noise has swallowed what they could not
+    # explain.
+    floor = floor_of(model, traces, laid_out, base)
+    beyond = excess(base, floor), excess(path.fitted, floor)
     after = path.fitted
     ceiling_after = ceiling(after, seed) if path.taken else ceiling_before
-    held, first, second = compared(base, after, held_out, seed)
+    held, first, second = compared(base, after, held_out, seed, floor.error)
     reservations = (
         *doubts(path, first, second=second, held=held, before=ceiling_before, left=ceiling_after),
         *left_over(path, *beyond),
     )
-    verdict, reasons = verdict_of(path, reservations, ceiling_before, beyond[0])
+    verdict, reasons = verdict_of(path, reservations, before=ceiling_before, beyond=beyond[0], held=held)
     kept = verdict in ("named", "class")
     if not kept and after is not base:  # nothing is added, so what the report shows "after" is the refit itself
         after = base
-        held, first, second = compared(after, after, held_out, seed)
+        held, first, second = compared(after, after, held_out, seed, floor.error)
 
     report("where the heat is", 0.95)
     where = places(base, seed)
@@ -113,6 +113,7 @@ def diagnose(
             shifts=moved,
             held=held,
             cycles=fitted_cycles,
+            traces=traces_of(path),
             unit=shown_unit(model.unit),
         ),
         reasons=reasons,
@@ -123,6 +124,8 @@ def diagnose(
         ceiling_before=ceiling_before,
         ceiling_after=ceiling_after if kept else None,
         candidates=candidates_of(path.steps, kept),
+        material=matters(held),
+        traces=traces_of(path),
         untested=untested(present, roles),
         held_out=held,
         course=course_of(base, after, first, second),
@@ -172,6 +175,8 @@ def _too_little(model: Model, cycles: int) -> Diagnosis:
         ceiling_before=None,
         ceiling_after=None,
         candidates=(),
+        material=False,
+        traces=(),
         untested={},
         held_out=None,
         course=None,

@@ -4,7 +4,7 @@ from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, signals_of
 from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, on_sensor
-from sim.discrepancy.fitting.free_run_fit import Fitted, fit
+from sim.discrepancy.fitting.free_run_fit import Fitted, fit, readings_in_window, rounding
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
 from sim.discrepancy.fitting.noise import Whitener, decay_and_pull
 from sim.discrepancy.fitting.record import Record, in_order, overlapping, patiently, record_of
@@ -34,6 +34,8 @@ __all__ = [
     "on_sensor",
     "overlapping",
     "patiently",
+    "readings_in_window",
     "record_of",
+    "rounding",
     "signals_of",
 ]

@@ -29,6 +29,8 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": [_place(place, diagnosis.course) for place in diagnosis.unexplained],
         "localisation": [_place(place, diagnosis.course) for place in diagnosis.places],
         "held_out": held_out,
+        "material": diagnosis.material,
+        "traces": [asdict(trace) for trace in diagnosis.traces],
         "model_before": diagnosis.model_before,
         "model_after": diagnosis.model_after,
         "format": FORMAT,
