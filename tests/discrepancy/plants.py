@@ -39,12 +39,20 @@ def model(shift: float = 0.0) -> Model:
     return Model(SHA("small", locations, tuple(edges), "OFF"), ALPHABET, "T", 0.06)
 
 
-def plant(seed: int, days: int = 4, *, pump: float = 0.0, churning: float = 0.0, offset: float = 0.0) -> Trace:
-    """`days` days of three cycles. `pump` 1/s cools towards 19 degC, `churning` degC/s dies away after each start over
-    400 s as a logistic, `offset` degC is read too much from 40 % of the time on."""
+def plant(
+    seed: int,
+    days: int = 4,
+    *,
+    pump: float = 0.0,
+    churning: float = 0.0,
+    offset: float = 0.0,
+    runs_on: bool = False,
+) -> Trace:
+    """`days` days of three cycles, or one run of them all. `pump` 1/s cools towards 19 degC, `churning` degC/s dies
+    away after each start over 400 s as a logistic, `offset` degC is read too much from 40 % of the time on."""
     rng = np.random.default_rng(seed)
     size = int(days * 86400 / PERIOD)
-    on, current, pumping = _operation(rng, size)
+    on, current, pumping = _operation(rng, size, runs_on)
     temperature = np.empty(size)
     x, heat, friction, since = 17.0, 0.0, 1.0, 1e9
     for row in range(size):
@@ -100,13 +108,13 @@ def simulated(source: Model, seed: int, days: int = 4) -> Trace:
     return replace(trace, signals={**signals, "T": np.round(read, 1)})
 
 
-def _operation(rng: np.random.Generator, size: int) -> tuple[Array, Array, Array]:
+def _operation(rng: np.random.Generator, size: int, runs_on: bool = False) -> tuple[Array, Array, Array]:
     on, current, pumping = np.zeros(size), np.zeros(size), np.zeros(size)
     hour = 3600 / PERIOD
-    for begin in range(int(5 * hour), size, int(24 * hour)):
+    for begin in range(int(5 * hour), size, size if runs_on else int(24 * hour)):
         at = begin
-        for _ in range(3):
-            end = min(at + int(rng.uniform(2.5, 3.5) * hour), size)
+        for _ in range(1 if runs_on else 3):
+            end = size if runs_on else min(at + int(rng.uniform(2.5, 3.5) * hour), size)
             on[at:end] = 1
             while at < end:
                 until = min(end, at + int(rng.uniform(0.3, 0.8) * hour))

@@ -23,6 +23,8 @@ PERIODS = (10, 1, 30, 5, 60, 2, 20)
 RATIOS = (3.0, 6.0, 1.5)
 NOISES = (0.05, 0.5)
 GIVEN = ("before", "other", "same")
+LEARNABLE = 20
+"""Seconds between rows up to which a model can be learned with the plant's own alphabet (its `gap`)."""
 FITTED, BATCH = 0.7, 30
 """The share of the time that a tool may fit; runs that are integrated side by side."""
 HIDDEN: Mapping[str, Hidden] = {**{name: make for name, (_, make) in INSIDE.items()}, **OUTSIDE}
@@ -90,7 +92,7 @@ def _spec(set_: str, stratum: str, n: int) -> NetworkSpec:
         effects=tuple(INSIDE[name][0] if name in INSIDE else name for name in hidden),
         ratio=RATIOS[(n + n // len(names)) % 3] if hidden else 0.0,
         rough=n % 2 == 0,
-        learned=GIVEN[n % 3],
+        learned="other" if GIVEN[n % 3] == "same" and period > LEARNABLE else GIVEN[n % 3],
         duty="campaign" if n % 5 == 4 else "shifts",
         period=period,
         noise=0.0,
@@ -229,7 +231,9 @@ def _learn_before(case: NetworkCase, model: Path) -> None:
     before = duty(rng, 3, "shifts")
     run = NetworkRun(duty=before, plant=plant, addition=Addition(), unrest=unrest_of(rng, before, plant))
     traces = model.parent / "before.csv"
-    write_log(traces, before, courses([run])[0], replace(case.spec, period=max(case.spec.period, 5)), rng)
+    write_log(
+        traces, before, courses([run])[0], replace(case.spec, period=min(max(case.spec.period, 5), LEARNABLE)), rng
+    )
     learn(traces, model, seed=0)
 
 
