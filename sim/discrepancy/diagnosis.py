@@ -85,6 +85,25 @@ class TraceOfEffect:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class AbsorbedLaw:
+    """One law over `signal` that stands for the model's own targets and gains while the machine runs.
+
+    `name` is the effect that it is, `words` the law, `coefficients` its a, b, ... (degC of target for units of the
+    signal). `constants` are the model's numbers, `instead` those of the law; errors (degC rms) are of held-out free
+    runs with the one and with the other.
+    """
+
+    name: str
+    words: str
+    signal: str
+    coefficients: tuple[float, ...]
+    constants: int
+    instead: int
+    rmse_before: float
+    rmse_after: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HeatPlace:
     """A place where unexplained heat lies: in `location`, `seconds` after the event `after`, by strata of a signal.
 
@@ -161,8 +180,9 @@ class Diagnosis:
 
     `sentence` is the verdict in words, `reasons` why it is none better, `untested` the effects that were off the
     table, by name with the reason. `material`: the held-out free run is further off than the floor by what could be
-    felt; `traces` are the effects that are certain and are not. `settings` holds seed, thresholds and noise, by
-    name. `unit` is that of the followed variable: what is said to be in degC anywhere in a diagnosis is in it.
+    felt; `traces` are the effects that are certain and are not; `absorbed` is the law that the model's own constants
+    follow, if they follow one. `settings` holds seed, thresholds and noise, by name. `unit` is that of the followed
+    variable: what is said to be in degC anywhere in a diagnosis is in it.
     """
 
     verdict: Verdict
@@ -177,6 +197,7 @@ class Diagnosis:
     candidates: tuple[TriedEffect, ...]
     material: bool
     traces: tuple[TraceOfEffect, ...]
+    absorbed: AbsorbedLaw | None
     untested: Mapping[str, str]
     held_out: HeldOutProof | None
     course: DiagnosisCourse | None

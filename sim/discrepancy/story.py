@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim.discrepancy.diagnosis import (
+    AbsorbedLaw,
     DiagnosisCourse,
     HeatPlace,
     HeldOutProof,
@@ -28,6 +29,7 @@ def sentence_of(
     held: HeldOutProof | None,
     cycles: int,
     traces: Sequence[TraceOfEffect] = (),
+    law: AbsorbedLaw | None = None,
     unit: str,
 ) -> str:
     """The verdict in one or two sentences; errors are in `unit`, as people read it."""
@@ -39,6 +41,11 @@ def sentence_of(
         moved = (
             f" Parameters have moved: {surest.parameter} in {surest.location} {surest.change:+.0%}, "
             f"{abs(surest.sigma):.0f} sigma."
+        )
+    if law is not None:
+        moved += (
+            f" The model's {law.constants} constants follow one law, {law.words} ({law.name}): {law.instead} numbers "
+            f"stand for them, the held-out error goes from {law.rmse_before:.3g} to {law.rmse_after:.3g} {unit}."
         )
     if verdict == "agree":
         trace = "".join(

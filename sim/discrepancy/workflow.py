@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.ceiling import ceiling
+from sim.discrepancy.constants import absorbed
 from sim.discrepancy.diagnosis import Diagnosis
 from sim.discrepancy.evidence import candidates_of, effect_of, traces_of
 from sim.discrepancy.fitting import Fitted, Named, fit, frame_of, in_order, named_of, on, patiently, record_of
@@ -95,6 +96,7 @@ def diagnose(
         after = base
         held, first, second = compared(after, after, held_out, seed, floor.error)
 
+    law = absorbed(after, present["current"], held_out) if "current" in present else None
     report("where the heat is", 0.95)
     where = places(base, seed)
     remaining = places(after, seed) if kept else where
@@ -114,6 +116,7 @@ def diagnose(
             held=held,
             cycles=fitted_cycles,
             traces=traces_of(path),
+            law=law,
             unit=shown_unit(model.unit),
         ),
         reasons=reasons,
@@ -126,6 +129,7 @@ def diagnose(
         candidates=candidates_of(path.steps, kept),
         material=matters(held),
         traces=traces_of(path),
+        absorbed=law,
         untested=untested(present, roles),
         held_out=held,
         course=course_of(base, after, first, second),
@@ -177,6 +181,7 @@ def _too_little(model: Model, cycles: int) -> Diagnosis:
         candidates=(),
         material=False,
         traces=(),
+        absorbed=None,
         untested={},
         held_out=None,
         course=None,

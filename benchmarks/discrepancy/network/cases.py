@@ -188,8 +188,13 @@ def make(wanted: Sequence[NetworkSpec], out: Path) -> list[Label]:
     for (number, name), course in zip(flat, alone, strict=True):
         case = cases[number]
         ratios[number][name] = visible(case.duty, clean[number], course) / sigma_of(case.spec)
-    quiet = _batched([case.run(each, quiet=True) for case, each in zip(cases, strengths, strict=True)])
+    # What has one effect, or none, was run already without what nobody knows.
+    by_itself = {number: course for (number, _), course in zip(flat, alone, strict=True)}
+    pairs = [number for number, each in enumerate(strengths) if len(each) > 1]
+    both = dict(zip(pairs, _batched([cases[n].run(strengths[n], quiet=True) for n in pairs]), strict=True))
+    quiet = [both.get(n, by_itself.get(n, course)) for n, course in enumerate(clean)]
     rough = _batched([case.run(each, quiet=False) for case, each in zip(cases, strengths, strict=True)])
+    _learn_before([case for case in cases if case.spec.learned != "same"], out)
     labels = []
     for number, case in enumerate(cases):
         spec = case.spec
@@ -200,8 +205,6 @@ def make(wanted: Sequence[NetworkSpec], out: Path) -> list[Label]:
         model = folder / "model"
         if spec.learned == "same":
             learn(folder / "traces.csv", model, seed=0)
-        else:
-            _learn_before(case, model)
         seed = int(spec.generator("seed").integers(2**31))
         Label.write_config(folder, {"traces": "traces.csv", "seed": seed, "model": str(model.relative_to(out))})
         labels.append(
@@ -224,17 +227,21 @@ def _batched(runs: Sequence[NetworkRun]) -> list[Array]:
     return [course for at in range(0, len(runs), BATCH) for course in courses(runs[at : at + BATCH])]
 
 
-def _learn_before(case: NetworkCase, model: Path) -> None:
-    """The given model, learned on three days of shifts before, of this machine or of a sister."""
-    rng = case.spec.generator("before")
-    plant = sister(case.plant, rng) if case.spec.learned == "other" else case.plant
-    before = duty(rng, 3, "shifts")
-    run = NetworkRun(duty=before, plant=plant, addition=Addition(), unrest=unrest_of(rng, before, plant))
-    traces = model.parent / "before.csv"
-    write_log(
-        traces, before, courses([run])[0], replace(case.spec, period=min(max(case.spec.period, 5), LEARNABLE)), rng
-    )
-    learn(traces, model, seed=0)
+def _learn_before(cases: Sequence[NetworkCase], out: Path) -> None:
+    """The given models, learned on three days of shifts before, of this machine or of a sister."""
+    runs, streams = [], []
+    for case in cases:
+        rng = case.spec.generator("before")
+        plant = sister(case.plant, rng) if case.spec.learned == "other" else case.plant
+        before = duty(rng, 3, "shifts")
+        unrest = unrest_of(rng, before, plant)
+        runs.append(NetworkRun(duty=before, plant=plant, addition=Addition(), unrest=unrest))
+        streams.append(rng)
+    for case, run, course, rng in zip(cases, runs, _batched(runs), streams, strict=True):
+        traces = out / "cases" / case.spec.identifier / "before.csv"
+        recorded = replace(case.spec, period=min(max(case.spec.period, 5), LEARNABLE))
+        write_log(traces, run.duty, course, recorded, rng)
+        learn(traces, traces.parent / "model", seed=0)
 
 
 def write_log(path: Path, duty: Duty, sensor: Array, spec: NetworkSpec, rng: np.random.Generator) -> None:
