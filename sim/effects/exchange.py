@@ -44,6 +44,16 @@ def _feed(effect: Effect, signals: Signals) -> tuple[Array, Array]:
     return loss * feed, loss
 
 
+def _feeds(log: MachineLog) -> Sequence[Params]:
+    """Towards the feed's own temperature; or by the feed alone, where it warms a part that stands between."""
+    # What is fed may set the temperature of a bowl, whose heat then goes by the feed and hardly by the measured part.
+    # With the feed spread about a reference by a great scale the same law is that heat: X is little beside the sink.
+    usual, running = log.usual("feed", running=True), log.running > 0.5
+    warm = float(np.median(log.smooth[running])) if running.any() else usual
+    spread = [(scale, reference) for scale in (4.0, 40.0) for reference in (log.cold, usual, warm)]
+    return [{}, *({"scale": scale, "shift": (1.0 - scale) * reference} for scale, reference in spread)]
+
+
 def _feed_text(writer: TextWriter, effect: Effect) -> str:
     feed, read = writer.degrees(effect, "feed"), writer.read(effect, "feed")[1]
     loss = writer.constant("LOSS", effect.params["loss"])
@@ -135,7 +145,8 @@ FLOWING = (
             strength="loss",
             sign=1.0,
             experiment="feed at two temperatures at one load",
-            shapes=lambda _: [{}],
+            shapes=_feeds,
+            refine={"shift": (-6000.0, 1000.0)},
         ),
     ),
     EffectKind(

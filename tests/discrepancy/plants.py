@@ -46,6 +46,7 @@ def plant(
     pump: float = 0.0,
     churning: float = 0.0,
     offset: float = 0.0,
+    bowl: float = 0.0,
     runs_on: bool = False,
 ) -> Trace:
     """`days` days of three cycles, or one run of them all. `pump` 1/s cools towards 19 degC, `churning` degC/s dies
@@ -54,7 +55,8 @@ def plant(
     size = int(days * 86400 / PERIOD)
     on, current, pumping = _operation(rng, size, runs_on)
     temperature = np.empty(size)
-    x, heat, friction, since = 17.0, 0.0, 1.0, 1e9
+    x, heat, friction, since, warmed = 17.0, 0.0, 1.0, 1e9, 0.0
+    feed = np.repeat(np.random.default_rng([seed, 1]).uniform(10.0, 40.0, size // 200 + 1), 200)[:size]
     for row in range(size):
         temperature[row] = x
         if row and on[row] > on[row - 1]:
@@ -65,6 +67,8 @@ def plant(
         drive = k * (target - x) + on[row] * ((friction - 1) * k * (target - 17.0) + heat)
         drive -= pump * pumping[row] * (x - 19.0)
         drive += churning * on[row] / (1 + np.exp(min((since - 400.0) / 100.0, 50.0)))
+        warmed += PERIOD / 150.0 * (pumping[row] * (feed[row] - 22.0) - warmed)
+        drive += bowl * warmed
         x += PERIOD * drive + 0.003 * np.sqrt(PERIOD) * rng.standard_normal()
         since += PERIOD
     read = temperature + 0.06 * rng.standard_normal(size)
@@ -76,6 +80,8 @@ def plant(
         "TAmbiente": 17.0 + np.cumsum(0.02 * rng.standard_normal(size)),
         "T": np.round(read, 1),
     }
+    if bowl:
+        signals["TFango"] = feed
     trace = Trace(f"plant{seed}", 1.7e9 + PERIOD * np.arange(size), signals, origin="a test's plant", synthetic=True)
     return replace(trace, events=encode(trace, ALPHABET))
 
