@@ -89,8 +89,11 @@ def floor_of(model: Model, traces: Sequence[Trace], laid_out: Sequence[Trace], f
 def sensor_noise(record: Record) -> float:
     """degC the standard deviation of a reading, by the second differences of neighbouring rows, at rest if possible.
 
-    What the temperature does over three rows is nearly a straight line, and drops out of them.
+    What the temperature does over three rows is nearly a straight line, and drops out of them. So would an error that
+    lasts over rows: of such a sensor the model's own figure is taken.
     """
+    if record.model.sensor_memory:
+        return record.model.sensor_sigma
     runs, rows = record.runs, record.rows
     reading, time, run = runs.reading[rows], runs.time[rows], runs.run[rows]
     step = np.diff(time)

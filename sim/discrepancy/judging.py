@@ -7,7 +7,7 @@ import numpy as np
 
 from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, Verdict
 from sim.discrepancy.fitting import Fitted, catalogue
-from sim.discrepancy.gap import Excess
+from sim.discrepancy.gap import Excess, sensor_noise
 from sim.discrepancy.held_out import HeldOutRun
 from sim.discrepancy.naming import MARGIN, NEAR, NamingStep
 from sim.sha import shown_unit
@@ -19,10 +19,9 @@ FURTHER, LEFTOVER, LEFTOVER_OF_RIVAL = 5.0, 0.02, 0.3
 """What a further name needs beyond the first one's threshold (nats): an effect whose shape is not quite right leaves
 something behind, of the order of these shares of its gain, the greater one where the further name looks like it."""
 MATERIAL = 0.5
-"""Sensor sigmas by which an effect must move the temperature (rms beyond what the model's parameters imitate): what is
-less than half of what one reading errs by can be felt by nobody, however certain many readings make it."""
-GREATER = 1.05
-"""Times the floor from which the held-out free run is a gap that matters: below, nothing is left to be explained."""
+"""Sensor sigmas (rms) from which something matters: an effect, by what it does beyond what the model's parameters
+imitate, and a gap, by what the held-out free run errs by beyond the floor. Less than half of what one reading errs by
+can be felt by nobody, however certain many readings make it."""
 BESIDE, CLEARLY = 0.2, 40.0
 """A further name must be so large beside the greatest before it, unless its gain is clear (nats)."""
 BEYOND_DOUBT = 60.0
@@ -81,7 +80,7 @@ def immaterial(candidate: NamingStep) -> bool:
     best = candidate.best
     if best is None or not best.confirmed or best.gain < candidate.threshold:
         return False
-    return best.amplitude < MATERIAL * candidate.before.sensor_sigma
+    return best.amplitude < MATERIAL * sensor_noise(candidate.before.frame.record)
 
 
 def dubious(candidate: NamingStep) -> str:
@@ -159,13 +158,16 @@ def _greatest_gain(path: NamingResult) -> float:
     return max((step.best.gain for step in path.taken if step.best is not None), default=0.0)
 
 
-def matters(held: HeldOutProof) -> bool:
-    """True where the free run over the held-out cycles is further off than the floor, by more than a trifle."""
-    return held.rmse_before > GREATER * held.noise_floor
+def matters(held: HeldOutProof, sensor: float) -> bool:
+    """True where the free run over the held-out cycles is further off than the floor by what could be felt.
+
+    `sensor` (degC) is what one reading errs by.
+    """
+    return held.rmse_before**2 - held.noise_floor**2 >= (MATERIAL * sensor) ** 2
 
 
 def verdict_of(
-    path: NamingResult, reasons: tuple[str, ...], *, before: Ceiling | None, beyond: Excess | None, held: HeldOutProof
+    path: NamingResult, reasons: tuple[str, ...], *, before: Ceiling | None, beyond: Excess | None, material: bool
 ) -> tuple[Verdict, tuple[str, ...]]:
     """The verdict, and the reasons why it is none better. "unexplained" needs evidence and a gap that matters."""
     if path.taken and not reasons:
@@ -180,7 +182,7 @@ def verdict_of(
             evidence = ("a free learner predicts heat on cycles that it has not seen",)
         elif beyond is not None and beyond.exceeded:
             evidence = (beyond.words,)
-    return ("unexplained", evidence) if evidence and matters(held) else ("agree", ())
+    return ("unexplained", evidence) if evidence and material else ("agree", ())
 
 
 def untested(present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from sim.discrepancy.constants import absorbed
 from sim.discrepancy.diagnosis import Diagnosis
 from sim.discrepancy.evidence import candidates_of, effect_of, traces_of
 from sim.discrepancy.fitting import Fitted, Named, fit, frame_of, in_order, named_of, on, patiently, record_of
-from sim.discrepancy.gap import excess, floor_of
+from sim.discrepancy.gap import excess, floor_of, sensor_noise
 from sim.discrepancy.held_out import by_cycles, compared
 from sim.discrepancy.judging import doubts, left_over, matters, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
@@ -86,11 +86,12 @@ def diagnose(
     after = path.fitted
     ceiling_after = ceiling(after, seed) if path.taken else ceiling_before
     held, first, second = compared(base, after, held_out, seed, floor.error)
+    material = matters(held, sensor_noise(base.frame.record))
     reservations = (
         *doubts(path, first, second=second, held=held, before=ceiling_before, left=ceiling_after),
         *left_over(path, *beyond),
     )
-    verdict, reasons = verdict_of(path, reservations, before=ceiling_before, beyond=beyond[0], held=held)
+    verdict, reasons = verdict_of(path, reservations, before=ceiling_before, beyond=beyond[0], material=material)
     kept = verdict in ("named", "class")
     if not kept and after is not base:  # nothing is added, so what the report shows "after" is the refit itself
         after = base
@@ -127,7 +128,7 @@ def diagnose(
         ceiling_before=ceiling_before,
         ceiling_after=ceiling_after if kept else None,
         candidates=candidates_of(path.steps, kept),
-        material=matters(held),
+        material=material,
         traces=traces_of(path),
         absorbed=law,
         untested=untested(present, roles),
