@@ -1,4 +1,4 @@
-"""The benchmark's thermal network: its steady state, a clean machine that is nearly of first order, and what it knows."""
+"""The benchmark's thermal network: its steady state, a clean machine nearly of first order, what is hidden in it."""
 
 import ast
 from dataclasses import replace
