@@ -110,6 +110,6 @@ def imitated(fitted: Fitted, places: Sequence[int], signal: str, numbers: Indice
 
 
 def running_places(record: Record) -> list[int]:
-    """The visited locations in which the machine runs."""
-    visits, ran = np.bincount(record.runs.place), np.bincount(record.runs.place, record.running)
-    return [int(place) for place in np.flatnonzero(ran > 0.5 * np.maximum(visits, 1))]
+    """The locations in which the machine runs, by the time that was spent there."""
+    place, dt = record.runs.place, record.runs.dt
+    return [int(each) for each in np.flatnonzero(np.bincount(place, dt * (record.running - 0.5)) > 0)]
