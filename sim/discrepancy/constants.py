@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import scipy.stats
+import scipy
 
 from sim.discrepancy.diagnosis import AbsorbedLaw
 from sim.discrepancy.fitting import Fitted, Record, held
@@ -54,7 +54,7 @@ def absorbed(fitted: Fitted, signal: str, held_out: Record) -> AbsorbedLaw | Non
         weight = np.linalg.pinv(block, hermitian=True)
         coefficients = np.linalg.lstsq(design.T @ weight @ design, design.T @ weight @ values, rcond=None)[0]
         off = design @ coefficients - values
-        if scipy.stats.chi2.sf(float(off @ weight @ off), numbers.size - count) < CHANCE:
+        if scipy.special.chdtrc(numbers.size - count, float(off @ weight @ off)) < CHANCE:
             continue
         # The other constants go where they would with these held at the law's: their conditional mean.
         moved = fitted.state.parameters.copy()
