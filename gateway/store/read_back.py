@@ -248,6 +248,22 @@ def newest_scan(connection: sqlite3.Connection, *, machine: str | None = None) -
     return float(row[0]) if row else None
 
 
+def oldest_scan(connection: sqlite3.Connection, *, machine: str | None = None) -> float | None:
+    """The earliest time (s UTC) of a scan that is still there; None without one. No scan is read for it.
+
+    Raises HistorianError.
+    """
+    whose = selected(connection, machine)
+    condition, values = whose.where("scans")
+    with _one_moment(connection):
+        query = f"SELECT min(time) FROM scans WHERE {condition}"  # noqa: S608
+        found = [connection.execute(query, values).fetchone()[0]]
+        if whose.layout >= 2:
+            query = "SELECT min(first) FROM chunks WHERE kind = 'scans' AND tag = ?"
+            found += [connection.execute(query, (source,)).fetchone()[0] for source in whose.of("scans")]
+    return min((float(time) for time in found if time is not None), default=None)
+
+
 @contextmanager
 def _one_moment(connection: sqlite3.Connection) -> Iterator[None]:
     """A transaction that reads, unless there is one: all of it sees the file as it was at its beginning."""

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
+    from sim.artefacts.familiarity_file import FAMILIARITY_FILE, Familiarity, read_familiarity
     from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
     from sim.artefacts.model_json import model_hash, model_text
     from sim.artefacts.store import (
@@ -28,10 +29,12 @@ else:
     __getattr__ = opened_at_use(__name__)
 
 __all__ = [
+    "FAMILIARITY_FILE",
     "MANIFEST",
     "MODEL_FILE",
     "STORE_FILE",
     "VERSIONS",
+    "Familiarity",
     "Force",
     "check_store",
     "current",
@@ -45,6 +48,7 @@ __all__ = [
     "number_of",
     "promote",
     "promotion",
+    "read_familiarity",
     "read_model",
     "sha256",
     "version_directory",
