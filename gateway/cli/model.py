@@ -26,12 +26,18 @@ COMMANDS: Table = {
         "gateway.lab.retraining.retrain:retrain_command",
         "Learn from the historian's new cycles; propose a version that is better.",
     ),
-    "cycles": ("gateway.lab.retraining.cycles:cycles_command", "The historian's cycles, rated; exclude one."),
+    "cycles": (
+        "gateway.lab.retraining.cycles:cycles_command",
+        "List a library's cycles, rated; exclude one with a reason.",
+    ),
     "shadow": (
         "gateway.lab.retraining.shadow:shadow_command",
         "Compare two versions on live cycles; roll back where the promoted one is worse.",
     ),
-    "lineage": ("gateway.lab.retraining.lineage:lineage_command", "The family of a store's versions; make one again."),
+    "lineage": (
+        "gateway.lab.retraining.lineage:lineage_command",
+        "Draw the family of a store's versions; make one again.",
+    ),
     "export": ("gateway.lab.export:export", "Write a model for UPPAAL along traces; compare with its engine."),
 }
 

@@ -1,5 +1,7 @@
-"""What error goes with a strangeness: a curve that rises with it, measured on cycles that the model was not fitted to,
-and the classes green, yellow and red that are cut from it."""
+"""What error goes with a strangeness, and the classes that are cut from it.
+
+The curve rises with strangeness and is measured on cycles that the model was not fitted to.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -13,7 +13,7 @@ from gateway.lab.retraining.report import coverage_figure
 from sim.pictures import check_picture, save_picture
 
 
-@click.command("cycles", short_help="List a library's cycles with their ratings; exclude one with a reason.")
+@click.command("cycles", short_help="List a library's cycles, rated; exclude one with a reason.")
 @click.argument("folder", metavar="LIBRARY", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--rating", type=click.Choice(RATINGS), help="Only those rated so.")
 @click.option("--exclude", metavar="NAME", help="Learn nothing from this cycle and judge nothing by it; with --reason.")

@@ -18,7 +18,7 @@ from sim.artefacts import load as load_version
 from sim.sha import Trace, content_hash
 
 
-@click.command("lineage", short_help="Draw the family of a store's versions; make one again from its record.")
+@click.command("lineage", short_help="Draw the family of a store's versions; make one again.")
 @click.argument("store", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--remake", "version", help="Learn this version again and compare it bit for bit.")
 @click.option("--library", "folder", type=click.Path(path_type=Path), help="Where the cycles of its record are kept.")

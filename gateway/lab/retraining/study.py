@@ -184,7 +184,19 @@ def retrain(
 
     learned = library.step(study, "learned")
     if learned is None:
-        learned = _learn(request, library, study, source, method, training, chosen, folder, report)
+        fresh = new_cycles(library, present)
+        fallen = sum(row.rating == "badly predicted" for row in fresh) / max(len(fresh), 1) > FALLEN
+        settings_found: Settings = {}
+        tuned = ""
+        if request.trials and fallen:
+            report("searching settings", 0.15)
+            settings_found, tuned = _searched(request, present, method, training, folder)
+        report(f"learning ({method})", 0.25)
+        record = _record(request, source, method, chosen, settings=settings_found)
+        taught = learned_model(record, training, present.alphabet, present.temperature)
+        write_model_directory(folder / "model", taught.model, taught.values)
+        rows_learned = sum(trace.times.size for trace in training)
+        learned = {"settings": settings_found, "rows": rows_learned, "tuned": tuned}
         library.done(study, "learned", learned)
     new = read_model(folder / "model")
     del training
@@ -225,7 +237,7 @@ def retrain(
     rows_by_name = {row.name: row for row in library.cycles()}
     familiarity, classes = _familiarity(request, library, chosen, rows_by_name, new)
     key = sha256(json.dumps([settings, chosen], sort_keys=True).encode()).hexdigest()
-    record = _record(request, source, method, learned["settings"], chosen, key)
+    record = _record(request, source, method, chosen, settings=learned["settings"], study=key)
     found = Retraining(
         study=study,
         machine=source.machine or "",
@@ -321,41 +333,17 @@ def _spread(count: int) -> list[int]:
     return sorted(range(count), key=lambda number: f"{number:0{bits}b}"[::-1])
 
 
-def _learn(
-    request: RetrainingRequest,
-    library: CycleLibrary,
-    study: int,
-    source: CycleSource,
-    method: str,
-    training: Sequence[Trace],
-    chosen: dict[str, Any],
-    folder: Path,
-    report: Progress,
-) -> dict[str, Any]:
-    """Learn the model into `folder`/model; its settings, the training's rows, and what was tuned."""
-    present, settings, tuned = source.model, {}, ""
-    fresh = new_cycles(library, present)
-    fallen = sum(row.rating == "badly predicted" for row in fresh) / max(len(fresh), 1)
-    if request.trials and fallen > FALLEN:
-        report("searching settings", 0.15)
-        plan = StudyPlan(method, "crps", 5, request.seed)
-        found = tune(
-            training,
-            present.alphabet,
-            present.temperature,
-            plan,
-            folder / "tuning.db",
-            trials=request.trials,
-            progress=lambda what, _: report(what, 0.15),
-        )
-        tuned = found.sentence
-        if found.better and found.best is not None:
-            settings = dict(found.best.settings)
-    report(f"learning ({method})", 0.25)
-    record = _record(request, source, method, settings, chosen, "")
-    taught = learned_model(record, training, present.alphabet, present.temperature)
-    write_model_directory(folder / "model", taught.model, taught.values)
-    return {"settings": settings, "rows": sum(trace.times.size for trace in training), "tuned": tuned}
+def _searched(
+    request: RetrainingRequest, present: Model, method: str, training: Sequence[Trace], folder: Path
+) -> tuple[Settings, str]:
+    """The settings of a search by cross-validation over the training, none where the defaults are as good; a sentence.
+
+    The search is a study of its own in `folder`, which goes on where it was killed.
+    """
+    plan = StudyPlan(method, "crps", 5, request.seed)
+    found = tune(training, present.alphabet, present.temperature, plan, folder / "tuning.db", trials=request.trials)
+    best = found.best.settings if found.better and found.best is not None else {}
+    return dict(best), found.sentence
 
 
 def learned_model(record: TrainingRecord, training: Sequence[Trace], alphabet: Alphabet, temperature: str) -> Taught:
@@ -398,7 +386,13 @@ def joined(traces: Sequence[Trace], gap: float) -> list[Trace]:
 
 
 def _record(
-    request: RetrainingRequest, source: CycleSource, method: str, settings: Settings, chosen: dict[str, Any], study: str
+    request: RetrainingRequest,
+    source: CycleSource,
+    method: str,
+    chosen: dict[str, Any],
+    *,
+    settings: Settings,
+    study: str = "",
 ) -> TrainingRecord:
     """The record of the model that is learned from what was chosen."""
     return TrainingRecord(
