@@ -158,6 +158,7 @@ def test_the_historian_is_cut_at_starts_and_at_gaps_once(
     assert [row.begin - BEGIN for row in rows[:CYCLES]] == [number * (RUN + REST) for number in range(CYCLES)]
     assert rows[CYCLES].begin - rows[CYCLES - 1].begin > 2 * 86_400.0, "the hole ends a cycle and is none"
     assert all(row.rating == "badly predicted" and row.kept for row in rows), "ten degrees off"
+    assert (rows[0].region, rows[5].region) == ("A_1, begun at 20-30", "A_1, begun at 40-50")
     assert cut_and_rate(request_of, library, source, silent) == 0, "the cycle that goes on waits for its end"
     # In pieces of an hour it comes to the same cycles, and their readings are found again by their hash.
     monkeypatch.setattr(cutting, "SPAN", 3600.0)

@@ -14,7 +14,7 @@ from sim.effects import ROLES
 from sim.engine import open_loop
 from sim.familiarity import CyclePoints, FamiliarityReference, cycle_points
 from sim.forecast import factors_at
-from sim.sha import Array, Bins, Model, Trace, content_hash, encode
+from sim.sha import Array, Bins, Model, Switch, Trace, content_hash, encode
 from sim.traces import split_cycles
 
 Progress = Callable[[str, float], None]
@@ -207,15 +207,20 @@ def _rated(
 def _region(model: Model, cycle: Trace) -> str:
     """Where in operation a cycle was: its most usual level while it ran, and the ten degrees that it began in."""
     bins = next((channel for channel in model.alphabet.channels if isinstance(channel, Bins)), None)
+    switch = next((channel for channel in model.alphabet.channels if isinstance(channel, Switch)), None)
     first = cycle.signals[model.temperature]
     begin = float(first[np.isfinite(first)][0]) if np.isfinite(first).any() else nan
     tens = int(np.floor(begin / 10.0) * 10) if np.isfinite(begin) else 0
     level = "any level"
     if bins is not None:
-        seconds: dict[str, float] = {}
-        moments = [event for event in cycle.events if event.symbol in bins.symbols]
-        ends = [event.time for event in moments[1:]] + [float(cycle.times[-1])]
-        for event, end in zip(moments, ends, strict=True):
-            seconds[event.symbol] = seconds.get(event.symbol, 0.0) + end - event.time
-        level = max(seconds, key=lambda symbol: seconds[symbol], default="unknown")
+        load, running = cycle.signals[bins.signal], np.ones(cycle.times.shape)
+        if switch is not None:
+            # A switch that is only sent when it changes is held.
+            sent = cycle.signals[switch.signal]
+            places = np.maximum.accumulate(np.where(np.isfinite(sent), np.arange(sent.size), -1))
+            running = np.where(places < 0, 1.0, sent[places])
+        ran = load[np.isfinite(load) & (running > 0.5)]
+        if ran.size:
+            numbers = np.bincount(np.searchsorted(bins.thresholds, ran, side="right"))
+            level = bins.symbols[int(np.argmax(numbers))]
     return f"{level}, begun at {tens}-{tens + 10}"
