@@ -38,5 +38,7 @@ def read_familiarity(folder: Path) -> Familiarity | None:
             raise ValueError("it is of another format")
         curve = document["curve"]
         return Familiarity(parse_reference(document["reference"]), None if curve is None else parse_curve(curve))
-    except (KeyError, TypeError, ValueError) as error:
-        raise at(file, None, f"cannot be used ({error!r}); learn the model again, or take the file away") from None
+    except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
+        raise at(
+            file, None, f"cannot be used ({str(error)[:80]}); learn the model again, or take the file away"
+        ) from None

@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import can
+import numpy as np
 
 from drivers.can.dbc import Dbc
 from drivers.canopen.eds import load_sheet
@@ -25,12 +26,14 @@ from drivers.tag import Tag
 from drivers.vehicle.log import Log
 from gateway.commission.files.cells import ListError, read_sheet
 from gateway.settings import load_config
+from sim.artefacts.familiarity_file import FAMILIARITY_FILE, Familiarity, read_familiarity
 from sim.artefacts.formats.dot import read_source
 from sim.artefacts.formats.flow_file import read_flow_file
 from sim.artefacts.formats.histogram import read_histogram
 from sim.artefacts.formats.report import read_report
 from sim.artefacts.model_json import model_text, read_model_file
 from sim.checking.language.parse import QueryError, parse_query
+from sim.familiarity import FEATURES, error_curve, fit_reference
 from sim.files import ArtefactError
 from sim.plc.modbus import framing
 from sim.plc.modbus.server import make_rtu_tcp
@@ -56,6 +59,12 @@ def _files(*patterns: str) -> Callable[[], Sequence[bytes]]:
 
 
 # ---------------------------------------------------------------- files
+
+
+def _familiarity() -> str:
+    points = np.random.default_rng(0).normal(size=(8, 3, len(FEATURES)))
+    return Familiarity(fit_reference(list(points)), error_curve([0.5, 1.0], [0.1, 0.2])).text()
+
 
 DBC = b"""VERSION ""
 NS_ :
@@ -349,6 +358,12 @@ TARGETS: dict[str, FuzzTarget] = {
     ),
     "model-json": FuzzTarget(
         lambda: [model_text(_model()).encode()], of_file("x.json", read_model_file), (ArtefactError,), ".*/x.json(:|: )"
+    ),
+    "familiarity": FuzzTarget(
+        lambda: [_familiarity().encode()],
+        of_file(FAMILIARITY_FILE, lambda path: read_familiarity(path.parent)),
+        (ArtefactError,),
+        f".*/{FAMILIARITY_FILE}(:|: )",
     ),
     "xlsx": FuzzTarget(
         lambda: [_workbook()],

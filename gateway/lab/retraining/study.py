@@ -352,6 +352,9 @@ def learned_model(record: TrainingRecord, training: Sequence[Trace], alphabet: A
     Cycles that follow one another are learned from as one trace, or no model would ever see a rest end. Raises
     ValueError where they teach none.
     """
+    # Traces that do not say their machine are of the historian's: named beside unnamed would be two machines.
+    if any(not trace.machine for trace in training):
+        training = [replace(trace, machine="") for trace in training]
     task = Task(joined(training, alphabet.gap), alphabet, temperature, record.seed, record.name)
     taught = METHODS[record.method].learn(task, record.settings)
     contents = tuple(sorted({content for _, content in record.training}))

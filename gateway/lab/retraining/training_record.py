@@ -53,8 +53,8 @@ def read_record(folder: Path) -> TrainingRecord | None:
             raise ValueError("it is of another format")
         training = tuple((str(name), str(content)) for name, content in document.pop("training"))
         return TrainingRecord(training=training, **document)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise at(file, None, f"cannot be used as a record ({error!r}); restore it from a backup") from None
+    except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
+        raise at(file, None, f"cannot be used as a record ({str(error)[:80]}); restore it from a backup") from None
 
 
 def created_of(folder: Path) -> float:
