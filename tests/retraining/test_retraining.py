@@ -14,7 +14,7 @@ from gateway.lab.retraining import cutting, judging, shadow, study
 from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
 from gateway.lab.retraining.judging import NEW, PRESENT, compared, scores_along, verdict_on
 from gateway.lab.retraining.library import CycleLibrary, opened_library
-from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, encoded, joined, new_cycles, source_of
+from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, encoded, joined, new_cycles, source_of, sparse
 from gateway.lab.retraining.training_record import read_record
 from gateway.machine.reading import Scan
 from gateway.machine.records import Keeper
@@ -310,6 +310,13 @@ def test_traces_that_follow_one_another_are_learned_from_as_one() -> None:
     made = joined(list(reversed(parts)), 30.0)
     assert [trace.times.size for trace in made] == [240, 110]
     assert made[0].signals[TEMPERATURE].tolist() == whole.signals[TEMPERATURE][:240].tolist()
+
+
+def test_a_diagnosis_gets_fewer_rows_and_all_events() -> None:
+    whole = encoded(plant(1), heated(HOT))
+    thin = sparse(whole, 60.0)
+    assert np.diff(thin.times).tolist() == [60.0] * 19 and thin.events == whole.events
+    assert thin.signals[TEMPERATURE].tolist() == whole.signals[TEMPERATURE][::6].tolist()
 
 
 def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_worse_one_is_rolled_back(
