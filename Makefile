@@ -7,7 +7,7 @@ unexport PYTHONDONTWRITEBYTECODE
 STAMP := $(VENV)/.installed
 REWRITTEN := $(VENV)/.rewritten
 
-.PHONY: setup demo test checks check lint types contracts unit fuzz durations docs lock bench clean
+.PHONY: setup demo test checks check lint types contracts unit fuzz durations docs lock bench deb deb-test clean
 
 setup: $(STAMP)
 
@@ -74,6 +74,14 @@ docs: $(STAMP)
 lock: $(STAMP)
 	$(BIN)/uv pip compile pyproject.toml --extra dev --generate-hashes --python-version 3.11 --no-emit-index-url --no-header -q --upgrade -o requirements-dev.lock
 	$(BIN)/uv pip compile pyproject.toml --generate-hashes --python-version 3.11 --no-emit-index-url --no-header -c requirements-dev.lock -q -o requirements.lock
+
+# One Debian package with an environment of its own, in dist/ (docs/operations.md).
+deb: $(STAMP)
+	$(BIN)/python deploy/build_deb.py
+
+# That package in a small Debian of its own, under a real systemd; root's, and the first time with Debian's packages.
+deb-test: $(STAMP)
+	$(BIN)/python -m benchmarks.installed
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.run

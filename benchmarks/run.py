@@ -7,7 +7,8 @@ engineer's hour), `benchmarks.discrepancy` (hidden effects), `benchmarks.engines
 `benchmarks.resident` (memory over hours), `benchmarks.kills` and `benchmarks.power_cuts` (what the records lose),
 `benchmarks.attack_matrix` (what was tried), `benchmarks.demo_seeds` (the demonstration's alarms),
 `benchmarks.machine_rates` (what is not modelled of other machines), `benchmarks.hollow` (thresholds on other data),
-`benchmarks.first_hour` (from a wheel to a prediction), `benchmarks.mistakes` (what they are answered) and
+`benchmarks.first_hour` (from a wheel to a prediction), `benchmarks.installed` (the Debian package under systemd),
+`benchmarks.mistakes` (what they are answered) and
 `benchmarks.house` (the code itself).
 """
 

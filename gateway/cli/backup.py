@@ -1,21 +1,20 @@
 """`decanter backup` and `decanter restore`: all that a gateway is, as one folder, and back from it."""
 
 import time
+import tomllib
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
 import click
-import tomlkit
-from tomlkit.exceptions import TOMLKitError
 
-from drivers.driver import capabilities
 from drivers.named_files import writing
 from gateway.cli.plant_file import config_option
 from gateway.commission.session import login
 from gateway.commission.writeback.block_writer import gateway_runs
 from gateway.console import emit, json_option
 from gateway.entry import Exit, fail, sentences
+from gateway.plant import configuration_files, without_arming
 from gateway.settings import Config, load_plant
 from gateway.store import (
     DISARMED,
@@ -23,6 +22,7 @@ from gateway.store import (
     BackupError,
     Manifest,
     WitnessPlaces,
+    armed_subjects,
     as_one_file,
     discard,
     heads_file,
@@ -62,11 +62,7 @@ def backup(path: Path, folder: Path, as_json: bool) -> None:
 def sources_of(machines: Sequence[Config]) -> list[tuple[str, Path]]:
     """Every file of a gateway with what it is to it, in the order in which they are copied."""
     config = machines[0]
-    rows: list[tuple[str, Path]] = [("plant", config.path)]
-    for link in (link for machine in machines for link in machine.links):
-        rows.append(("device", link.map.path))
-        named = [link.settings.get(key) for key in capabilities(link.map.driver).files]
-        rows += [("device", Path(name)) for name in named if isinstance(name, str) and Path(name).is_file()]
+    rows = configuration_files(machines)
     predicted = [row.model for machine in machines for row in machine.temperatures]
     for model in (*predicted, *(member for machine in machines for member in machine.ensemble.members)):
         if model is not None:
@@ -142,33 +138,33 @@ def restore(folder: Path, into: Path, overwrite: bool, by: str, as_json: bool) -
 
 def _disarm(manifest: Manifest, drafts: dict[str, Path], by: str) -> str:
     """Take every arming out of the drafts of a restored gateway; gives what it will do. Raises BackupError, OSError."""
-    mode = "off"
+    modes = set[str]()
     if (plant := drafts.get("plant")) is not None:
-        try:
-            text = tomlkit.parse(plant.read_text(encoding="utf-8"))
-        except (TOMLKitError, UnicodeDecodeError) as error:
-            raise BackupError(f"the backup's plant file cannot be read: {error}") from None
-        section = text.get("writeback", {})
-        mode = str(section.get("mode", "off"))
-        if mode == "armed":
-            section["mode"] = "shadow"
+        before = plant.read_bytes()
+        after = without_arming(before)
+        document = tomllib.loads(after.decode())
+        modes = {table.get("writeback", {}).get("mode", "off") for table in (document, *document.get("machine", ()))}
+        if after != before:
+            modes.add("armed")
             with writing(plant):
-                plant.write_text(tomlkit.dumps(text), encoding="utf-8")
+                plant.write_bytes(after)
     if (log := drafts.get("audit")) is not None:
         audit = open_audit(log)
         try:
             reason = f"restored from a backup of {time.strftime('%F %T UTC', time.gmtime(manifest.made))}"
-            if not audit.record(AuditEntry(time.time(), DISARMED, by, reason)):
-                raise BackupError(f"the restored audit log does not take a row: {audit.failure}")
+            # Each machine of several is armed by itself, and so is the gateway of one.
+            for subject in dict.fromkeys(("", *armed_subjects(log))):
+                if not audit.record(AuditEntry(time.time(), DISARMED, by, reason).of(subject)):
+                    raise BackupError(f"the restored audit log does not take a row: {audit.failure}")
         finally:
             audit.close()
         if "key" in drafts and "heads" in drafts:
             places = WitnessPlaces(audit=log, key=drafts["key"], heads=drafts["heads"])
             sign_head(places.audit, load_key(places.key), time.time(), [lambda head: heads_file(head, places.heads)])
         as_one_file(log)
-    if mode == "off":
+    if modes <= {"off"}:
         return "the restored gateway computes and writes nothing: its mode is 'off'"
-    was = " (it was 'armed')" if mode == "armed" else ""
+    was = " (it was 'armed')" if "armed" in modes else ""
     return (
         f"the restored gateway starts in mode 'shadow'{was} and writes nothing to the PLC until somebody arms it; rows "
         "of the audit log that are newer than the backup have to be acknowledged as lost then"

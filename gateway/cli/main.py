@@ -3,6 +3,8 @@
 import click
 
 from gateway.cli.alarm import alarm
+from gateway.cli.config import config
+from gateway.cli.historian import historian
 from gateway.cli.machine import machine
 from gateway.cli.model import model
 from gateway.cli.plc import plc
@@ -26,6 +28,7 @@ COMMANDS: Table = {
     ),
     "backup": ("gateway.cli.backup:backup", "Copy all that a gateway is into a new folder, while it runs."),
     "restore": ("gateway.cli.backup:restore", "Put a backup's files back in their places."),
+    "support": ("gateway.cli.support:support", "Put what support needs into one file, without secrets."),
     "certificates": (
         "gateway.cli.certificates:certificates",
         "Make certificates and keys for Modbus/TCP Security.",
@@ -47,6 +50,7 @@ EXAMPLES = {
     "emulate": "emulate --device config/devices/decanter_plc.toml --trace out/traces/cd8.csv --port 15020",
     "backup": "backup /media/usb/gateway-2026-05-04 --config plant.toml",
     "restore": "restore /media/usb/gateway-2026-05-04 --by 'A. Rossi'",
+    "support": "support --config plant.toml",
     "certificates": "certificates out/certificates --host 192.168.1.10",
     "diagnose": "diagnose --model out/model --traces out/traces --out out/diagnosis",
     "docs": "docs commissioning",
@@ -76,7 +80,7 @@ def main(traceback: bool) -> None:
     one_thread()
 
 
-for group in (plc, machine, alarm, user, trace, model):
+for group in (plc, machine, alarm, historian, user, config, trace, model):
     main.add_command(group)
 
 if __name__ == "__main__":

@@ -22,6 +22,22 @@ COMMANDS: Table = {
     "promote": ("gateway.lab.promote:promote", "Make a version of a store current, if its model verifies."),
     "rank": ("gateway.lab.rank:rank", "Compare models on the same traces; say which are fit for deployment."),
     "tune": ("gateway.lab.tune:tune", "Search a learning method's best settings by cross-validation over traces."),
+    "retrain": (
+        "gateway.lab.retraining.retrain:retrain_command",
+        "Learn from the historian's new cycles; propose a version that is better.",
+    ),
+    "cycles": (
+        "gateway.lab.retraining.cycles:cycles_command",
+        "List a library's cycles, rated; exclude one with a reason.",
+    ),
+    "shadow": (
+        "gateway.lab.retraining.shadow:shadow_command",
+        "Compare two versions on live cycles; roll back where the promoted one is worse.",
+    ),
+    "lineage": (
+        "gateway.lab.retraining.lineage:lineage_command",
+        "Draw the family of a store's versions; make one again.",
+    ),
     "export": ("gateway.lab.export:export", "Write a model for UPPAAL along traces; compare with its engine."),
 }
 
@@ -38,6 +54,10 @@ EXAMPLES = {
     "promote": "model promote models/decanter --add out/model",
     "rank": "model rank out/model out/corrected --traces out/traces",
     "tune": "model tune --traces out/traces --study out/tune.db",
+    "retrain": "model retrain models/decanter --historian out/historian.sqlite --standard out/traces",
+    "cycles": "model cycles out/cycles/decanter-TCuscinettiRiduttore --rating rare",
+    "shadow": "model shadow models/decanter --historian out/historian.sqlite --roll-back",
+    "lineage": "model lineage models/decanter",
     "export": "model export out/model --uppaal --trace out/traces/cd8.csv --out out/uppaal",
 }
 

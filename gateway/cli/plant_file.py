@@ -27,7 +27,8 @@ def config_option(command: Any) -> Any:
         "path",
         type=click.Path(path_type=Path),
         callback=found,
-        help="The gateway's configuration (TOML).  [default: ./plant.toml, then ./config/plant.toml]",
+        help="The gateway's configuration (TOML).  "
+        "[default: ./plant.toml, ./config/plant.toml, /etc/decanter/plant.toml]",
     )(command)
 
 

@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import isinf
 from typing import Any
 
 import click
@@ -13,6 +14,7 @@ from drivers.errors import DriverError
 from drivers.settings import ConfigError
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
+from gateway.clock_sync import clock_error
 from gateway.commission.read import read_raw
 from gateway.commission.session import (
     CheckStep,
@@ -35,6 +37,7 @@ from gateway.commission.session import (
 from gateway.commission.writeback.write_plan import problems_of
 from gateway.entry import Exit, exit_code, sentences
 from gateway.machine.model import load_model
+from gateway.northbound import check_northbound
 from gateway.settings import load_plant, load_secrets
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})
@@ -48,6 +51,7 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
     """
     first = next(iter(sites.values()))
     steps = [*_files(first), *_models(first), *_contract(first), *_messages(first)]
+    steps += [*_northbound(first), *_clock(first)]
     rows: list[dict[str, Any]] = []
     absent: list[DriverError] = []
     for name, site in sites.items():
@@ -103,6 +107,32 @@ def _messages(site: Site) -> list[CheckStep]:
     except ConfigError as error:
         return [failed("messages", problem) for problem in error.problems]
     return [ok("messages", f"alarms are told to {', '.join(row.name for row in config.notify.to)}")]
+
+
+def _northbound(site: Site) -> list[CheckStep]:
+    """Whether other systems can be told: what has to be installed, and the file of secrets; nothing is sent."""
+    config = site.target.config
+    if config is None or not config.northbound.enabled:
+        return []
+    try:
+        check_northbound(config)
+    except ConfigError as error:
+        return [failed("northbound", problem) for problem in error.problems]
+    names = [row.name for row in config.northbound.sinks]
+    names += ["Prometheus"] if config.northbound.metrics.port is not None else []
+    return [ok("northbound", f"what is on record is told to {', '.join(names)}")]
+
+
+def _clock(site: Site) -> list[CheckStep]:
+    """Whether somebody steers this computer's clock, by which a plant's records are dated."""
+    error = clock_error()
+    if site.target.config is None or error is None:
+        return []
+    if isinf(error):
+        return [
+            warning("clock", "no time server steers this computer's clock: set up NTP (timedatectl says how it is)")
+        ]
+    return [ok("clock", f"steered by a time server, wrong by {1e3 * error:.0f} ms at most")]
 
 
 def _places(site: Site) -> list[CheckStep]:

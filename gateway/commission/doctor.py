@@ -1,10 +1,10 @@
 """`decanter plc doctor`: is this machine fit for the plant? Nothing is sent to any device."""
 
 import asyncio
-import ctypes
 import os
 import shutil
 import time
+from math import isinf
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from serial.tools.list_ports import comports
 
 from drivers.driver import Cautions
 from drivers.errors import LinkDown
+from gateway.clock_sync import clock_error
 from gateway.commission.session import (
     CheckStep,
     CommandResult,
@@ -41,8 +42,6 @@ OLDEST = 1_735_689_600.0
 """2025-01-01: a clock before it was never set."""
 _ARPHRD_CAN = "280"
 """What /sys/class/net/NAME/type says of a CAN interface (linux/if_arp.h)."""
-_STA_UNSYNC = 0x40
-"""The clock is not synchronised (linux/timex.h)."""
 _NET = Path("/sys/class/net")
 
 
@@ -55,7 +54,7 @@ async def examine_machine(site: Site, records: Path) -> CommandResult:
     if time.time() < OLDEST:
         sentence = f"it is {now} by this machine's clock, which was never set: set it before anything else"
         steps.append(failed("clock", sentence))
-    elif error is None:
+    elif error is None or isinf(error):
         sentence = f"{now}, and no time server steers this clock: compare it with the HMI's, and set up NTP"
         steps.append(warning("clock", sentence))
     else:
@@ -99,33 +98,6 @@ async def examine_machine(site: Site, records: Path) -> CommandResult:
     steps += _files(target)
     code, complaint = verdict(steps)
     return CommandResult({"steps": [step.plain() for step in steps], "versions": installed}, code, complaint)
-
-
-class _Timex(ctypes.Structure):
-    """struct timex of Linux (sys/timex.h) up to its status, and room for the rest."""
-
-    _fields_ = (
-        ("modes", ctypes.c_uint),
-        ("offset", ctypes.c_long),
-        ("freq", ctypes.c_long),
-        ("maxerror", ctypes.c_long),
-        ("esterror", ctypes.c_long),
-        ("status", ctypes.c_int),
-        ("rest", ctypes.c_byte * 256),
-    )
-
-
-def clock_error() -> float | None:
-    """How far the clock may be from UTC in seconds, as the kernel estimates it; None if nothing steers it."""
-    try:
-        adjtimex = ctypes.CDLL(None).adjtimex
-    except (OSError, AttributeError):
-        return None
-    # modes 0: the kernel is asked and nothing is set, for which no privilege is needed (adjtimex(2)).
-    state = _Timex()
-    if adjtimex(ctypes.byref(state)) < 0 or state.status & _STA_UNSYNC:
-        return None
-    return float(state.maxerror) * 1e-6
 
 
 def _can(target: Target) -> CheckStep:

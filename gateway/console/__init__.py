@@ -9,9 +9,20 @@ from gateway.console.options import (
     seed_option,
 )
 from gateway.console.output import emit, make_folder, progress, table
-from gateway.console.places import config_dir, find_plant_file, plant_here, shipped
+from gateway.console.places import (
+    SERVICE_FOLDER,
+    SERVICE_LOG,
+    SERVICE_RECORDS,
+    config_dir,
+    find_plant_file,
+    plant_here,
+    shipped,
+)
 
 __all__ = [
+    "SERVICE_FOLDER",
+    "SERVICE_LOG",
+    "SERVICE_RECORDS",
     "config_dir",
     "emit",
     "find_plant_file",

@@ -1,22 +1,32 @@
 """Where files lie: those that are shipped with the program, and the plant file of the folder that one works in."""
 
+from contextlib import suppress
 from pathlib import Path
 
 PLANT_FILES = (Path("plant.toml"), Path("config/plant.toml"))
 """Where a plant file is looked for when none is named, in this order, relative to the working folder."""
+SERVICE_FOLDER = Path("/etc/decanter")
+"""The folder of the plant that the installed service runs: looked in last, so that its commands work from anywhere."""
+SERVICE_RECORDS, SERVICE_LOG = Path("/var/lib/decanter"), Path("/var/log/decanter")
+"""Where the service's records and its log lie."""
 
 
 def plant_here() -> Path | None:
-    """The plant file of the working folder, or None where there is none.
+    """The plant file of the working folder, else that of the installed service, or None where there is none.
 
     Never one that was shipped: records and sockets lie beside what a plant file says, and those of a plant do not
     belong among the files of an installed program.
     """
-    return next((path for path in PLANT_FILES if path.is_file()), None)
+    for path in (*PLANT_FILES, SERVICE_FOLDER / "plant.toml"):
+        # A folder that this user may not look into has none for them.
+        with suppress(PermissionError):
+            if path.is_file():
+                return path
+    return None
 
 
 def find_plant_file() -> Path:
-    """The plant file of the working folder, for a command that cannot do without. Raises ValueError."""
+    """The plant file (`plant_here`), for a command that cannot do without. Raises ValueError."""
     if (path := plant_here()) is not None:
         return path
     places = " nor ".join(f"./{name}" for name in PLANT_FILES)

@@ -72,11 +72,14 @@ def summary_of(data: Mapping[str, Any]) -> list[str]:
         place = data["localisation"][0]
         lines.append(f"where most of the heat was: {place['location']}, {place['share']:.0%}, {place['cycles']} cycles")
     if held and data["named"]:
-        low, high = held["ci95"]
+        removed = ""
+        if held["ci95"] is not None:
+            low, high = held["ci95"]
+            removed = f", {held['excess_removed']:.0%} of the excess removed ({low:.0%} to {high:.0%})"
         lines.append(
             f"the gap shrinks on {held['cycles']} cycles that were never fitted: free-run error "
-            f"{held['rmse_before']:.3f} -> {held['rmse_after']:.3f} °C, noise floor {held['noise_floor']:.3f} °C, "
-            f"{held['excess_removed']:.0%} of the excess removed ({low:.0%} to {high:.0%})"
+            f"{held['rmse_before']:.3f} -> {held['rmse_after']:.3f} °C, noise floor {held['noise_floor']:.3f} °C"
+            f"{removed}"
         )
     if data["right"]:
         lines.append("the hidden effect was found, and nothing else was named")

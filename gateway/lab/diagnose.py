@@ -21,17 +21,18 @@ from gateway.console import (
     table,
 )
 from gateway.entry import sentences
+from gateway.lab.adopt import adopt
 from gateway.lab.traces.load import load
 from gateway.store import recent
-from sim.artefacts import model_hash
+from sim.artefacts import model_hash, read_effect_lines
 from sim.artefacts.formats import find_model
 from sim.checking.proof import verify
-from sim.discrepancy import Diagnosis, DiagnosisOutcome, augmented, span
+from sim.discrepancy import Diagnosis, DiagnosisOutcome, augmented, law_sentence, look_at, overlap_sentence, span
 from sim.discrepancy import diagnose as diagnose_model
 from sim.discrepancy.fitting import overlapping
 from sim.discrepancy.output import MODEL, Occasion, check_folder, document, write_diagnosis
 from sim.effects import ROLES
-from sim.sha import Model, Trace, joint_hash, shown_unit
+from sim.sha import EffectLine, Model, Trace, joint_hash, shown_unit
 from sim.traces import ColumnMap, load_map
 
 Progress = Callable[[str, float], None]
@@ -42,7 +43,7 @@ class DiagnosisRequest:
     """What is to be diagnosed, and where the result goes. `created` is the time for the report, in seconds UTC.
 
     `source` says where the traces are from, as it stands in the report; `most` is how many effects may be named.
-    Without `report` there are no page and no pictures.
+    Without `report` there are no page and no pictures. `lines` are effects of the engineer's own that may be named too.
     """
 
     where: str
@@ -53,6 +54,7 @@ class DiagnosisRequest:
     created: float
     temperature: str | None = None
     report: bool = True
+    lines: tuple[EffectLine, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +100,9 @@ def run(
 ) -> DiagnosisResult:
     """Diagnose and write everything. Raises ValueError or OSError; then nothing in the folder has changed."""
     check_traces(model, traces, request.source)
-    outcome = diagnose_model(model, traces, seed=request.seed, roles=roles, most=request.most, progress=progress)
+    outcome = diagnose_model(
+        model, traces, seed=request.seed, roles=roles, lines=request.lines, most=request.most, progress=progress
+    )
     progress("writing the report", 0.97)
     new = new_model(request, model, traces, outcome)
     reasons = None if new is None else verify(new).reasons
@@ -153,7 +157,20 @@ RECENT = "14d"
 """What of a historian is read where nobody says how much."""
 
 
-@click.command(short_help="Find where model and traces disagree; name what is missing.")
+class DiagnoseCommand(click.Command):
+    """`decanter diagnose [TRACES]...`, with one word of its own in the first place: `decanter diagnose adopt`."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """That of the other command where its word comes first; a trace of that name is given as ./adopt."""
+        # No group: its first argument is a trace's path, which a group would take for a command.
+        if args[:1] == ["adopt"]:
+            return adopt.make_context(f"{info_name} adopt", args[1:], parent=parent, **extra)
+        return super().make_context(info_name, args, parent=parent, **extra)
+
+
+@click.command(cls=DiagnoseCommand, short_help="Find where model and traces disagree; name what is missing.")
 @click.argument("more", nargs=-1, metavar="[TRACES]...")
 @click.option("--model", "where", required=True, help="A model directory, a store, a model.json, or DIR/NAME.")
 @click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
@@ -162,6 +179,9 @@ RECENT = "14d"
 @historian_machine_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder for the diagnosis.")
+@click.option(
+    "--effects", "effects", type=click.Path(path_type=Path), help="A TOML file of your own effects, to be named too."
+)
 @click.option("--max-names", "most", type=click.IntRange(1, 3), default=3, show_default=True, help="Effects at most.")
 @click.option("--temperature", help="The signal that a set of artefacts predicts, which does not say it itself.")
 @click.option("--no-report", is_flag=True, help="No page and no pictures: half of the time, for programs.")
@@ -176,6 +196,7 @@ def diagnose(
     machine: str | None,
     map_name: str,
     out: Path,
+    effects: Path | None,
     most: int,
     temperature: str | None,
     no_report: bool,
@@ -187,6 +208,9 @@ def diagnose(
     --out gets diagnosis.json, report.html, pictures, and model/ where an effect was named: an ordinary model that can
     be verified, promoted and diagnosed again. Nothing is named that chance, moved parameters or a rough plant could
     make: the verdict may be "agree", "unexplained" or "too-little-data". The exit code is 0 whatever the verdict.
+
+    What has no name gets laws to look at; `decanter diagnose adopt OUT --name NAME --effects FILE` makes one of them an
+    effect of your own, and --effects FILE has such effects named too.
     """
     sources = (*paths, *more)
     if bool(sources) == (historian is not None):
@@ -204,6 +228,7 @@ def diagnose(
             created=time.time(),
             temperature=temperature,
             report=not no_report,
+            lines=() if effects is None else read_effect_lines(effects),
         )
         report("reading", 0.0)
         # The model before the traces: it is refused in a moment, and a historian of weeks takes its time.
@@ -230,6 +255,8 @@ def show(result: DiagnosisResult, out: Path) -> None:
     click.echo(f"{diagnosis.verdict}: {diagnosis.sentence}")
     for reason in diagnosis.reasons:
         click.echo(f"  {reason}")
+    for look in look_at(diagnosis):
+        click.echo(f"look at {look}")
     if diagnosis.places:
         rows = [
             [
@@ -246,6 +273,10 @@ def show(result: DiagnosisResult, out: Path) -> None:
         ]
         columns = ("location", "after", "seconds", "share", f"heat ({unit}/h)", "cycles", "p", "goes with")
         table("where the unexplained heat is", columns, rows)
+        if overlap := overlap_sentence(diagnosis.places[:5]):
+            click.echo(overlap)
+    for number, law in enumerate(diagnosis.laws, start=1):
+        click.echo(f"law {number}, {law_sentence(law)}")
     if diagnosis.effects:
         rows = [
             [effect.name, ", ".join(effect.members), effect.confidence, effect.gain, dict(effect.params)]
@@ -264,8 +295,9 @@ def show(result: DiagnosisResult, out: Path) -> None:
     if held is not None:
         errors = f"{held.rmse_before:.3f} {unit}"
         if diagnosis.effects:
-            low, high = held.ci95
             errors += f" before, {held.rmse_after:.3f} {unit} after"
+        if held.excess_removed is not None and held.ci95 is not None:
+            low, high = held.ci95
             errors += f"; {held.excess_removed:.0%} of the excess removed ({low:.0%} to {high:.0%})"
         click.echo(
             f"held out: {held.cycles} cycles, free-run error {errors}; noise floor {held.noise_floor:.3f} {unit}"

@@ -86,6 +86,7 @@ def summary(shown: Model) -> dict[str, Any]:
                 "signals": dict(effect.signals),
                 "locations": list(effect.locations),
                 "event": effect.event,
+                **({"heat": effect.line.heat} if effect.line is not None else {}),
             }
             for effect in shown.sha.effects
         ],

@@ -9,6 +9,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from math import isinf
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING
@@ -20,6 +21,7 @@ from gateway.machine.alarm_desk import AlarmDesk
 from gateway.machine.alarms import (
     CERTIFICATE,
     CLOCK,
+    CLOCK_SYNC,
     DEVICE,
     DISK,
     INPUTS,
@@ -267,6 +269,9 @@ class Machine:
             free, days = self.surroundings.free_mb, self.surroundings.days
             findings[DISK] = None if free is None else self.config.alarms.disk_mb - free
             findings[CERTIFICATE] = None if days is None else -days
+            # A replay's clock is nobody's to steer.
+            error = self.surroundings.clock_error if self.clock.speed == 1.0 else None
+            findings[CLOCK_SYNC] = None if error is None else float(isinf(error))
             self.alarms.on_predictions(scan, findings)
             await self._disarm_without_records(scan.time)
 

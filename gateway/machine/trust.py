@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from drivers.supervision import Supervisor
 from gateway.certificates import days_left
+from gateway.clock_sync import clock_error
 from gateway.store import HistorianView
 
 if TYPE_CHECKING:
@@ -94,15 +95,18 @@ class ClockCheck:
 
 
 class Surroundings:
-    """The room that is left beside the `records`, and the days until one of the certificates in `folders` runs out.
+    """The room that is left beside the `records`, the days until one of the certificates in `folders` runs out, and how
+    far the clock may be from UTC (`clock_error`, s; infinite where no time server steers it).
 
-    `free_mb` and `days` are None while they are not known. Looking takes a thread: a disk may be a share that hangs.
+    `free_mb`, `days` and `clock_error` are None while they are not known. Looking takes a thread: a disk may be a share
+    that hangs.
     """
 
     def __init__(self, records: Path, folders: Sequence[Path], supervisor: Supervisor) -> None:
         self._records, self._folders, self._supervisor = records, tuple(folders), supervisor
         self.free_mb: float | None = None
         self.days: float | None = None
+        self.clock_error: float | None = None
         self._due = 0.0
         self._looking: asyncio.Task[None] | None = None
 
@@ -120,6 +124,7 @@ class Surroundings:
             self.free_mb = disk_usage(self._records.parent).free / 1e6
         except OSError:
             self.free_mb = None
+        self.clock_error = clock_error()
         self.days = min((left for folder in self._folders for left in days_left(folder, now)), default=None)
 
     async def close(self) -> None:

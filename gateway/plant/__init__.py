@@ -7,9 +7,33 @@ from sim.doors import opened_at_use
 if TYPE_CHECKING:
     from gateway.plant.allocator import keep_freed_memory
     from gateway.plant.app import serve
+    from gateway.plant.configurations import (
+        FOLDER,
+        KeptConfiguration,
+        configuration_files,
+        differences,
+        history_folder,
+        keep_files,
+        kept_configurations,
+        without_arming,
+    )
     from gateway.plant.device import link_driver, make_driver
     from gateway.plant.log import open_log
 else:
     __getattr__ = opened_at_use(__name__)
 
-__all__ = ["keep_freed_memory", "link_driver", "make_driver", "open_log", "serve"]
+__all__ = [
+    "FOLDER",
+    "KeptConfiguration",
+    "configuration_files",
+    "differences",
+    "history_folder",
+    "keep_files",
+    "keep_freed_memory",
+    "kept_configurations",
+    "link_driver",
+    "make_driver",
+    "open_log",
+    "serve",
+    "without_arming",
+]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import signal
 import sys
 from collections.abc import AsyncIterator, Callable, Sequence
@@ -16,14 +17,17 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.driver import Driver
 from gateway.machine.reading import Clock, PlantClock, plant_clock
+from gateway.machine.writing import SIGN_SECONDS
+from gateway.plant.configurations import keep_configuration
 from gateway.plant.control import Control
 from gateway.plant.fleet import SWITCH_SECONDS, Fleet
 from gateway.plant.log import log_file, open_log
 from gateway.plant.log_file import LogFile
+from gateway.plant.service import ServiceManager, service_manager
 from gateway.plant.status import write_status
 from gateway.plant.worker_pool import WorkerPool
 from gateway.serving import PeerServer
-from gateway.settings import Config, load_plant
+from gateway.settings import Config, NorthboundSecrets, load_plant
 from gateway.status import SAID_BY_CHANGES, ChangeLines, ControlError, GatewayStatus, opening
 
 if TYPE_CHECKING:
@@ -49,6 +53,8 @@ async def run(
     say: Callable[[str], None] | None = None,
     read_anew: Callable[[], Sequence[Config]] | None = None,
     hangup: asyncio.Event | None = None,
+    own_process: bool = False,
+    service: ServiceManager | None = None,
 ) -> dict[str, Any]:
     """Run the machines of `configs` until `stop` is set; gives the last status, of several machines one by name each.
 
@@ -58,7 +64,8 @@ async def run(
     configured ones unless given, as is the `log`, with its `file`; `rng` draws this start's numbers as a writer, by
     default from the system's randomness. `say` takes the lines for a person: three for each machine to begin with, then
     one for each change of state. `read_anew` gives the configurations as they are in the file by then, for `reload`,
-    which `hangup` asks for too.
+    which `hangup` asks for too. In an `own_process` what is loaded by the start is never looked through for garbage.
+    `service` hears when it is ready and when it stops, and its watchdog is fed by scans.
 
     Raises ConfigError or HistorianError, before anything runs, for what cannot be opened.
     """
@@ -70,6 +77,7 @@ async def run(
             log = opened.enter_context(open_log(file, configs[0].log.level))
         if configs[0].page.enabled:
             _check_page(configs[0])
+        secrets = _checked_northbound(configs[0])
         log_failure: Callable[[], str] = (lambda: "") if file is None else file.complaint
         fleet: Fleet | WorkerPool
         watched = status_path is not None or say is not None or configs[0].page.enabled
@@ -95,6 +103,7 @@ async def run(
                 read_anew=read_anew,
             )
             fleet.start(stop)
+        fleet.on_taken_over = partial(_kept, fleet, "reload")
         reporter = fleet.supervisor.task("status", lambda: _report(fleet, status_path, say))
         opened.enter_context(fleet.supervisor.hearing_all())
         control = Control(fleet, configs[0].control_socket, log)
@@ -106,9 +115,22 @@ async def run(
         if hangup is not None:
             serving.add(fleet.supervisor.task("hangup", partial(_reloaded_at, hangup, fleet)))
         try:
-            async with _page(configs, fleet) if configs[0].page.enabled else nullcontext():
+            await asyncio.to_thread(_kept, fleet, "start", configs)
+            async with (
+                _page(configs, fleet) if configs[0].page.enabled else nullcontext(),
+                nullcontext() if secrets is None else _northbound(configs[0], secrets, fleet),
+            ):
+                if own_process:
+                    # A full collection looks through everything that lives, and holds up every thread meanwhile: with
+                    # all libraries and models it took longer than a scan, each time a feed had handed on some rows.
+                    gc.freeze()
+                if service is not None:
+                    service.tell(f"READY=1\nSTATUS=reading {', '.join(config.machine for config in configs)}")
+                    serving.add(fleet.supervisor.task("watchdog", partial(service.watch, fleet)))
                 await stop.wait()
         finally:
+            if service is not None:
+                service.tell("STOPPING=1\nSTATUS=stopping")
             fleet.stopping()
             for task in serving:
                 task.cancel()
@@ -135,6 +157,14 @@ async def _opened(pool: WorkerPool, stop: asyncio.Event) -> bool:
     return begun
 
 
+def _kept(fleet: Fleet | WorkerPool, note: str, configs: Sequence[Config]) -> None:
+    """Keep the configuration that was taken over; a gateway that cannot keep it runs all the same."""
+    try:
+        keep_configuration(configs, now=fleet.clock.now(), note=note)
+    except (OSError, ValueError) as error:
+        fleet.log.warning("the configuration could not be kept for the history", reason=str(error))
+
+
 def _check_page(config: Config) -> None:
     """Raises ConfigError, before anything runs, where the page may not be served as it is configured."""
     # Here and below: a gateway without the page loads nothing of it.
@@ -153,15 +183,55 @@ async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIt
         raise RuntimeError("the page is enabled, and the audit log was not opened")
     page = PageServer(configs, answer=fleet.answer, audit=trail.audit, now=fleet.clock.now, log=fleet.log)
 
+    async def witness() -> None:
+        # A gateway that writes no blocks signs no heads, and what people do is to be witnessed all the same.
+        while True:
+            await asyncio.to_thread(trail.witnessing.sign, fleet.clock.now())
+            await asyncio.sleep(SIGN_SECONDS)
+
     fleet.on_scan = page.note_scan
     feed = fleet.supervisor.task("page feed", partial(page.feed, fleet.pictures))
+    signing = fleet.supervisor.task("page witness", witness)
     thread = fleet.supervisor.thread("page", page.run, stop=page.stop)
     try:
         yield
     finally:
         feed.cancel()
+        signing.cancel()
         page.close()
         await asyncio.to_thread(thread.join, PAGE_STOP_SECONDS)
+
+
+def _checked_northbound(config: Config) -> NorthboundSecrets | None:
+    """The secrets for those who are told what is on record; None where nobody is. Raises ConfigError."""
+    if not config.northbound.enabled:
+        return None
+    # Here and below: a gateway that tells nobody loads nothing of it.
+    from gateway.northbound import check_northbound
+
+    return check_northbound(config)
+
+
+@asynccontextmanager
+async def _northbound(config: Config, secrets: NorthboundSecrets, fleet: Fleet | WorkerPool) -> AsyncIterator[None]:
+    """Tell others meanwhile what is on record, each in a thread of its own."""
+    from gateway.northbound import Northbound
+
+    northbound = Northbound(
+        config,
+        secrets,
+        machines=lambda: fleet.configs,
+        historian=fleet.records.historian,
+        pictures=fleet.pictures,
+        answer=fleet.answer,
+        now=fleet.clock.now,
+        supervisor=fleet.supervisor,
+        log=fleet.log,
+    )
+    try:
+        yield
+    finally:
+        await asyncio.to_thread(northbound.close)
 
 
 async def _reloaded_at(hangup: asyncio.Event, fleet: Fleet | WorkerPool) -> None:
@@ -264,6 +334,8 @@ def serve(
             say=say,
             read_anew=read_anew,
             hangup=hangup,
+            own_process=True,
+            service=service_manager(),
         )
 
     file = _log_file(configs[0])

@@ -24,6 +24,7 @@ from gateway.machine.reading import Clock, QualityRules, Scan, scans
 from gateway.notify import Notifier, attach_machine, make_senders
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
+from gateway.plant.service import ScanProgress
 from gateway.plant.status import snapshot
 from gateway.serving import DeviceImage
 from gateway.settings import Config, changed_machines, load_plant, load_secrets
@@ -46,7 +47,7 @@ class Fleet:
     """The machines of a running gateway, by name in the order of the file; `start` it within a running loop.
 
     `images` are what peers are shown of them, by their unit numbers; `on_scan` is told the name of each machine that
-    was scanned, when all of its stages are done.
+    was scanned, when all of its stages are done, `on_taken_over` (in a thread) the configurations after a reload.
 
     Raises ConfigError, HistorianError or AuditError for what cannot be opened; nothing is left open then. `driver` is
     used for the first machine, by default all have those of their configurations. `read_anew` gives the configurations
@@ -72,6 +73,7 @@ class Fleet:
         self._read_anew = read_anew or partial(load_plant, configs[0].path)
         self._reloading, self._turns = asyncio.Lock(), asyncio.Semaphore(FORECASTS_AT_ONCE)
         self.on_scan: Callable[[str], None] = lambda machine: None
+        self.on_taken_over: Callable[[Sequence[Config]], None] = lambda configs: None
         self.supervisor = Supervisor(self._note_failure)
         self.machines: dict[str, Machine] = {}
         self._running: dict[str, _Running] = {}
@@ -173,6 +175,7 @@ class Fleet:
                 await self.take_over(list(changes), configs, models)
                 if changes:
                     self.log.warning("the plant file was read anew", machines=", ".join(changes))
+                    await asyncio.to_thread(self.on_taken_over, list(configs.values()))
             return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}
 
     async def examine(self, configs: Sequence[Config]) -> dict[str, Sequence[LoadedModels]]:
@@ -228,9 +231,25 @@ class Fleet:
             return
 
     @property
+    def configs(self) -> dict[str, Config]:
+        """The machines' configurations, by their names."""
+        return {name: machine.config for name, machine in self.machines.copy().items()}
+
+    @property
     def several(self) -> bool:
         """Whether the plant file has [[machine]] tables."""
         return any(machine.config.several for machine in self.machines.values())
+
+    def progress(self) -> dict[str, ScanProgress]:
+        """How far each machine that is to be read has come, by its name; none that is being stopped."""
+        failures = {name: machine.counters.failures for name, machine in self.machines.items()}
+        return {name: ScanProgress(one.completed, failures.get(name, 0)) for name, one in self._running.items()}
+
+    @property
+    def longest_period(self) -> float:
+        """The longest time from one scan of a machine to the next (real s)."""
+        periods = [machine.config.scan.period for machine in self.machines.values()]
+        return max(periods, default=0.0) / self.clock.speed
 
     def statuses(self) -> dict[str, GatewayStatus]:
         """How all machines are, by their names."""
@@ -280,7 +299,8 @@ class Fleet:
 class _Running:
     """A machine that is being read, from its making until `stop`; the first scan comes after `pause` (plant s).
 
-    No scan begins once the whole `gateway` is to stop; what has to be done then `stop` does.
+    No scan begins once the whole `gateway` is to stop; what has to be done then `stop` does. `completed` counts the
+    scans whose stages are all done.
     """
 
     def __init__(
@@ -293,6 +313,7 @@ class _Running:
         pause: float = 0.0,
     ) -> None:
         self._machine, self._show, self._taken, self._pause = machine, show, taken, pause
+        self.completed = 0
         self._stop, self._over = _Stop(gateway), asyncio.Event()
         tasks = {"scans": self._scan_until_stopped, "stop": self._stop.follow}
         self._tasks = {machine.supervisor.task(name, work) for name, work in tasks.items()}
@@ -357,6 +378,7 @@ class _Running:
                         if self._show is not None:
                             self._show(scan)
                         await machine.take(scan)
+                        self.completed += 1
                         self._taken(config.machine)
             except Exception as error:  # noqa: BLE001 - the supervisor's part for the scans: it is said, and begun anew
                 machine.supervisor.failed("scans", error)

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import asdict, fields
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ def snapshot(machine: Machine) -> GatewayStatus:
     # A device that takes several ticks to answer is late only by as many of its own scans.
     silence, interval = (now - last.time, (1 + last.missed) * config.scan.period) if last else (0.0, config.scan.period)
     tags, samples = config.map.by_name, last.samples if last else {}
+    error = machine.surroundings.clock_error
     first, *further = (_temperature(machine, one, now) for one in machine.followed)
     return GatewayStatus(
         machine=config.machine,
@@ -90,7 +92,11 @@ def snapshot(machine: Machine) -> GatewayStatus:
             complaint=historian.complaint,
         ),
         parts=machine.supervisor.report(),
-        clock={"believed": not machine.clock_complaint, "complaint": machine.clock_complaint},
+        clock={
+            "believed": not machine.clock_complaint,
+            "complaint": machine.clock_complaint,
+            "synchronised": None if error is None else isfinite(error),
+        },
         driver=dict(machine.driver.statistics()),
         complaints=list(machine.complaints()),
         failures=counters.failures,

@@ -7,6 +7,7 @@ of a socket pair. It ends when it is told to, or with its supervisor.
 from __future__ import annotations
 
 import asyncio
+import gc
 import signal
 import socket
 import sys
@@ -80,6 +81,7 @@ async def _work(sock: socket.socket) -> None:
                 machine.supervisor.failed("process", RuntimeError(begin["former"]))
         fleet.start(work.stop)
         serving = fleet.supervisor.task("requests", partial(work.serve, requests))
+        gc.freeze()  # as in `gateway.plant.app.run`
         channel.ask("ready")
         await work.stop.wait()
         fleet.stopping()
@@ -139,7 +141,8 @@ class _Requests:
 
     def _plain_statuses(self) -> Message:
         plain: dict[str, Any] = strict({name: snapshot(one) for name, one in self._fleet.machines.items()})
-        return {"statuses": plain}
+        progress = {name: (one.completed, one.restarts) for name, one in self._fleet.progress().items()}
+        return {"statuses": plain, "progress": progress}
 
     async def _examine(self, message: Message) -> Message:
         """What keeps machines from being begun as they are in these configurations; their models are kept for it."""

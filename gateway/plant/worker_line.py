@@ -12,6 +12,7 @@ from typing import Any
 
 from drivers.settings import ConfigError
 from gateway.plant.channel import Message, packed_line
+from gateway.plant.service import ScanProgress
 
 
 class WorkerEnded(RuntimeError):
@@ -67,6 +68,7 @@ class PlantWorker:
         self.number, self.name = number, f"worker {number + 1}"
         self.task: asyncio.Task[None] | None = None
         self.pictures: dict[str, dict[str, Any]] = {}
+        self.progress: dict[str, ScanProgress] = {}
         self.seen = monotonic()
         self.former = self.refusal = ""
         self.retired = self.is_opened = False
@@ -88,6 +90,7 @@ class PlantWorker:
     def ended(self, error: WorkerEnded) -> None:
         """The process has ended."""
         self.is_ready.clear()
+        self.progress = {}
         self.is_opened, self.former = False, str(error)
         if self._line is not None:
             self._line.ended(error)

@@ -33,6 +33,7 @@ from gateway.machine.writing import ArmingError, AuditTrail, disarm_in_log
 from gateway.plant.channel import Message, plain_rows, scan_from
 from gateway.plant.control import COMMANDS, ControlScope, answer, disarm_words, meant_machine
 from gateway.plant.log import log_again
+from gateway.plant.service import ScanProgress
 from gateway.plant.split import split_over
 from gateway.plant.status import snapshot
 from gateway.plant.worker_line import PlantWorker, WorkerEnded, WorkerLine
@@ -69,9 +70,10 @@ def _ours(reply: Message) -> dict[str, Any]:
 class WorkerPool:
     """The machines of a plant in worker processes: what a `Fleet` is in one.
 
-    `look_seconds` is how often it is looked how the machines are, and `on_scan` is told the name of each machine that
-    was looked at. `images` are what peers are shown of them, by their unit numbers. `open` begins them, `stop` ends
-    them. Raises ConfigError for what cannot be shown to peers.
+    `look_seconds` is how often it is looked how the machines are, `on_scan` is told the name of each machine that was
+    looked at, and `on_taken_over` (in a thread) the configurations after a reload. `images` are what peers are shown
+    of them, by their unit numbers. `open` begins them, `stop` ends them. Raises ConfigError for what cannot be shown to
+    peers.
     """
 
     several = True
@@ -98,6 +100,7 @@ class WorkerPool:
         self._records_open, self._trail, self._reloading = asyncio.Event(), asyncio.Lock(), asyncio.Lock()
         self._stopping = False
         self.on_scan: Callable[[str], None] = lambda machine: None
+        self.on_taken_over: Callable[[Sequence[Config]], None] = lambda configs: None
         self._asked: Mapping[str, Callable[[PlantWorker, Message], Awaitable[Message]]] = {
             "begin": self._on_begin,
             "refused": self._on_refused,
@@ -183,6 +186,11 @@ class WorkerPool:
                 self.records.historian.of(config.machine, config.map.tags, row.tag)
 
     @property
+    def configs(self) -> dict[str, Config]:
+        """The machines' configurations, by their names."""
+        return self._configs
+
+    @property
     def records(self) -> PlantRecords:
         """The stores. Raises HistorianError before they are open."""
         if self._records is None:
@@ -250,7 +258,9 @@ class WorkerPool:
         """See how the machines are, again and again. Raises TimeoutError when nothing is said for HANG_SECONDS."""
         await worker.is_ready.wait()
         while not worker.retired:
-            worker.see((await line.ask("statuses", timeout=HANG_SECONDS))["statuses"])
+            reply = await line.ask("statuses", timeout=HANG_SECONDS)
+            worker.see(reply["statuses"])
+            worker.progress = {name: ScanProgress(*counts) for name, counts in reply["progress"].items()}
             for name in worker.pictures:
                 self.on_scan(name)
             await asyncio.sleep(self._look_seconds)
@@ -378,6 +388,23 @@ class WorkerPool:
         }
 
     # ---------------------------------------------------------------- status and commands
+
+    def progress(self) -> dict[str, ScanProgress]:
+        """How far each machine that is to be read has come, by its name, as its process has said last."""
+        found, parts = {}, self.supervisor.parts()
+        for name in self._configs:
+            worker = self._worker_of(name)
+            if worker is None or worker.retired or (worker.ready and name not in worker.progress):
+                continue  # it is being stopped
+            # While its process is begun anew a machine completes nothing, and each attempt counts as a restart.
+            own = worker.progress.get(name, ScanProgress())
+            found[name] = ScanProgress(own.completed, own.restarts + parts[worker.name].restarts)
+        return found
+
+    @property
+    def longest_period(self) -> float:
+        """The longest time from one scan of a machine to the next (real s)."""
+        return max(config.scan.period for config in self._configs.values()) / self.clock.speed
 
     def statuses(self) -> dict[str, GatewayStatus]:
         """How all machines are, by their names, as far as anything is known of them."""
@@ -525,6 +552,7 @@ class WorkerPool:
                 self.images |= {config.serve.unit: image for config, image in images}
                 await self._take_over(list(changes), configs, places)
                 self.log.warning("the plant file was read anew", machines=", ".join(changes))
+                await asyncio.to_thread(self.on_taken_over, list(configs.values()))
             return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}
 
     async def _take_over(self, names: Sequence[str], configs: Mapping[str, Config], places: Mapping[str, int]) -> None:

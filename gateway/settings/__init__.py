@@ -20,6 +20,15 @@ from gateway.settings.config import (
 )
 from gateway.settings.devices import BLOCK_FIELDS, DeviceMap, WritebackLayout, load_device
 from gateway.settings.links import DeviceLink
+from gateway.settings.northbound import (
+    InfluxRow,
+    MetricsSection,
+    MqttRow,
+    NorthboundSecrets,
+    NorthboundSection,
+    PostgresRow,
+    load_northbound_secrets,
+)
 from gateway.settings.notify import (
     FROM_SECRETS,
     NotifySecrets,
@@ -42,11 +51,17 @@ __all__ = [
     "EnsembleSection",
     "ForecastSection",
     "HistorianSection",
+    "InfluxRow",
     "LogSection",
+    "MetricsSection",
     "ModelSection",
+    "MqttRow",
+    "NorthboundSecrets",
+    "NorthboundSection",
     "NotifySecrets",
     "NotifySection",
     "PageSection",
+    "PostgresRow",
     "RecipientRow",
     "SmtpSection",
     "WritebackLayout",
@@ -56,6 +71,7 @@ __all__ = [
     "configs_to_json",
     "load_config",
     "load_device",
+    "load_northbound_secrets",
     "load_plant",
     "load_secrets",
     "settings_of",

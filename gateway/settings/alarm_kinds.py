@@ -147,6 +147,13 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         response="the clock has jumped: set it and start the gateway anew; nothing is deleted by age meanwhile",
         consequence="times in the records are wrong",
     ),
+    "clock not steered": AlarmKind(
+        subject="machine", priority=4, on_delay=3600.0,
+        watches="whether a time server steers this computer's clock, by the kernel's own account",
+        response="no time server steers the clock: see timedatectl, and have NTP set up; where there shall be none, "
+        "switch this alarm off",
+        consequence="the clock drifts by seconds a day, and times of this gateway and of others cannot be compared",
+    ),
     "disk": AlarmKind(
         subject="machine",
         watches="the room that is left where the records lie, against `alarms.disk_mb`",

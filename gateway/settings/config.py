@@ -19,6 +19,7 @@ from drivers.settings import ConfigError, Line, Section, checked, read_toml
 from gateway.settings.alarm_kinds import AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
+from gateway.settings.northbound import NorthboundSection
 from gateway.settings.notify import NotifySection
 
 Names = Annotated[tuple[str, ...], Field(strict=False)]
@@ -329,6 +330,7 @@ class _PlantFile(Section):
         (), max_length=1000, description="[[alarm]] tables, each with the name of a kind of alarm"
     )
     notify: NotifySection = Field(default_factory=NotifySection, description="a [notify] table")
+    northbound: NorthboundSection = Field(default_factory=NorthboundSection, description="a [northbound] table")
     historian: HistorianSection = Field(default_factory=HistorianSection, description="a [historian] table")
     log: LogSection = Field(default_factory=LogSection, description="a [log] table")
     forecast: ForecastSection = Field(default_factory=ForecastSection, description="a [forecast] table")
@@ -340,7 +342,7 @@ class _PlantFile(Section):
     page: PageSection = Field(default_factory=PageSection, description="a [page] table")
 
 
-COMMON = ("historian", "log", "control", "notify", "plant", "page")
+COMMON = ("historian", "log", "control", "notify", "northbound", "plant", "page")
 """Sections of the whole gateway: no machine has one of its own."""
 COMMON_KEYS = {
     "clock": ("speed",),
@@ -371,6 +373,7 @@ class Config:
     alarms: AlarmSection
     alarm: tuple[AlarmRow, ...]
     notify: NotifySection
+    northbound: NorthboundSection
     historian: HistorianSection
     log: LogSection
     forecast: ForecastSection
@@ -656,6 +659,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         alarms=content.alarms,
         alarm=content.alarm,
         notify=_notify(content.notify, home),
+        northbound=_northbound(content.northbound, home),
         historian=historian,
         log=log,
         forecast=content.forecast,
@@ -680,6 +684,24 @@ def _notify(section: NotifySection, home: Path) -> NotifySection:
     """The section with its paths made complete."""
     smtp = section.smtp and section.smtp.model_copy(update={"ca": section.smtp.ca and home / section.smtp.ca})
     return section.model_copy(update={"secrets": section.secrets and home / section.secrets, "smtp": smtp})
+
+
+def _northbound(section: NorthboundSection, home: Path) -> NorthboundSection:
+    """The section with its paths made complete."""
+    rows = {
+        kind: tuple(
+            row.model_copy(
+                update={
+                    key: (given := getattr(row, key)) and home / given
+                    for key in ("ca", "certificate", "key")
+                    if hasattr(row, key)
+                }
+            )
+            for row in getattr(section, kind)
+        )
+        for kind in ("mqtt", "postgres", "influx")
+    }
+    return section.model_copy(update={"secrets": section.secrets and home / section.secrets, **rows})
 
 
 def _historian_file(section: HistorianSection, home: Path) -> Path:

@@ -1,6 +1,5 @@
 """`[notify]`: who is told of alarms, by mail or web hook, after which time and of which urgency."""
 
-import stat
 from collections.abc import Mapping
 from ipaddress import ip_address
 from typing import Annotated, Literal
@@ -8,9 +7,10 @@ from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
 
-from drivers.settings import ConfigError, Line, Section, checked, read_toml
+from drivers.settings import ConfigError, Line, Section
 from gateway.settings.alarm_kinds import LEAST_URGENT, Priority
 from gateway.settings.links import FilePath
+from gateway.settings.secrets import read_secrets
 
 LONGEST_ESCALATION = 1440.0
 FROM_SECRETS = "secret"
@@ -116,20 +116,7 @@ def load_secrets(section: NotifySection) -> NotifySecrets:
     path = section.secrets
     if path is None:
         return NotifySecrets()
-    try:
-        mode = path.stat().st_mode
-    except OSError as error:
-        raise ConfigError(
-            [f"{path}: cannot be read ({error.strerror}); make the file of secrets, with mode 600"]
-        ) from None
-    if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise ConfigError([f"{path}: others may read the secrets (mode {mode & 0o777:o}); chmod 600 {path}"])
-    try:
-        found = checked(NotifySecrets, read_toml(path), path)
-    except ConfigError as error:
-        # A sentence quotes the value that is wrong: of a secret only the place is said.
-        places = [problem.partition(", got ")[0].partition(" (at line")[0] for problem in error.problems]
-        raise ConfigError([f"{place}; see docs/alarms.md for what it may hold" for place in places]) from None
+    found = read_secrets(NotifySecrets, path, page="docs/alarms.md")
     problems = []
     if section.smtp is not None and section.smtp.user is not None and not found.smtp_password:
         problems.append(f"{path}: smtp_password: is missing; add the password of {section.smtp.user!r}")

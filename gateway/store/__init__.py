@@ -45,6 +45,19 @@ if TYPE_CHECKING:
     from gateway.store.confirming import confirmation
     from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
     from gateway.store.files import HistorianError
+    from gateway.store.follow import (
+        FOLLOWABLE,
+        FollowedRow,
+        FollowedRows,
+        RowPosition,
+        RowStream,
+        newest_position,
+        newest_rows,
+        position_at,
+        row_streams,
+        rows_after,
+        rows_between,
+    )
     from gateway.store.historian import Historian, HistorianView, open_historian, saved_state
     from gateway.store.numbers import Source
     from gateway.store.queues import Batch, LostRows, Row
@@ -55,6 +68,7 @@ if TYPE_CHECKING:
         matured,
         moment_of,
         newest_scan,
+        oldest_scan,
         reading,
         recent,
         samples,
@@ -65,6 +79,7 @@ if TYPE_CHECKING:
     from gateway.store.schema import storable
     from gateway.store.score import percentile, scorecard, warning_score
     from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
+    from gateway.store.tables import TABLE_COLUMNS, Cells, TableColumn, cells_of
     from gateway.store.witness import (
         HEAD_EVENT,
         HEAD_STATE,
@@ -88,8 +103,10 @@ __all__ = [
     "CONFIRMED",
     "DISARMED",
     "EXPIRED",
+    "FOLLOWABLE",
     "HEAD_EVENT",
     "HEAD_STATE",
+    "TABLE_COLUMNS",
     "Audit",
     "AuditColumns",
     "AuditEntry",
@@ -98,6 +115,9 @@ __all__ = [
     "AuditVerdict",
     "BackupError",
     "Batch",
+    "Cells",
+    "FollowedRow",
+    "FollowedRows",
     "HeadSink",
     "Historian",
     "HistorianError",
@@ -105,9 +125,12 @@ __all__ = [
     "LostRows",
     "Manifest",
     "Row",
+    "RowPosition",
+    "RowStream",
     "SignedHead",
     "SigningKeyError",
     "Source",
+    "TableColumn",
     "Uptime",
     "WitnessPlaces",
     "acknowledgement",
@@ -115,6 +138,7 @@ __all__ = [
     "armings",
     "as_one_file",
     "cancelling",
+    "cells_of",
     "confirmation",
     "discard",
     "end_of",
@@ -131,20 +155,27 @@ __all__ = [
     "make_backup",
     "matured",
     "moment_of",
+    "newest_position",
+    "newest_rows",
     "newest_scan",
     "numbered_files",
+    "oldest_scan",
     "open_audit",
     "open_historian",
     "open_or_set_aside",
     "over",
     "percentile",
     "places_beside",
+    "position_at",
     "public_path",
     "put_in_place",
     "read",
     "read_manifest",
     "reading",
     "recent",
+    "row_streams",
+    "rows_after",
+    "rows_between",
     "samples",
     "saved_state",
     "scorecard",

@@ -51,7 +51,8 @@ class Backed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
-    """What a backup holds. `audit_head` is the newest hash of the audit log in it ("" without one)."""
+    """What a backup holds. `audit_head` is the newest hash of the audit log in it ("" without one); `note` is of who
+    made it ("" for none)."""
 
     made: float
     program: str
@@ -59,9 +60,12 @@ class Manifest:
     audit_rows: int
     audit_head: str
     files: tuple[Backed, ...]
+    note: str = ""
 
 
-def make_backup(folder: Path, sources: Sequence[tuple[str, Path]], *, now: float, program: str) -> Manifest:
+def make_backup(
+    folder: Path, sources: Sequence[tuple[str, Path]], *, now: float, program: str, note: str = ""
+) -> Manifest:
     """Copy the sources (role, file), in their order, into a new folder; the audit log has to be the last.
 
     Raises BackupError, also for an audit log whose chain is broken, and OSError; nothing is left at `folder` then.
@@ -102,9 +106,11 @@ def make_backup(folder: Path, sources: Sequence[tuple[str, Path]], *, now: float
             )
         sync_folder(draft / "files")
         manifest = Manifest(
-            made=now, program=program, layouts=layouts, audit_rows=rows, audit_head=head, files=tuple(files)
+            made=now, program=program, layouts=layouts, audit_rows=rows, audit_head=head, files=tuple(files), note=note
         )
         content = {"format": FORMAT, **asdict(manifest)}
+        if not note:  # a key that former programs do not know
+            del content["note"]
         write_durably(draft / MANIFEST, json.dumps({**content, "seal": _seal(content)}, indent=1).encode())
         if folder.exists():
             folder.rmdir()
@@ -144,7 +150,8 @@ def read_manifest(folder: Path) -> Manifest:
         manifest = Manifest(**{**content, "files": tuple(Backed(**file) for file in content["files"])})
         numbers = [manifest.made, *manifest.layouts.values()]
         numbers += [number for file in manifest.files for number in (file.size, file.mode, file.time)]
-        texts = [text for file in manifest.files for text in (file.role, file.stored, file.original, file.sha256)]
+        texts = [manifest.note]
+        texts += [text for file in manifest.files for text in (file.role, file.stored, file.original, file.sha256)]
         if not (all(isinstance(n, int | float) for n in numbers) and all(isinstance(text, str) for text in texts)):
             raise TypeError
     except (ValueError, TypeError, KeyError, AttributeError):

@@ -210,7 +210,7 @@ def _rows(
     places = [NAMES[table].index(name) for name in names]
     rows: list[tuple[Any, ...]] = []
     # One moment for both places: a row that is packed meanwhile would be seen twice or not at all.
-    with _one_moment(connection):
+    with one_moment(connection):
         for source in whose.of(table):
             for _, columns in _chunks(connection, table, source, start, end):
                 picked = zip(*(columns[place] for place in places), strict=True)
@@ -248,8 +248,24 @@ def newest_scan(connection: sqlite3.Connection, *, machine: str | None = None) -
     return float(row[0]) if row else None
 
 
+def oldest_scan(connection: sqlite3.Connection, *, machine: str | None = None) -> float | None:
+    """The earliest time (s UTC) of a scan that is still there; None without one. No scan is read for it.
+
+    Raises HistorianError.
+    """
+    whose = selected(connection, machine)
+    condition, values = whose.where("scans")
+    with one_moment(connection):
+        query = f"SELECT min(time) FROM scans WHERE {condition}"  # noqa: S608
+        found = [connection.execute(query, values).fetchone()[0]]
+        if whose.layout >= 2:
+            query = "SELECT min(first) FROM chunks WHERE kind = 'scans' AND tag = ?"
+            found += [connection.execute(query, (source,)).fetchone()[0] for source in whose.of("scans")]
+    return min((float(time) for time in found if time is not None), default=None)
+
+
 @contextmanager
-def _one_moment(connection: sqlite3.Connection) -> Iterator[None]:
+def one_moment(connection: sqlite3.Connection) -> Iterator[None]:
     """A transaction that reads, unless there is one: all of it sees the file as it was at its beginning."""
     if connection.in_transaction:
         yield
@@ -381,7 +397,7 @@ def samples(
         for number, name in whose.tags(connection):
             if tag not in (None, name):
                 continue
-            with _one_moment(connection):
+            with one_moment(connection):
                 rows = _SampleReader(connection, whose).rows(number, start, end)
             for time, value, quality, sent in rows:
                 yield Sample(name, restored(value), Quality(quality), time, sent)
@@ -465,7 +481,7 @@ def trend(
         width = next((one for one in TIERS if (end - start) / one <= MOST_STRETCHES), TIERS[-1])
     if width not in TIERS:
         raise ValueError(f"there is no tier of {width} s; give one of {', '.join(map(str, TIERS))}")
-    with reading(path) as connection, _one_moment(connection):
+    with reading(path) as connection, one_moment(connection):
         whose = selected(connection, machine)
         found = {name: place for place, name in whose.tags(connection)}.get(tag)
         if found is None:

@@ -10,6 +10,7 @@ from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
     from gateway.web.access import AccountsError, read_accounts
+    from gateway.web.box import box_facts
     from gateway.web.server import PageServer, check_page
     from gateway.web.texts import LANGUAGES, Words, all_words
     from gateway.web.views import machine_view
@@ -22,6 +23,7 @@ __all__ = [
     "PageServer",
     "Words",
     "all_words",
+    "box_facts",
     "check_page",
     "machine_view",
     "read_accounts",

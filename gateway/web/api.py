@@ -8,6 +8,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
+from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
@@ -21,6 +22,7 @@ from gateway.status import ControlError
 from gateway.web.access import AccountRole, AccountsError, Session
 from gateway.web.box import box_facts
 from gateway.web.openapi import document
+from gateway.web.promotion import PromotionRefused, promote_version
 from gateway.web.state import PageState, Unaccountable
 from gateway.web.texts import LANGUAGES, preferred
 from sim.strict_json import json_text
@@ -239,6 +241,10 @@ class _AlarmQuery(_OfMachine):
     most: int = Field(100, ge=1, le=1000, description="how many, 1 to 1000")
 
 
+class _RatesQuery(Section):
+    days: float = Field(7.0, gt=0, le=90, description="over how many days, up to 90")
+
+
 class _ScoreQuery(_OfMachine):
     temperature: TagName
     weeks: int = Field(4, ge=1, le=13, description="how many weeks, 1 to 13")
@@ -274,6 +280,10 @@ def _ordered(given: Any) -> tuple[float, float]:
 
 async def _alarms(call: Call) -> Any:
     return await call.page.reader.alarms(call.given.machine, call.given.most)
+
+
+async def _rates(call: Call) -> Any:
+    return await call.page.reader.rates(call.given.days)
 
 
 async def _scorecard(call: Call) -> Any:
@@ -364,6 +374,12 @@ class _Disarming(_OfMachine):
     reason: Line = Field(description="why, as one line of text")
 
 
+class _Promoting(_OfMachine):
+    temperature: TagName
+    version: Line = Field(description="one of the `versions` of the temperature's model, as text")
+    reason: Line = Field(description="why it is to run, as one line of text")
+
+
 class _Reloading(Section):
     dry_run: bool = Field(False, description="true: only say what would change")
 
@@ -398,6 +414,25 @@ async def _disarm(call: Call) -> Any:
     return {"was_armed": reply["was_armed"]}
 
 
+async def _promote(call: Call) -> Any:
+    """The gateway takes over what its store has as current, as it does when somebody promotes it at the box."""
+    g = call.given
+    found = (await call.page.calls.ask("model", machine=g.machine))["temperatures"].get(g.temperature)
+    if found is None or found["store"] is None:
+        reason = f"the model of {g.temperature!r} is in no store of versions, so that there is nothing to promote"
+        raise Refused(HTTPStatus.CONFLICT, reason)
+    if g.version not in found["versions"]:
+        known = ", ".join(found["versions"])
+        raise Refused(HTTPStatus.NOT_FOUND, f"there is no version {g.version!r}; there are {known}")
+    detail = {"machine": g.machine, "temperature": g.temperature, "version": g.version}
+    await call.page.record("page: promote", call.who, g.reason, **detail)
+    try:
+        await promote_version(Path(found["store"]), g.version)
+    except PromotionRefused as error:
+        raise Refused(HTTPStatus.CONFLICT, str(error)) from None
+    return {"version": g.version}
+
+
 async def _reload(call: Call) -> Any:
     await call.page.record("page: reload", call.who, dry_run=call.given.dry_run)
     reply = await call.page.calls.ask("reload", dry_run=call.given.dry_run)
@@ -427,6 +462,13 @@ ENDPOINTS: Sequence[Endpoint] = (
         summary="The newest changes of a machine's alarms, the newest first.",
         answer=_alarms,
         gives=_AlarmQuery,
+    ),
+    Endpoint(
+        method="GET",
+        path="/api/rates",
+        summary="How many alarms there were, of all machines, against what a person can deal with (EEMUA 191).",
+        answer=_rates,
+        gives=_RatesQuery,
     ),
     Endpoint(
         method="GET",
@@ -468,6 +510,14 @@ ENDPOINTS: Sequence[Endpoint] = (
         summary="Take everything back at the PLC, and write no more.",
         answer=_disarm,
         gives=_Disarming,
+        role=AccountRole.ENGINEER,
+    ),
+    Endpoint(
+        method="POST",
+        path="/api/promote",
+        summary="Prove a version of a model's store, and have it run.",
+        answer=_promote,
+        gives=_Promoting,
         role=AccountRole.ENGINEER,
     ),
     Endpoint(

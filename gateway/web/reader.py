@@ -126,6 +126,10 @@ class HistorianReader:
         """See `gateway.web.readings.alarm_rows`."""
         return await self._quick.ask("alarms", machine=machine, most=most)
 
+    async def rates(self, days: float) -> bytes:
+        """See `gateway.web.readings.rates_of_alarms`."""
+        return await self._slow.ask("rates", days=days)
+
     async def scorecard(self, machine: str, temperature: str, weeks: int) -> bytes:
         """See `gateway.web.readings.scores_by_week`."""
         return await self._slow.ask("scorecard", machine=machine, temperature=temperature, weeks=weeks)

@@ -5,20 +5,22 @@ These functions run in a process of their own (`gateway.web.reader_process`) and
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drivers.tag import Quality
-from gateway.store import newest_scan, reading, samples, scorecard, stored_rows, trend, warning_score
+from gateway.machine.alarms import alarm_rates, read_journal
+from gateway.store import machines, newest_scan, reading, samples, scorecard, stored_rows, trend, warning_score
 from sim.sha import Array
 from sim.strict_json import strict
 
 RAW_S = 3 * 3600.0
 """Up to so long a stretch is drawn from the readings themselves; beyond it from the means by the minute or hour."""
 BY_MINUTE_S = 4 * 86_400.0
-MINUTE, HOUR, WEEK = 60, 3600, 7 * 86_400.0
+MINUTE, HOUR, DAY, WEEK = 60, 3600, 86_400.0, 7 * 86_400.0
 MOST_POINTS = 3_000
 """More than a screen has columns: of more readings each stretch shows its least, mean and greatest."""
 MOST_FORECASTS = 1_000
@@ -96,6 +98,20 @@ def alarm_rows(path: Path, *, machine: str, most: int) -> dict[str, Any]:
     return {"rows": [dict(zip(names, row, strict=True)) for row in newest]}
 
 
+def rates_of_alarms(path: Path, *, days: float) -> dict[str, Any]:
+    """The alarms of all machines up to the newest scan against what a person can deal with: one person has to deal
+    with all of them. None where nothing was scanned. Raises HistorianError.
+    """
+    with reading(path) as connection:
+        newest = [newest_scan(connection, machine=name) for name, _ in machines(connection)]
+    last = max((time for time in newest if time is not None), default=None)
+    if last is None:
+        return {"rates": None}
+    found = alarm_rates(read_journal(path, end=last), last - days * DAY, last)
+    plain: dict[str, Any] = {"rates": strict({**asdict(found), "ok": found.ok})}
+    return plain
+
+
 def scores_by_week(path: Path, *, machine: str, temperature: str, weeks: int) -> dict[str, Any]:
     """The scorecard of each of the last `weeks` in which there are scans, the newest first, which ends with the newest
     scan; beside it what came of the warnings. Raises HistorianError.
@@ -118,6 +134,7 @@ QUESTIONS: Mapping[str, Callable[..., Mapping[str, Any]]] = {
     "trend": trend_of,
     "forecasts": forecasts_for,
     "alarms": alarm_rows,
+    "rates": rates_of_alarms,
     "scorecard": scores_by_week,
 }
 """All that the reading process is asked."""

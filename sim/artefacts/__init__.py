@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
+    from sim.artefacts.effect_lines import effect_line_in, effect_line_part, effect_lines_text, read_effect_lines
+    from sim.artefacts.familiarity_file import FAMILIARITY_FILE, Familiarity, read_familiarity
     from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
     from sim.artefacts.model_json import model_hash, model_text
     from sim.artefacts.store import (
@@ -28,13 +30,18 @@ else:
     __getattr__ = opened_at_use(__name__)
 
 __all__ = [
+    "FAMILIARITY_FILE",
     "MANIFEST",
     "MODEL_FILE",
     "STORE_FILE",
     "VERSIONS",
+    "Familiarity",
     "Force",
     "check_store",
     "current",
+    "effect_line_in",
+    "effect_line_part",
+    "effect_lines_text",
     "forced",
     "is_store",
     "listed",
@@ -45,6 +52,8 @@ __all__ = [
     "number_of",
     "promote",
     "promotion",
+    "read_effect_lines",
+    "read_familiarity",
     "read_model",
     "sha256",
     "version_directory",

@@ -12,6 +12,7 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
+from sim.artefacts.effect_lines import effect_line_of, effect_line_part
 from sim.artefacts.json_node import JsonNode, parse_json, written_number
 from sim.effects import check_effect, check_sha, in_sensor_scale, of_machine
 from sim.files import ArtefactError, read_text
@@ -42,6 +43,8 @@ FORMAT = "decanter-sha-model"
 VERSION = 1
 EFFECTS_VERSION = 2
 """A model with effects: a program that does not know them must refuse it, never run it without."""
+LINES_VERSION = 3
+"""A model with an engineer's own effect, which brings its line along."""
 UNITS: Mapping[str, str] = {
     "temperature": "degC",
     "time": "s",
@@ -111,7 +114,7 @@ def model_document(model: Model) -> dict[str, Any]:
     sha = model.sha
     return {
         "format": FORMAT,
-        "version": EFFECTS_VERSION if sha.effects else VERSION,
+        "version": _version(sha),
         "units": _units(model.unit, _units_of(sha)),
         "name": sha.name,
         "temperature": model.temperature,
@@ -138,6 +141,12 @@ def model_document(model: Model) -> dict[str, Any]:
     }
 
 
+def _version(sha: SHA) -> int:
+    if any(effect.line is not None for effect in sha.effects):
+        return LINES_VERSION
+    return EFFECTS_VERSION if sha.effects else VERSION
+
+
 def parse_model(text: str, file: str | Path = "model.json") -> Model:
     """The model in a JSON text. Raises ArtefactError with file and key path."""
     root = parse_json(text, file)
@@ -145,8 +154,8 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
     form, version = root.get("format").text(), root.get("version").integer()
     if form != FORMAT:
         raise root.get("format").error(f"this is {form!r}; a model has {FORMAT!r}")
-    if version not in (VERSION, EFFECTS_VERSION):
-        known = f"{VERSION} and {EFFECTS_VERSION} (with effects)"
+    if version not in (VERSION, EFFECTS_VERSION, LINES_VERSION):
+        known = f"{VERSION}, {EFFECTS_VERSION} (with effects) and {LINES_VERSION} (with own effects)"
         raise root.get("version").error(f"version {version} is unknown; this program reads the versions {known}")
     root.only(KEYS)
     if version == VERSION and "effects" in root.value:
@@ -163,6 +172,8 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
     edges = tuple(_edge_of(node) for node in root.get("edges").each())
     bounds = {key: limits.get(key).number() for key in ("max_rate", "low", "high")}
     effects = tuple(_effect_of(node) for node in root.get("effects").each()) if "effects" in root.value else ()
+    if version != LINES_VERSION and any(effect.line is not None for effect in effects):
+        raise root.get("version").error(f"a model with an own effect has version {LINES_VERSION}, here it is {version}")
     try:
         sha = SHA(name, locations, edges, initial, effects=effects, **bounds)
     except ValueError as error:
@@ -297,6 +308,7 @@ def _effects_part(effects: tuple[Effect, ...]) -> dict[str, Any]:
                 "signals": dict(sorted(effect.signals.items())),
                 "locations": list(effect.locations),
                 "event": effect.event,
+                **({"line": effect_line_part(effect.line)} if effect.line is not None else {}),
             }
             for effect in effects
         ]
@@ -304,13 +316,14 @@ def _effects_part(effects: tuple[Effect, ...]) -> dict[str, Any]:
 
 
 def _effect_of(node: JsonNode) -> Effect:
-    node.only(("kind", "params", "signals", "locations", "event"))
+    node.only(("kind", "params", "signals", "locations", "event", "line"))
     effect = Effect(
         node.get("kind").text(),
         node.get("params").table(JsonNode.number),
         node.get("signals").table(JsonNode.text),
-        tuple(item.text() for item in node.get("locations").each()),
-        node.get("event").text(),
+        locations=tuple(item.text() for item in node.get("locations").each()),
+        event=node.get("event").text(),
+        line=effect_line_of(node.get("line")) if "line" in node.value else None,
     )
     try:
         check_effect(effect)

@@ -1,12 +1,22 @@
 """The gap workflow: from traces to a diagnosis, and the model with what was missing."""
 
+from sim.discrepancy.advice import in_words, law_sentence, look_at, overlap_sentence
 from sim.discrepancy.augment import augmented
-from sim.discrepancy.diagnosis import Diagnosis, DiagnosisCourse, HeatPlace, HeldOutProof, NamedEffect, TriedEffect
+from sim.discrepancy.diagnosis import (
+    CandidateLaw,
+    Diagnosis,
+    DiagnosisCourse,
+    HeatPlace,
+    HeldOutProof,
+    NamedEffect,
+    TriedEffect,
+)
 from sim.discrepancy.heat_maps import LONGEST, HeatMap, heat_map, span
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 
 __all__ = [
     "LONGEST",
+    "CandidateLaw",
     "Diagnosis",
     "DiagnosisCourse",
     "DiagnosisOutcome",
@@ -18,5 +28,9 @@ __all__ = [
     "augmented",
     "diagnose",
     "heat_map",
+    "in_words",
+    "law_sentence",
+    "look_at",
+    "overlap_sentence",
     "span",
 ]

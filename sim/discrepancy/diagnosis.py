@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from sim.sha import DEGREES, Array
+from sim.sha import DEGREES, Array, EffectLine
 
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
@@ -59,7 +59,7 @@ class NamedEffect:
 
     `members` are the names that these data cannot tell apart (the first is `name`); `signal_to_noise` is the rms of
     what it does that the model's parameters cannot imitate, over the sensor's sigma. `errors` are standard errors by
-    parameter.
+    parameter. `look` says what to look at at the machine.
     """
 
     name: str
@@ -73,6 +73,35 @@ class NamedEffect:
     signal_to_noise: float
     plain: str
     experiment: str
+    look: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TraceOfEffect:
+    """An effect that is certain and does not matter: it moves the temperature by `moves` (degC rms), `gain` nats."""
+
+    name: str
+    gain: float
+    moves: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AbsorbedLaw:
+    """One law over `signal` that stands for the model's own targets and gains while the machine runs.
+
+    `name` is the effect that it is, `words` the law, `coefficients` its a, b, ... (degC of target for units of the
+    signal). `constants` are the model's numbers, `instead` those of the law; errors (degC rms) are of held-out free
+    runs with the one and with the other.
+    """
+
+    name: str
+    words: str
+    signal: str
+    coefficients: tuple[float, ...]
+    constants: int
+    instead: int
+    rmse_before: float
+    rmse_after: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,16 +142,39 @@ class Ceiling:
 class HeldOutProof:
     """Free runs over cycles that were never fitted: root mean squares in degC, the noise floor, the excess removed.
 
-    `cycles` counts them, `per_cycle` holds (before, after, floor) of each.
+    `cycles` counts them, `per_cycle` holds (before, after, floor) of each. The excess removed and its interval are None
+    where nothing was named, or where the error before is no greater than the floor: then there is no excess.
     """
 
     cycles: int
     rmse_before: float
     rmse_after: float
     noise_floor: float
-    excess_removed: float
-    ci95: tuple[float, float]
+    excess_removed: float | None
+    ci95: tuple[float, float] | None
     per_cycle: tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CandidateLaw:
+    """An expression with which goes what has no name: no name either, but something to look at.
+
+    `strength` times `expression` is the heat (degC/s), while the machine runs where `running`. `gain` (nats) is of the
+    fitted cycles, `share` that of what is left on held-out ones, `cycles` (better foreseen, in all) those. `tried` are
+    the expressions that were searched, which the gain has to pay for; `alike` are others that these data cannot tell
+    from it. `line` is the effect that a person may adopt; None where no engine can execute it.
+    """
+
+    expression: str
+    running: bool
+    strength: float
+    gain: float
+    share: float
+    cycles: tuple[int, int]
+    tried: int
+    experiment: str
+    alike: tuple[str, ...]
+    line: EffectLine | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,9 +201,12 @@ class DiagnosisCourse:
 class Diagnosis:
     """All that a diagnosis found.
 
-    `sentence` is the verdict in words, `reasons` why it is none better, `untested` the effects that were off the table,
-    by name with the reason. `settings` holds seed, thresholds and noise, by name. `unit` is that of the followed
-    variable: what is said to be in degC anywhere in a diagnosis is in it.
+    `sentence` is the verdict in words, `reasons` why it is none better, `untested` the effects that were off the
+    table, by name with the reason. `material`: the held-out free run is further off than the floor by what could be
+    felt; `traces` are the effects that are certain and are not; `absorbed` is the law that the model's own constants
+    follow, if they follow one. `settings` holds seed, thresholds and noise, by name. `unit` is that of the followed
+    variable: what is said to be in degC anywhere in a diagnosis is in it. `laws` are expressions to look at where the
+    gap has no name.
     """
 
     verdict: Verdict
@@ -164,6 +219,9 @@ class Diagnosis:
     ceiling_before: Ceiling | None
     ceiling_after: Ceiling | None
     candidates: tuple[TriedEffect, ...]
+    material: bool
+    traces: tuple[TraceOfEffect, ...]
+    absorbed: AbsorbedLaw | None
     untested: Mapping[str, str]
     held_out: HeldOutProof | None
     course: DiagnosisCourse | None
@@ -171,3 +229,4 @@ class Diagnosis:
     model_before: str
     model_after: str | None
     unit: str = DEGREES
+    laws: tuple[CandidateLaw, ...] = ()

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import NamedEffect, TriedEffect
+from sim.discrepancy.diagnosis import NamedEffect, TraceOfEffect, TriedEffect
 from sim.discrepancy.fitting import Fitted
+from sim.discrepancy.judging import NamingResult, immaterial
 from sim.discrepancy.naming import INVISIBLE, NEAR, SAME, EffectEvidence, NamingStep
 
 
@@ -52,6 +53,12 @@ def fate(evidence: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -
     return "adds nothing that chance does not"
 
 
+def traces_of(path: NamingResult) -> tuple[TraceOfEffect, ...]:
+    """What the path met that is certain and does not matter."""
+    best = [step.best for step, refusal in path.steps if refusal and immaterial(step)]
+    return tuple(TraceOfEffect(each.entry.name, each.gain, each.amplitude) for each in best if each is not None)
+
+
 def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
     """The step's best entry as it stands in the last fit."""
     best = step.best
@@ -72,6 +79,7 @@ def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
         signal_to_noise=best.amplitude / max(after.frame.record.model.sensor_sigma, 1e-6),
         plain=best.entry.plain,
         experiment=best.entry.experiment,
+        look=best.entry.candidate.look,
     )
 
 

@@ -1,4 +1,8 @@
-"""Is there a gap at all: how far off the refitted free run is, beside what the given model says of its own noise."""
+"""Is there a gap at all: how far off the refitted free run is, beside what the given model says of its own noise.
+
+The floor is never the fit's to choose. What a refit adds to its noise on the measured traces (a disturbance with a
+memory, a scatter of the cycles) is a finding about them: as a floor it would swallow whole effects.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -6,17 +10,33 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.augment import as_white, process_noise
-from sim.discrepancy.fitting import Fitted, Record
+from sim.discrepancy.fitting import Fitted, Record, readings_in_window, rounding
 from sim.discrepancy.held_out import by_cycles, let_run
 from sim.effects import of_feature, without
 from sim.engine import open_loop
-from sim.sha import Model, Trace
+from sim.sha import Model, Trace, content_hash
 
 WIDE, MOSTLY, SHARE = 1.5, 1.2, 0.2
 """A gap: the median cycle is so many times as far off as the model's own noise allows, and all but this share of the
 cycles at least so many times."""
 ROUGHER, FELT = 4.5, 0.75
 """A gap as well: heat so many times as rough, that moves the temperature by so many sensor sigmas (stationary rms)."""
+
+
+LEAST_ROWS = 50
+"""Rows at rest from which the sensor's noise is told by them alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFloor:
+    """degC rms of a free run over windows where nothing is missing.
+
+    `given`: as the given model states it for itself, from days of its own; else it is the sensor's noise alone, since a
+    model that has learned these very traces holds what is missing in them for noise.
+    """
+
+    error: float
+    given: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +70,48 @@ class Excess:
         return f"the heat is {self.rougher:.1f} times as rough as the model has learned"
 
 
-def excess(fitted: Fitted, spread: float) -> Excess | None:
-    """The excess of a fit over the given model's `spread` (degC); None where that is not known."""
-    if not spread > 0:
+def floor_of(model: Model, traces: Sequence[Trace], laid_out: Sequence[Trace], fitted: Fitted) -> NoiseFloor:
+    """The floor under the free runs of a fit to `traces`, which `laid_out` holds in their order and with events."""
+    record = fitted.frame.record
+    sensor = sensor_noise(record)
+    looks = readings_in_window(record)
+    in_window = max(sensor / float(np.sqrt(looks)), rounding(model, record))
+    if not {content_hash(trace) for trace in traces}.isdisjoint(model.provenance.contents):
+        return NoiseFloor(in_window, given=False)
+    stated = model.provenance.scores.get("held_out_rmse", 0.0)
+    if stated > 0:
+        # Stated of single readings: their noise gives way to that of a window's mean.
+        return NoiseFloor(float(np.hypot(np.sqrt(max(stated**2 - sensor**2, 0.0)), in_window)), given=True)
+    spread = spread_of(model, laid_out, fitted)
+    return NoiseFloor(float(np.hypot(spread, in_window)) if spread > 0 else in_window, given=spread > 0)
+
+
+def sensor_noise(record: Record) -> float:
+    """degC the standard deviation of a reading, by the second differences of neighbouring rows, at rest if possible.
+
+    What the temperature does over three rows is nearly a straight line, and drops out of them. So would an error that
+    lasts over rows: of such a sensor the model's own figure is taken.
+    """
+    if record.model.sensor_memory:
+        return record.model.sensor_sigma
+    runs, rows = record.runs, record.rows
+    reading, time, run = runs.reading[rows], runs.time[rows], runs.run[rows]
+    step = np.diff(time)
+    together = (run[2:] == run[:-2]) & (np.abs(step[1:] - step[:-1]) < 0.1 * np.median(step))
+    resting = together & (np.maximum(record.running[rows][2:], record.running[rows][:-2]) < 0.5)
+    chosen = resting if int(resting.sum()) >= LEAST_ROWS else together
+    second = (reading[2:] - 2.0 * reading[1:-1] + reading[:-2])[chosen]
+    # Var(a - 2 b + c) is 6 of one reading's.
+    return float(np.sqrt(np.mean(second**2) / 6.0)) if second.size else 0.0
+
+
+def excess(fitted: Fitted, floor: NoiseFloor) -> Excess | None:
+    """The excess of a fit over the given model's floor; None where the model states none of its own."""
+    if not floor.given:
         return None
     trial = let_run(fitted, by_cycles(fitted.frame.record))
     count = np.bincount(trial.order)
-    ratio = np.sqrt(np.bincount(trial.order, trial.residual**2) / np.maximum(count, 1)) / spread
+    ratio = np.sqrt(np.bincount(trial.order, trial.residual**2) / np.maximum(count, 1)) / floor.error
     return Excess(float(np.median(ratio)), float(np.quantile(ratio, SHARE)), rougher(fitted))
 
 

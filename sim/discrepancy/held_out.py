@@ -1,7 +1,7 @@
-"""Free runs over cycles that were never fitted: before and after, beside what the fitted noise alone would make.
+"""Free runs over cycles that were never fitted: before and after, beside the error that is nobody's fault.
 
-Each cycle starts at a temperature of its own, fitted to it; nothing else is. The floor is the root mean square that the
-fitted model predicts for its own noise (sensor, process, roughness, scatter of the cycle) by simulation.
+Each cycle starts at a temperature of its own, fitted to it; nothing else is. The floor that both are held against is
+not theirs to choose (`gap.floor_of`).
 """
 
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from sim.engine import linear_recursion
 from sim.learning import Indices
 from sim.sha import Array
 
-DRAWS, RESAMPLES, TRIFLE = 200, 2000, 0.02
+RESAMPLES = 2000
 STARTS = 3
 """Rounds in which the start temperatures are fitted (effects on the sensor make them slightly non-linear)."""
 
@@ -64,51 +64,43 @@ def let_run(fitted: Fitted, record: Record) -> HeldOutRun:
     return HeldOutRun(record=record, state=state, residual=residual, begun=begun, order=order, whitener=whitener)
 
 
-def floor_squares(trial: HeldOutRun, seed: int) -> Array:
-    """(R,) degC^2 the mean square of each run that the noise alone makes, its start fitted as the residual's was."""
-    drawn = trial.whitener.draw(np.random.default_rng(seed), DRAWS)
-    count = int(trial.order[-1]) + 1
-    # The start was fitted to the residual and took a part of it away; it must take the same part of the drawn noise.
-    size = np.bincount(trial.order, trial.begun**2, minlength=count)
-    parts = np.zeros((count, DRAWS))
-    np.add.at(parts, trial.order, trial.begun[:, None] * drawn)
-    left = drawn - trial.begun[:, None] * (parts / np.maximum(size, 1e-12)[:, None])[trial.order]
-    squares = np.bincount(trial.order, np.mean(left**2, axis=1), minlength=count)
-    return np.asarray(squares / np.maximum(np.bincount(trial.order, minlength=count), 1))
+def compared(
+    before: Fitted, after: Fitted, record: Record, seed: int, floor: float
+) -> tuple[HeldOutProof, HeldOutRun, HeldOutRun]:
+    """Two fits let run over the held-out record, held against the `floor` (degC), with the excess removed.
 
-
-def compared(before: Fitted, after: Fitted, record: Record, seed: int) -> tuple[HeldOutProof, HeldOutRun, HeldOutRun]:
-    """Two fits let run over the held-out record, with the excess removed and its interval over cycles."""
+    Where the error before is no greater than the floor there is no excess, and none of it can have been removed.
+    """
     first = let_run(before, record)
     second = first if after is before else let_run(after, record)
-    floor = floor_squares(second, seed)
-    # Mean squares by cycle, weighted by windows: the floor is of the fit after, under whose noise both are judged.
+    # Mean squares by cycle, weighted by windows.
     counts = np.bincount(first.order).astype(float)
     old = np.bincount(first.order, first.residual**2) / counts
     new = np.bincount(second.order, second.residual**2) / counts
-    rows = np.column_stack([old, new, floor])
-    removed, interval = 0.0, (0.0, 0.0)
-    if before is not after:
-        # The interval by resampling whole cycles (bootstrap, percentiles): windows of one cycle are not independent.
-        removed = _removed(rows, counts)
+    rows = np.column_stack([old, new])
+    whole = _excesses(rows, counts, floor)
+    removed, interval = None, None
+    if before is not after and whole[0] > 0:
+        removed = float(1.0 - whole[1] / whole[0])
+        # The interval by resampling whole cycles (bootstrap, percentiles): windows of one cycle are not independent. A
+        # sample without an excess has nothing that a name could have removed: it counts as 0.
         picks = np.random.default_rng(seed).integers(0, counts.size, size=(RESAMPLES, counts.size))
-        low, high = np.quantile([_removed(rows[pick], counts[pick]) for pick in picks], [0.025, 0.975])
+        drawn = np.array([_excesses(rows[pick], counts[pick], floor) for pick in picks])
+        shares = np.where(drawn[:, 0] > 0, 1.0 - drawn[:, 1] / np.where(drawn[:, 0] > 0, drawn[:, 0], 1.0), 0.0)
+        low, high = np.quantile(shares, [0.025, 0.975])
         interval = float(low), float(high)
     held = HeldOutProof(
         cycles=counts.size,
         rmse_before=float(np.sqrt(np.average(old, weights=counts))),
         rmse_after=float(np.sqrt(np.average(new, weights=counts))),
-        noise_floor=float(np.sqrt(np.average(floor, weights=counts))),
+        noise_floor=floor,
         excess_removed=removed,
         ci95=interval,
-        per_cycle=tuple((float(a), float(b), float(c)) for a, b, c in np.sqrt(rows)),
+        per_cycle=tuple((float(a), float(b), floor) for a, b in np.sqrt(rows)),
     )
     return held, first, second
 
 
-def _removed(rows: Array, counts: Array) -> float:
-    """1 - (after^2 - floor^2) / (before^2 - floor^2); where nothing stood out of the floor before, -1 to 1."""
-    old, new, floor = np.average(rows, axis=0, weights=counts).tolist()
-    least = max(TRIFLE * floor, 1e-12)
-    removed = 1.0 - (new - floor) / max(old - floor, least)
-    return float(removed if old - floor > least else np.clip(removed, -1.0, 1.0))
+def _excesses(rows: Array, counts: Array, floor: float) -> Array:
+    """(2,) degC^2 by which the mean squares before and after exceed the floor's."""
+    return np.asarray(np.average(rows, axis=0, weights=counts) - floor**2)

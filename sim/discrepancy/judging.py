@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, Verdict
-from sim.discrepancy.fitting import Fitted, catalogue
-from sim.discrepancy.gap import Excess
+from sim.discrepancy.fitting import CatalogueEntry, Fitted
+from sim.discrepancy.gap import Excess, sensor_noise
 from sim.discrepancy.held_out import HeldOutRun
 from sim.discrepancy.naming import MARGIN, NEAR, NamingStep
 from sim.sha import shown_unit
@@ -18,14 +18,14 @@ overwhelming (nats)."""
 FURTHER, LEFTOVER, LEFTOVER_OF_RIVAL = 5.0, 0.02, 0.3
 """What a further name needs beyond the first one's threshold (nats): an effect whose shape is not quite right leaves
 something behind, of the order of these shares of its gain, the greater one where the further name looks like it."""
-MATERIAL, MATERIAL_FURTHER, BESIDE, CLEARLY = 0.12, 0.4, 0.2, 40.0
-"""Sensor sigmas that an effect must move the temperature by (rms beyond what the model's parameters imitate): any name,
-and a further one, which must also be so large beside the greatest before it, unless its gain is clear (nats)."""
+MATERIAL = 0.5
+"""Sensor sigmas (rms) from which something matters: an effect, by what it does beyond what the model's parameters
+imitate, and a gap, by what the held-out free run errs by beyond the floor. Less than half of what one reading errs by
+can be felt by nobody, however certain many readings make it."""
+BESIDE, CLEARLY = 0.2, 40.0
+"""A further name must be so large beside the greatest before it, unless its gain is clear (nats)."""
 BEYOND_DOUBT = 60.0
-"""nats from which a name need not be material, nor bring the error within the model's own noise."""
-CLEAR = 2.0
-"""A held-out gap is clear from so many times the floor's mean square on; names without a clear gain must remove some of
-it. How much says little: on a rough plant five cycles differ by more than an effect of one sensor sigma does."""
+"""nats from which a name need not bring the error within the model's own noise."""
 CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
 """Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
 systematic heat they found are withheld."""
@@ -58,14 +58,13 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
     if best is None or not best.confirmed or best.gain < candidate.threshold:
         gain = best.gain if best is not None else 0.0
         return f"adds {gain:.1f} nats, and chance alone does {candidate.threshold:.1f} in one case of a hundred"
+    if immaterial(candidate):
+        return "is certain and does not matter"
     # A further name must stand out of what the earlier ones' imperfect shapes leave behind, in degrees and in nats.
     others = [each.best.amplitude for each in earlier if each.best is not None]
-    small = bool(others) and best.gain < CLEARLY
-    least = (MATERIAL_FURTHER if small else MATERIAL) * candidate.before.sensor_sigma
-    least = max(least, BESIDE * max(others)) if small else least
-    if best.amplitude < least and (small or best.gain < BEYOND_DOUBT):
+    if others and best.gain < CLEARLY and best.amplitude < BESIDE * max(others):
         unit = shown_unit(candidate.before.frame.record.model.unit)
-        return f"is there but moves the temperature by {best.amplitude:.3f} {unit} only, less than {least:.3f}"
+        return f"moves the temperature by {best.amplitude:.3f} {unit}, no more than the shapes before may have left"
     needed = 0.0
     for step in earlier:
         if step.best is not None:
@@ -74,6 +73,14 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
     if earlier and best.gain < max(candidate.threshold + FURTHER, needed):
         return f"adds {best.gain:.1f} nats, no more than the effects before may have left behind"
     return ""
+
+
+def immaterial(candidate: NamingStep) -> bool:
+    """True where the best entry is beyond chance, yet moves the temperature by less than could be felt."""
+    best = candidate.best
+    if best is None or not best.confirmed or best.gain < candidate.threshold:
+        return False
+    return best.amplitude < MATERIAL * sensor_noise(candidate.before.frame.record)
 
 
 def dubious(candidate: NamingStep) -> str:
@@ -127,9 +134,8 @@ def doubts(
     reasons = []
     if foreseen_better(first, second) <= 0:
         reasons.append("the held-out cycles are not better foreseen with it")
-    clear = held.rmse_before**2 > CLEAR * held.noise_floor**2
-    if clear and _greatest_gain(path) < CLEARLY and held.excess_removed <= 0:
-        reasons.append("the free run over the held-out cycles is no nearer to the measurement with it")
+    if held.rmse_after > held.rmse_before:
+        reasons.append("the free run over the held-out cycles is further off with it")
     # What the names leave is held against all that was systematic: what trees could predict before, or, where that is
     # more, what the names themselves have taken out of the heat.
     explained = before is not None and left is not None and before.heat > left.heat
@@ -152,31 +158,39 @@ def _greatest_gain(path: NamingResult) -> float:
     return max((step.best.gain for step in path.taken if step.best is not None), default=0.0)
 
 
+def matters(held: HeldOutProof, sensor: float) -> bool:
+    """True where the free run over the held-out cycles is further off than the floor by what could be felt.
+
+    `sensor` (degC) is what one reading errs by.
+    """
+    return held.rmse_before**2 - held.noise_floor**2 >= (MATERIAL * sensor) ** 2
+
+
 def verdict_of(
-    path: NamingResult, reasons: tuple[str, ...], before: Ceiling | None, beyond: Excess | None
+    path: NamingResult, reasons: tuple[str, ...], *, before: Ceiling | None, beyond: Excess | None, material: bool
 ) -> tuple[Verdict, tuple[str, ...]]:
-    """The verdict, and the reasons why it is none better."""
-    if path.taken and reasons:
-        return "unexplained", reasons
-    if path.taken:
+    """The verdict, and the reasons why it is none better. "unexplained" needs evidence and a gap that matters."""
+    if path.taken and not reasons:
         return ("named" if all(len(step.members) == 1 for step in path.taken) else "class"), ()
-    if path.steps and not insignificant(path.steps[0][0]):
+    evidence = reasons
+    if not path.taken:
         step, refusal = path.steps[0]
-        return "unexplained", (f"{step.members[0]} {refusal}",)
-    # No candidate stands for it: then the free learner's word alone, or the model's own spread (decision 0031).
-    if systematic(before) and before is not None and before.p <= SURELY:
-        return "unexplained", ("a free learner predicts heat on cycles that it has not seen",)
-    if beyond is not None and beyond.exceeded:
-        return "unexplained", (beyond.words,)
-    return "agree", ()
+        if not insignificant(step):
+            evidence = (f"{step.members[0]} {refusal}",)
+        # No candidate stands for it: then the free learner's word alone, or the model's own noise (decision 0031).
+        elif systematic(before) and before is not None and before.p <= SURELY:
+            evidence = ("a free learner predicts heat on cycles that it has not seen",)
+        elif beyond is not None and beyond.exceeded:
+            evidence = (beyond.words,)
+    return ("unexplained", evidence) if evidence and material else ("agree", ())
 
 
-def untested(present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:
+def untested(entries: Sequence[CatalogueEntry], present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:
     """The effects that were off the table, with the reason."""
     out = {}
-    for entry in catalogue():
-        missing = [role for role in entry.needs if role not in present]
+    for entry in entries:
+        missing = [role for role in entry.needs if entry.role_key(role) not in present]
         if missing:
-            signal = roles.get(missing[0], missing[0])
+            signal = roles.get(entry.role_key(missing[0]), missing[0])
             out[entry.name] = f"needs {signal} ({missing[0]}), which these traces do not have or which never changes"
     return out

@@ -207,8 +207,8 @@ def _cosines(before: Fitted, evidence: Sequence[EffectEvidence]) -> dict[str, fl
     return {each.entry.name: float(cosine[number]) for number, each in enumerate(evidence) if number}
 
 
-def entries_besides(named: Sequence[Named], besides: Sequence[str] = ()) -> tuple[CatalogueEntry, ...]:
-    """The catalogue without the effects that are named already, what they rule out, and others by name."""
-    taken = {each.entry.name for each in named} | set(besides)
+def entries_besides(named: Sequence[Named], entries: Sequence[CatalogueEntry] = ()) -> tuple[CatalogueEntry, ...]:
+    """Of the entries (the catalogue, without any) those that are neither named already nor ruled out by a name."""
+    taken = {each.entry.name for each in named}
     taken |= ONE_CHAIN if taken & ONE_CHAIN else set()
-    return tuple(entry for entry in catalogue() if entry.name not in taken)
+    return tuple(entry for entry in (entries or catalogue()) if entry.name not in taken)

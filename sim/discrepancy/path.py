@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from sim.discrepancy.fitting import Fitted, fit
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, fit
 from sim.discrepancy.judging import OVERWHELMING, NamingResult, dubious, insignificant
 from sim.discrepancy.naming import MARGIN, NamingStep, entries_besides, step
 
@@ -11,16 +11,24 @@ Judged = tuple[NamingStep, str]
 """A step, and why its best entry is refused ("": it is taken)."""
 
 
-def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, progress: Progress) -> NamingResult:
+def name(
+    base: Fitted,
+    present: Mapping[str, str],
+    seed: int,
+    most: int,
+    progress: Progress,
+    *,
+    entries: Sequence[CatalogueEntry] = (),
+) -> NamingResult:
     """Effects named one after the other, each on top of the ones before, until none deserves it; then revised.
 
-    `present` gives the signal of each role. An effect that is clear but for rivals that stand too near is taken for the
-    time being: beside the next name it may be told from them.
+    `entries` are looked for, the catalogue's by default. `present` gives the signal of each role. An effect that is
+    clear but for rivals that stand too near is taken for the time being: beside the next name it may be told from them.
     """
     fitted, taken, refused = base, list[Judged](), list[Judged]()
     for number in range(most):
         progress(f"looking for effect {number + 1}", 0.25 + 0.6 * number / (most + 1))
-        candidate = step(fitted, entries_besides(fitted.state.named), present, seed + number)
+        candidate = step(fitted, entries_besides(fitted.state.named, entries), present, seed + number)
         earlier = [judged for judged, _ in taken]
         chance = insignificant(candidate, earlier)
         refusal = chance or dubious(candidate)
@@ -39,14 +47,20 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, progres
     fitted = last.fitted if last is not None and last.fitted is not None else base
     if len(taken) > 1:
         progress("looking at each name again", 0.25 + 0.6 * most / (most + 1))
-        taken, fitted = revised(fitted, taken, present, seed + most, len(taken) - 1)
+        taken, fitted = revised(fitted, taken, present, seed + most, len(taken) - 1, entries=entries)
     if any(refusal for _, refusal in taken):
         return NamingResult(base, base, tuple(taken[-1:]))
     return NamingResult(base, fitted, (*taken, *refused))
 
 
 def revised(
-    fitted: Fitted, taken: Sequence[Judged], present: Mapping[str, str], seed: int, count: int
+    fitted: Fitted,
+    taken: Sequence[Judged],
+    present: Mapping[str, str],
+    seed: int,
+    count: int,
+    *,
+    entries: Sequence[CatalogueEntry] = (),
 ) -> tuple[list[Judged], Fitted]:
     """The first `count` names left out by turns and looked for again, and the fit with all that remains.
 
@@ -58,13 +72,13 @@ def revised(
         old = before.best.entry.name if before.best is not None else ""
         others = [named for named in fitted.state.named if named.entry.name != old]
         without = fit(fitted.frame, others, fitted, rounds=2, iterations=8)
-        again = step(without, entries_besides(others), present, seed + number)
+        again = step(without, entries_besides(others, entries), present, seed + number)
         rest = [other for place, (other, _) in enumerate(judged) if place != number]
         chance = insignificant(again, rest)
         if chance and rest:
             # Each removal changes what the others must explain, so the round begins anew without it.
             left = [*judged[:number], *judged[number + 1 :]]
-            return revised(without, left, present, seed, len(left))
+            return revised(without, left, present, seed, len(left), entries=entries)
         refusal = chance or dubious(again)
         judged[number] = again, refusal
         if refusal or again.best is None or again.best.fitted is None:

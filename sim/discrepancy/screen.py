@@ -245,7 +245,8 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
         return -gain
 
     values = [(name, shape.params[name]) for name in names]
-    begin = np.array([np.log(max(v, 1.0)) if _is_time(name) else v / 10.0 for name, v in values])
+    widths = shape.entry.candidate.widths
+    begin = np.array([np.log(max(v, 1.0)) if _is_time(name) else v / widths.get(name, 10.0) for name, v in values])
     # Nelder and Mead (1965), without derivatives: bounds and switching points leave kinks in the gain. The best point
     # that was ever tried is kept, not the last simplex, since the search may be cut off by its evaluations.
     simplex = np.vstack([begin, begin + np.diag(np.full(begin.size, 0.3))])
@@ -260,12 +261,16 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
 
 
 def _at(shape: Shape, names: Sequence[str], point: Array) -> Shape:
-    """The shape at coordinates of the search: logarithms of times, tens of degrees of temperatures, within bounds."""
+    """The shape at coordinates of the search: logarithms of times, else steps of a width or of ten, within bounds."""
     values = {}
     for name, coordinate in zip(names, point.tolist(), strict=True):
         low, high = shape.entry.candidate.refine[name]
         # A simplex may step anywhere; beyond e^20 s the exponential would overflow before the bound could hold it.
-        value = float(np.exp(min(coordinate, 20.0))) if _is_time(name) else 10.0 * coordinate
+        value = (
+            float(np.exp(min(coordinate, 20.0)))
+            if _is_time(name)
+            else shape.entry.candidate.widths.get(name, 10.0) * coordinate
+        )
         values[name] = min(max(value, low), high)
     if "closes" in values:
         values["closes"] = min(values["closes"], values["opens"] - LEAST_BAND)

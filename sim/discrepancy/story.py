@@ -4,7 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import DiagnosisCourse, HeatPlace, HeldOutProof, NamedEffect, Shift, Verdict
+from sim.discrepancy.diagnosis import (
+    AbsorbedLaw,
+    DiagnosisCourse,
+    HeatPlace,
+    HeldOutProof,
+    NamedEffect,
+    Shift,
+    TraceOfEffect,
+    Verdict,
+)
 from sim.discrepancy.fitting import Fitted, Record
 from sim.discrepancy.heat import HOUR, implied_heat, since_switch
 from sim.discrepancy.held_out import HeldOutRun
@@ -19,6 +28,8 @@ def sentence_of(
     shifts: Sequence[Shift],
     held: HeldOutProof | None,
     cycles: int,
+    traces: Sequence[TraceOfEffect] = (),
+    law: AbsorbedLaw | None = None,
     unit: str,
 ) -> str:
     """The verdict in one or two sentences; errors are in `unit`, as people read it."""
@@ -31,8 +42,17 @@ def sentence_of(
             f" Parameters have moved: {surest.parameter} in {surest.location} {surest.change:+.0%}, "
             f"{abs(surest.sigma):.0f} sigma."
         )
+    if law is not None:
+        moved += (
+            f" The model's {law.constants} constants follow one law, {law.words} ({law.name}): {law.instead} numbers "
+            f"stand for them, the held-out error goes from {law.rmse_before:.3g} to {law.rmse_after:.3g} {unit}."
+        )
     if verdict == "agree":
-        return "Model and data agree within noise." + moved
+        trace = "".join(
+            f" A trace of {each.name} moves the temperature by {each.moves:.2g} {unit}, less than could be felt."
+            for each in traces
+        )
+        return "Model and data agree within noise." + trace + moved
     gain = ""
     if held is not None and effects:
         gain = (

@@ -10,18 +10,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.ceiling import ceiling
-from sim.discrepancy.diagnosis import Diagnosis
-from sim.discrepancy.evidence import candidates_of, effect_of
-from sim.discrepancy.fitting import Fitted, Named, fit, frame_of, in_order, named_of, on, patiently, record_of
-from sim.discrepancy.gap import excess, spread_of
+from sim.discrepancy.constants import absorbed
+from sim.discrepancy.diagnosis import CandidateLaw, Diagnosis
+from sim.discrepancy.evidence import candidates_of, effect_of, traces_of
+from sim.discrepancy.fitting import (
+    Fitted,
+    Named,
+    catalogue,
+    fit,
+    frame_of,
+    in_order,
+    named_of,
+    on,
+    own_roles,
+    patiently,
+    record_of,
+)
+from sim.discrepancy.gap import excess, floor_of, sensor_noise
 from sim.discrepancy.held_out import by_cycles, compared
-from sim.discrepancy.judging import doubts, left_over, systematic, untested, verdict_of
+from sim.discrepancy.judging import doubts, left_over, matters, systematic, untested, verdict_of
+from sim.discrepancy.law_search import candidate_laws
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.story import course_of, sentence_of
 from sim.effects import ROLES, in_sensor_scale
-from sim.sha import Model, Trace, shown_unit, unit_of
+from sim.sha import EffectLine, Model, Trace, shown_unit, unit_of
 
 HELD_OUT = 0.3
 LEAST_CYCLES = 4
@@ -46,19 +60,23 @@ def diagnose(
     *,
     seed: int,
     roles: Mapping[str, str] = ROLES,
+    lines: Sequence[EffectLine] = (),
     most: int = MOST_NAMES,
     progress: Progress | None = None,
 ) -> DiagnosisOutcome:
     """The diagnosis of `traces` against `model`, with at most `most` names.
 
-    `roles` gives the signal of each role; those that no trace has take their effects off the table. Raises ValueError,
-    in one sentence, when the traces cannot be followed at all.
+    `lines` are engineers' own effects, which are looked for beside the catalogue's. `roles` gives the signal of each
+    role of these; those that no trace has take their effects off the table. Raises ValueError, in one sentence, when
+    the traces cannot be followed at all.
     """
     report = progress or (lambda _stage, _share: None)
     # Artefacts of the public learner know no unit: then that of the traces is the model's.
     model = replace(in_sensor_scale(model), unit=unit_of(traces, model.temperature, model.unit))
     report("laying out the traces", 0.0)
     laid_out = [patiently(trace, model.alphabet) for trace in in_order(traces)]
+    entries = catalogue(lines)
+    roles = {**roles, **own_roles(lines)}
     present = present_roles(laid_out, roles)
     record = record_of(model, laid_out, signals_needed(model, present))
     cycles = np.unique(record.cycle)
@@ -75,32 +93,40 @@ def diagnose(
     base = fit(training, named_of(model))
     report("what a free learner could still explain", 0.2)
     ceiling_before = ceiling(base, seed)
-    path = name(base, present, seed, most, report)
+    path = name(base, present, seed, most, report, entries=entries)
 
     report("held-out cycles", 0.85)
-    # Both fits are held against the spread that the given model states for itself, not against a noise fitted here: the
-    # refit's own noise has swallowed what it could not explain.
-    own = spread_of(model, laid_out, base)
-    beyond = excess(base, own), excess(path.fitted, own)
+    # Both fits are held against a floor that neither has chosen: their own noise has swallowed what they could not
+    # explain.
+    floor = floor_of(model, traces, laid_out, base)
+    beyond = excess(base, floor), excess(path.fitted, floor)
     after = path.fitted
     ceiling_after = ceiling(after, seed) if path.taken else ceiling_before
-    held, first, second = compared(base, after, held_out, seed)
+    held, first, second = compared(base, after, held_out, seed, floor.error)
+    material = matters(held, sensor_noise(base.frame.record))
     reservations = (
         *doubts(path, first, second=second, held=held, before=ceiling_before, left=ceiling_after),
         *left_over(path, *beyond),
     )
-    verdict, reasons = verdict_of(path, reservations, ceiling_before, beyond[0])
+    verdict, reasons = verdict_of(path, reservations, before=ceiling_before, beyond=beyond[0], material=material)
     kept = verdict in ("named", "class")
     if not kept and after is not base:  # nothing is added, so what the report shows "after" is the refit itself
         after = base
-        held, first, second = compared(after, after, held_out, seed)
+        held, first, second = compared(after, after, held_out, seed, floor.error)
 
+    law = absorbed(after, present["current"], held_out) if "current" in present else None
     report("where the heat is", 0.95)
     where = places(base, seed)
     remaining = places(after, seed) if kept else where
     effects = tuple(effect_of(step, after) for step in path.taken) if kept else ()
     moved = shifts(after)
     unexplained = remaining if verdict == "unexplained" or (kept and systematic(ceiling_after)) else ()
+    laws: tuple[CandidateLaw, ...] = ()
+    if verdict == "unexplained":
+        report("laws to look at", 0.97)
+        # All that is measured, not only what the catalogue knows a role for: a record of its own on the same knots.
+        everything = record_of(model, laid_out, measured_signals(model, laid_out))
+        laws = candidate_laws(base, everything, int(first_held_out), floor.error)
     fitted_cycles = int(np.unique(base.frame.record.cycle).size)
     noise = path.fitted.noise
     pairs = zip(("excess_before", "excess_after"), beyond, strict=True)
@@ -113,6 +139,8 @@ def diagnose(
             shifts=moved,
             held=held,
             cycles=fitted_cycles,
+            traces=traces_of(path),
+            law=law,
             unit=shown_unit(model.unit),
         ),
         reasons=reasons,
@@ -123,7 +151,10 @@ def diagnose(
         ceiling_before=ceiling_before,
         ceiling_after=ceiling_after if kept else None,
         candidates=candidates_of(path.steps, kept),
-        untested=untested(present, roles),
+        material=material,
+        traces=traces_of(path),
+        absorbed=law,
+        untested=untested(entries, present, roles),
         held_out=held,
         course=course_of(base, after, first, second),
         settings={
@@ -139,6 +170,7 @@ def diagnose(
         model_before=model.sha.name,
         model_after=None,
         unit=model.unit,
+        laws=laws,
     )
     return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after)
 
@@ -160,6 +192,14 @@ def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*inputs, *present.values()]))
 
 
+def measured_signals(model: Model, traces: Sequence[Trace]) -> tuple[str, ...]:
+    """All signals beside the temperature that some trace has with at least two different values."""
+    names = dict.fromkeys(name for trace in traces for name in trace.signals if name != model.temperature)
+    present = present_roles(traces, {name: name for name in names})
+    inputs = [driving.signal for location in model.sha.locations for driving in location.flow.inputs]
+    return tuple(dict.fromkeys([*inputs, *present]))
+
+
 def _too_little(model: Model, cycles: int) -> Diagnosis:
     return Diagnosis(
         verdict="too-little-data",
@@ -172,6 +212,9 @@ def _too_little(model: Model, cycles: int) -> Diagnosis:
         ceiling_before=None,
         ceiling_after=None,
         candidates=(),
+        material=False,
+        traces=(),
+        absorbed=None,
         untested={},
         held_out=None,
         course=None,

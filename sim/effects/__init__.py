@@ -3,14 +3,17 @@
 from sim.effects.check import check_effect, check_effects, check_sha
 from sim.effects.correction import corrected, in_sensor_scale, of_machine
 from sim.effects.exchange import ABSOLUTE_ZERO, in_scale_of_x, radiation_tangent
+from sim.effects.expressed import SINCE, TEMPERATURE, cells, enclosure, steepest_loss
+from sim.effects.expression import Expression, compiled, parse
+from sim.effects.expression import names as names_in
 from sim.effects.kind import (
     ABSOLUTE_SECONDS,
     FEATURES,
     EffectCandidate,
     EffectKind,
     EffectRefusal,
+    ExpressedBound,
     Feature,
-    HeatBound,
     HeldLaw,
     LossBound,
     MachineLog,
@@ -30,6 +33,7 @@ from sim.effects.kinds import (
     kind_of,
     of_feature,
     offset_times,
+    own_kind,
     parameter,
     refuse,
     sensor_offset,
@@ -37,6 +41,7 @@ from sim.effects.kinds import (
     signals_of,
     without,
 )
+from sim.effects.lines import LineError
 from sim.effects.random import DisturbanceStep, disturbance_step
 
 __all__ = [
@@ -45,13 +50,17 @@ __all__ = [
     "EFFECTS",
     "FEATURES",
     "ROLES",
+    "SINCE",
+    "TEMPERATURE",
     "DisturbanceStep",
     "EffectCandidate",
     "EffectKind",
     "EffectRefusal",
+    "ExpressedBound",
+    "Expression",
     "Feature",
-    "HeatBound",
     "HeldLaw",
+    "LineError",
     "LossBound",
     "MachineLog",
     "Structural",
@@ -59,26 +68,33 @@ __all__ = [
     "VaryingBound",
     "VaryingLaw",
     "acts_in",
+    "cells",
     "check_effect",
     "check_effects",
     "check_sha",
+    "compiled",
     "corrected",
     "dead_time",
     "disturbance_step",
     "effect_summary",
+    "enclosure",
     "growing_from",
     "in_scale_of_x",
     "in_sensor_scale",
     "kind_of",
+    "names_in",
     "of_feature",
     "of_machine",
     "offset_times",
+    "own_kind",
     "parameter",
+    "parse",
     "radiation_tangent",
     "refuse",
     "sensor_offset",
     "sensor_offsets",
     "signals_of",
+    "steepest_loss",
     "unknown",
     "without",
 ]

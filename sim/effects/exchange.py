@@ -44,6 +44,16 @@ def _feed(effect: Effect, signals: Signals) -> tuple[Array, Array]:
     return loss * feed, loss
 
 
+def _feeds(log: MachineLog) -> Sequence[Params]:
+    """Towards the feed's own temperature; or by the feed alone, where it warms a part that stands between."""
+    # What is fed may set the temperature of a bowl, whose heat then goes by the feed and hardly by the measured part.
+    # With the feed spread about a reference by a great scale the same law is that heat: X is little beside the sink.
+    usual, running = log.usual("feed", running=True), log.running > 0.5
+    warm = float(np.median(log.smooth[running])) if running.any() else usual
+    spread = [(scale, reference) for scale in (4.0, 40.0) for reference in (log.cold, usual, warm)]
+    return [{}, *({"scale": scale, "shift": (1.0 - scale) * reference} for scale, reference in spread)]
+
+
 def _feed_text(writer: TextWriter, effect: Effect) -> str:
     feed, read = writer.degrees(effect, "feed"), writer.read(effect, "feed")[1]
     loss = writer.constant("LOSS", effect.params["loss"])
@@ -135,7 +145,9 @@ FLOWING = (
             strength="loss",
             sign=1.0,
             experiment="feed at two temperatures at one load",
-            shapes=lambda _: [{}],
+            look="what is fed: its temperature, and how much flows by the bearing",
+            shapes=_feeds,
+            refine={"shift": (-6000.0, 1000.0)},
         ),
     ),
     EffectKind(
@@ -157,6 +169,7 @@ FLOWING = (
             strength="loss",
             sign=1.0,
             experiment="run for half an hour at one load with the pump on, then off",
+            look="the pump's water: flow, valve, filter, and how cold it comes",
             shapes=_sinks,
             refine={"sink": (-1000.0, 100.0)},
         ),
@@ -180,6 +193,7 @@ HOUSING = EffectKind(
         strength="coupling",
         sign=1.0,
         experiment="log the room for three days, or a second sensor: a housing lags, a room does not",
+        look="housing and foundation: what metal is warmed with the bearing, insulation, a missing second sensor",
         shapes=lambda _: [{"tau": tau} for tau in (900.0, 1800.0, 3600.0, 7200.0, 14400.0)],
         refine={"tau": (300.0, 40000.0)},
     ),
@@ -206,6 +220,7 @@ BENDING = (
             strength="loss",
             sign=1.0,
             experiment="a slow ramp of the load up and down: a hysteresis loop",
+            look="a thermostat, valve or fan that switches by itself: where it opens and closes",
             shapes=_valves,
             refine={"opens": (-50.0, 200.0), "closes": (-50.0, 200.0)},
         ),
@@ -231,6 +246,7 @@ BENDING = (
             strength="gain",
             sign=1.0,
             experiment="a slow ramp of the load up and down: no loop, but a bend",
+            look="hot bare surfaces: paint, insulation, what the machine faces",
             shapes=_walls,
             unread="walls",
         ),

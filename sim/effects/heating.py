@@ -1,70 +1,14 @@
-"""Heats that follow a signal: currents, frictions and the room. All are held while their signal is."""
+"""Heats that follow a signal: currents, frictions and the room. Each is one line, held while its signal is."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sim.effects.kind import (
-    EffectCandidate,
-    EffectKind,
-    HeatBound,
-    HeldLaw,
-    MachineLog,
-    Parameter,
-    Params,
-    Role,
-    Roles,
-    Signals,
-    TextLaw,
-    TextWriter,
-)
+from sim.effects.expressed import expressed
+from sim.effects.kind import EffectCandidate, EffectKind, MachineLog, Parameter, Params, Role, Roles
 from sim.effects.roles import AMBIENT, CURRENT, SPEED, TORQUE, VIBRATION
-from sim.sha import Array, Effect
 
 REFERENCE = Parameter(unit="of the signal", rescaled="stays")
-
-
-def heat_of(heat: Callable[[Mapping[str, float], Array], Array]) -> HeldLaw:
-    """The law of a kind that reads one signal and loses nothing, from its heat (degC/s)."""
-
-    def law(effect: Effect, signals: Signals) -> tuple[Array, Array]:
-        (name,) = effect.signals.values()
-        return np.asarray(heat(effect.params, signals[name])), np.zeros_like(signals[name])
-
-    return HeldLaw(law)
-
-
-def never_bends(_effect: Effect) -> Sequence[float]:
-    """The bends of a heat that is monotone in its signal above and below 0."""
-    return ()
-
-
-def _against_reference(writer: TextWriter, effect: Effect) -> str:
-    (role,) = effect.signals
-    value, read = writer.read(effect, role)
-    gain, reference = (writer.constant(name.upper(), effect.params[name]) for name in ("gain", "reference"))
-    return f" + {read} * {gain} * ({value} - {reference})"
-
-
-def _squares(writer: TextWriter, effect: Effect) -> str:
-    value, read = writer.read(effect, "current")
-    gain, reference = (writer.constant(name.upper(), effect.params[name]) for name in ("gain", "reference"))
-    return f" + {read} * {gain} * ({value} * {value} - {reference} * {reference})"
-
-
-def _beyond_knee(writer: TextWriter, effect: Effect) -> str:
-    value, read = writer.read(effect, "current")
-    gain, knee = (writer.constant(name.upper(), effect.params[name]) for name in ("gain", "knee"))
-    return f" - {read} * {gain} * fmax({value} - {knee}, 0.0)"
-
-
-def _powers(writer: TextWriter, effect: Effect) -> str:
-    (role,) = effect.signals
-    value, read = writer.read(effect, role)
-    p = effect.params
-    gain, power = writer.constant("GAIN", p["gain"]), writer.constant("POWER", p["power"])
-    usual = writer.constant("USUAL", max(p["reference"], 0.0) ** p["power"])
-    return f" + {read} * {gain} * (pow(fmax({value}, 0.0), {power}) - {usual})"
 
 
 def _knees(log: MachineLog) -> Sequence[Params]:
@@ -77,12 +21,10 @@ def about_usual(role: str) -> Callable[[MachineLog], Sequence[Params]]:
     return lambda log: [{"reference": max(log.usual(role, running=True), 1e-9)}]
 
 
-def _friction(role: Role, *, name: str, meaning: str, experiment: str, powers: tuple[float, float]) -> EffectKind:
+def _friction(
+    role: Role, *, name: str, meaning: str, experiment: str, look: str, powers: tuple[float, float]
+) -> EffectKind:
     """Heat gain (s^power - reference^power), a negative signal counting as 0."""
-
-    def heat(p: Mapping[str, float], signal: Array) -> Array:
-        reference = max(p["reference"], 0.0) ** p["power"]
-        return np.asarray(p["gain"] * (np.maximum(signal, 0.0) ** p["power"] - reference))
 
     def shapes(log: MachineLog) -> Sequence[Params]:
         return [{**shape, "power": power} for shape in about_usual(role.name)(log) for power in (1.0, 2.0)]
@@ -97,11 +39,9 @@ def _friction(role: Role, *, name: str, meaning: str, experiment: str, powers: t
         },
         roles=Roles(needed=(role,)),
         acts="running",
-        law=heat_of(heat),
-        bound=HeatBound(never_bends),
-        uppaal=TextLaw(_powers),
+        **expressed(f"gain * (max({role.name}, 0) ^ power - max(reference, 0) ^ power)"),
         candidate=EffectCandidate(
-            strength="gain", sign=1.0, experiment=experiment, shapes=shapes, refine={"power": powers}
+            strength="gain", sign=1.0, experiment=experiment, look=look, shapes=shapes, refine={"power": powers}
         ),
     )
 
@@ -116,13 +56,12 @@ HEATING = (
         },
         roles=Roles(needed=(CURRENT,)),
         acts="running",
-        law=heat_of(lambda p, current: p["gain"] * (current - p["reference"])),
-        bound=HeatBound(never_bends),
-        uppaal=TextLaw(_against_reference),
+        **expressed("gain * (current - reference)"),
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="hold two currents inside one bin for half an hour each",
+            look="the drive's load: what the motor's current is spent on besides turning the bowl",
             shapes=about_usual("current"),
         ),
     ),
@@ -135,13 +74,12 @@ HEATING = (
         },
         roles=Roles(needed=(CURRENT,)),
         acts="running",
-        law=heat_of(lambda p, current: p["gain"] * (current**2 - p["reference"] ** 2)),
-        bound=HeatBound(never_bends),
-        uppaal=TextLaw(_squares),
+        **expressed("gain * (current ^ 2 - reference ^ 2)"),
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="dwell at three currents or more, each until the temperature settles",
+            look="the motor and its cables: losses in copper, loose or hot terminals",
             shapes=about_usual("current"),
         ),
     ),
@@ -154,13 +92,12 @@ HEATING = (
         },
         roles=Roles(needed=(CURRENT,)),
         acts="running",
-        law=heat_of(lambda p, current: -p["gain"] * np.maximum(current - p["knee"], 0.0)),
-        bound=HeatBound(lambda effect: (effect.params["knee"],)),
-        uppaal=TextLaw(_beyond_knee),
+        **expressed("-gain * max(current - knee, 0)"),
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="dwell at three currents or more, two of them near the highest",
+            look="the drive: a current limit or a slipping belt or coupling near full load",
             shapes=_knees,
             refine={"knee": (10.0, 350.0)},
         ),
@@ -170,6 +107,7 @@ HEATING = (
         name="torque-friction",
         meaning="friction heat that follows the torque",
         experiment="change the speed at constant torque, then the torque at constant speed",
+        look="gearbox and scroll: oil level, wear, hard solids between scroll and bowl",
         powers=(0.5, 3.0),
     ),
     _friction(
@@ -177,6 +115,7 @@ HEATING = (
         name="speed-friction",
         meaning="friction heat that follows the speed",
         experiment="change the speed at constant torque",
+        look="the bearings' grease at speed: too much, too stiff, or the wrong kind",
         powers=(1.0, 3.0),  # friction's heat is force times speed: it never grows more slowly than the speed
     ),
     _friction(
@@ -184,6 +123,7 @@ HEATING = (
         name="vibration-friction",
         meaning="heat that follows the vibration",
         experiment="change the speed at constant torque and watch whether heat goes with the vibration alone",
+        look="balance and bearings: deposits in the bowl, worn races, loose feet",
         powers=(0.5, 3.0),
     ),
     EffectKind(
@@ -195,13 +135,12 @@ HEATING = (
         },
         roles=Roles(needed=(AMBIENT,)),
         acts="anywhere",
-        law=heat_of(lambda p, ambient: p["gain"] * (ambient - p["reference"])),
-        bound=HeatBound(never_bends),
-        uppaal=TextLaw(_against_reference),
+        **expressed("gain * (ambient - reference)"),
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="log the room for three days, with a night at rest",
+            look="the room: ventilation, sun on the housing, a heat source beside the machine",
             shapes=lambda log: [{"reference": log.usual("ambient", running=False)}],
         ),
     ),

@@ -11,6 +11,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from sim.effects.expression import Expression
 from sim.sha import Array, Effect
 
 Signals = Mapping[str, Array]
@@ -142,10 +143,13 @@ Law = HeldLaw | VaryingLaw | Structural
 
 
 @dataclass(frozen=True, slots=True)
-class HeatBound:
-    """The held heat of one signal, loss 0: monotone in it between 0 and the `bends`, so that its ends bound it."""
+class ExpressedBound:
+    """The held heat that is written as an expression over roles, parameters and perhaps the temperature.
 
-    bends: Callable[[Effect], Sequence[float]]
+    It is enclosed over intervals (`expressed.enclosure`); straight in the temperature, and never growing with it.
+    """
+
+    heat: Expression
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,7 +174,7 @@ class VaryingBound:
     grows_from: Callable[[Effect], float] | None = None
 
 
-BoundLaw = HeatBound | LossBound | VaryingBound | Structural | EffectRefusal
+BoundLaw = ExpressedBound | LossBound | VaryingBound | Structural | EffectRefusal
 
 
 # ------------------------------------------------------------------ UPPAAL's text
@@ -242,10 +246,12 @@ class EffectCandidate:
     """How a diagnosis looks for a kind: shapes are tried, the strength is what the likelihood finds.
 
     `strength` names the parameter that scales it, `sign` what physics allows of it (0: either). `shapes` are the sets
-    of the other parameters that are tried; `refine` gives the range of each one that is searched further, `either`
-    those of which every value is fitted, since the screen, which is linear, cannot choose among them.
+    of the other parameters that are tried; `refine` gives the range of each one that is searched further, from one
+    step of `widths` to the next (without one as a time or in degC), `either` those of which every value is fitted,
+    since the screen, which is linear, cannot choose among them.
     `scan(times, score)` gives further shapes where the score (m,) of the residual (weighed by its inverse covariance)
     is greatest; `burden` (nats) is what looking at so many places costs. `experiment` would tell it from its twins.
+    `look` says what to look at at the machine: part, sensor or habit, in the plant's words.
     `once`: the strength is itself a time, so that twice of it is not twice the effect. A shape may have parameters that
     the kind has not: what they stand for is another effect (`besides`: (kind, parameters) from the whole shape), or
     that optional signals are left unread (`unread`, where it is not 0).
@@ -254,8 +260,10 @@ class EffectCandidate:
     strength: str
     sign: float
     experiment: str
+    look: str
     shapes: Callable[[MachineLog], Sequence[Params]]
     refine: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    widths: Mapping[str, float] = field(default_factory=dict)
     either: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     scan: Callable[[Array, Array], Sequence[Params]] | None = None
     burden: float = 0.0
@@ -301,10 +309,10 @@ class EffectKind:
         for part in (self.bound, self.uppaal):
             if isinstance(part, Structural) and part != self.law:
                 return f"is bounded or exported as a {part.feature}, which is not its law"
-        if isinstance(self.bound, HeatBound | LossBound) and not isinstance(self.law, HeldLaw):
+        if isinstance(self.bound, ExpressedBound | LossBound) and not isinstance(self.law, HeldLaw):
             return "has the bound of a held law, and another law"
-        if isinstance(self.bound, HeatBound) and (len(self.roles.needed) != 1 or self.roles.optional):
-            return "has the bound of a heat, which is for kinds that read one signal"
+        if isinstance(self.bound, ExpressedBound) and (not self.roles.needed or self.roles.optional):
+            return "has the bound of an expression, which is for kinds that read signals, none of them optional"
         if isinstance(self.bound, LossBound) and "loss" not in self.parameters:
             return "has the bound of a loss, and no parameter 'loss'"
         if isinstance(self.bound, VaryingBound) and not isinstance(self.law, VaryingLaw):

@@ -10,10 +10,11 @@ import numpy as np
 from sim.effects.exchange import BENDING, FLOWING, HOUSING
 from sim.effects.heating import HEATING
 from sim.effects.kind import EffectKind, Feature, Structural, VaryingBound
+from sim.effects.lines import LineError, kind_of_line
 from sim.effects.random import RANDOM
 from sim.effects.sensing import SENSING
 from sim.effects.varying import VARYING
-from sim.sha import SHA, Array, Effect
+from sim.sha import SHA, Array, Effect, EffectLine
 
 EFFECTS: dict[str, EffectKind] = {
     kind.name: kind for kind in (*HEATING, *FLOWING, HOUSING, *VARYING, *SENSING, *BENDING, *RANDOM)
@@ -30,18 +31,31 @@ ROLES: dict[str, str] = {
 
 
 def kind_of(effect: Effect) -> EffectKind:
-    """The kind of an effect. Raises ValueError for an unknown one."""
+    """The kind of an effect, made of its own line where it brings one. Raises ValueError for an unknown one."""
+    if effect.line is not None:
+        if effect.line.name != effect.kind:
+            raise ValueError(
+                f"the effect {effect.kind!r} brings a line with the name {effect.line.name!r}; give both one name"
+            )
+        return own_kind(effect.line)
     kind = EFFECTS.get(effect.kind)
     if kind is None:
         raise ValueError(f"unknown effect {effect.kind!r}: known are {', '.join(EFFECTS)}")
     return kind
 
 
+def own_kind(line: EffectLine) -> EffectKind:
+    """The kind that an engineer's line stands for. Raises LineError, a ValueError, with the key and the reason."""
+    if line.name in EFFECTS:
+        raise LineError("name", f"{line.name!r} is a kind of the catalogue already; give the effect another name")
+    return kind_of_line(line)
+
+
 def parameter(effect: Effect, name: str) -> float:
     """The value of a parameter, its kind's default where it is left out."""
     if name in effect.params:
         return effect.params[name]
-    default = EFFECTS[effect.kind].parameters[name].default
+    default = kind_of(effect).parameters[name].default
     if default is None:
         raise KeyError(name)
     return default
@@ -111,6 +125,7 @@ def effect_summary(effect: Effect) -> str:
     parts += [f"{role} {signal}" for role, signal in effect.signals.items()]
     parts += [f"since {effect.event}"] if effect.event else []
     parts += [f"in {', '.join(effect.locations)}"] if effect.locations else []
+    parts += [f"heat {effect.line.heat}"] if effect.line is not None else []
     return f"{effect.kind}: {'; '.join(parts)}"
 
 

@@ -49,6 +49,7 @@ SENSING = (
             strength="delay",
             sign=1.0,
             experiment="one sharp step of the current, logged at 1 Hz",
+            look="how the reading comes here: averaging in the PLC, a slow bus, a sensor far from the heat",
             shapes=lambda _: [
                 {"delay": delay, "blur": blur}
                 for delay, blur in product((10.0, 20.0, 40.0, 80.0, 160.0, 320.0), (0.0, 0.7, 1.4))
@@ -76,6 +77,7 @@ SENSING = (
             strength="tau",
             sign=1.0,
             experiment="one sharp step of the current, logged at 1 Hz",
+            look="the sensor's seat: paste, a loose well, air between probe and metal",
             shapes=lambda _: [
                 {"tau": tau, "order": order}
                 for tau, order in product((15.0, 30.0, 60.0, 120.0, 240.0, 480.0), (1.0, 2.0))
@@ -102,6 +104,7 @@ SENSING = (
             strength="size",
             sign=0.0,
             experiment="a reading at long rest, against a second thermometer",
+            look="the sensor: its plug, its seat, whether it was exchanged or calibrated",
             shapes=lambda log: [
                 {"at": float(log.time[int(share * log.time.size)])} for share in np.arange(0.05, 0.96, 0.1).tolist()
             ],

@@ -82,6 +82,7 @@ VARYING = (
             strength="gain",
             sign=1.0,
             experiment="start twice within an hour, at the same load",
+            look="the grease after a start: amount, age, when it was filled last",
             shapes=lambda _: [
                 {"tau": tau, "shape": shape}
                 for tau, shape in product((60.0, 120.0, 240.0, 480.0, 960.0), (0.5, 1.0, 2.0))
@@ -118,6 +119,7 @@ VARYING = (
             experiment=(
                 "compare a reading at long rest before and after: a sensor that moved shows it there, wear does not"
             ),
+            look="wear: bearing clearance, seals, alignment, and the date of the last overhaul",
             shapes=lambda log: [
                 {"since": float(log.time[0]) + share * (float(log.time[-1]) - float(log.time[0]))}
                 for share in (0.0, 0.2, 0.4, 0.6)

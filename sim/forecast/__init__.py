@@ -1,5 +1,6 @@
 """What the temperature may do next, and what keeps that honest."""
 
+from sim.forecast.band_widening import factors_at
 from sim.forecast.calibration import (
     Calibration,
     Horizon,
@@ -42,6 +43,7 @@ __all__ = [
     "beyond",
     "calibrate",
     "factors",
+    "factors_at",
     "follow",
     "follow_forecasts",
     "forecast",

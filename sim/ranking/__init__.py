@@ -3,14 +3,16 @@
 from sim.ranking.ranking import Ranking, Weights, entrants, rank
 from sim.ranking.report import as_plain, draw_ranking, write_page
 from sim.ranking.tuning import Objective, StudyPlan, Tuning, final_model, tune
-from sim.ranking.tuning_methods import METHODS, Task
+from sim.ranking.tuning_methods import METHODS, Settings, Task, Taught
 
 __all__ = [
     "METHODS",
     "Objective",
     "Ranking",
+    "Settings",
     "StudyPlan",
     "Task",
+    "Taught",
     "Tuning",
     "Weights",
     "as_plain",

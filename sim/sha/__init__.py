@@ -2,6 +2,7 @@
 
 from sim.sha.automaton import SHA, Distribution, Edge, Effect, Entry, Flow, Input, Location, nondeterminism, transitions
 from sim.sha.distributions import LAWS, check_distribution, mean, variance
+from sim.sha.effect_line import EffectLine, LineActs, LineParameter
 from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
 from sim.sha.events import (
     DECANTER,
@@ -48,6 +49,7 @@ __all__ = [
     "Distribution",
     "Edge",
     "Effect",
+    "EffectLine",
     "Encoder",
     "EncoderState",
     "Entry",
@@ -55,6 +57,8 @@ __all__ = [
     "Flow",
     "Indices",
     "Input",
+    "LineActs",
+    "LineParameter",
     "Location",
     "MachineCorrection",
     "Mask",

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Literal
 
+from sim.sha.effect_line import EffectLine
+
 Entry = Literal["parameter", "resample", "none"]
 """What entering a location does: draw the mode parameter m (X stays continuous), draw X (the thesis), or nothing."""
 
@@ -71,7 +73,8 @@ class Effect:
 
     `kind` is a key of `effects.EFFECTS`, which says what `params` it takes and which roles `signals` fills (role -> the
     signal's name). It acts while the automaton is in one of `locations`, everywhere when there are none. `event` is the
-    symbol since whose last occurrence an effect with a clock of its own counts.
+    symbol since whose last occurrence an effect with a clock of its own counts. An engineer's own effect brings its
+    `line`, from which its kind is made; `kind` is then the line's name.
     """
 
     kind: str
@@ -79,6 +82,7 @@ class Effect:
     signals: Mapping[str, str] = field(default_factory=dict)
     locations: tuple[str, ...] = ()
     event: str = ""
+    line: EffectLine | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,7 +96,11 @@ def changed(path: str, value: Any) -> str:
     ("path", "value", "reason"),
     [
         ("format", "something", "format: this is 'something'; a model has 'decanter-sha-model'"),
-        ("version", 3, "version: version 3 is unknown; this program reads the versions 1 and 2 (with effects)"),
+        (
+            "version",
+            4,
+            "version 4 is unknown; this program reads the versions 1, 2 (with effects) and 3 (with own effects)",
+        ),
         ("version", "1", "version: a whole number is needed"),
         ("sensor_sigma", ..., "the document: the key 'sensor_sigma' is missing; it has"),
         ("sensor_sigma", "much", "sensor_sigma: a number is needed"),

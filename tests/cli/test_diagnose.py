@@ -76,6 +76,9 @@ def test_what_cannot_be_diagnosed_is_refused_in_one_sentence(
         refused(decanter(*with_model, model, "--traces", wrong / name), 2, name.partition(".")[0])
     (tmp_path / "room.csv").write_text("time,TCuscinettiRiduttore\n0,20\n1,21\n2,22\n", encoding="utf-8")
     refused(decanter(*with_model, model, "--traces", tmp_path / "room.csv"), 2, "'MarciaDecanter', which no trace has")
+    (tmp_path / "own.toml").write_text('[[effect]]\nname = "a"\nheat = "b *"\n', encoding="utf-8")
+    refused(decanter(*given, tmp_path / "o", "--effects", tmp_path / "own.toml"), 2, "effect[0]: the key 'meaning'")
+    refused(decanter(*given, tmp_path / "o", "--effects", tmp_path / "no.toml"), 2, "no.toml: no such file")
     assert not (tmp_path / "o").exists(), "nothing is written for what is refused"
 
 

@@ -39,14 +39,24 @@ def model(shift: float = 0.0) -> Model:
     return Model(SHA("small", locations, tuple(edges), "OFF"), ALPHABET, "T", 0.06)
 
 
-def plant(seed: int, days: int = 4, *, pump: float = 0.0, churning: float = 0.0, offset: float = 0.0) -> Trace:
-    """`days` days of three cycles. `pump` 1/s cools towards 19 degC, `churning` degC/s dies away after each start over
-    400 s as a logistic, `offset` degC is read too much from 40 % of the time on."""
+def plant(
+    seed: int,
+    days: int = 4,
+    *,
+    pump: float = 0.0,
+    churning: float = 0.0,
+    offset: float = 0.0,
+    bowl: float = 0.0,
+    runs_on: bool = False,
+) -> Trace:
+    """`days` days of three cycles, or one run of them all. `pump` 1/s cools towards 19 degC, `churning` degC/s dies
+    away after each start over 400 s as a logistic, `offset` degC is read too much from 40 % of the time on."""
     rng = np.random.default_rng(seed)
     size = int(days * 86400 / PERIOD)
-    on, current, pumping = _operation(rng, size)
+    on, current, pumping = operation(rng, size, runs_on)
     temperature = np.empty(size)
-    x, heat, friction, since = 17.0, 0.0, 1.0, 1e9
+    x, heat, friction, since, warmed = 17.0, 0.0, 1.0, 1e9, 0.0
+    feed = np.repeat(np.random.default_rng([seed, 1]).uniform(10.0, 40.0, size // 200 + 1), 200)[:size]
     for row in range(size):
         temperature[row] = x
         if row and on[row] > on[row - 1]:
@@ -57,6 +67,8 @@ def plant(seed: int, days: int = 4, *, pump: float = 0.0, churning: float = 0.0,
         drive = k * (target - x) + on[row] * ((friction - 1) * k * (target - 17.0) + heat)
         drive -= pump * pumping[row] * (x - 19.0)
         drive += churning * on[row] / (1 + np.exp(min((since - 400.0) / 100.0, 50.0)))
+        warmed += PERIOD / 150.0 * (pumping[row] * (feed[row] - 22.0) - warmed)
+        drive += bowl * warmed
         x += PERIOD * drive + 0.003 * np.sqrt(PERIOD) * rng.standard_normal()
         since += PERIOD
     read = temperature + 0.06 * rng.standard_normal(size)
@@ -68,6 +80,8 @@ def plant(seed: int, days: int = 4, *, pump: float = 0.0, churning: float = 0.0,
         "TAmbiente": 17.0 + np.cumsum(0.02 * rng.standard_normal(size)),
         "T": np.round(read, 1),
     }
+    if bowl:
+        signals["TFango"] = feed
     trace = Trace(f"plant{seed}", 1.7e9 + PERIOD * np.arange(size), signals, origin="a test's plant", synthetic=True)
     return replace(trace, events=encode(trace, ALPHABET))
 
@@ -91,7 +105,7 @@ def simulated(source: Model, seed: int, days: int = 4) -> Trace:
     """`days` days of three cycles of the very automaton, everything that is random in it drawn, read to 0.1 degC."""
     rng = np.random.default_rng(seed)
     size = int(days * 86400 / PERIOD)
-    on, current, pumping = _operation(rng, size)
+    on, current, pumping = operation(rng, size)
     signals = {"MarciaDecanter": on, "Assorbimento": current, "MarciaPmpFango": pumping}
     trace = Trace(f"drawn{seed}", 1.7e9 + PERIOD * np.arange(size), signals, synthetic=True)
     trace = replace(trace, events=encode(trace, ALPHABET))
@@ -100,13 +114,14 @@ def simulated(source: Model, seed: int, days: int = 4) -> Trace:
     return replace(trace, signals={**signals, "T": np.round(read, 1)})
 
 
-def _operation(rng: np.random.Generator, size: int) -> tuple[Array, Array, Array]:
+def operation(rng: np.random.Generator, size: int, runs_on: bool = False) -> tuple[Array, Array, Array]:
+    """(running, current, pump) of so many rows: three cycles a day, or one run of them all."""
     on, current, pumping = np.zeros(size), np.zeros(size), np.zeros(size)
     hour = 3600 / PERIOD
-    for begin in range(int(5 * hour), size, int(24 * hour)):
+    for begin in range(int(5 * hour), size, size if runs_on else int(24 * hour)):
         at = begin
-        for _ in range(3):
-            end = min(at + int(rng.uniform(2.5, 3.5) * hour), size)
+        for _ in range(1 if runs_on else 3):
+            end = size if runs_on else min(at + int(rng.uniform(2.5, 3.5) * hour), size)
             on[at:end] = 1
             while at < end:
                 until = min(end, at + int(rng.uniform(0.3, 0.8) * hour))

@@ -139,6 +139,19 @@ def test_heat_that_is_rougher_than_the_model_has_learned_is_a_gap() -> None:
     assert found.effects == ()
 
 
+def test_a_feed_that_acts_by_itself_and_not_by_the_difference_from_the_bearing_is_named_as_what_it_is() -> None:
+    found = diagnose(model(), [plant(6, days=3, bowl=2e-4)], seed=0).diagnosis
+    assert (found.verdict, [one.name for one in found.effects]) == ("named", ["feed-temperature-coupling"])
+    assert found.held_out is not None and found.held_out.rmse_after < 0.5 * found.held_out.rmse_before
+
+
+def test_a_machine_that_runs_on_is_diagnosed_by_pieces_of_its_run() -> None:
+    found = diagnose(model(), [plant(3, days=2, pump=2e-4, runs_on=True)], seed=0).diagnosis
+    assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])
+    assert found.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.25)
+    assert found.held_out is not None and found.held_out.cycles >= 3
+
+
 def test_a_cycle_or_two_are_too_little() -> None:
     found = diagnose(model(), [plant(8, days=1)], seed=0).diagnosis
     assert found.verdict == "too-little-data"

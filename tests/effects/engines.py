@@ -173,14 +173,19 @@ def plain_course(learner: str, first: float) -> Array:
 def check_one_course(name: str, learner: str, first: float) -> None:
     """Asserts that the example `name` has one course in all engines; its signals are read from `first` (s) on."""
     (example,) = EXAMPLES[name]
-    one = named(example.kind, dict(example.signals), dict(example.params))
+    check_course(named(example.kind, dict(example.signals), dict(example.params)), learner, first)
+
+
+def check_course(one: Named, learner: str, first: float) -> None:
+    """The same of any effect."""
+    kind = one.entry.name
     plain, trace = model_of(learner), trace_of(first)
     model = with_effects(plain, one)
     assert len(model.sha.effects) == 1
     expected = automaton(model, trace)
     assert np.abs(expected - plain_course(learner, first)).max() > 0.2, "the effect must be seen"
-    np.testing.assert_allclose(fitted(plain, one, trace), expected, atol=FIT.get(example.kind, 0.03))
-    exact = 5e-4 if example.kind == "radiation-loss" else 1e-4  # a tangent that is taken once a segment
+    np.testing.assert_allclose(fitted(plain, one, trace), expected, atol=FIT.get(kind, 0.03))
+    exact = 5e-4 if kind == "radiation-loss" else 1e-4  # a tangent that is taken once a segment
     np.testing.assert_allclose(filtered(model, trace), expected, atol=exact)
     np.testing.assert_allclose(sampled(model, trace), expected, atol=exact)
     times, read = exported(model, trace)
@@ -188,5 +193,5 @@ def check_one_course(name: str, learner: str, first: float) -> None:
     rows = np.searchsorted(native.times, times + 1e-5) - 1
     near = np.abs(native.times[rows] - times) < 1e-4  # a dead time's events lie between the rows
     assert near.any()
-    bound = 0.05 if example.kind == "thermostatic-cooling" else 2e-3
+    bound = 0.05 if kind == "thermostatic-cooling" else 2e-3
     np.testing.assert_allclose(read[near], native.mean[rows][near], atol=bound)

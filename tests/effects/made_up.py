@@ -4,39 +4,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from sim.effects.kind import (
-    BoundLaw,
-    EffectCandidate,
-    EffectKind,
-    HeatBound,
-    HeldLaw,
-    Parameter,
-    Role,
-    Roles,
-    Signals,
-    TextLaw,
-    TextWriter,
-    UppaalLaw,
-)
+from sim.effects.expressed import expressed
+from sim.effects.kind import BoundLaw, EffectCandidate, EffectKind, Parameter, Role, Roles, UppaalLaw
 from sim.effects.kinds import EFFECTS
-from sim.sha.automaton import Effect
-from sim.sha.trace import Array
 
 HUMIDITY = Role("humidity", "Umidita")
-
-
-def _condensing(effect: Effect, signals: Signals) -> tuple[Array, Array]:
-    humidity = signals[effect.signals["humidity"]]
-    return effect.params["gain"] * (humidity - effect.params["reference"]), np.zeros_like(humidity)
-
-
-def _text(writer: TextWriter, effect: Effect) -> str:
-    value, read = writer.read(effect, "humidity")
-    gain, reference = (writer.constant(name.upper(), effect.params[name]) for name in ("gain", "reference"))
-    return f" + {read} * {gain} * ({value} - {reference})"
 
 
 HUMIDITY_HEATING = EffectKind(
@@ -48,13 +22,12 @@ HUMIDITY_HEATING = EffectKind(
     },
     roles=Roles(needed=(HUMIDITY,)),
     acts="anywhere",
-    law=HeldLaw(_condensing),
-    bound=HeatBound(lambda _: ()),
-    uppaal=TextLaw(_text),
+    **expressed("gain * (humidity - reference)"),
     candidate=EffectCandidate(
         strength="gain",
         sign=1.0,
         experiment="open the windows for an hour at one load",
+        look="steam and wet floors beside the machine",
         shapes=lambda log: [{"reference": log.usual("humidity", running=False)}],
     ),
 )

@@ -19,6 +19,7 @@ from drivers.tag import DType, Tag
 from drivers.vehicle.isotp import Reassembler
 from drivers.vehicle.j1939_transport import Key, TransportSessions
 from drivers.vehicle.obd import ObdListener
+from gateway.northbound.sparkplug import LONGEST_NAME, MOST_COMMANDS, commands_in
 from gateway.serving import PeerServer
 from sim.plc.canopen.node import SDO_ANSWER, CanopenNode
 from sim.plc.canopen.objects import read_layout
@@ -43,6 +44,15 @@ def modbus_client(data: bytes) -> object:
             check_reply(ASKED, frame)
             assert frame[:9] == ANSWER[:9] and len(frame) == len(ANSWER)
     return frames
+
+
+def sparkplug_command(data: bytes) -> object:
+    """Whatever a broker hands on, what is heard of it is few short lines."""
+    heard = commands_in(data)
+    assert len(heard) <= MOST_COMMANDS
+    for command in heard:
+        assert command.text.isprintable() and len(command.text) <= LONGEST_NAME and isinstance(command.is_true, bool)
+    return heard
 
 
 def rtu_client(data: bytes) -> object:

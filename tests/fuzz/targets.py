@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import can
+import numpy as np
 
 from drivers.can.dbc import Dbc
 from drivers.canopen.eds import load_sheet
@@ -25,12 +26,15 @@ from drivers.tag import Tag
 from drivers.vehicle.log import Log
 from gateway.commission.files.cells import ListError, read_sheet
 from gateway.settings import load_config
+from sim.artefacts.effect_lines import read_effect_lines
+from sim.artefacts.familiarity_file import FAMILIARITY_FILE, Familiarity, read_familiarity
 from sim.artefacts.formats.dot import read_source
 from sim.artefacts.formats.flow_file import read_flow_file
 from sim.artefacts.formats.histogram import read_histogram
 from sim.artefacts.formats.report import read_report
 from sim.artefacts.model_json import model_text, read_model_file
 from sim.checking.language.parse import QueryError, parse_query
+from sim.familiarity import FEATURES, error_curve, fit_reference
 from sim.files import ArtefactError
 from sim.plc.modbus import framing
 from sim.plc.modbus.server import make_rtu_tcp
@@ -56,6 +60,15 @@ def _files(*patterns: str) -> Callable[[], Sequence[bytes]]:
 
 
 # ---------------------------------------------------------------- files
+
+REBIRTH = b"\x12\x1a\n\x14Node Control/Rebirth \x0bp\x01"
+ACKNOWLEDGEMENT = b"\x12\x2b\n\x19Alarm Control/Acknowledge \x0cz\x0cover limit T"
+
+
+def _familiarity() -> str:
+    points = np.random.default_rng(0).normal(size=(8, 3, len(FEATURES)))
+    return Familiarity(fit_reference(list(points)), error_curve([0.5, 1.0], [0.1, 0.2])).text()
+
 
 DBC = b"""VERSION ""
 NS_ :
@@ -233,6 +246,18 @@ CRC = crc_hqx(b"ABCDEFGHIJ", 0).to_bytes(2, "little")
 PLACE = ObjectPlace(0x2001, 1)
 TOML = r"(is not TOML: |byte \d+|[^:]+: )"
 
+OWN_EFFECTS = """
+[[effect]]
+name = "slurry"
+meaning = "what is pumped"
+heat = "gain * (feed - temperature) * max(pump, 0) ^ 1.5 / (1 + abs(feed) / knee)"
+acts = "anywhere"
+experiment = "pump at two temperatures"
+signals = { feed = "TFango", pump = "P" }
+parameters = { gain = { unit = "1/s", low = 0 }, knee = { unit = "degC", low = 1, high = 50, try = [5] } }
+"""
+
+
 TARGETS: dict[str, FuzzTarget] = {
     "modbus-client": FuzzTarget(
         lambda: [sides.ANSWER, sides.ANSWER * 2],
@@ -350,6 +375,15 @@ TARGETS: dict[str, FuzzTarget] = {
     "model-json": FuzzTarget(
         lambda: [model_text(_model()).encode()], of_file("x.json", read_model_file), (ArtefactError,), ".*/x.json(:|: )"
     ),
+    "effects-toml": FuzzTarget(
+        _texts(OWN_EFFECTS), of_file("x.toml", read_effect_lines), (ArtefactError,), r".*/x.toml: "
+    ),
+    "familiarity": FuzzTarget(
+        lambda: [_familiarity().encode()],
+        of_file(FAMILIARITY_FILE, lambda path: read_familiarity(path.parent)),
+        (ArtefactError,),
+        f".*/{FAMILIARITY_FILE}(:|: )",
+    ),
     "xlsx": FuzzTarget(
         lambda: [_workbook()],
         of_file("x.xlsx", _sheet),
@@ -369,6 +403,7 @@ TARGETS: dict[str, FuzzTarget] = {
         (InputError,),
         r".*/x.jsonl: ",
     ),
+    "sparkplug-command": FuzzTarget(lambda: [REBIRTH, ACKNOWLEDGEMENT], plain(sides.sparkplug_command)),
     "gateway-control": FuzzTarget(_texts(*REQUESTS), live.gateway_control),
     "plc-control": FuzzTarget(_texts(*ORDERS), live.plc_control),
 }

@@ -34,7 +34,8 @@ def main() -> None:
             time.sleep(60.0)
         answered += 1
         status = {"machine": names[0], "answered": answered, "former": begin["former"]}
-        content = {"statuses": {}} if message["ask"] == "statuses" else {"answer": {"ok": True, "status": status}}
+        silent = {"statuses": {}, "progress": dict.fromkeys(names, (answered, 0))}
+        content = silent if message["ask"] == "statuses" else {"answer": {"ok": True, "status": status}}
         channel.reply(message["id"], content)
     channel.reply(message["id"], {"statuses": {}})
     channel.close()

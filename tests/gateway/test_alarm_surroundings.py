@@ -2,13 +2,18 @@
 
 import asyncio
 import datetime as dt
+import math
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gateway.certificates import days_left, make_all
+from gateway.clock_sync import clock_error
 from gateway.machine.alarms import make_conditions
+from gateway.plant.status import snapshot
 from gateway.settings import ALARM_KINDS
 from gateway.settings.config import Config, load_config
 from tests.gateway.support import EPOCH, MAP, TEMPERATURE, config_in, plant_file, two_modes
@@ -68,6 +73,31 @@ async def test_a_disk_that_is_nearly_full_is_an_alarm(tmp_path: Path) -> None:
     async with standing(config_in(tmp_path, QUICK + "disk_mb = 1e12\n")) as stand:
         await looked(stand)
         assert stand.state("disk") == "unacknowledged"
+
+
+@pytest.mark.parametrize(("error", "state"), [(0.02, "normal"), (None, "normal"), (math.inf, "unacknowledged")])
+async def test_a_clock_that_no_time_server_steers_is_an_alarm_after_an_hour(
+    error: float | None, state: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gateway.machine.trust.clock_error", lambda: error)
+    async with standing(config_in(tmp_path, QUICK)) as stand:
+        await looked(stand)
+        assert snapshot(stand.machine).clock["synchronised"] == {0.02: True, None: None, math.inf: False}[error]
+        assert stand.state("clock not steered") == "normal", "a server is given time to be found"
+        await stand.scan(3601.0)
+        assert stand.state("clock not steered") == state
+
+
+def test_the_kernel_says_what_timedatectl_says_of_the_clock() -> None:
+    if shutil.which("timedatectl") is None:
+        pytest.skip("timedatectl is not installed here")
+    said = subprocess.run(
+        ["timedatectl", "show", "-p", "NTPSynchronized", "--value"], capture_output=True, text=True, check=False
+    )
+    if said.returncode:
+        pytest.skip(f"there is no timedated to ask here: {said.stderr.strip()}")
+    error = clock_error()
+    assert error is not None and math.isfinite(error) == (said.stdout.strip() == "yes")
 
 
 async def test_messages_that_are_not_delivered_are_an_alarm(tmp_path: Path) -> None:

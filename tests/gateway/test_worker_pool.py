@@ -143,6 +143,11 @@ async def test_one_that_hangs_is_killed_and_begun_anew_and_the_other_is_asked_on
         assert "worker 2 (hangs): it did not answer for 0.3 s and was killed" in answer["status"]["former"]
         assert (await pool.answer(asked("a")))["status"]["former"] == ""
         assert pool.supervisor.report()["worker 2"]["restarts"] == 1
+        # What feeds the watchdog: scans as the processes tell them, and that one was begun anew.
+        before = pool.progress()
+        assert (before["a"].restarts, before["hangs"].restarts) == (0, 1)
+        while (now := pool.progress())["a"].completed <= before["a"].completed or now["hangs"] == before["hangs"]:
+            await asyncio.sleep(0.02)
     assert "a part of the gateway failed and is begun anew" in log.getvalue() and "Traceback" not in log.getvalue()
 
 

@@ -3,13 +3,14 @@
 import json
 import os
 import signal
-import socket
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from subprocess import PIPE, Popen
+from threading import Thread
 from typing import Any
 from urllib.request import urlopen
 
@@ -21,6 +22,7 @@ from gateway.settings import load_plant
 from gateway.store import machines, read, reading, stored_rows, verify
 from tests.cli.support import decanter, only_object
 from tests.rig.pair import MAP, ROOT, Gateway, Plc, end, plc_process
+from tests.rig.servers import free_port, until
 
 MACHINES = ("a", "b", "c", "d")
 TEMPERATURE, HEARTBEAT = "TCuscinettiRiduttore", "PlcHeartbeat"
@@ -34,6 +36,8 @@ class SplitPlant:
     gateway: Gateway
     plc: Plc
     served: int
+    metrics: int
+    lines: list[str]
 
     def ask(self, *words: str) -> dict[str, Any]:
         """What a command of the program answers."""
@@ -63,6 +67,27 @@ def is_worker(pid: int) -> bool:
     return False
 
 
+@contextmanager
+def served_points(lines: list[str]) -> Iterator[HTTPServer]:
+    """A server that takes points of line protocol, and keeps their lines."""
+
+    class Points(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            lines.extend(self.rfile.read(int(self.headers["Content-Length"])).decode().splitlines())
+            self.send_response(204)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            return
+
+    with HTTPServer(("127.0.0.1", 0), Points) as server:
+        thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+        thread.start()
+        yield server
+        server.shutdown()
+        thread.join()
+
+
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SplitPlant]:
     folder = tmp_path_factory.mktemp("plant")
@@ -75,8 +100,8 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SplitPlant]:
             f'[[machine]]\nname = "{name}"\ndevice = {{ port = {port} }}\nserve = {{ unit = {unit} }}'
             for unit, (name, port) in enumerate(ports.items(), start=1)
         )
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            served = free.getsockname()[1]
+        lines: list[str] = []
+        points, metrics, served = ending.enter_context(served_points(lines)), free_port(), free_port()
         file = folder / "plant.toml"
         file.write_text(
             f"""
@@ -98,6 +123,13 @@ port = {served}
 [page]
 enabled = true
 port = 0
+[northbound.metrics]
+port = {metrics}
+[[northbound.influx]]
+name = "it"
+url = "http://127.0.0.1:{points.server_port}"
+database = "plant"
+tables = ["samples"]
 {rows}
 """,
             encoding="utf-8",
@@ -105,7 +137,7 @@ port = 0
         command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(file), "--quiet"]
         process = Popen([*command, "--status", str(folder / "s.json")], stdout=PIPE, stderr=PIPE, text=True, cwd=ROOT)
         ending.callback(end, process)
-        yield SplitPlant(file, Gateway(process, folder / "s.json"), plc, served)
+        yield SplitPlant(file, Gateway(process, folder / "s.json"), plc, served, metrics, lines)
 
 
 def test_the_machines_of_all_processes_are_read_and_shown_as_one_plants(plant: SplitPlant) -> None:
@@ -142,6 +174,16 @@ def test_peers_and_browsers_are_shown_the_machines_of_all_processes(plant: Split
     assert list(shown["machines"]) == list(MACHINES)
     with urlopen(f"{address}/api/live", timeout=10.0) as stream:  # noqa: S310
         assert set(json.loads(stream.readline().removeprefix(b"data: "))["machines"]) == set(MACHINES)
+
+
+def test_other_systems_are_told_of_the_machines_of_all_processes(plant: SplitPlant) -> None:
+    until(lambda: len({line.split(",", 3)[2] for line in list(plant.lines)}) == len(MACHINES))
+    told = [line.rpartition(" ")[0].split(" ")[0] + line.rpartition(" ")[2] for line in list(plant.lines)]
+    assert len(told) == len(set(told)) > 100
+    with urlopen(f"http://127.0.0.1:{plant.metrics}/metrics") as answer:
+        text = answer.read().decode()
+    assert all(f'decanter_link_up{{machine="{name}"}} 1.0' in text for name in MACHINES)
+    assert 'decanter_northbound_connected{sink="it"} 1.0' in text
 
 
 def test_one_machine_is_armed_and_disarmed_by_its_name(plant: SplitPlant) -> None:

@@ -57,7 +57,7 @@ class Served:
         return [(row.entry.kind, row.entry.who, dict(row.entry.detail)) for row in read(self.config.audit)]
 
 
-def eventually(true: Callable[[], Any], seconds: float = 15.0) -> Any:
+def eventually(true: Callable[[], Any], seconds: float = 60.0) -> Any:
     """What is true in the end. Raises AssertionError where it is not within so many seconds."""
     until = time.monotonic() + seconds
     while not (found := true()):
@@ -67,10 +67,12 @@ def eventually(true: Callable[[], Any], seconds: float = 15.0) -> Any:
 
 
 @contextmanager
-def served(folder: Path, text: str = PAGE, accounts: dict[str, AccountRole] | None = None) -> Iterator[Served]:
-    """A gateway on a decanter that runs, with accounts whose password is PASSWORD."""
+def served(
+    folder: Path, text: str = PAGE, accounts: dict[str, AccountRole] | None = None, **overrides: Any
+) -> Iterator[Served]:
+    """A gateway on a decanter that runs, with accounts whose password is PASSWORD; `overrides` as of `config_in`."""
     folder.mkdir(parents=True, exist_ok=True)
-    config = config_in(folder, text, model=two_modes())
+    config = config_in(folder, text, model=two_modes(), **overrides)
     for name, role in (accounts or {}).items():
         add_account(config.users, name, role, PASSWORD)
     clock = plant_clock(1.0)

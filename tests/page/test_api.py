@@ -5,14 +5,19 @@ import json
 import ssl
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gateway.certificates import make_all
+from gateway.machine.writing import places_of
 from gateway.web.access import AccountRole, change_password, remove_account
-from tests.gateway.support import TEMPERATURE, logged
+from sim.artefacts import promote
+from sim.artefacts.formats import save
+from sim.sha import Distribution, Flow
+from tests.gateway.support import TEMPERATURE, logged, two_modes
 from tests.page.served import PAGE, PASSWORD, PERIOD, Client, Served, eventually, served
 
 ACCOUNTS = {
@@ -53,6 +58,7 @@ def test_all_that_the_page_shows_can_be_asked_for(gateway: Served) -> None:
         "/api/trend": f"machine=decanter&tag={TEMPERATURE}&start={now - 60}&end={now}",
         "/api/forecasts": f"machine=decanter&temperature={TEMPERATURE}&horizon=60&start={now - 60}&end={now + 60}",
         "/api/alarms": "machine=decanter",
+        "/api/rates": "days=1",
         "/api/scorecard": f"machine=decanter&temperature={TEMPERATURE}",
         "/api/model": "machine=decanter",
         "/api/box": "",
@@ -118,6 +124,45 @@ def test_an_alarm_is_acknowledged_by_a_person_and_on_record_with_name_and_addres
     assert rows[-1]["acknowledged_by"] == "olga at 127.0.0.1" and rows[-1]["condition"] == ALARM
 
 
+def test_the_alarms_of_a_week_are_held_against_what_a_person_can_deal_with(gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 48.0)
+    client = Client(gateway.port)
+    found = eventually(lambda: ALARM in (rates := client.ask("GET", "/api/rates")[1]["rates"])["frequent"] and rates)
+    assert found["announced"] >= found["frequent"][ALARM] and found["ok"] is not bool(found["findings"])
+    gateway.put(TEMPERATURE, 45.0)
+
+
+def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gateway.plant.app.SIGN_SECONDS", 0.1)
+    store, model = tmp_path / "models", two_modes()
+    renamed = replace(model, sha=replace(model.sha, name="challenger"))
+    slope = Distribution("normal", {"mu": 0.05, "sigma": 0.0})
+    *others, on = model.sha.locations
+    endless = replace(on, flow=Flow("linear", {"noise": 0.0}), distribution=slope, entry="parameter")
+    growing = replace(model, sha=replace(model.sha, locations=(*others, endless)))
+    first, second, third = (save(store, one, created=1.0) for one in (model, renamed, growing))
+    promote(store, first)
+    with served(tmp_path, accounts=ACCOUNTS, model__path=store) as gateway:
+        enzo, asked = as_(gateway, "enzo"), {"machine": "decanter", "temperature": TEMPERATURE, "reason": "it won"}
+
+        def runs() -> dict[str, Any]:
+            return dict(enzo.ask("GET", "/api/model?machine=decanter")[1]["temperatures"][TEMPERATURE])
+
+        assert runs()["versions"] == [first, second, third] and runs()["version"] == first
+        assert as_(gateway, "olga").ask("POST", "/api/promote", {**asked, "version": second})[0] == 403
+        assert enzo.ask("POST", "/api/promote", {**asked, "version": "0009-00000000"})[0] == 404
+        status, refused = enzo.ask("POST", "/api/promote", {**asked, "version": third})
+        assert status == 409 and "is not promoted" in refused["reason"]
+        assert enzo.ask("POST", "/api/promote", {**asked, "version": second}) == (200, {"version": second})
+        eventually(lambda: (runs()["version"], runs()["name"]) == (second, "challenger"))
+        said = [(kind, detail["version"]) for kind, _, detail in gateway.audited() if kind == "page: promote"]
+        assert said == [("page: promote", third), ("page: promote", second)]
+        # Also where no block is ever written the end of the log is witnessed while the gateway runs.
+        eventually(places_of(gateway.config).heads.is_file)
+
+
 def test_an_alarm_is_put_aside_for_a_while_with_a_reason_and_taken_back(gateway: Served) -> None:
     gateway.put(TEMPERATURE, 48.0)
     olga = as_(gateway, "olga")
@@ -127,8 +172,6 @@ def test_an_alarm_is_put_aside_for_a_while_with_a_reason_and_taken_back(gateway:
         return next((alarm for alarm in alarms if alarm["name"] == ALARM), {})
 
     eventually(lambda: alarm().get("active"))
-    if "shelve" not in alarm().get("possible", ()):
-        pytest.skip("the alarms of this gateway cannot be shelved")
     asked = {"machine": "decanter", "alarm": ALARM, "reason": "sensor is being changed"}
     assert olga.ask("POST", "/api/alarm", {**asked, "change": "remove from service"})[0] == 403
     assert olga.ask("POST", "/api/alarm", {**asked, "change": "shelve"})[0] == 409

@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, Page, expect  # noqa: E402 - only where
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 AXE = os.environ.get("AXE_CORE")
 VIEWS = ("plant", "machine/decanter", "alarms", "trends", "scorecard", "model", "communication", "box")
-WAIT_MS = 15_000
+WAIT_MS = 30_000
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from gateway.machine.alarms.board import BY_PERSONS, GATEWAY, AlarmBoard, AlarmE
 from gateway.machine.alarms.conditions import (
     CERTIFICATE,
     CLOCK,
+    CLOCK_SYNC,
     DEVICE,
     DISK,
     FAULT,
@@ -42,6 +43,7 @@ __all__ = [
     "CERTIFICATE",
     "CHANGE_WORDS",
     "CLOCK",
+    "CLOCK_SYNC",
     "DEVICE",
     "DISK",
     "FAULT",

@@ -22,6 +22,8 @@ OTHER_WRITER = "another writer"
 LINK, DISK, CERTIFICATE, NOTIFICATION = "link", "disk", "certificate", "notification"
 """The alarms for a machine that is not read, a disk that is nearly full, a certificate that runs out, and messages that
 are not delivered."""
+CLOCK_SYNC = "clock not steered"
+"""The alarm for a clock that no time server steers."""
 OVER_LIMIT, RISING = "over limit", "rising"
 DRIFTING = "sensor drifting"
 SENSOR_FAULTS = tuple(name for name in ALARM_KINDS if name.startswith("sensor "))
@@ -130,7 +132,7 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
             if kind == DRIFTING and (not config.twins or tag != config.twins[0]):
                 continue
             conditions += _of_kind(config, kind, FAULT, tag=tag, name=on_tag(kind, tag))
-    for kind in (RECORDS, PARTS, CLOCK, LINK, DISK):
+    for kind in (RECORDS, PARTS, CLOCK, CLOCK_SYNC, LINK, DISK):
         conditions += _of_kind(config, kind, 0.0 if kind == DISK else 0.5)
     if any(link.settings.get("certificates") for link in config.links):
         conditions += _of_kind(config, CERTIFICATE, -a.certificate_days)

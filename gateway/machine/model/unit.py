@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +18,8 @@ from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.reading import Scan
 from gateway.settings import Config
 from gateway.store import HistorianView, saved_state
+from sim.artefacts import is_store, versions
+from sim.files import ArtefactError
 from sim.forecast import Forecast
 
 if TYPE_CHECKING:
@@ -190,13 +194,23 @@ class ModelUnit:
         }
 
     def description(self) -> dict[str, Any]:
-        """The automaton, the present location (None where it is not known), and where the model comes from."""
+        """The automaton, the present location (None where it is not known), and where the model comes from.
+
+        `store` is that which it is promoted in, with its `versions`, oldest first; None and none for a model by itself.
+        """
         model, sha, now = self.loaded.model, self.loaded.model.sha, self.prediction
+        path = self.config.model.path
+        store = path if path is not None and is_store(path) else None
+        known: Sequence[str] = ()
+        with suppress(ArtefactError, OSError):  # a store that cannot be read now has none to choose from
+            known = () if store is None else versions(store)
         edges: dict[tuple[str, str], list[str]] = {}
         for edge in sha.edges:
             edges.setdefault((edge.source, edge.target), []).append(edge.symbol)
         return {
             **self.report(),
+            "store": None if store is None else str(store.absolute()),
+            "versions": list(known),
             "locations": [
                 {"name": place.name, "flow": place.flow.kind, "borrowed": place.name in model.borrowed}
                 for place in sha.locations

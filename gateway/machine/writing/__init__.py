@@ -25,7 +25,14 @@ if TYPE_CHECKING:
         next_heartbeat,
     )
     from gateway.machine.writing.block_stage import BlockStage
-    from gateway.machine.writing.witnessing import HeadWitnessing, clear_for_arming, countersign, places_for, places_of
+    from gateway.machine.writing.witnessing import (
+        SIGN_SECONDS,
+        HeadWitnessing,
+        clear_for_arming,
+        countersign,
+        places_for,
+        places_of,
+    )
     from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
     from gateway.machine.writing.writeback_stage import AuditTrail, WritebackStage, open_audit_trail
 else:
@@ -36,6 +43,7 @@ __all__ = [
     "NO_NUMBER",
     "NO_TEMPERATURE",
     "REFUSED",
+    "SIGN_SECONDS",
     "WRITE",
     "Arming",
     "ArmingError",

@@ -16,7 +16,7 @@ const models = new Map(); // machine -> {key, temperatures}
 export function modelView() {
   return h("section", { class: "view" }, state.order.flatMap((name) => {
     const { status, label, temperatures } = state.machines[name];
-    const key = JSON.stringify([status.model?.hash, status.further.map((one) => one.model?.hash)]);
+    const key = JSON.stringify([status.model, status.further.map((one) => one.model)]);
     if (models.get(name)?.key !== key) {
       models.set(name, { key });
       ask("GET", "/api/model", { machine: name }).then((found) => models.set(name, { key, ...found }), (error) => models.set(name, { key, error: error.message }));
@@ -24,8 +24,17 @@ export function modelView() {
     const known = models.get(name);
     return temperatures.map((row, place) => h("section", { class: "card", "data-key": `${name} ${row.tag}` }, h("h2", {}, `${label}: ${row.label}`),
       known.error ? h("p", { class: "error" }, known.error) : !known.temperatures ? h("p", { class: "quiet" }, say("word.loading"))
-        : modelCard(known.temperatures[row.tag], (place ? status.further[place - 1] : status).prediction)));
+        : [versionList(known.temperatures[row.tag], name, row.tag), modelCard(known.temperatures[row.tag], (place ? status.further[place - 1] : status).prediction)]));
   }));
+}
+
+// The versions of the store, the newest first; a person may have another one run than the one that does.
+const NEWEST = 6;
+function versionList(model, machine, temperature) {
+  if (!model?.versions.length) return null;
+  return h("ul", { class: "versions" }, [...model.versions].reverse().slice(0, NEWEST).map((version) => h("li", {}, h("code", {}, version), " ",
+    version === model.version ? h("span", { class: "key present" }, say("model.runs"))
+      : can("engineer") && h("button", { "data-act": "promote", "data-machine": machine, "data-of": temperature, "data-version": version }, say("model.promote")))));
 }
 
 function modelCard(model, prediction) {
@@ -101,7 +110,8 @@ export function boxView() {
     h("section", { class: "card" }, h("h2", {}, say("nav.box")), h("dl", { class: "facts" },
       f && [fact(say("box.disk"), bytes(f.disk.free), h("small", {}, share(f.disk.free, f.disk.total))), fact(say("box.memory"), bytes(f.memory.available), h("small", {}, share(f.memory.available, f.memory.total))),
         fact(say("box.process"), bytes(f.memory.process)), fact(say("box.load"), f.load.map((each) => number(each, 2)).join("  ")), fact(say("box.up"), duration(f.up))],
-      fact(say("box.clock"), status.clock.complaint || say("box.clock_good"), h("small", {}, moment(status.time)))),
+      fact(say("box.clock"), status.clock.complaint || say("box.clock_good"), h("small", {}, moment(status.time)),
+        status.clock.synchronised === false && h("small", {}, say("box.clock_alone")))),
       can("administrator") && h("button", { "data-act": "reload" }, say("person.reload"))),
     h("section", { class: "card" }, h("h2", {}, say("box.records")), (historian.failure || historian.complaint) && h("p", { class: "error" }, historian.failure || historian.complaint),
       h("dl", { class: "facts" }, fact(say("box.records"), lost ? say("box.lost", { count: lost }) : say("box.kept")),

@@ -75,6 +75,12 @@ export const acts = {
       await ask("POST", "/api/disarm", { machine: button.dataset.machine, reason }).catch((error) => expired(error, changed));
     });
   },
+  promote(button, changed) {
+    const { machine, of: temperature, version } = button.dataset;
+    dialog(`${say("model.promote")}: ${version}`, [["reason", say("person.reason"), line]], say("model.promote"), async ({ reason }) => {
+      await ask("POST", "/api/promote", { machine, temperature, version, reason }).catch((error) => expired(error, changed));
+    }, [h("p", { class: "quiet" }, say("model.proven"))]);
+  },
   async reload(_, changed) {
     try {
       const { changes } = await ask("POST", "/api/reload", { dry_run: true });

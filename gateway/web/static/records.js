@@ -25,17 +25,28 @@ export function alarmTable(names) {
   }));
 }
 
-let history = { key: "", rows: null };
+// How many alarms there are against what a person can deal with; the sentences are the gateway's.
+function ratesFacts(rates) {
+  if (!rates) return null;
+  const facts = [["announced", rates.announced], ["average", `${number(rates.per_ten_minutes, 2)}`], ["peak", rates.peak], ["floods", rates.floods.length], ["chattering", Object.keys(rates.chattering).length], ["stale", Object.keys(rates.stale).length]];
+  return [h("h2", {}, say("alarm.rates")),
+    h("dl", { class: "facts" }, facts.map(([key, found]) => h("div", { class: "fact" }, h("dt", {}, say(`rates.${key}`)), h("dd", {}, h("b", {}, String(found)))))),
+    rates.findings.length ? h("ul", {}, rates.findings.map((each) => h("li", {}, each))) : h("p", { class: "quiet" }, say("rates.ok"))];
+}
+
+let history = { key: "", rows: null, rates: null };
 export function alarmsView() {
   // Asked anew whenever an alarm has moved.
   const key = state.order.map((name) => JSON.stringify(state.machines[name].status.alarms)).join();
   if (history.key !== key) {
-    history = { key, rows: history.rows };
+    history = { ...history, key };
+    ask("GET", "/api/rates", { days: 7 }).then(({ rates }) => (history.rates = rates), () => {});
     Promise.all(state.order.map((name) => ask("GET", "/api/alarms", { machine: name, most: 100 }).then(({ rows }) => rows.map((row) => ({ name, ...row })), () => [])))
       .then((all) => (history.rows = all.flat().sort((a, b) => b.time - a.time).slice(0, 200)));
   }
   return h("section", { class: "view" },
     h("h2", {}, say("alarm.standing")), alarmTable(state.order),
+    ratesFacts(history.rates),
     h("h2", {}, say("alarm.history")),
     !history.rows ? h("p", { class: "quiet" }, say("word.loading")) : !history.rows.length ? h("p", { class: "quiet" }, say("word.nothing"))
       : h("div", { class: "scroll", tabindex: "0" }, h("table", {},

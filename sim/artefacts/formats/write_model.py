@@ -118,13 +118,22 @@ def write_model_directory(
     return out / MODEL_FILE
 
 
-def save(store: Path, model: Model, histogram: RawValues | None = None, *, created: float, parent: str = "") -> str:
+def save(
+    store: Path,
+    model: Model,
+    histogram: RawValues | None = None,
+    *,
+    created: float,
+    parent: str = "",
+    more: Mapping[str, str] | None = None,
+) -> str:
     """Writes the model with all its artefacts as a new version and returns the version's name; promotes nothing.
 
     `histogram` has the raw parameter values by location, `created` the time in seconds UTC, `parent` the version that
-    this one was derived from (by default the one in the model's provenance). Raises ArtefactError.
+    this one was derived from (by default the one in the model's provenance), `more` the content of further files by
+    their names. Raises ArtefactError.
     """
-    files = directory_files(model, histogram)
+    files = directory_files(model, histogram) | dict(more or {})
     facts: dict[str, str | float] = {"created": created, "parent": parent or model.provenance.parent}
     files[MANIFEST] = manifest_text(model, files, facts)
     try:

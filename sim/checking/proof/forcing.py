@@ -1,7 +1,8 @@
 """What the effects do to a location's drift: ranges of heats, losses and sinks, as the signals' ranges allow them.
 
-Heats that read the same signal are bounded together, cell by cell of its range. A loss lies between that of the pump's
-least and greatest value. The housing is as warm as anything was, a thermostat that may be open or closed does the more.
+Heats that read the same signal are bounded together, cell by cell of its range; an expression of several signals, or of
+the temperature, by itself. A loss lies between that of the pump's least and greatest value. The housing is as warm as
+anything was, a thermostat that may be open or closed does the more.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,19 +13,25 @@ import numpy as np
 
 from sim.checking.proof.drift import DriftBound, Pair, added
 from sim.effects import (
+    TEMPERATURE,
     EffectRefusal,
+    ExpressedBound,
+    Expression,
     Feature,
-    HeatBound,
     LossBound,
     Structural,
     VaryingBound,
     acts_in,
+    cells,
+    enclosure,
     kind_of,
+    names_in,
     parameter,
+    steepest_loss,
     unknown,
 )
 from sim.engine import held
-from sim.sha import FLOWS, RELAXING, SHA, Effect, Flow, Location, flows
+from sim.sha import FLOWS, RELAXING, SHA, Array, Effect, Flow, Location, flows
 
 Range = tuple[float, float]
 
@@ -32,6 +39,8 @@ CELLS = 32
 """Parts of a signal's range in which the heats that read it are bounded each by itself."""
 HOTTEST = 1e4
 """Kelvins up to which radiation is bounded closely."""
+WARMTH: Array = np.arange(-40.0, 261.0, 10.0)
+"""degC at which a heat that depends on the temperature is bounded; chords lie between."""
 STEEP = 1e3
 """1/s: how a lower bound falls beyond."""
 
@@ -46,7 +55,8 @@ class Loss:
 
 @dataclass(frozen=True, slots=True)
 class Forcing:
-    """What effects add in one location: `heat` (degC/s), the flow's own inputs among it; `losses`; `coupling` (1/s).
+    """What effects add in one location: `heat` (degC/s), the flow's own inputs among it; `losses`;
+    `coupling` (1/s). `written` are the (least, greatest) drifts of expressions that are bounded by themselves.
 
     `signals` are the values that give the least and the greatest drift, as far as constant ones can. `around` (degC) is
     the range of what is radiated to.
@@ -55,6 +65,7 @@ class Forcing:
     heat: Range
     signals: tuple[Mapping[str, float], Mapping[str, float]]
     losses: tuple[Loss, ...]
+    written: tuple[tuple[DriftBound, DriftBound], ...] = ()
     coupling: float = 0.0
     thermostat: Effect | None = None
     radiation: Effect | None = None
@@ -74,8 +85,10 @@ def forcing_of(
     is random keeps to. Raises UnboundedEffect, naming the kind, where an effect cannot be bounded: what is not bounded
     is never left out.
     """
-    heats: list[Effect] = []
+    heats: list[tuple[Effect, Expression]] = []
     losses: list[tuple[Effect, Loss]] = []
+    written: list[tuple[DriftBound, DriftBound]] = []
+    told: tuple[dict[str, float], dict[str, float]] = ({}, {})
     features: dict[Feature, Effect] = {}
     least = most = 0.0
     nothing = True
@@ -84,10 +97,17 @@ def forcing_of(
         match bound:
             case Structural(feature="dead time" | "sensor lag" | "sensor offset"):
                 continue  # they move no heat; `bounds` adds them to what the sensor may read
-            case HeatBound() | LossBound() | VaryingBound() | Structural() if not acts_in(effect, location.name):
+            case ExpressedBound() | LossBound() | VaryingBound() | Structural() if not acts_in(effect, location.name):
                 continue
-            case HeatBound():
-                heats.append(effect)
+            case ExpressedBound(heat=tree):
+                if len(effect.signals) == 1 and TEMPERATURE not in names_in(tree):
+                    heats.append((effect, tree))
+                else:
+                    box = {role: ranges(signal) for role, signal in effect.signals.items()}
+                    both, ends = _written(tree, effect, box)
+                    written.append(both)
+                    for side in (0, 1):
+                        told[side].update({effect.signals[role]: value for role, value in ends[side].items()})
             case LossBound():
                 # A pump that runs backwards does not warm: its least strength is none.
                 pumps = ranges(effect.signals[bound.strength]) if bound.strength in effect.signals else (1.0, 1.0)
@@ -114,6 +134,8 @@ def forcing_of(
     if nothing:
         return None
     low, high, chosen = _heated(location.flow, heats, ranges)
+    for side in (0, 1):
+        chosen[side].update({name: value for name, value in told[side].items() if name not in chosen[side]})
     low, high = low + least, high + most
     for side in (0, 1):
         alone = _alone(location.flow, m, (low, high), side)
@@ -130,6 +152,7 @@ def forcing_of(
         heat=(low, high),
         signals=chosen,
         losses=tuple(loss for _, loss in losses),
+        written=tuple(written),
         coupling=0.0 if housing is None else housing.params["coupling"],
         thermostat=features.get("thermostat"),
         radiation=radiation,
@@ -143,7 +166,7 @@ def drift_of(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float
     `housing` (degC) is the highest or lowest temperature that the housing may have; None leaves it out.
     """
     side = int(up)
-    parts = [_alone(flow, m, forcing.heat, side)]
+    parts = [_alone(flow, m, forcing.heat, side), *(both[side] for both in forcing.written)]
     for lossy in forcing.losses:
         # Below the sink a loss warms, above it cools: which of its strengths is the bound changes there.
         sink = lossy.sink[side]
@@ -186,34 +209,65 @@ def _alone(flow: Flow, m: Range, heat: Range, side: int) -> DriftBound:
 
 
 def _heated(
-    flow: Flow, effects: Sequence[Effect], ranges: Callable[[str], Range]
+    flow: Flow, effects: Sequence[tuple[Effect, Expression]], ranges: Callable[[str], Range]
 ) -> tuple[float, float, tuple[dict[str, float], dict[str, float]]]:
     """(least heat, greatest heat, the signals' values at either), the flow's inputs taken in."""
     low, high = 0.0, 0.0
     chosen: tuple[dict[str, float], dict[str, float]] = ({}, {})
-    names = [driver.signal for driver in flow.inputs]
-    names += [signal for effect in effects for signal in effect.signals.values()]
-    for name in dict.fromkeys(names):
-        readers = [effect for effect in effects if name in effect.signals.values()]
-        bends = [0.0]
-        for effect in readers:
-            bound = kind_of(effect).bound
-            bends += bound.bends(effect) if isinstance(bound, HeatBound) else ()
-        # With the bends among the points every heat is monotone between two of them, so that the ends of a cell bound
-        # each heat in it. Cell by cell, because heats that read one signal are not at their worst at different values.
+    read = [driver.signal for driver in flow.inputs]
+    read += [signal for effect, _ in effects for signal in effect.signals.values()]
+    for name in dict.fromkeys(read):
+        readers = [(effect, tree) for effect, tree in effects if name in effect.signals.values()]
+        # Cell by cell, because heats that read one signal are not at their worst at different values. In a cell each is
+        # enclosed; the flow's own inputs are straight in the signal, so that the ends bound them.
         least, most = ranges(name)
-        points = {*np.linspace(least, most, CELLS + 1).tolist(), *(bend for bend in bends if least < bend < most)}
+        points = {*np.linspace(least, most, CELLS + 1).tolist(), *([0.0] if least < 0.0 < most else [])}
         grid = np.array(sorted(points) if most > least else [least, least])
         k = flow.params.get("k", 0.0)
-        values = np.array(
-            [np.asarray(held(effect, {name: grid})[0]) for effect in readers]
-            + [k * driver.gain * (grid - driver.reference) for driver in flow.inputs if driver.signal == name]
-        )
-        inside = np.minimum(values[:, :-1], values[:, 1:]), np.maximum(values[:, :-1], values[:, 1:])
-        low, high = low + float(inside[0].sum(axis=0).min()), high + float(inside[1].sum(axis=0).max())
-        total = values.sum(axis=0)
+        driven = [k * driver.gain * (grid - driver.reference) for driver in flow.inputs if driver.signal == name]
+        total = np.sum([held(effect, {name: grid})[0] for effect, _ in readers] + driven, axis=0)
+        inside = [(np.minimum(each[:-1], each[1:]), np.maximum(each[:-1], each[1:])) for each in driven]
+        for effect, tree in readers:
+            (role,) = effect.signals
+            inside.append(enclosure(tree, effect.params, {role: (grid[:-1], grid[1:])}))
+        low = low + float(np.min(sum(each[0] for each in inside)))
+        high = high + float(np.max(sum(each[1] for each in inside)))
         chosen[0][name], chosen[1][name] = float(grid[total.argmin()]), float(grid[total.argmax()])
     return low, high, chosen
+
+
+def _written(
+    tree: Expression, effect: Effect, box: Mapping[str, Range]
+) -> tuple[tuple[DriftBound, DriftBound], tuple[dict[str, float], dict[str, float]]]:
+    """((least, greatest) heat of an expression as bounds in X, the roles' values at either); `box` is by role."""
+    parts = cells(box)
+    reads = TEMPERATURE in names_in(tree)
+    temperatures = WARMTH.tolist() if reads else [0.0]
+    enclosed = [enclosure(tree, effect.params, parts, x) for x in temperatures]
+    lows, highs = (np.array([each[side] for each in enclosed]) for side in (0, 1))
+    middle = len(temperatures) // 2
+    worst = int(lows[middle].argmin()), int(highs[middle].argmax())
+    at_least, at_most = (
+        {role: float(0.5 * (low[row] + high[row])) for role, (low, high) in parts.items()} for row in worst
+    )
+    least, most = lows.min(axis=1), highs.max(axis=1)
+    if not reads:
+        flat = [DriftBound((), ((float(value[0]), 0.0),)) for value in (least, most)]
+        return (flat[0], flat[1]), (at_least, at_most)
+    # The heat never grows with X, so that a bound at one temperature holds on one side of it too; where wide cells
+    # spoilt that, the better one is taken.
+    least, most = np.maximum.accumulate(least[::-1])[::-1], np.minimum.accumulate(most)
+    # Of heats that are straight in X the greatest is convex, so that its chords lie above it; the least is concave, so
+    # that they lie below. Beyond the points a bound stays as it was or falls by the steepest loss, whichever holds.
+    steepest = steepest_loss(tree, effect.params, parts)
+    return (_chords(least, 0.0, steepest), _chords(most, steepest, 0.0)), (at_least, at_most)
+
+
+def _chords(values: Array, before: float, beyond: float) -> DriftBound:
+    """The chords between values at WARMTH, with the losses (1/s) before the first and beyond the last."""
+    losses = [before, *(-np.diff(values) / np.diff(WARMTH)).tolist(), beyond]
+    anchors = zip([values[0], *values], [WARMTH[0], *WARMTH], losses, strict=True)
+    return DriftBound(tuple(WARMTH.tolist()), tuple((float(value + loss * x), loss) for value, x, loss in anchors))
 
 
 # ------------------------------------------------------------------ losses

@@ -1,10 +1,10 @@
 """Free runs under effects fitted to measured traces, with the noise of a rough plant."""
 
 from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, signals_of
-from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at
-from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, on_sensor
-from sim.discrepancy.fitting.free_run_fit import Fitted, fit
+from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, signals_of
+from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at, sensitivity
+from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged, on_sensor
+from sim.discrepancy.fitting.free_run_fit import Fitted, fit, readings_in_window, rounding
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
 from sim.discrepancy.fitting.noise import Whitener, decay_and_pull
 from sim.discrepancy.fitting.record import Record, in_order, overlapping, patiently, record_of
@@ -29,11 +29,16 @@ __all__ = [
     "heat_and_loss",
     "held",
     "in_order",
+    "lagged",
     "named_of",
     "on",
     "on_sensor",
     "overlapping",
+    "own_roles",
     "patiently",
+    "readings_in_window",
     "record_of",
+    "rounding",
+    "sensitivity",
     "signals_of",
 ]

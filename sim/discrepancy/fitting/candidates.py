@@ -3,15 +3,20 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects import EFFECTS, EffectCandidate, EffectKind
+from sim.effects import EFFECTS, EffectCandidate, EffectKind, kind_of, own_kind
+from sim.sha import Effect, EffectLine
 
 
 @dataclass(frozen=True, slots=True)
 class CatalogueEntry:
-    """A kind that can be named, with how it is looked for. What is said here is said of `kind` and its candidate."""
+    """A kind that can be named, with how it is looked for. What is said here is said of `kind` and its candidate.
+
+    `line` is the engineer's own, of which the kind was made; None for one of the catalogue.
+    """
 
     kind: EffectKind
     candidate: EffectCandidate
+    line: EffectLine | None = None
 
     @property
     def name(self) -> str:
@@ -58,10 +63,34 @@ class CatalogueEntry:
         """The roles of the signals without which it cannot be told."""
         return self.kind.needed
 
+    def role_key(self, role: str) -> str:
+        """What a role is called among all roles: a line's own roles are its own, whatever they are called."""
+        return role if self.line is None else f"{self.name}.{role}"
 
-def catalogue() -> tuple[CatalogueEntry, ...]:
-    """Every kind that can be named, in the table's order."""
-    return tuple(CatalogueEntry(kind, kind.candidate) for kind in EFFECTS.values() if kind.candidate is not None)
+
+def catalogue(own: Sequence[EffectLine] = ()) -> tuple[CatalogueEntry, ...]:
+    """Every kind that can be named, in the table's order, and then those of the lines. Raises LineError."""
+    known = tuple(CatalogueEntry(kind, kind.candidate) for kind in EFFECTS.values() if kind.candidate is not None)
+    return (*known, *(entry_of_line(line) for line in own))
+
+
+def entry_of_line(line: EffectLine) -> CatalogueEntry:
+    """The entry of an engineer's line. Raises LineError, a ValueError, with the key and the reason."""
+    kind = own_kind(line)
+    if kind.candidate is None:
+        raise ValueError(f"the effect {line.name!r} does not say how it is looked for")
+    return CatalogueEntry(kind, kind.candidate, line)
+
+
+def own_roles(own: Sequence[EffectLine]) -> dict[str, str]:
+    """The signals of the lines' roles, by `role_key`."""
+    return {entry_of_line(line).role_key(role): signal for line in own for role, signal in line.signals}
+
+
+def entry_of_effect(effect: Effect) -> CatalogueEntry:
+    """The entry of an effect that a model has. Raises ValueError for one that a diagnosis does not know."""
+    kind_of(effect)
+    return entry_of(effect.kind) if effect.line is None else entry_of_line(effect.line)
 
 
 def entry_of(name: str) -> CatalogueEntry:
@@ -74,6 +103,7 @@ def entry_of(name: str) -> CatalogueEntry:
 
 def signals_of(entry: CatalogueEntry, present: Mapping[str, str]) -> dict[str, str] | None:
     """role -> signal for an entry from the roles that are `present`; None where a needed one is missing."""
-    if any(role not in present for role in entry.needs):
+    keys = {role: entry.role_key(role) for role in (*entry.needs, *entry.kind.optional)}
+    if any(keys[role] not in present for role in entry.needs):
         return None
-    return {role: present[role] for role in (*entry.needs, *entry.kind.optional) if role in present}
+    return {role: present[key] for role, key in keys.items() if key in present}

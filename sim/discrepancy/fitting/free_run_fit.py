@@ -62,10 +62,10 @@ class Fitted:
     @property
     def sensor_sigma(self) -> float:
         """degC the standard deviation of a single reading."""
-        return float(self.noise.sensor * np.sqrt(looks(self.frame.record)))
+        return float(self.noise.sensor * np.sqrt(readings_in_window(self.frame.record)))
 
 
-def looks(record: Record) -> float:
+def readings_in_window(record: Record) -> float:
     """How many readings that err by themselves a window's mean is worth: fewer where the sensor's error lasts."""
     count = float(np.median(np.diff(np.append(record.begins, record.rows.size))))
     memory = record.model.sensor_memory
@@ -80,7 +80,7 @@ def first_noise(model: Model, record: Record) -> NoiseModel:
     """
     process = [location.flow.params.get("noise", 0.0) for location in model.sha.locations]
     seen = [value for value in process if value > 0]
-    sensor = max(model.sensor_sigma, 0.02) / np.sqrt(looks(record))
+    sensor = max(model.sensor_sigma, 0.02) / np.sqrt(readings_in_window(record))
     sensor = max(float(sensor), rounding(model, record))
     white = float(np.median(seen)) if seen else 0.006
     heats = of_feature(model.sha, "disturbance")

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from sim.discrepancy.fitting.candidates import CatalogueEntry, entry_of
+from sim.discrepancy.fitting.candidates import CatalogueEntry, entry_of_effect
 from sim.effects import kind_of, without
 from sim.learning import contexts, first_switch
 from sim.sha import UNKNOWN, Effect, Model
@@ -41,7 +41,7 @@ def named_of(model: Model) -> tuple[Named, ...]:
     for effect in without(model.sha, "disturbance", "machine offset").effects:
         defaults = {name: each.default for name, each in kind_of(effect).parameters.items() if each.default is not None}
         params = {**defaults, **effect.params}
-        named.append(Named(entry_of(effect.kind), dict(effect.signals), params, effect))
+        named.append(Named(entry_of_effect(effect), dict(effect.signals), params, effect))
     return tuple(named)
 
 
@@ -73,6 +73,7 @@ def effect_of(named: Named, model: Model) -> Effect:
         signals,
         locations=where if len(where) < len(everywhere) else (),
         event=switch.rising if kind.from_event and switch is not None else "",
+        line=named.entry.line,
     )
 
 

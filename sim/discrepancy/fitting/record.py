@@ -24,6 +24,9 @@ SLOW = 2.0
 """Times the usual interval between rows (all but one in a hundred) beyond which a recorder has a gap."""
 LATE = 1.5
 """Times the usual interval between rows from which a start or a stop in it was noticed late."""
+MANY, FORGOTTEN = 8, 6.0
+"""Cycles from which they are the independent pieces of evidence. Where they are fewer, a run or a rest that goes on for
+twice so many of its time constants is several pieces: e^-6 of how a piece began is left at its end."""
 BETWEEN = 3600.0
 """Seconds that are put between traces of which nobody knows when they were recorded."""
 NEVER = 1e9
@@ -36,7 +39,8 @@ class Record:
 
     `runs` holds the knots; its `inputs` are the `signals` (n, q), held over each step. `running` (n,) is 1 in steps
     made while the machine runs (1 everywhere without a switch), `since` (n,) the seconds since its last start-up at the
-    step's start, `cycle` (n,) numbers the cycles, what lies before a trace's first start-up counting to its first.
+    step's start, `cycle` (n,) numbers the cycles, what lies before a trace's first start-up counting to its first; of a
+    machine that runs on, the pieces of its long runs (`in_pieces`).
     `window` (s) is the length of a window at rest, `rows` (r,) are the knots with a reading, `begins` (m,) the place in
     `rows` where each window begins.
     """
@@ -169,6 +173,8 @@ def record_of(
         free_runs(having, model.sha, model.temperature, signals=tuple(signals), modelled=known(model)), knots
     )
     running, since, cycle = _machine(runs, having, first_switch(model.alphabet))
+    rates = np.array([location.flow.params.get("k", 0.0) for location in model.sha.locations])
+    cycle = in_pieces(cycle, runs, running, rates[runs.place])
     runs = _cut_late(runs, running)
     window = max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER)
     rows, begins = _windows(runs, cycle, running, window)
@@ -240,6 +246,25 @@ def _machine(runs: FreeRuns, traces: Sequence[Trace], switch: Switch | None) -> 
         cycle[rows] = count + np.maximum(place - 1, 0)
         count += max(int(starts.size), 1)
     return running, since, cycle
+
+
+def in_pieces(cycle: Indices, runs: FreeRuns, running: Array, k: Array) -> Indices:
+    """(n,) the cycles; where they are few, their long runs and rests cut into equal pieces of FORGOTTEN time constants.
+
+    `k` (n,) 1/s is the given model's rate of each step; a flow that does not relax forgets nothing and is not cut.
+    """
+    if np.unique(cycle).size >= MANY:
+        return cycle
+    passed = k * runs.dt
+    changed = runs.first | (np.diff(running, prepend=-1.0) != 0) | (np.diff(cycle, prepend=-1) != 0)
+    stretch = np.cumsum(changed) - 1
+    whole = np.bincount(stretch, passed)
+    before = np.cumsum(passed) - passed
+    within = before - before[changed][stretch]
+    count = np.where(whole >= 2.0 * FORGOTTEN, np.floor(whole / FORGOTTEN), 1.0)
+    piece = np.floor(within / np.maximum(whole, 1e-12)[stretch] * count[stretch])
+    inside = (np.diff(piece, prepend=0.0) != 0) & ~changed
+    return np.asarray(np.cumsum(inside | (np.diff(cycle, prepend=cycle[:1]) != 0)), dtype=np.intp)
 
 
 def _clock(runs: FreeRuns, running: Array) -> Array:

@@ -6,7 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from sim.discrepancy import LONGEST, Diagnosis, DiagnosisCourse, HeatPlace, NamedEffect, TriedEffect
+from sim.artefacts import effect_line_part
+from sim.discrepancy import (
+    LONGEST,
+    CandidateLaw,
+    Diagnosis,
+    DiagnosisCourse,
+    HeatPlace,
+    NamedEffect,
+    TriedEffect,
+    law_sentence,
+    look_at,
+)
 from sim.strict_json import json_text, strict
 
 FORMAT, VERSION = "decanter-diagnosis", 1
@@ -35,11 +46,16 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "version": VERSION,
         "sentence": diagnosis.sentence,
         "reasons": diagnosis.reasons,
+        "material": diagnosis.material,
+        "traces": [asdict(trace) for trace in diagnosis.traces],
+        "absorbed": None if diagnosis.absorbed is None else asdict(diagnosis.absorbed),
         "untested": diagnosis.untested,
         "candidates": [_candidate(candidate) for candidate in diagnosis.candidates],
         "ceiling": {"before": diagnosis.ceiling_before, "after": diagnosis.ceiling_after},
         "settings": diagnosis.settings,
         "unit": diagnosis.unit,
+        "laws": [_law(law) for law in diagnosis.laws],
+        "look_at": look_at(diagnosis),
     }
     return {key: strict(value) for key, value in content.items()}
 
@@ -63,6 +79,23 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
         "standard_errors": effect.errors,
         "signals": effect.signals,
         "signal_to_noise": effect.signal_to_noise,
+    }
+
+
+def _law(law: CandidateLaw) -> dict[str, Any]:
+    """`parameters` are those of the expression, `line` the effect that may be adopted, null where no engine has it."""
+    return {
+        "expression": law.expression,
+        "parameters": {"gain": law.strength},
+        "running": law.running,
+        "share": law.share,
+        "cycles": f"{law.cycles[0]}/{law.cycles[1]}",
+        "tried": law.tried,
+        "gain_nats": law.gain,
+        "alike": law.alike,
+        "distinguish_by": law.experiment,
+        "sentence": law_sentence(law),
+        "line": None if law.line is None else effect_line_part(law.line),
     }
 
 

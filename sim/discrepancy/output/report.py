@@ -7,7 +7,16 @@ from math import isfinite
 from pathlib import Path
 from shlex import quote
 
-from sim.discrepancy import Diagnosis, HeatPlace, NamedEffect, TriedEffect, span
+from sim.discrepancy import (
+    Diagnosis,
+    HeatPlace,
+    NamedEffect,
+    TriedEffect,
+    law_sentence,
+    look_at,
+    overlap_sentence,
+    span,
+)
 from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE
 from sim.pages import page_environment
 from sim.sha import shown_unit
@@ -55,6 +64,11 @@ class Occasion:
     verification: tuple[str, ...] | None = None
 
     @property
+    def shown_folder(self) -> str:
+        """The folder as a shell's word."""
+        return quote(str(self.folder))
+
+    @property
     def model(self) -> str:
         """The new model's directory as a shell's word."""
         return quote(str(self.folder / "model"))
@@ -82,6 +96,9 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
         cycles=data.get(CYCLES),
         errors=data.get(ERRORS),
         places=[place_sentence(place, unit) for place in diagnosis.places[:TOLD]],
+        looks=look_at(diagnosis),
+        laws=[law_sentence(law) for law in diagnosis.laws],
+        overlap=overlap_sentence(diagnosis.places),
         unexplained=[place_sentence(place, unit) for place in diagnosis.unexplained],
         candidates=diagnosis.candidates,
         best=max(best, 1e-9),

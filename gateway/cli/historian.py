@@ -1,0 +1,22 @@
+"""`decanter historian`: what is on record, as tables for other programs."""
+
+import click
+
+from gateway.entry import LazyGroup, Table
+
+_COMMANDS = "gateway.cli.historian_commands"
+COMMANDS: Table = {
+    "export": (f"{_COMMANDS}:export", "Write a table of the records as CSV or Parquet."),
+    "query": (f"{_COMMANDS}:query", "Show the newest rows of a table, or a tag's means."),
+    "tables": (f"{_COMMANDS}:tables", "List the tables and what their columns mean."),
+}
+EXAMPLES = {
+    "export": "historian export samples.parquet --since 7d",
+    "query": "historian query samples --tag TCuscinettiRiduttore --since 10m",
+    "tables": "historian tables",
+}
+
+
+@click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES, short_help="The records as tables.")
+def historian() -> None:
+    """Export and query what is on record; a running gateway is not disturbed."""

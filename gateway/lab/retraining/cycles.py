@@ -1,0 +1,81 @@
+"""`decanter model cycles`: the library's cycles, how they were rated, and what a person takes out with a reason."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.console import emit, json_option, table
+from gateway.entry import sentences
+from gateway.lab.retraining.library import RATINGS, CycleRow, Rating, opened_library
+from gateway.lab.retraining.report import coverage_figure
+from sim.pictures import check_picture, save_picture
+
+
+@click.command("cycles", short_help="List a library's cycles, rated; exclude one with a reason.")
+@click.argument("folder", metavar="LIBRARY", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--rating", type=click.Choice(RATINGS), help="Only those rated so.")
+@click.option("--exclude", metavar="NAME", help="Learn nothing from this cycle and judge nothing by it; with --reason.")
+@click.option("--reason", help="Why: work on the sensor, cleaning, a test.")
+@click.option("--by", help="Who excludes it.")
+@click.option("--include", metavar="NAME", help="Take back that a cycle is excluded.")
+@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="A map of what the plant did.")
+@json_option
+def cycles_command(
+    folder: Path,
+    rating: str | None,
+    exclude: str | None,
+    reason: str | None,
+    by: str | None,
+    include: str | None,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """List the cycles that retrainings have cut from the historian, the newest last, with what is remarkable in each.
+
+    A cycle that a person excludes stays in the list with name and reason; nothing is learned from it or judged by it.
+    """
+    if (exclude is None) != (reason is None) or (exclude is None) != (by is None):
+        raise click.UsageError("--exclude NAME, --reason TEXT and --by WHO belong together")
+    if exclude is not None and not (str(reason).strip() and str(by).strip()):
+        raise click.UsageError("neither --reason nor --by may be empty")
+    with sentences():
+        if picture is not None:
+            check_picture(picture)
+        with opened_library(folder) as library:
+            if exclude is not None:
+                library.exclude(exclude, str(by), str(reason))
+            if include is not None:
+                library.exclude(include, "", "")
+            every = library.cycles()
+            kept = library.kept_bytes()
+        shown = [row for row in every if rating in (None, row.rating)]
+        if picture is not None:
+            save_picture(coverage_figure(every), picture, picture.suffix[1:].lower())
+    counts = {each: sum(row.rating == each for row in every) for each in RATINGS}
+    data: dict[str, Any] = {"library": str(folder), "counts": counts, "kept_bytes": kept}
+    data |= {"picture": picture and str(picture), "cycles": [row.as_plain() for row in shown]}
+    emit(data, lambda: _show(shown, counts, kept, picture), as_json_line=as_json)
+
+
+def _show(rows: list[CycleRow], counts: Mapping[Rating, int], kept: int, picture: Path | None) -> None:
+    lines = [
+        [
+            row.name,
+            row.region,
+            row.rating,
+            row.words,
+            "–" if row.error is None else f"{row.error:.3g}",
+            "–" if row.strangeness is None else f"{row.strangeness:.2f}",
+            f"{row.reason} ({row.excluded_by})" if row.excluded else "",
+        ]
+        for row in rows
+    ]
+    columns = ("cycle", "region", "rating", "why", "error", "strangeness", "excluded")
+    if lines:
+        table("cycles", columns, lines)
+    said = ", ".join(f"{count} {name}" for name, count in counts.items())
+    click.echo(f"{said}; {sum(row.kept for row in rows)} of those shown are kept, {kept / 1e6:.1f} MB in all")
+    if picture is not None:
+        click.echo(f"picture: {picture}")

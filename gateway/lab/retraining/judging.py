@@ -1,0 +1,148 @@
+"""Two models on the same cycles, forecast as the gateway forecasts, and what a paired test says at each horizon."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from gateway.lab.skill import persist, skill_rows
+from gateway.settings import ForecastSection
+from sim.learning import PERSISTENCE
+from sim.paired import Paired, holm, paired
+from sim.sha import Model, Trace, shown_unit
+from sim.skill import common, grouped, skill
+
+PRESENT, NEW = "present", "new"
+LEVEL = 0.05
+"""The chance at most that any horizon of a set is called better or worse where both models are alike."""
+WORSE = 1.05
+"""A CRPS so many times the present model's is worse even where the cycles are too few to tell it apart."""
+LEAST_PERIOD, MOST_FORECASTS = 60.0, 40
+"""s between two forecasts, and how many of them a cycle gets at most."""
+
+
+def scores_along(
+    trace: Trace, present: Model, new: Model, *, seed: int, report: Callable[[str, float], None]
+) -> list[dict[str, Any]]:
+    """A row for each horizon (s) and method along a trace: how many forecasts, CRPS and MAE (degC), coverage.
+
+    Methods are compared at the moments at which all of them have a forecast. Raises ValueError for a trace that a model
+    cannot follow.
+    """
+    horizons = ForecastSection().horizons
+    lasts = float(trace.times[-1] - trace.times[0])
+    section = ForecastSection(horizons=horizons, period=max(LEAST_PERIOD, lasts / MOST_FORECASTS), seed=seed)
+    rows = common(
+        skill_rows(
+            trace,
+            present.temperature,
+            present.alphabet,
+            models={PRESENT: [present], NEW: [new]},
+            others={PERSISTENCE: partial(persist, horizons=horizons)},
+            forecasts=section,
+            report=report,
+        )
+    )
+    return [
+        {"trace": trace.name, "horizon": horizon, "method": method, **asdict(skill(own))}
+        for (horizon, method), own in sorted(grouped(rows, lambda row: (row.horizon, row.method)).items())
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HorizonComparison:
+    """The new model against the present one at a `horizon` (s) on a `subject`: a set of cycles.
+
+    `crps` and `coverage` are means over the cycles by method; `difference` is that of the CRPS (degC), new minus
+    present, cycle by cycle, `p` its two-sided p-value corrected for the set's horizons (Holm).
+    """
+
+    subject: str
+    horizon: float
+    crps: Mapping[str, float]
+    coverage: Mapping[str, float]
+    difference: Paired
+    p: float
+
+    @property
+    def told_apart(self) -> Literal["better", "worse", ""]:
+        """What the test says of the new model; "" where it tells nothing."""
+        if not self.p < LEVEL:
+            return ""
+        return "better" if self.difference.mean < 0 else "worse"
+
+    @property
+    def refuses(self) -> bool:
+        """Whether this is a reason not to take the new model."""
+        return self.told_apart == "worse" or self.crps[NEW] > WORSE * self.crps[PRESENT]
+
+    def sentence(self, unit: str) -> str:
+        """The figures in words."""
+        d = self.difference
+        spread = f" ({d.low:+.3g} to {d.high:+.3g})" if d.interval else ""
+        word = {"better": "the new model is better", "worse": "the new model is worse", "": "not told apart"}
+        said = word[self.told_apart]
+        if self.refuses and not self.told_apart:
+            said += f", but the new one's CRPS is more than {WORSE:g} times the present one's"
+        return (
+            f"{self.subject}, {self.horizon:g} s: CRPS {self.crps[NEW]:.3g} {shown_unit(unit)} new, "
+            f"{self.crps[PRESENT]:.3g} present, difference {d.mean:+.3g}{spread} "
+            f"over {d.n} cycles, p {self.p:.2g}: {said}"
+        )
+
+    def as_plain(self) -> dict[str, Any]:
+        """All of it as plain values."""
+        return {**asdict(self), "told_apart": self.told_apart, "refuses": self.refuses}
+
+
+def compared(subject: str, scores: Sequence[Mapping[str, Any]], *, seed: int) -> list[HorizonComparison]:
+    """The comparisons of a set of cycles, a horizon each; horizons without a cycle are left out."""
+    rng = np.random.default_rng(seed)
+    found: list[tuple[float, dict[str, float], dict[str, float], Paired]] = []
+    for horizon in sorted({row["horizon"] for row in scores}):
+        own = [row for row in scores if row["horizon"] == horizon]
+        by_method = {
+            method: {row["trace"]: row for row in own if row["method"] == method}
+            for method in (PRESENT, NEW, PERSISTENCE)
+        }
+        both = [name for name in by_method[PRESENT] if name in by_method[NEW]]
+        if not both:
+            continue
+        differences = [by_method[NEW][name]["crps"] - by_method[PRESENT][name]["crps"] for name in both]
+        means = {
+            figure: {
+                method: float(np.mean([row[figure] for row in rows.values()]))
+                for method, rows in by_method.items()
+                if rows
+            }
+            for figure in ("crps", "coverage")
+        }
+        found.append((horizon, means["crps"], means["coverage"], paired(differences, rng)))
+    adjusted = holm([difference.p for *_, difference in found])
+    return [
+        HorizonComparison(subject=subject, horizon=horizon, crps=crps, coverage=cover, difference=difference, p=p)
+        for (horizon, crps, cover, difference), p in zip(found, adjusted, strict=True)
+    ]
+
+
+def verdict_on(comparisons: Sequence[HorizonComparison], refusals: Sequence[str], subject: str) -> tuple[bool, str]:
+    """(whether the new model is to be proposed, the sentence why or why not).
+
+    It must be better somewhere on `subject`, which it has not seen, worse nowhere, and verified (no `refusals`).
+    """
+    if refusals:
+        return False, f"not proposed: it does not verify: {'; '.join(refusals)}"
+    worse = [f"at {each.horizon:g} s on the {each.subject}" for each in comparisons if each.refuses]
+    if worse:
+        return False, f"not proposed: it is worse than the present model {', '.join(worse)}"
+    own = [each for each in comparisons if each.subject == subject]
+    better = [f"{each.horizon:g} s" for each in own if each.told_apart == "better"]
+    if better:
+        return True, f"proposed: better than the present model at {', '.join(better)} on the {subject}, worse nowhere"
+    if not own:
+        return False, f"not proposed: no forecast on the {subject} came due"
+    n, tests = max(each.difference.n for each in own), len(own)
+    few = f"; {n} cycles could not show more" if tests * 2.0 ** (1 - n) >= LEVEL else ""
+    return False, f"not proposed: nowhere better than the present model on the {subject}{few}"

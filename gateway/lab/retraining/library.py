@@ -1,0 +1,282 @@
+"""The library of a machine's cycles: one row for each that the historian had, and the readings of those that are kept.
+
+    LIBRARY/cycles.sqlite   the rows, who excluded which and why, and how far the historian has been cut
+    LIBRARY/kept/HASH.npz   readings of a cycle, named by their content: kept beyond the historian's retention
+
+Every change is one transaction, and a file of readings is there before the row that names it: a kill at any moment
+leaves a library that the next command goes on with.
+"""
+
+import fcntl
+import json
+import os
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from io import BytesIO
+from math import isfinite
+from pathlib import Path
+from typing import Any, Literal
+from zipfile import BadZipFile
+
+import numpy as np
+
+from sim.sha import Array, Trace, content_hash
+
+Rating = Literal["badly predicted", "rare", "near a difficult one", "ordinary"]
+RATINGS: tuple[Rating, ...] = ("badly predicted", "rare", "near a difficult one", "ordinary")
+"""What a cycle is rated as, the one that teaches most first."""
+FILE, KEPT = "cycles.sqlite", "kept"
+LAYOUT = 1
+SCHEMA = """
+CREATE TABLE facts (name TEXT PRIMARY KEY, content TEXT NOT NULL);
+CREATE TABLE cycles (
+    name TEXT PRIMARY KEY, begin REAL NOT NULL, until REAL NOT NULL, rows INTEGER NOT NULL, content TEXT NOT NULL,
+    region TEXT NOT NULL, rating TEXT NOT NULL, words TEXT NOT NULL, strangeness REAL, error REAL, allowed REAL,
+    moved REAL, model TEXT NOT NULL, points TEXT NOT NULL, kept INTEGER NOT NULL DEFAULT 0,
+    excluded_by TEXT NOT NULL DEFAULT '', reason TEXT NOT NULL DEFAULT ''
+);
+CREATE TABLE studies (id INTEGER PRIMARY KEY, settings TEXT NOT NULL, state TEXT NOT NULL);
+CREATE TABLE steps (study INTEGER NOT NULL, name TEXT NOT NULL, content TEXT NOT NULL, PRIMARY KEY (study, name));
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CycleRow:
+    """A cycle from `begin` to `until` (s UTC) with `rows` scans, whose readings have the hash `content`.
+
+    `region` is where in operation it was, `rating` and `words` what is remarkable about it, `strangeness` as
+    `sim.familiarity` counts it (None: it was not known). `error` is the root mean square of its free run by the model
+    with the hash `model`, `allowed` that of the model's own 90 % band, `moved` that of the temperature's departure from
+    its first reading (degC; None where it could not be run). `points` are its features. `kept`: its readings are in the
+    library. A person who excluded it gave `excluded_by` and `reason`.
+    """
+
+    name: str
+    begin: float
+    until: float
+    rows: int
+    content: str
+    region: str
+    rating: Rating
+    words: str
+    strangeness: float | None
+    error: float | None
+    allowed: float | None
+    moved: float | None
+    model: str
+    points: Array
+    kept: bool = False
+    excluded_by: str = ""
+    reason: str = ""
+
+    @property
+    def excluded(self) -> bool:
+        """Whether a person has taken it out of everything that is learned or judged."""
+        return bool(self.excluded_by)
+
+    def as_plain(self) -> dict[str, Any]:
+        """All but the points as plain values."""
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "points"}
+
+
+class CycleLibrary:
+    """The library in `folder`, of one `machine` and `temperature`; see `opened_library`."""
+
+    def __init__(self, folder: Path, connection: sqlite3.Connection) -> None:
+        self.folder = folder
+        self._connection = connection
+
+    # ---------------------------------------------------------------- facts
+
+    def fact(self, name: str) -> Any:
+        """What is kept under a name, None for nothing."""
+        row = self._connection.execute("SELECT content FROM facts WHERE name = ?", (name,)).fetchone()
+        return None if row is None else json.loads(row[0])
+
+    def set_fact(self, name: str, content: object) -> None:
+        """Keep a plain value under a name."""
+        with self._connection:
+            self._put_fact(name, content)
+
+    def _put_fact(self, name: str, content: object) -> None:
+        self._connection.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (name, json.dumps(content)))
+
+    # ---------------------------------------------------------------- cycles
+
+    def cycles(self) -> list[CycleRow]:
+        """All cycles in the order of time."""
+        names = [each.name for each in fields(CycleRow)]
+        rows = self._connection.execute(f"SELECT {', '.join(names)} FROM cycles ORDER BY begin")  # noqa: S608
+        return [_row(dict(zip(names, row, strict=True))) for row in rows]
+
+    def add(self, cycles: Sequence[CycleRow], cursor: float) -> None:
+        """Take cycles, and that the historian has been cut up to `cursor` (s UTC); a cycle that is there stays."""
+        names = [each.name for each in fields(CycleRow)]
+        query = f"INSERT OR IGNORE INTO cycles ({', '.join(names)}) VALUES ({', '.join('?' * len(names))})"  # noqa: S608
+        with self._connection:
+            for cycle in cycles:
+                points = json.dumps([[x if isfinite(x) else None for x in point] for point in cycle.points.tolist()])
+                self._connection.execute(query, tuple({**cycle.as_plain(), "points": points}[name] for name in names))
+            self._put_fact("cursor", cursor)
+
+    def exclude(self, name: str, by: str, reason: str) -> None:
+        """Take a cycle out of what is learned and judged; without `by` take it in again. Raises ValueError."""
+        with self._connection:
+            found = self._connection.execute(
+                "UPDATE cycles SET excluded_by = ?, reason = ? WHERE name = ?", (by, reason, name)
+            ).rowcount
+        if not found:
+            raise ValueError(f"{self.folder}: has no cycle {name!r}; `decanter model cycles` lists them")
+
+    def rate(self, name: str, rating: Rating, words: str, strangeness: float) -> None:
+        """Rate a cycle anew."""
+        query = "UPDATE cycles SET rating = ?, words = ?, strangeness = ? WHERE name = ?"
+        with self._connection:
+            self._connection.execute(query, (rating, words, strangeness, name))
+
+    # ---------------------------------------------------------------- readings
+
+    def keep(self, name: str, trace: Trace) -> None:
+        """Keep the readings of a cycle beyond the historian's retention."""
+        content = content_hash(trace)
+        path = self._file(content)
+        if not path.exists():
+            path.parent.mkdir(exist_ok=True)
+            beside = path.with_name(f".{path.name}")
+            with beside.open("wb") as stream:
+                stream.write(_packed(trace))
+                stream.flush()
+                os.fsync(stream.fileno())
+            beside.replace(path)
+        with self._connection:
+            self._connection.execute("UPDATE cycles SET kept = 1 WHERE name = ?", (name,))
+
+    def readings(self, content: str) -> Trace:
+        """The kept readings with that hash, not encoded. Raises ValueError where they are missing or damaged."""
+        path = self._file(content)
+        try:
+            trace = _unpacked(path)
+        except (OSError, KeyError, ValueError, BadZipFile) as error:
+            raise ValueError(f"{path}: cannot be read ({error}); the cycle is lost unless a backup has it") from None
+        if content_hash(trace) != content:
+            raise ValueError(f"{path}: is not what was kept there (its hash differs); restore it from a backup")
+        return trace
+
+    def kept_bytes(self) -> int:
+        """What the kept readings take on the disk."""
+        folder = self.folder / KEPT
+        return sum(path.stat().st_size for path in folder.glob("*.npz")) if folder.is_dir() else 0
+
+    def _file(self, content: str) -> Path:
+        return self.folder / KEPT / f"{content}.npz"
+
+    # ---------------------------------------------------------------- studies
+
+    def study(self, settings: Mapping[str, Any]) -> int:
+        """The unfinished study of these settings, or a new one; unfinished ones of others are given up."""
+        text = json.dumps(settings, sort_keys=True)
+        with self._connection:
+            open_ones = self._connection.execute("SELECT id, settings FROM studies WHERE state = 'open'").fetchall()
+            number = next((int(row[0]) for row in open_ones if row[1] == text), None)
+            if number is None:
+                self._connection.execute("UPDATE studies SET state = 'given up' WHERE state = 'open'")
+                added = self._connection.execute("INSERT INTO studies (settings, state) VALUES (?, 'open')", (text,))
+                number = int(added.lastrowid or 0)
+        return number
+
+    def step(self, study: int, name: str) -> Any:
+        """What a step of a study gave, None where it was not done."""
+        query = "SELECT content FROM steps WHERE study = ? AND name = ?"
+        row = self._connection.execute(query, (study, name)).fetchone()
+        return None if row is None else json.loads(row[0])
+
+    def done(self, study: int, name: str, content: object) -> None:
+        """Keep what a step gave, as plain values."""
+        with self._connection:
+            self._connection.execute(
+                "INSERT OR REPLACE INTO steps VALUES (?, ?, ?)", (study, name, json.dumps(content))
+            )
+
+    def close_study(self, study: int) -> None:
+        """The study is finished: the next one is another."""
+        with self._connection:
+            self._connection.execute("UPDATE studies SET state = 'done' WHERE id = ?", (study,))
+
+
+@contextmanager
+def opened_library(
+    folder: Path, *, machine: str | None = None, temperature: str | None = None
+) -> Iterator[CycleLibrary]:
+    """The library in `folder`, held by this process alone; made where a machine and its temperature are given.
+
+    Raises ValueError where there is none and neither is given, where another process holds it, and where it is of
+    another machine or temperature; OSError where it cannot be written.
+    """
+    file = folder / FILE
+    if not file.is_file() and (machine is None or temperature is None):
+        raise ValueError(f"{folder}: is no library of cycles; `decanter model retrain` makes one")
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{folder}: another process is working on this library; wait for it") from None
+        connection = sqlite3.connect(file)
+        try:
+            if connection.execute("PRAGMA user_version").fetchone()[0] == 0:
+                # In one transaction: a kill in between leaves an empty file, which is a new one.
+                connection.executescript(f"BEGIN;{SCHEMA}PRAGMA user_version = {LAYOUT};COMMIT;")
+            library = CycleLibrary(folder, connection)
+            for name, value in (("machine", machine), ("temperature", temperature)):
+                known = library.fact(name)
+                if value is not None and known is None:
+                    library.set_fact(name, value)
+                elif value is not None and known != value:
+                    raise ValueError(f"{folder}: is of the {name} {known!r}, not of {value!r}; give another --library")
+            yield library
+        except sqlite3.DatabaseError as error:
+            raise ValueError(f"{file}: cannot be used as a library of cycles ({error}); give another folder") from None
+        finally:
+            connection.close()
+    finally:
+        os.close(lock)
+
+
+def _row(values: dict[str, Any]) -> CycleRow:
+    points = np.array(json.loads(values.pop("points")), dtype=float)
+    return CycleRow(points=points, **{**values, "kept": bool(values["kept"])})
+
+
+def _packed(trace: Trace) -> bytes:
+    """The trace without its events as a compressed .npz of plain arrays."""
+    facts = {"name": trace.name, "origin": trace.origin, "machine": trace.machine, "synthetic": trace.synthetic}
+    head = {**facts, "signals": list(trace.signals), "bad": list(trace.bad), "units": dict(trace.units)}
+    arrays: dict[str, Any] = {f"s{number}": column for number, column in enumerate(trace.signals.values())}
+    arrays |= {f"b{number}": np.packbits(mask) for number, mask in enumerate(trace.bad.values())}
+    stream = BytesIO()
+    np.savez_compressed(stream, allow_pickle=False, head=np.array(json.dumps(head)), times=trace.times, **arrays)
+    return stream.getvalue()
+
+
+def _unpacked(path: Path) -> Trace:
+    """What `_packed` gave. Raises OSError, KeyError, ValueError or BadZipFile."""
+    with np.load(path, allow_pickle=False) as held:
+        head, times = json.loads(str(held["head"])), held["times"]
+        signals = {name: held[f"s{number}"] for number, name in enumerate(head["signals"])}
+        bad = {
+            name: np.unpackbits(held[f"b{number}"], count=times.size).astype(bool)
+            for number, name in enumerate(head["bad"])
+        }
+    return Trace(
+        name=head["name"],
+        times=times,
+        signals=signals,
+        bad=bad,
+        origin=head["origin"],
+        machine=head["machine"],
+        synthetic=head["synthetic"],
+        units=head["units"],
+    )

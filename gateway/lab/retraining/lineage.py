@@ -1,0 +1,116 @@
+"""`decanter model lineage`: the family of a store's versions, and a version made again from its record, bit for bit."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.console import emit, json_option, map_option, progress
+from gateway.entry import Exit, sentences
+from gateway.lab.retraining.library import opened_library
+from gateway.lab.retraining.study import learned_model
+from gateway.lab.retraining.training_record import code_hash, created_of, read_record, software
+from gateway.lab.traces.load import load
+from sim.artefacts import current, model_hash, version_directory, versions
+from sim.artefacts import load as load_version
+from sim.sha import Trace, content_hash
+
+
+@click.command("lineage", short_help="Draw the family of a store's versions; make one again.")
+@click.argument("store", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--remake", "version", help="Learn this version again and compare it bit for bit.")
+@click.option("--library", "folder", type=click.Path(path_type=Path), help="Where the cycles of its record are kept.")
+@click.option("--traces", "former", multiple=True, help="Traces of its record that no library has.")
+@map_option
+@json_option
+def lineage_command(
+    store: Path, version: str | None, folder: Path | None, former: tuple[str, ...], map_name: str, as_json: bool
+) -> None:
+    """Draw which version of STORE was learned beside which, from how much, and which of them runs.
+
+    --remake learns a version again from its record: traces by their hash, settings, seed. The exit code is 1 where the
+    result is another model, and the sentence says what differs: the program, or what it runs on.
+    """
+    if version is not None and folder is None and not former:
+        raise click.UsageError("--remake needs the traces: give --library, --traces, or both")
+    with sentences(), progress("learning again") as report:
+        running = current(store)
+        family: list[dict[str, Any]] = []
+        for name in versions(store):
+            home = version_directory(store, name)
+            record, model = read_record(home), load_version(store, name)
+            family.append(
+                {
+                    "version": name,
+                    "parent": None if record is None else record.parent,
+                    "created": created_of(home),
+                    "method": model.provenance.method,
+                    "traces": len(model.provenance.contents or model.provenance.traces),
+                    "record": record is not None,
+                    "current": name == running,
+                }
+            )
+        again: dict[str, Any] | None = None
+        if version is not None:
+            report("reading", 0.0)
+            again = _remade(store, version, folder, load(former, map_name)[0] if former else [])
+
+    def show() -> None:
+        for line in _drawn(family, None, ""):
+            click.echo(line)
+        if again is not None:
+            click.echo(again["sentence"])
+
+    emit({"versions": family, "remade": again}, show, as_json_line=as_json)
+    if again is not None and not again["same"]:
+        raise SystemExit(Exit.CHECK_FAILED)
+
+
+def _drawn(family: list[dict[str, Any]], parent: str | None, indent: str) -> list[str]:
+    """A line for each version that was learned beside `parent`, and under it those that were learned beside it."""
+    known = {each["version"] for each in family}
+    own = [each for each in family if (each["parent"] if each["parent"] in known else None) == parent]
+    lines: list[str] = []
+    for place, each in enumerate(own):
+        date = datetime.fromtimestamp(each["created"], UTC).strftime("%Y-%m-%d %H:%M")
+        last = place == len(own) - 1
+        branch = "" if parent is None else ("└─ " if last else "├─ ")
+        marks = "  RUNS" if each["current"] else ""
+        marks += "" if each["record"] else "  (by hand: it has no record)"
+        lines.append(f"{indent}{branch}{each['version']}  {date}  {each['method']}, {each['traces']} traces{marks}")
+        lines += _drawn(family, each["version"], indent + ("" if parent is None else ("   " if last else "│  ")))
+    return lines
+
+
+def _remade(store: Path, version: str, folder: Path | None, former: list[Trace]) -> dict[str, Any]:
+    """The version learned again, and whether it is the same. Raises ValueError where it cannot be."""
+    home = version_directory(store, version)
+    record = read_record(home)
+    if record is None:
+        raise ValueError(f"{home}: has no record; versions that `decanter model retrain` has made have one")
+    given = {content_hash(trace): replace(trace, events=()) for trace in former}
+    traces = []
+    if folder is None:
+        missing = [name for name, content in record.training if content not in given]
+        if missing:
+            raise ValueError(f"{missing[0]}: is in the record and not among --traces; give the --library that has it")
+        traces = [given[content] for _, content in record.training]
+    else:
+        with opened_library(folder) as library:
+            traces = [
+                given[content] if content in given else library.readings(content) for _, content in record.training
+            ]
+    before = load_version(store, version)
+    made = learned_model(record, traces, before.alphabet, before.temperature).model
+    same = model_hash(made) == model_hash(before)
+    changed = ["the program"] if record.code != code_hash() else []
+    changed += [f"{name} (then {was})" for name, was in record.software.items() if software().get(name) != was]
+    reason = f"; what has changed since: {', '.join(changed)}" if changed else ""
+    sentence = (
+        f"{version} was made again bit for bit: {model_hash(made)[:12]}"
+        if same
+        else f"{version} came out as another model, {model_hash(made)[:12]} for {model_hash(before)[:12]}{reason}"
+    )
+    return {"version": version, "same": same, "changed": changed, "hash": model_hash(made), "sentence": sentence}

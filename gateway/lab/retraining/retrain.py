@@ -1,0 +1,164 @@
+"""`decanter model retrain`: from the historian to a proposed version, in steps that a kill does not undo."""
+
+import json
+import os
+import resource
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.console import emit, historian_machine_option, json_option, map_option, progress, seed_option, table
+from gateway.entry import interruptible, sentences
+from gateway.lab.retraining.library import opened_library
+from gateway.lab.retraining.report import Retraining
+from gateway.lab.retraining.study import REPORTS, RetrainingRequest, cut_and_rate, due, retrain, source_of
+from gateway.lab.traces.load import load
+from gateway.store import machines, newest_scan, reading, stored_rows
+from sim.familiarity import RED, YELLOW
+from sim.sha import shown_unit
+
+DRIFTING = 3
+"""Cycles running beyond their limit that raise the drift alarm."""
+NICE = 19
+HOUR = 3600.0
+
+
+@click.command("retrain", short_help="Learn from the historian's new cycles; propose a version that is better.")
+@click.argument("store", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--historian", type=click.Path(path_type=Path), required=True, help="The gateway's historian.")
+@historian_machine_option
+@click.option("--since", help="A new library begins here: a time (2026-03-01T06:00) or a span (30d)  [everything].")
+@click.option("--library", "folder", type=click.Path(path_type=Path), help="Its cycles  [cycles beside the historian].")
+@click.option("--standard", multiple=True, help="Traces that a new model must not be worse on; may be given again.")
+@click.option("--traces", "former", multiple=True, help="Traces of earlier training to learn from as well.")
+@map_option
+@click.option("--method", type=click.Choice(["bins", "lsha"]), help="  [the present version's]")
+@click.option(
+    "--rows", type=click.IntRange(1000), default=600_000, show_default=True, help="Scans to learn from at most."
+)
+@click.option("--tune", "trials", type=click.IntRange(1), help="Search settings where performance has fallen: trials.")
+@click.option("--no-diagnosis", is_flag=True, help="Do not look for what the new model still lacks.")
+@click.option("--if-due", is_flag=True, help="Only on drift, after --after new cycles that teach, or --every days.")
+@click.option(
+    "--after", type=click.IntRange(1), default=10, show_default=True, help="New cycles that are not ordinary."
+)
+@click.option("--every", type=click.FloatRange(0.0, min_open=True), help="Days after which it is due in any case.")
+@click.option(
+    "--yellow", type=click.FloatRange(0.0), default=YELLOW, show_default=True, help="Relative error of a class."
+)
+@click.option("--red", type=click.FloatRange(0.0), default=RED, show_default=True, help="Relative error of a class.")
+@click.option("--full-speed", is_flag=True, help="Do not leave the processor to all others.")
+@seed_option
+@json_option
+def retrain_command(
+    store: Path,
+    historian: Path,
+    machine: str | None,
+    since: str | None,
+    folder: Path | None,
+    standard: Sequence[str],
+    former: Sequence[str],
+    map_name: str,
+    method: str | None,
+    rows: int,
+    trials: int | None,
+    no_diagnosis: bool,
+    if_due: bool,
+    after: int,
+    every: float | None,
+    yellow: float,
+    red: float,
+    full_speed: bool,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Learn from the historian's new cycles, hold the new model against the current version of STORE, propose it.
+
+    The historian is cut into cycles, each is rated, and those that teach are kept in the library. A new model is
+    learned beside the current one; both forecast the new cycles that were held out, and the standard set. If the new
+    one is better by a paired test at some horizon, worse at none, and verifies, it becomes a version of the store that
+    a person may promote. Nothing else changes: the current version keeps running. A retraining that was stopped or
+    killed goes on with the same command.
+    """
+    if red < yellow:
+        raise click.UsageError("--red is below --yellow; give the red class the larger error")
+    if not full_speed:
+        os.nice(NICE)
+    begin = time.process_time()
+    with sentences(), progress("retraining") as bar, interruptible(bar) as report:
+        with reading(historian) as connection:
+            known = dict(machines(connection))
+            last = newest_scan(connection, machine=machine)
+            guards = (
+                stored_rows(connection, "guards", ("time", "content"), last - HOUR, machine=machine) if last else []
+            )
+        if last is None:
+            raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
+        name = machine if machine is not None else next(iter(known))
+        request = RetrainingRequest(
+            store=store,
+            historian=historian,
+            machine=name,
+            since=since,
+            standard=load(standard, map_name)[0] if standard else (),
+            former=load(former, map_name)[0] if former else (),
+            method=method,
+            seed=seed,
+            rows=rows,
+            trials=trials or 0,
+            diagnosis=not no_diagnosis,
+            yellow=yellow,
+            red=red,
+        )
+        source = source_of(request, last)
+        temperature = source.model.temperature
+        folder = folder or historian.parent / "cycles" / "-".join(filter(None, (name, temperature)))
+        with opened_library(folder, machine=name, temperature=temperature) as library:
+            cut = cut_and_rate(request, library, source, report)
+            reason = ""
+            if if_due:
+                running = json.loads(guards[-1][1] or "{}").get("drift", {}).get("cycles", 0) if guards else 0
+                finished = library.fact("finished")
+                age = float("inf") if finished is None else time.time() - finished["at"]
+                limit = float("inf") if every is None else every * 86_400.0
+                reason = due(library, source.model, after=after, drifting=running >= DRIFTING, age=age, every=limit)
+                if not reason:
+                    said = f"not due: {cut} cycles came, no drift, fewer than {after} that are not ordinary"
+                    emit({"due": False, "cycles": cut}, lambda: click.echo(said), as_json_line=as_json)
+                    return
+            found = retrain(request, library, source, report=report, clock=time.time)
+    place = folder / REPORTS / f"{found.study:04d}"
+    # Kilobytes on Linux: the most that was resident at any time.
+    cost = {"cpu_s": time.process_time() - begin, "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
+    data: dict[str, Any] = {"due": reason or True, "cut": cut, "report": str(place), "cost": cost, **found.as_plain()}
+    emit(data, lambda: show(found, store, place, cost), as_json_line=as_json)
+
+
+def show(found: Retraining, store: Path, place: Path, cost: dict[str, float]) -> None:
+    """The verdict, the comparison and what to do next."""
+    rows = [
+        [
+            c.subject,
+            c.horizon,
+            c.difference.n,
+            c.crps["new"],
+            c.crps["present"],
+            c.difference.mean,
+            c.p,
+            c.told_apart or "no",
+        ]
+        for c in found.comparisons
+    ]
+    if rows:
+        columns = ("set", "horizon (s)", "cycles", "new", "present", "difference", "p", "told apart")
+        table(f"CRPS ({shown_unit(found.unit)}) of the new model and of version {found.present}", columns, rows)
+    for line in found.lines():
+        if not any(line.startswith(f"{each.subject}, ") for each in found.comparisons):
+            click.echo(line)
+    click.echo(f"report: {place}")
+    click.echo(f"cost: {cost['cpu_s']:.0f} s of processor time, {cost['peak_mb']:.0f} MB at most")
+    if found.version:
+        click.echo(f"to run it: decanter model promote {store} {found.version}")

@@ -1,0 +1,483 @@
+"""A retraining from the historian to a proposal, in steps that are each kept when they are done.
+
+A kill at any moment leaves the store as it was, or with one version more that nobody has promoted; the same command
+goes on with the step that was not done. What a step gives depends on data, settings and seed alone.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of, features_of, free_run_error
+from gateway.lab.retraining.judging import compared, scores_along, verdict_on
+from gateway.lab.retraining.library import RATINGS, CycleLibrary, CycleRow
+from gateway.lab.retraining.report import Retraining, report_files
+from gateway.lab.retraining.training_record import RECORD, TrainingRecord, code_hash, read_record, software
+from gateway.store import moment_of
+from sim.artefacts import (
+    FAMILIARITY_FILE,
+    MANIFEST,
+    MODEL_FILE,
+    Familiarity,
+    current,
+    listed,
+    load,
+    model_hash,
+    read_familiarity,
+    read_model,
+    version_directory,
+    versions,
+)
+from sim.artefacts.formats import save, write_model_directory
+from sim.checking.proof import verify
+from sim.discrepancy import diagnose
+from sim.familiarity import (
+    LEAST_CYCLES,
+    ClassFigures,
+    FamiliarityReference,
+    error_curve,
+    fit_reference,
+    measured_classes,
+)
+from sim.files import replace_durably
+from sim.ranking import METHODS, Settings, StudyPlan, Task, Taught, tune
+from sim.sha import Alphabet, Model, Trace, content_hash, encode, joint_hash
+
+Progress = Callable[[str, float], None]
+
+HELD_OUT, LEAST_HELD_OUT = 12, 8
+"""New cycles that are held out at most, and how many a paired test needs to say anything."""
+FALLEN = 0.2
+"""The share of new cycles badly predicted from which settings are searched anew; where a model is right it is 0.1."""
+SPARSE = 10.0
+"""Seconds between the rows that a diagnosis is given."""
+FRESH, STANDARD = "new cycles", "standard set"
+STUDIES, REPORTS = "studies", "reports"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RetrainingRequest:
+    """What is retrained: the current version of a `store`, from a machine's `historian` since a date or span.
+
+    `standard` are the traces that a new model must not be worse on, `former` those of earlier training that no library
+    has; both encoded by nobody yet. `rows` is how many scans the training has at most, `trials` those of a search of
+    settings where performance has fallen. `yellow` and `red` are the classes of expected relative error.
+    """
+
+    store: Path
+    historian: Path
+    machine: str | None
+    since: str | None
+    standard: Sequence[Trace]
+    former: Sequence[Trace]
+    method: str | None
+    seed: int
+    rows: int
+    trials: int
+    diagnosis: bool
+    yellow: float
+    red: float
+
+
+def source_of(request: RetrainingRequest, last: float) -> CycleSource:
+    """The historian as the current version's alphabet cuts it. Raises ArtefactError without a current version."""
+    version = current(request.store)
+    since = -inf if request.since is None else moment_of(request.since, last)
+    return CycleSource(
+        historian=request.historian,
+        machine=request.machine,
+        model=load(request.store, version),
+        version=version,
+        since=since,
+    )
+
+
+def cut_and_rate(request: RetrainingRequest, library: CycleLibrary, source: CycleSource, report: Progress) -> int:
+    """Cut what is new into cycles and rate it by what the current version was trained on; how many came.
+
+    For a version that does not say what is familiar to it the older half of the library counts as that.
+    """
+    known = read_familiarity(version_directory(request.store, source.version))
+    if known is not None:
+        return cut_new(library, source, known.reference, report)
+    count = cut_new(library, source, None, report)
+    cycles = [row for row in library.cycles() if not row.excluded]
+    half = len(cycles) // 2
+    if half < LEAST_CYCLES:
+        return count
+    reference = fit_reference([row.points for row in cycles[:half]])
+    for row in cycles[half:]:
+        strange = reference.strangeness(row.points, np.arange(len(row.points), dtype=float))
+        if row.rating == "ordinary" and strange.value > 1.0:
+            trace = cycle_of(source, row, library)
+            if trace is not None:
+                library.keep(row.name, trace)
+            library.rate(row.name, "rare", strange.words, strange.value)
+        else:
+            library.rate(row.name, row.rating, row.words, strange.value)
+    return count
+
+
+def new_cycles(library: CycleLibrary, model: Model) -> list[CycleRow]:
+    """The cycles that the model has not been learned from, that nobody has excluded and that can be run."""
+    seen = set(model.provenance.contents)
+    return [row for row in library.cycles() if not row.excluded and row.error is not None and row.content not in seen]
+
+
+def due(library: CycleLibrary, model: Model, *, after: int, drifting: bool, age: float, every: float) -> str:
+    """Why it is time to retrain, "" where it is not: `after` new cycles that teach, drift, the last one's age (s)."""
+    if drifting:
+        return "the drift alarm's condition holds"
+    until = (library.fact("finished") or {}).get("until") or -inf
+    teaching = [row for row in new_cycles(library, model) if row.rating != "ordinary" and row.begin > until]
+    if len(teaching) >= after:
+        return f"{len(teaching)} new cycles are not ordinary"
+    return f"the last retraining is {age / 86_400.0:.3g} days ago" if age >= every else ""
+
+
+def retrain(
+    request: RetrainingRequest,
+    library: CycleLibrary,
+    source: CycleSource,
+    *,
+    report: Progress,
+    clock: Callable[[], float],
+) -> Retraining:
+    """Learn a new model beside the current one, judge both, and save the new one as a version if it is better.
+
+    Nothing is promoted. Raises ValueError in one sentence where the cycles are too few, or teach no model.
+    """
+    present = source.model
+    standard = [encoded(trace, present) for trace in request.standard]
+    method = request.method or (present.provenance.method if present.provenance.method in METHODS else "bins")
+    settings = {
+        "store": str(request.store.resolve()),
+        "version": source.version,
+        "model": model_hash(present),
+        "method": method,
+        "seed": request.seed,
+        "rows": request.rows,
+        "trials": request.trials,
+        "diagnosis": request.diagnosis,
+        "standard": joint_hash(request.standard),
+        "former": joint_hash(request.former),
+        "code": code_hash(),
+    }
+    study = library.study(settings)
+    folder = library.folder / STUDIES / f"{study:04d}"
+    folder.mkdir(parents=True, exist_ok=True)
+
+    chosen = library.step(study, "sets")
+    if chosen is None:
+        report("choosing cycles", 0.1)
+        chosen = _chosen(request, library, source)
+        library.done(study, "sets", chosen)
+    training = [*(replace(trace, events=()) for trace in request.former)]
+    training += [library.readings(content) for _, content in chosen["training"]]
+
+    learned = library.step(study, "learned")
+    if learned is None:
+        fresh = new_cycles(library, present)
+        fallen = sum(row.rating == "badly predicted" for row in fresh) / max(len(fresh), 1) > FALLEN
+        settings_found: Settings = {}
+        tuned = ""
+        if request.trials and fallen:
+            report("searching settings", 0.15)
+            settings_found, tuned = _searched(request, present, method, training, folder)
+        report(f"learning ({method})", 0.25)
+        record = _record(request, source, method, chosen, settings=settings_found)
+        taught = learned_model(record, training, present.alphabet, present.temperature)
+        write_model_directory(folder / "model", taught.model, taught.values)
+        rows_learned = sum(trace.times.size for trace in training)
+        learned = {"settings": settings_found, "rows": rows_learned, "tuned": tuned}
+        library.done(study, "learned", learned)
+    new = read_model(folder / "model")
+    del training
+
+    scores: dict[str, list[dict[str, Any]]] = {FRESH: [], STANDARD: []}
+    notes: list[str] = []
+    judged: list[tuple[str, Trace | None, str]] = [(FRESH, None, content) for _, content in chosen["held_out"]]
+    judged += [(STANDARD, trace, content_hash(trace)) for trace in standard]
+    for number, (subject, at_hand, content) in enumerate(judged):
+        rows = library.step(study, f"judged {content}")
+        if rows is None:
+            share = 0.4 + 0.4 * number / len(judged)
+            trace = at_hand if at_hand is not None else encoded(library.readings(content), present)
+
+            def tell(what: str, _share: float, share: float = share) -> None:
+                report(what, share)
+
+            try:
+                rows = scores_along(trace, present, new, seed=request.seed, report=tell)
+            except ValueError as error:
+                notes.append(f"{trace.name} cannot be judged: {error}")
+                rows = []
+            library.done(study, f"judged {content}", rows)
+        if subject == STANDARD and content in (*present.provenance.contents, *new.provenance.contents):
+            name = at_hand.name if at_hand is not None else content[:8]
+            notes.append(f"{name} of the standard set is training of one of the models: its figures flatter that one")
+        scores[subject] += rows
+    comparisons = [each for subject, rows in scores.items() for each in compared(subject, rows, seed=request.seed)]
+
+    report("verifying", 0.8)
+    refusals = verify(new).reasons
+    propose, sentence = verdict_on(comparisons, refusals, FRESH)
+    left = library.step(study, "diagnosed")
+    if left is None:
+        left = "" if not request.diagnosis else _what_is_left(new, library, chosen, request.seed, report)
+        library.done(study, "diagnosed", left)
+
+    rows_by_name = {row.name: row for row in library.cycles()}
+    familiarity, classes = _familiarity(request, library, chosen, rows_by_name, new)
+    key = sha256(json.dumps([settings, chosen], sort_keys=True).encode()).hexdigest()
+    record = _record(request, source, method, chosen, settings=learned["settings"], study=key)
+    found = Retraining(
+        study=study,
+        machine=source.machine or "",
+        temperature=present.temperature,
+        unit=present.unit,
+        present=source.version,
+        new_hash=model_hash(new),
+        version="",
+        proposed=propose,
+        sentence=sentence,
+        comparisons=tuple(comparisons),
+        scores=tuple({"set": subject, **row} for subject, rows in scores.items() for row in rows),
+        refusals=tuple(refusals),
+        left=left,
+        classes=tuple(classes),
+        regions=_regions(library, chosen),
+        ratings={rating: sum(row.rating == rating for row in rows_by_name.values()) for rating in RATINGS},
+        training=len(record.training),
+        held_out=len(chosen["held_out"]),
+        rows=learned["rows"],
+        tuned=learned["tuned"],
+        notes=(*notes, *chosen["notes"]),
+    )
+    report("writing the report", 0.95)
+    files = report_files(found, rows_by_name.values())
+    if propose:
+        # Known again by its study: a kill between the store and the library must not make a second version.
+        made = next((name for name in versions(request.store) if _study_of(request.store, name) == record.study), None)
+        if made is None:
+            more = _written(folder / "model") | files | {RECORD: record.text()}
+            more |= {} if familiarity is None else {FAMILIARITY_FILE: familiarity.text()}
+            made = save(request.store, new, created=clock(), parent=source.version, more=more)
+        found = replace(found, version=made)
+    place = library.folder / REPORTS / f"{study:04d}"
+    place.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        replace_durably(place / name, content)
+    last = max((row.begin for row in rows_by_name.values()), default=None)
+    library.set_fact("finished", {"until": last, "at": clock(), "study": study, "version": found.version})
+    library.close_study(study)
+    shutil.rmtree(folder, ignore_errors=True)
+    return found
+
+
+def encoded(trace: Trace, model: Model) -> Trace:
+    """The trace with the events that the model's alphabet sees in it."""
+    return replace(trace, events=encode(replace(trace, events=()), model.alphabet))
+
+
+def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSource) -> dict[str, Any]:
+    """Which cycles are held out and which are learned from, (name, content hash) each; all of them are kept by then.
+
+    Held out are new cycles evenly over ratings and time. The training takes what teaches first, and fills up with
+    ordinary cycles evenly over time until it has as many rows as it may have.
+    """
+    fresh = new_cycles(library, source.model)
+    count = min(max(len(fresh) // 4, LEAST_HELD_OUT), HELD_OUT, len(fresh) // 2)
+    if count < LEAST_HELD_OUT:
+        raise ValueError(
+            f"{library.folder}: {len(fresh)} new cycles are too few to learn from and to judge by; it takes "
+            f"{2 * LEAST_HELD_OUT}, so let the gateway run on"
+        )
+    ordered = sorted(fresh, key=lambda row: (RATINGS.index(row.rating), row.begin))
+    places = np.unique(np.linspace(0, len(ordered) - 1, count).round().astype(int)).tolist()
+    held = {ordered[place].name for place in places}
+    seen = set(source.model.provenance.contents)
+    rest = [row for row in library.cycles() if not row.excluded and row.error is not None and row.name not in held]
+    teaching = [row for row in rest if row.rating != "ordinary" or row.content in seen]
+    ordinary = [row for row in rest if row not in teaching]
+    # Every cycle of an evenly halved order lies in the middle of the largest gap that is left.
+    ordinary = [ordinary[place] for place in _spread(len(ordinary))]
+    notes, sets = list[str](), {"training": list[tuple[str, str]](), "held_out": list[tuple[str, str]]()}
+    left = request.rows - sum(trace.times.size for trace in request.former)
+    for row in [*(row for row in ordered if row.name in held), *teaching, *ordinary]:
+        subject = "held_out" if row.name in held else "training"
+        if subject == "training" and row.rows > left:
+            continue
+        trace = cycle_of(source, row, library)
+        if trace is None:
+            notes.append(f"{row.name} is neither kept nor in the historian any more")
+            continue
+        library.keep(row.name, replace(trace, events=()))
+        sets[subject].append((row.name, row.content))
+        left -= row.rows if subject == "training" else 0
+    for pairs in sets.values():
+        pairs.sort()
+    return {**sets, "notes": notes}
+
+
+def _spread(count: int) -> list[int]:
+    """The numbers below `count` so that any number of first ones lie evenly: by the bits of each, reversed."""
+    bits = max(count - 1, 1).bit_length()
+    return sorted(range(count), key=lambda number: f"{number:0{bits}b}"[::-1])
+
+
+def _searched(
+    request: RetrainingRequest, present: Model, method: str, training: Sequence[Trace], folder: Path
+) -> tuple[Settings, str]:
+    """The settings of a search by cross-validation over the training, none where the defaults are as good; a sentence.
+
+    The search is a study of its own in `folder`, which goes on where it was killed.
+    """
+    plan = StudyPlan(method, "crps", 5, request.seed)
+    found = tune(training, present.alphabet, present.temperature, plan, folder / "tuning.db", trials=request.trials)
+    best = found.best.settings if found.better and found.best is not None else {}
+    return dict(best), found.sentence
+
+
+def learned_model(record: TrainingRecord, training: Sequence[Trace], alphabet: Alphabet, temperature: str) -> Taught:
+    """The model that a record says, from its `training` (traces without events); the same whenever it is asked for.
+
+    Cycles that follow one another are learned from as one trace, or no model would ever see a rest end. Raises
+    ValueError where they teach none.
+    """
+    # Traces that do not say their machine are of the historian's: named beside unnamed would be two machines.
+    if any(not trace.machine for trace in training):
+        training = [replace(trace, machine="") for trace in training]
+    task = Task(joined(training, alphabet.gap), alphabet, temperature, record.seed, record.name)
+    taught = METHODS[record.method].learn(task, record.settings)
+    contents = tuple(sorted({content for _, content in record.training}))
+    names = tuple(name for name, _ in record.training)
+    origin = replace(taught.model.provenance, parent=record.parent_hash, contents=contents, traces=names)
+    return Taught(replace(taught.model, provenance=origin), taught.values)
+
+
+def joined(traces: Sequence[Trace], gap: float) -> list[Trace]:
+    """The traces in the order of time, those of the same signals that follow within `gap` s as one."""
+    groups: list[list[Trace]] = []
+    for trace in sorted(traces, key=lambda each: (each.times[0], each.name)):
+        before = groups[-1][-1] if groups else None
+        follows = before is not None and 0 < trace.times[0] - before.times[-1] <= gap
+        if (
+            before is not None
+            and follows
+            and (set(trace.signals), set(trace.bad)) == (set(before.signals), set(before.bad))
+        ):
+            groups[-1].append(trace)
+        else:
+            groups.append([trace])
+    return [
+        replace(
+            group[0],
+            times=np.concatenate([each.times for each in group]),
+            signals={name: np.concatenate([each.signals[name] for each in group]) for name in group[0].signals},
+            bad={name: np.concatenate([each.bad[name] for each in group]) for name in group[0].bad},
+        )
+        for group in groups
+    ]
+
+
+def _record(
+    request: RetrainingRequest,
+    source: CycleSource,
+    method: str,
+    chosen: dict[str, Any],
+    *,
+    settings: Settings,
+    study: str = "",
+) -> TrainingRecord:
+    """The record of the model that is learned from what was chosen."""
+    return TrainingRecord(
+        name=source.model.sha.name,
+        method=method,
+        settings=settings,
+        seed=request.seed,
+        parent=source.version,
+        parent_hash=model_hash(source.model),
+        training=(
+            *((trace.name, content_hash(trace)) for trace in request.former),
+            *((name, content) for name, content in chosen["training"]),
+        ),
+        code=code_hash(),
+        software=software(),
+        study=study,
+    )
+
+
+def sparse(trace: Trace, step: float) -> Trace:
+    """The first row of every `step` s, with all events."""
+    kept = np.unique(np.floor((trace.times - trace.times[0]) / step), return_index=True)[1]
+    signals = {name: column[kept] for name, column in trace.signals.items()}
+    bad = {name: mask[kept] for name, mask in trace.bad.items()}
+    return replace(trace, times=trace.times[kept], signals=signals, bad=bad)
+
+
+def _what_is_left(new: Model, library: CycleLibrary, chosen: dict[str, Any], seed: int, report: Progress) -> str:
+    """What a diagnosis says of the new model on the cycles held out: where it still disagrees, if it does."""
+    # Heat is slow: at a row every ten seconds a diagnosis sees the same, in a tenth of the memory of 1 Hz.
+    traces = [sparse(encoded(library.readings(content), new), SPARSE) for _, content in chosen["held_out"]]
+    found = diagnose(new, traces, seed=seed, most=1, progress=lambda what, _: report(f"diagnosing: {what}", 0.85))
+    return f"{found.diagnosis.verdict}: {found.diagnosis.sentence}"
+
+
+def _familiarity(
+    request: RetrainingRequest,
+    library: CycleLibrary,
+    chosen: dict[str, Any],
+    rows: dict[str, CycleRow],
+    new: Model,
+) -> tuple[Familiarity | None, list[ClassFigures]]:
+    """What is familiar to the new model, and its error on the cycles held out by the class that was expected."""
+    known = [rows[name].points for name, _ in chosen["training"]]
+    known += [features_of(new, encoded(trace, new)).values for trace in request.former]
+    if len(known) < LEAST_CYCLES:
+        return None, []
+    reference: FamiliarityReference = fit_reference(known)
+    pairs: list[tuple[float, float]] = []
+    for name, content in chosen["held_out"]:
+        off = free_run_error(new, encoded(library.readings(content), new))
+        if off is not None and off.moved > 0:
+            points = rows[name].points
+            strange = reference.strangeness(points, np.arange(len(points), dtype=float))
+            pairs.append((strange.value, off.error / off.moved))
+    if not pairs:
+        return Familiarity(reference, None), []
+    classes = measured_classes(pairs, request.yellow, request.red)
+    curve = error_curve([one for one, _ in pairs], [one for _, one in pairs])
+    return Familiarity(reference, curve), classes
+
+
+def _regions(library: CycleLibrary, chosen: dict[str, Any]) -> tuple[dict[str, Any], ...]:
+    """By region of operation: how many cycles there are, how many are not ordinary, how many the training has."""
+    trained = {name for name, _ in chosen["training"]}
+    found: dict[str, dict[str, Any]] = {}
+    for row in library.cycles():
+        own = found.setdefault(row.region, {"region": row.region, "cycles": 0, "not ordinary": 0, "in training": 0})
+        own["cycles"] += 1
+        own["not ordinary"] += row.rating != "ordinary"
+        own["in training"] += row.name in trained
+    return tuple(sorted(found.values(), key=lambda own: -own["cycles"]))
+
+
+def _written(directory: Path) -> dict[str, str]:
+    """The files of a model directory beside the model itself, by name."""
+    names = [name for name in listed(directory / MANIFEST) if name != MODEL_FILE]
+    return {name: (directory / name).read_text(encoding="utf-8") for name in names}
+
+
+def _study_of(store: Path, version: str) -> str:
+    record = read_record(version_directory(store, version))
+    return "" if record is None else record.study

@@ -1,0 +1,80 @@
+"""`record.json` of a version: everything that it was made of, so that it can be made again bit for bit."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from platform import python_version
+from typing import Any
+
+from sim.artefacts import MANIFEST
+from sim.files import at, read_text
+from sim.strict_json import json_text
+
+RECORD, FORMAT = "record.json", "decanter-training-record"
+LIBRARIES = ("numpy", "scipy")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainingRecord:
+    """How a version came about: `training` are (name, content hash) of its traces, `settings` those of the `method`.
+
+    `parent` is the version that it was learned beside, `code` the hash of the program's arithmetic, `software` the
+    versions of what it ran on, `study` the retraining that made it (its settings' hash).
+    """
+
+    name: str
+    method: str
+    settings: Mapping[str, str | float | int | bool]
+    seed: int
+    parent: str
+    parent_hash: str
+    training: tuple[tuple[str, str], ...]
+    code: str
+    software: Mapping[str, str]
+    study: str
+
+    def text(self) -> str:
+        """The file's content."""
+        return json_text({"format": FORMAT, "version": 1, **asdict(self)}, indent=1) + "\n"
+
+
+def read_record(folder: Path) -> TrainingRecord | None:
+    """That of the version in `folder`; None where it has none. Raises ArtefactError for one that cannot be used."""
+    file = folder / RECORD
+    if not file.is_file():
+        return None
+    text = read_text(file)
+    try:
+        document: dict[str, Any] = json.loads(text)
+        if document.pop("format") != FORMAT or document.pop("version") != 1:
+            raise ValueError("it is of another format")
+        training = tuple((str(name), str(content)) for name, content in document.pop("training"))
+        return TrainingRecord(training=training, **document)
+    except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
+        raise at(file, None, f"cannot be used as a record ({str(error)[:80]}); restore it from a backup") from None
+
+
+def created_of(folder: Path) -> float:
+    """When the version in `folder` was made (s UTC). Raises ArtefactError."""
+    manifest = folder / MANIFEST
+    try:
+        return float(json.loads(read_text(manifest))["created"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise at(manifest, None, f"does not say when the version was made ({error!r}); restore it") from None
+
+
+def code_hash() -> str:
+    """SHA-256 over the sources that a model is computed by: all of `sim`, file by file."""
+    root = Path(__file__).parents[3] / "sim"
+    digest = sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def software() -> dict[str, str]:
+    """The versions of what arithmetic depends on."""
+    return {"python": python_version(), **{name: version(name) for name in LIBRARIES}}

@@ -1,0 +1,104 @@
+"""The server of `[northbound.metrics]`: uvicorn in a thread of its own, which asks the gateway's loop how all is."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import uvicorn
+from prometheus_client import CollectorRegistry, ProcessCollector
+from prometheus_client.exposition import choose_encoder
+from starlette.applications import Starlette
+from starlette.responses import Response
+from starlette.routing import Route
+
+from gateway.northbound.metrics import FeedFigures, GatewayCollector
+from gateway.settings import MetricsSection
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from gateway.status import GatewayStatus
+
+MOST_REQUESTS = 8
+PATIENCE_SECONDS = 5.0
+
+Pictures = Callable[[], Mapping[str, Callable[[], "GatewayStatus"]]]
+"""Gives what takes each machine's status, by its name; called in the gateway's loop."""
+
+
+class MetricsServer:
+    """Serves `/metrics` from `run`, in a thread, until `close`. `port` is the one that is listened at."""
+
+    def __init__(self, section: MetricsSection, pictures: Pictures, feeds: Sequence[FeedFigures]) -> None:
+        self._section, self._pictures, self._feeds = section, pictures, feeds
+        self._gateway_loop = asyncio.get_running_loop()
+        self._server: uvicorn.Server | None = None
+        self.port = section.port or 0
+        self.stop = threading.Event()
+
+    async def _statuses(self) -> dict[str, GatewayStatus]:
+        """All pictures, in the gateway's loop: scans come between one and the next."""
+        statuses = {}
+        for name, take in self._pictures().items():
+            statuses[name] = take()
+            await asyncio.sleep(0)
+        return statuses
+
+    async def _metrics(self, request: Request) -> Response:
+        try:
+            asked = asyncio.run_coroutine_threadsafe(self._statuses(), self._gateway_loop)
+            async with asyncio.timeout(PATIENCE_SECONDS):
+                statuses = await asyncio.wrap_future(asked)
+        except (TimeoutError, RuntimeError):
+            return Response("the gateway does not answer\n", status_code=503, media_type="text/plain")
+        registry = CollectorRegistry()
+        registry.register(GatewayCollector(statuses, self._feeds))
+        ProcessCollector(registry=registry)
+        encode, media_type = choose_encoder(request.headers.get("accept", ""))
+        return Response(encode(registry), headers={"Content-Type": media_type})
+
+    def run(self) -> None:
+        """Serve until `close`. Raises OSError, in one sentence, where the port cannot be had."""
+        if self.stop.is_set():
+            return
+        section = self._section
+        try:
+            listener = socket.create_server((section.host, self.port), backlog=MOST_REQUESTS)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise OSError(
+                error.errno, f"[northbound.metrics] cannot listen at {section.host}:{section.port}: {reason.lower()}"
+            ) from None
+        with listener:
+            self.port = listener.getsockname()[1]
+            config = uvicorn.Config(
+                Starlette(routes=[Route("/metrics", self._metrics)]),
+                loop="asyncio",
+                http="h11",
+                ws="none",
+                lifespan="off",
+                log_config=None,
+                log_level="critical",
+                access_log=False,
+                proxy_headers=False,
+                server_header=False,
+                limit_concurrency=MOST_REQUESTS,
+                timeout_keep_alive=60,
+                timeout_graceful_shutdown=1,
+            )
+            self._server = server = uvicorn.Server(config)
+            # Signals are the gateway's: uvicorn's `run` would take them.
+            asyncio.run(server.serve([listener]))
+
+    def close(self) -> None:
+        """End the server; its thread ends soon after."""
+        self.stop.set()
+        server = self._server
+        if server is not None:
+            with suppress(RuntimeError):
+                server.should_exit = True

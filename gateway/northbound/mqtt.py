@@ -1,0 +1,428 @@
+"""MQTT 3.1.1 and 5 by paho: one connection to a broker, and the two ways of telling it, Sparkplug B and plain JSON.
+
+A message counts as handed on when the broker has said so: of JSON (QoS 1) by its own acknowledgement. Sparkplug wants
+its data with QoS 0, which nobody acknowledges; a broker takes what one connection sends in its order, though, so that
+the answer to an UNSUBSCRIBE behind them, of a filter that nobody has, says that all of them have arrived.
+
+paho gets no thread of its own: all is done in the feed's.
+"""
+
+import json
+import ssl
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
+from math import isfinite
+from threading import Event
+from time import monotonic
+from typing import Any
+
+from paho.mqtt.client import (
+    Client,
+    ConnectFlags,
+    DisconnectFlags,
+    MQTTMessage,
+)
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from drivers.tag import Quality
+from gateway.northbound.sink import Acknowledge, OutgoingRow, Present, Sink, SinkContext, SinkUnreachable, Tags
+from gateway.northbound.sparkplug import (
+    BOOLEAN,
+    INT64,
+    LONGEST_NAME,
+    STRING,
+    Payload,
+    SparkplugMetric,
+    add_metric,
+    commands_in,
+    metrics_of,
+    milliseconds,
+)
+from gateway.settings import MqttRow, NorthboundSecrets
+from gateway.store import FollowedRow
+
+CONNECT_SECONDS, ANSWER_SECONDS = 5.0, 10.0
+"""How long a connection, and an answer of the broker, may take."""
+KEEPALIVE_SECONDS = 20
+WINDOW = 100
+"""JSON messages that wait for their acknowledgement at a time; fewer where the broker says so (MQTT 5)."""
+MOST_METRICS = 500
+"""Metrics in one Sparkplug message."""
+TOGETHER = 10
+"""Sparkplug messages that are confirmed together."""
+ACKNOWLEDGE = "Alarm Control/Acknowledge"
+"""The metric by which a device is told to acknowledge an alarm, by the alarm's name."""
+
+
+def make_sink(row: MqttRow, secrets: NorthboundSecrets, context: SinkContext) -> Sink:
+    """The sink of a broker, by its kind of payload."""
+    password = secrets.passwords.get(row.name)
+    if row.payload == "json":
+        return JsonSink(row, password, acknowledge=context.acknowledge)
+    return SparkplugSink(row, password, tags=context.tags, now=context.now, acknowledge=context.acknowledge)
+
+
+class BrokerConnection:
+    """A connection to the broker of a row of the plant file. Raises SinkUnreachable wherever it ends or is refused."""
+
+    def __init__(self, row: MqttRow, password: str | None) -> None:
+        self._row, self._password = row, password
+        self._client: Client | None = None
+        self._ended = ""
+        self._accepted = False
+        self._answered: set[int] = set()
+        self.window = WINDOW
+        self.received: deque[MQTTMessage] = deque()
+
+    def open(self, will_topic: str, will: bytes, *, retain: bool, subscribed: Sequence[str]) -> None:
+        """Connect with a will (QoS 1), and subscribe."""
+        row = self._row
+        five = row.version == "5"
+        client = Client(
+            CallbackAPIVersion.VERSION2,
+            client_id=f"{row.group}-{row.node}-{row.name}",
+            protocol=MQTTProtocolVersion.MQTTv5 if five else MQTTProtocolVersion.MQTTv311,
+            clean_session=None if five else True,
+        )
+        self.close()
+        self._ended, self._accepted = "", False
+        self._answered.clear()
+        self.received.clear()
+        self._client = client
+        client.connect_timeout = CONNECT_SECONDS
+        client.max_inflight_messages = WINDOW
+        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
+        client.on_publish = lambda _client, _data, number, reason, _: self._note_answer(number, [reason])
+        client.on_subscribe = lambda _client, _data, number, reasons, _: self._note_answer(number, reasons)
+        client.on_unsubscribe = lambda _client, _data, number, reasons, _: self._note_answer(number, reasons)
+        client.on_message = lambda _client, _data, message: self.received.append(message)
+        client.will_set(will_topic, will, qos=1, retain=retain)
+        try:
+            if row.tls:
+                context = ssl.create_default_context(cafile=None if row.ca is None else str(row.ca))
+                if row.certificate is not None:
+                    context.load_cert_chain(row.certificate, row.key)
+                client.tls_set_context(context)
+            if row.user is not None:
+                client.username_pw_set(row.user, self._password)
+            client.connect(row.host, row.port, KEEPALIVE_SECONDS)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise SinkUnreachable(f"{row.host}:{row.port} cannot be reached: {reason}") from None
+        self.until(lambda: self._accepted, CONNECT_SECONDS)
+        for topic in subscribed:
+            self._answer(client.subscribe(topic, qos=1))
+
+    def _on_connect(
+        self, _client: Client, _data: Any, _flags: ConnectFlags, reason: ReasonCode, properties: Properties | None
+    ) -> None:
+        self._accepted = not reason.is_failure
+        if reason.is_failure:
+            self._ended = f"it refuses the connection: {reason}"
+        # A broker that is sent more at a time closes the connection (MQTT 5, 3.3.4).
+        self.window = min(WINDOW, getattr(properties, "ReceiveMaximum", WINDOW))
+
+    def _on_disconnect(
+        self, _client: Client, _data: Any, _flags: DisconnectFlags, reason: ReasonCode, _: Properties | None
+    ) -> None:
+        self._ended = self._ended or f"the connection has ended: {reason}"
+
+    def _note_answer(self, number: int, reasons: Sequence[ReasonCode]) -> None:
+        self._answered.add(number)
+        if (refused := next((reason for reason in reasons if reason.is_failure), None)) is not None:
+            self._ended = f"it refuses a message or a subscription: {refused}"
+
+    @property
+    def client(self) -> Client:
+        """paho's client."""
+        if self._client is None:
+            raise SinkUnreachable("there is no connection")
+        return self._client
+
+    def turn(self, seconds: float) -> None:
+        """Receive and send what there is, or wait for it so long."""
+        code = self.client.loop(seconds)
+        if code != MQTTErrorCode.MQTT_ERR_SUCCESS or self._ended:
+            reason = self._ended or f"the connection has ended: {code.name}"
+            raise SinkUnreachable(f"{self._row.host}:{self._row.port}: {reason}")
+
+    def until(self, true: Callable[[], bool], seconds: float = ANSWER_SECONDS) -> None:
+        """Receive until it is so."""
+        end = monotonic() + seconds
+        while not true():
+            if monotonic() > end:
+                raise SinkUnreachable(f"{self._row.host}:{self._row.port} does not answer for {seconds:g} s")
+            self.turn(0.05)
+
+    def publish(self, topic: str, payload: bytes, *, qos: int, retain: bool = False) -> int:
+        """Send a message; gives the number under which `is_answered` knows it."""
+        info = self.client.publish(topic, payload, qos=qos, retain=retain)
+        if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:
+            raise SinkUnreachable(f"{self._row.host}:{self._row.port}: the connection has ended: {info.rc.name}")
+        return info.mid
+
+    def is_answered(self, number: int) -> bool:
+        """Whether the broker has acknowledged it; once it has, that is forgotten."""
+        if number not in self._answered:
+            return False
+        self._answered.remove(number)
+        return True
+
+    def confirm(self) -> None:
+        """Wait until the broker has received all that was sent."""
+        self._answer(self.client.unsubscribe(f"{self._row.group}/{self._row.node}/none"))
+        self._answered.clear()
+
+    def _answer(self, asked: tuple[MQTTErrorCode, int | None]) -> None:
+        code, number = asked
+        if code != MQTTErrorCode.MQTT_ERR_SUCCESS or number is None:
+            raise SinkUnreachable(f"{self._row.host}:{self._row.port}: the connection has ended: {code.name}")
+        self.until(lambda: self.is_answered(number))
+
+    def close(self) -> None:
+        """Disconnect, so that the broker does not tell the will."""
+        client, self._client = self._client, None
+        if client is not None:
+            client.on_disconnect = None
+            client.disconnect()
+            client.loop(0.0)
+
+
+class SparkplugSink:
+    """An edge node of Sparkplug B whose devices are the machines.
+
+    It is born with what stands now, and dies by its own word or by the broker's; it is reborn on demand, and a device
+    when it has a signal that it was not born with.
+    """
+
+    def __init__(
+        self, row: MqttRow, password: str | None, *, tags: Tags, now: Callable[[], float], acknowledge: Acknowledge
+    ) -> None:
+        self._row, self._tags, self._now, self._acknowledge = row, tags, now, acknowledge
+        self._broker = BrokerConnection(row, password)
+        # Not from 0 after each start: a death that is told late would be taken for that of the present session.
+        self._births, self._sequence = int(now()) % 256, 0
+        self._aliases: dict[tuple[str, str], int] = {}
+        self._present: dict[str, dict[str, SparkplugMetric]] = {}
+        self._is_born = False
+
+    def _topic(self, kind: str, device: str = "") -> str:
+        return "/".join(filter(None, ("spBv1.0", self._row.group, kind, self._row.node, device)))
+
+    def open(self, present: Present) -> None:
+        """Connect and be born."""
+        self._births = (self._births + 1) % 256
+        # The devices' commands only where somebody may give them: else nothing that is sent there is even received.
+        commands = [self._topic("NCMD"), *([self._topic("DCMD", "+")] if self._row.commands else [])]
+        self._broker.open(self._topic("NDEATH"), self._death(), retain=False, subscribed=commands)
+        tags = self._tags()
+        self._present = {
+            machine: {metric.name: metric for row in rows for metric in metrics_of(row, tags.get(machine, {}))}
+            for machine, rows in present.items()
+        }
+        self._give_birth()
+
+    def _death(self) -> bytes:
+        death = Payload(timestamp=milliseconds(self._now()))
+        death.metrics.add(name="bdSeq", timestamp=death.timestamp, datatype=INT64, long_value=self._births)
+        return bytes(death.SerializeToString())
+
+    def _give_birth(self) -> None:
+        """Tell all that stands; what is told after it is told against this."""
+        self._sequence = 0
+        now = self._now()
+        birth = Payload(timestamp=milliseconds(now))
+        birth.metrics.add(name="bdSeq", timestamp=birth.timestamp, datatype=INT64, long_value=self._births)
+        birth.metrics.add(name="Node Control/Rebirth", timestamp=birth.timestamp, datatype=BOOLEAN, boolean_value=False)
+        self._send("NBIRTH", "", birth)
+        for machine in self._present:
+            self._give_birth_to(machine)
+        self._broker.confirm()
+        self._is_born = True
+
+    def _give_birth_to(self, machine: str) -> None:
+        birth = Payload(timestamp=milliseconds(self._now()))
+        for metric in self._present[machine].values():
+            add_metric(birth, metric, alias=self._alias(machine, metric.name), birth=True)
+        if self._row.commands:
+            birth.metrics.add(name=ACKNOWLEDGE, timestamp=birth.timestamp, datatype=STRING, string_value="")
+        self._send("DBIRTH", machine, birth)
+
+    def _alias(self, machine: str, name: str) -> int:
+        return self._aliases.setdefault((machine, name), len(self._aliases) + 1)
+
+    def _send(self, kind: str, device: str, payload: Any) -> None:
+        payload.seq = self._sequence
+        self._sequence = (self._sequence + 1) % 256
+        self._broker.publish(self._topic(kind, device), payload.SerializeToString(), qos=0)
+
+    def deliver(self, rows: Sequence[OutgoingRow]) -> Iterator[int]:
+        """Send a message a machine with at most MOST_METRICS or one row's; each is confirmed before it counts."""
+        self._obey()
+        tags = self._tags()
+        unconfirmed = messages = 0
+        for machine, own in groupby(rows, key=lambda one: one.row.stream.machine):
+            mine = [(one, list(metrics_of(one.row, tags.get(machine, {})))) for one in own]
+            self._announce(machine, mine)
+            while mine:
+                data = Payload(timestamp=milliseconds(self._now()))
+                count = 0
+                while count < len(mine) and len(data.metrics) < MOST_METRICS:
+                    one, metrics = mine[count]
+                    for metric in metrics:
+                        alias = self._alias(machine, metric.name)
+                        add_metric(data, metric, alias=alias, birth=False, historical=one.historical)
+                    count += 1
+                del mine[:count]
+                self._send("DDATA", machine, data)
+                unconfirmed, messages = unconfirmed + count, messages + 1
+                if messages % TOGETHER == 0:
+                    self._broker.confirm()
+                    yield unconfirmed
+                    unconfirmed = 0
+        if unconfirmed:
+            self._broker.confirm()
+            yield unconfirmed
+
+    def _announce(self, machine: str, rows: Sequence[tuple[OutgoingRow, Sequence[SparkplugMetric]]]) -> None:
+        """Have the device born anew where it has signals that it was not born with; keep what stands now."""
+        present = self._present.setdefault(machine, {})
+        is_new = False
+        for one, metrics in rows:
+            for metric in metrics:
+                known = present.get(metric.name)
+                is_new = is_new or known is None or known.datatype != metric.datatype
+                if known is None or known.datatype != metric.datatype or not one.historical:
+                    present[metric.name] = metric
+        if is_new:
+            self._give_birth_to(machine)
+
+    def idle(self, seconds: float, stop: Event) -> None:
+        """Keep the connection alive, and hear commands."""
+        end = monotonic() + seconds
+        while not stop.is_set() and (left := end - monotonic()) > 0:
+            self._broker.turn(min(left, 0.2))
+            self._obey()
+
+    def _obey(self) -> None:
+        """Do what was commanded; what makes no sense is passed over, as the specification wants it."""
+        while self._broker.received:
+            message = self._broker.received.popleft()
+            kind, *device = message.topic.split("/")[2:3] + message.topic.split("/")[4:]
+            for command in commands_in(bytes(message.payload)):
+                if kind == "NCMD" and command.name == "Node Control/Rebirth" and command.is_true:
+                    self._give_birth()
+                elif kind == "DCMD" and device and command.name == ACKNOWLEDGE and command.text:
+                    self._acknowledge(device[0], [command.text], f"mqtt {self._row.name}")
+
+    def close(self) -> None:
+        """Die in order: a broker tells the will only of who is gone without a word."""
+        try:
+            if self._is_born:
+                self._broker.publish(self._topic("NDEATH"), self._death(), qos=0)
+        except SinkUnreachable:
+            pass
+        self._is_born = False
+        self._broker.close()
+
+
+class JsonSink:
+    """One message a row, as JSON: topics are group/node/machine/table/signal.
+
+    `group/node/status` is retained and says `online` or `offline`, the latter also where the gateway is gone without a
+    word. A message is told at least once: its `row` (and `time`) are the same when it comes again.
+    """
+
+    def __init__(self, row: MqttRow, password: str | None, *, acknowledge: Acknowledge) -> None:
+        self._row, self._acknowledge = row, acknowledge
+        self._broker = BrokerConnection(row, password)
+        self._base = f"{row.group}/{row.node}"
+        self._is_online = False
+
+    def open(self, present: Present) -> None:
+        """Connect, and say so."""
+        commands = [f"{self._base}/+/acknowledge"] if self._row.commands else []
+        self._broker.open(f"{self._base}/status", b"offline", retain=True, subscribed=commands)
+        self._broker.publish(f"{self._base}/status", b"online", qos=1, retain=True)
+        self._is_online = True
+
+    def deliver(self, rows: Sequence[OutgoingRow]) -> Iterator[int]:
+        """Send a message a row, so many at a time as the broker takes; they count in their order."""
+        self._obey()
+        waiting: deque[int] = deque()
+        left = deque(rows)
+        while left or waiting:
+            while left and len(waiting) < self._broker.window:
+                topic, payload = json_message(self._base, left.popleft())
+                waiting.append(self._broker.publish(topic, payload, qos=1))
+            first = waiting[0]
+            self._broker.until(lambda first=first: self._broker.is_answered(first))  # type: ignore[misc]
+            waiting.popleft()
+            count = 1
+            while waiting and self._broker.is_answered(waiting[0]):
+                waiting.popleft()
+                count += 1
+            yield count
+
+    def idle(self, seconds: float, stop: Event) -> None:
+        """Keep the connection alive, and hear commands."""
+        end = monotonic() + seconds
+        while not stop.is_set() and (left := end - monotonic()) > 0:
+            self._broker.turn(min(left, 0.2))
+            self._obey()
+
+    def _obey(self) -> None:
+        while self._broker.received:
+            message = self._broker.received.popleft()
+            alarm = message.payload.decode(errors="replace").strip()
+            if 0 < len(alarm) <= LONGEST_NAME and alarm.isprintable() and not message.retain:
+                self._acknowledge(message.topic.split("/")[2], [alarm], f"mqtt {self._row.name}")
+
+    def close(self) -> None:
+        """Say that it is offline, and disconnect."""
+        try:
+            if self._is_online:
+                number = self._broker.publish(f"{self._base}/status", b"offline", qos=1, retain=True)
+                self._broker.until(lambda: self._broker.is_answered(number), 1.0)
+        except SinkUnreachable:
+            pass
+        self._is_online = False
+        self._broker.close()
+
+
+def json_message(base: str, outgoing: OutgoingRow) -> tuple[str, bytes]:
+    """The topic and the payload of a row; `time` is in s UTC, `row` numbers the rows of a table of the machine."""
+    row = outgoing.row
+    signal = _signal_of(row)
+    levels = [base, row.stream.machine, row.stream.table, *([] if signal is None else [_level(signal)])]
+    plain = {key: _plain(value) for key, value in row.values.items()}
+    plain |= {key: json.loads(row.values[key]) for key in ("levels", "quantiles") if key in row.values}
+    content = {**plain, "row": row.key, "historical": outgoing.historical}
+    return "/".join(levels), json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _signal_of(row: FollowedRow) -> str | None:
+    """The last level of a row's topic."""
+    match row.stream.table:
+        case "samples":
+            return str(row.values["tag"])
+        case "alarms":
+            return str(row.values["condition"])
+    return row.stream.temperature or None
+
+
+def _level(name: str) -> str:
+    """A name as one level of a topic, whose characters for levels and wild cards no name may bring."""
+    return name.translate({ord(mark): "_" for mark in "/+#\0"})
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it: a quality is its name, what is no number is null."""
+    if isinstance(value, Quality):
+        return value.name
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value

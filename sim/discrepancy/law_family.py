@@ -1,0 +1,178 @@
+"""The expressions that are searched: forms of single signals, exchanges, products, history and rhythm, and no others.
+
+The family is bounded on purpose: every expression that is tried costs evidence (`search`).
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+from sim.discrepancy.fitting import Fitted, held, lagged
+from sim.discrepancy.heat import since_switch
+from sim.effects import SINCE, TEMPERATURE
+from sim.learning import first_switch
+from sim.sha import Array
+
+MOST_SIGNALS = 10
+"""Signals at most, those that change most often: products grow with their square."""
+LAGS: Mapping[str, float] = {"15min": 900.0, "1h": 3600.0, "4h": 14400.0}
+DAY = 86400.0
+PHASES = 4
+FADING, GROWING = (120.0, 600.0, 1800.0, 7200.0), (1800.0, 14400.0)
+"""Seconds since a start (or a stop) by which a heat dies away, or up to which it grows."""
+
+
+@dataclass(frozen=True, slots=True)
+class LawForm:
+    """An expression of unit strength: its `text`, how many `terms` it has, and whether it acts while running only.
+
+    `exchange`: it is straight in the temperature, and only a positive strength is physics. `experiment` is what would
+    tell it from chance.
+    """
+
+    text: str
+    terms: int
+    running: bool
+    experiment: str
+    exchange: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LawColumns:
+    """What the names of the family stand for on one record: `values` (n,) by name; `signals` gives the plant's name."""
+
+    values: Mapping[str, Array]
+    signals: Mapping[str, str]
+    binary: frozenset[str] = field(default_factory=frozenset)
+
+
+def columns_on(
+    fitted: Fitted, smooth: Array, names: Mapping[str, str], begin: float, periods: Sequence[float]
+) -> LawColumns:
+    """The columns of a record: `names` are (name, signal), `smooth` (n,) degC the temperature, `begin` absolute s.
+
+    `periods` (s) are those of rhythms.
+    """
+    record = fitted.frame.record
+    runs = record.runs
+    values: dict[str, Array] = {TEMPERATURE: smooth}
+    for name, signal in names.items():
+        column = held(record, signal)
+        values[name] = column
+        for label, lag in LAGS.items():
+            values[f"lag_{name}_{label}"] = lagged(record, column, lag)
+    middle = runs.time - runs.dt / 2.0
+    # A day at most: where no start or stop was seen, the time since is a placeholder.
+    values[SINCE] = np.minimum(record.since + runs.dt / 2.0, DAY)
+    values["since_stop"] = np.where(record.running > 0.5, DAY, np.minimum(since_switch(record), DAY))
+    values["days"] = (middle - begin) / DAY
+    for phase in range(PHASES):
+        angle = np.pi * phase / PHASES
+        values[f"daily_{phase * 12 // PHASES}h"] = np.cos(2.0 * np.pi * middle / DAY - angle)
+        for period in periods:
+            values[f"every_{period / 60.0:.0f}min_{phase}"] = np.cos(2.0 * np.pi * (middle - begin) / period - angle)
+    binary = frozenset(name for name in names if np.unique(values[name]).size <= 2)
+    return LawColumns(values=values, signals=names, binary=binary)
+
+
+def signal_names(fitted: Fitted) -> dict[str, str]:
+    """name in an expression -> signal: those of the record that change, MOST_SIGNALS at most, without its switch."""
+    record = fitted.frame.record
+    switch = first_switch(record.model.alphabet)
+    changes = {signal: int(np.count_nonzero(np.diff(held(record, signal)))) for signal in record.signals}
+    changes.pop(switch.signal if switch is not None else "", None)
+    often = sorted((signal for signal in changes if changes[signal] > 1), key=lambda signal: -changes[signal])
+    chosen = [signal for signal in record.signals if signal in often[:MOST_SIGNALS]]
+    names: dict[str, str] = {}
+    for number, signal in enumerate(chosen):
+        plain = re.sub(r"\W", "_", signal, flags=re.ASCII)
+        fits = re.fullmatch(r"[A-Za-z]\w{0,29}", plain) and plain.lower() not in (TEMPERATURE, SINCE, "scale", "shift")
+        names[plain if fits and plain not in names else f"signal_{number}"] = signal
+    return names
+
+
+def family(columns: LawColumns, running: Array) -> list[LawForm]:
+    """The forms of the first round."""
+    forms: list[LawForm] = []
+
+    def tried(text: str, terms: int, experiment: str, *, exchange: bool = False, only_running: bool = False) -> None:
+        for on in (True,) if only_running else (True, False):
+            forms.append(LawForm(text, terms, on, experiment, exchange))
+
+    values = columns.values
+    warm = values[TEMPERATURE]
+    cold, span = float(np.quantile(warm, 0.02)), float(np.quantile(warm, 0.98) - np.quantile(warm, 0.02))
+    degrees = [
+        name
+        for name in columns.signals
+        if name not in columns.binary and cold - 2 * span < float(np.median(values[name])) < cold + 2 * span
+    ]
+    for name, signal in columns.signals.items():
+        column = values[name][running > 0.5] if (running > 0.5).any() else values[name]
+        alone = f"step {signal} up and down while all else stays, half an hour each"
+        tried(name, 1, alone)
+        for sink in (cold, cold + 0.5 * span):
+            tried(f"max({name}, 0) * ({sink:.4g} - temperature)", 3, alone, exchange=True)
+        if name not in columns.binary:
+            tried(f"{name} ^ 2", 2, f"dwell at three values of {signal}, each until the temperature settles")
+            tried(f"sqrt(max({name}, 0))", 2, f"dwell at three values of {signal}, each until the temperature settles")
+            for share in (0.25, 0.5, 0.75):
+                level = f"{float(np.quantile(column, share)):.4g}"
+                bend = f"hold {signal} below and above {level}, half an hour each"
+                tried(f"max({name} - {level}, 0)", 2, bend)
+                tried(f"above({name}, {level})", 2, bend)
+        for label in LAGS:
+            after = f"one sharp step of {signal}, then watch for three times {label}"
+            tried(f"lag_{name}_{label}", 2, after)
+            tried(f"{name} - lag_{name}_{label}", 3, after)
+        if name in degrees:
+            tried(f"{name} - temperature", 2, alone, exchange=True)
+            for other, pump in columns.signals.items():
+                if other != name:
+                    both = f"change {signal} at constant {pump}, then {pump} at constant {signal}"
+                    tried(f"({name} - temperature) * max({other}, 0)", 3, both, exchange=True)
+    for (name, signal), (other, second) in combinations(columns.signals.items(), 2):
+        both = f"change {signal} at constant {second}, then {second} at constant {signal}"
+        tried(f"{name} * {other}", 2, both)
+        # About its mean a signal adds nothing of the other's own.
+        for moving, gate in ((name, other), (other, name)):
+            if moving not in columns.binary:
+                tried(f"({moving} - {float(np.mean(values[moving])):.4g}) * {gate}", 3, both)
+    for share in (0.3, 0.5, 0.7, 0.85):
+        level = f"{cold + share * span:.4g}"
+        tried(f"-max(temperature - {level}, 0)", 2, f"a slow ramp of the load up and down across {level}")
+    twice = "start twice within an hour, at the same load"
+    for seconds in FADING:
+        tried(f"exp(-since / {seconds:g})", 2, twice, only_running=True)
+        tried(f"above({seconds:g}, since)", 2, twice, only_running=True)
+        forms.append(LawForm(f"exp(-since_stop / {seconds:g})", 2, False, "stop twice, after a short and a long run"))
+    for seconds in GROWING:
+        tried(f"min(since, {seconds:g})", 2, "one long run at one load", only_running=True)
+    days = values["days"]
+    later = "the same load today and in two weeks, with a reading at long rest each time"
+    tried("days", 1, later)
+    for share in (0.2, 0.4, 0.6, 0.8):
+        moment = f"{float(days[0] + share * (days[-1] - days[0])):.4g}"
+        tried(f"max(days - {moment}, 0)", 2, later)
+        tried(f"above(days, {moment})", 2, f"look up what was changed {moment} days after the beginning")
+    for name in values:
+        if name.startswith("daily_"):
+            tried(name, 1, "log the room for three days, with a night at rest")
+        elif name.startswith("every_"):
+            tried(name, 1, f"look for what switches every {name.split('_')[1]}, and stop it for an hour")
+    return forms
+
+
+def products(best: Sequence[LawForm], columns: LawColumns) -> list[LawForm]:
+    """The second round: the best forms of the first, each times each signal."""
+    forms = []
+    for form in best:
+        for name, signal in columns.signals.items():
+            if name not in form.text:
+                text = f"({form.text}) * max({name}, 0)"
+                experiment = f"{form.experiment}; then the same at another {signal}"
+                forms.append(LawForm(text, form.terms + 1, form.running, experiment, form.exchange))
+    return forms

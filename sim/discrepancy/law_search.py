@@ -1,0 +1,239 @@
+"""The search for candidate laws: scored on the fitted cycles, paid for by the number tried, judged on held-out cycles.
+
+Everything is taken in the linear problem around the fit (as in `screen`): a law's heat goes through the plant's own
+relaxation, what the model's parameters imitate is projected out, and its strength is the likeliest one. On the cycles
+that were held out nothing is fitted but where each begins.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+
+from sim.discrepancy.diagnosis import CandidateLaw
+from sim.discrepancy.fitting import Fitted, Record, as_read, filtered, on, sensitivity
+from sim.discrepancy.held_out import HeldOutRun, by_cycles, let_run
+from sim.discrepancy.law_family import LawColumns, LawForm, columns_on, family, products, signal_names
+from sim.discrepancy.screen import Projector, smooth_course
+from sim.effects import SINCE, TEMPERATURE, LineError, compiled, names_in, own_kind, parse
+from sim.sha import Array, EffectLine, LineParameter
+
+MOST, BEST = 3, 6
+"""Laws that are shown at most, and forms of the first round that go into products."""
+LEAST_GAIN = 9.2
+"""Nats that a law must be worth after all that were tried are paid for: 1 in 10 000, as one more look costs nothing."""
+LEAST_SHARE, MOST_CYCLES = 0.25, 0.6
+"""The share of what is left that a law must take on held-out cycles, and the share of these that must agree."""
+ALIKE = 0.9
+"""Cosine from which two laws are one to these data."""
+SIMPLER = 2.0
+"""Nats that one more term must be worth."""
+CLOSE_BEHIND = 0.7
+"""The part of the surest law's gain that a further one must have."""
+SHORTEST, LONGEST, RHYTHMS = 1200.0, 48 * 3600.0, 2
+"""Seconds between which rhythms are looked for, and how many of them become expressions."""
+CHUNK = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Scored:
+    """Forms with their projected problem: `gain` (c,) nats, `strength` (c,), `columns` and `weighed` (m, c)."""
+
+    forms: list[LawForm]
+    gain: Array
+    strength: Array
+    columns: Array
+    weighed: Array
+
+    def joined(self, more: "_Scored") -> "_Scored":
+        return _Scored(
+            forms=[*self.forms, *more.forms],
+            gain=np.append(self.gain, more.gain),
+            strength=np.append(self.strength, more.strength),
+            columns=np.column_stack([self.columns, more.columns]),
+            weighed=np.column_stack([self.weighed, more.weighed]),
+        )
+
+
+def candidate_laws(base: Fitted, record: Record, fitted_until: int, floor: float) -> tuple[CandidateLaw, ...]:
+    """At most three laws for what `base` leaves, the surest first; none where none holds on the held-out cycles.
+
+    `record` has all that is measured, on the knots from which the fit's record was cut; cycles from `fitted_until` on
+    are held out. `floor` (degC) is the error that the given model allows itself.
+    """
+    training, later = record.where(record.cycle < fitted_until), record.where(record.cycle >= fitted_until)
+    if not later.rows.size or training.runs.time.shape != base.frame.record.runs.time.shape:
+        return ()
+    fitted = replace(base, frame=on(base.frame, training))
+    names, begin = signal_names(fitted), float(training.runs.time[0])
+    projector = Projector(fitted)
+    periods, scanned = _rhythms(training.times, projector.weighed_residual)
+    columns = columns_on(fitted, smooth_course(fitted), names, begin, periods)
+    scored = _scored(fitted, projector, columns, family(columns, training.running))
+    best = [scored.forms[number] for number in np.argsort(-scored.gain, kind="stable")[:BEST].tolist()]
+    scored = scored.joined(_scored(fitted, projector, columns, products(best, columns)))
+    tried = len(scored.forms) + scanned
+
+    trial = let_run(base, by_cycles(later))
+    unseen = replace(
+        base,
+        frame=on(base.frame, trial.record),
+        state=trial.state,
+        grid=trial.whitener.grid,
+        residual=trial.residual,
+    )
+    there = columns_on(unseen, smooth_course(unseen), names, begin, periods)
+    own = trial.record.windowed(sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first]))
+    laws: list[CandidateLaw] = []
+    for number in _distinct(scored, tried):
+        form = scored.forms[number]
+        effect = scored.strength[number] * scored.columns[:, number]
+        # The model's own parameters make room for the law as a joint fit would let them.
+        moved = projector.made_room(effect) - projector.made_room(np.zeros_like(effect))
+        unit = _reading(unseen, _heats(unseen, there, [form]))[:, 0]
+        after = trial.residual - scored.strength[number] * unit - own[:, : moved.size] @ moved
+        share, better, cycles = _held_out(trial, after, floor)
+        if share >= LEAST_SHARE and better >= MOST_CYCLES * cycles:
+            laws.append(
+                CandidateLaw(
+                    expression=form.text,
+                    running=form.running,
+                    strength=float(scored.strength[number]),
+                    gain=float(scored.gain[number]),
+                    share=share,
+                    cycles=(better, cycles),
+                    tried=tried,
+                    experiment=form.experiment,
+                    alike=_alike(scored, number),
+                    line=_line(form, names, float(scored.strength[number]), len(laws) + 1),
+                )
+            )
+    return tuple(laws)
+
+
+def _rhythms(times: Array, score: Array) -> tuple[list[float], int]:
+    """(the periods (s) that the score of the residual goes with most, how many were looked at)."""
+    # A periodogram, twice as fine as the record's length tells periods apart; neighbours of a peak are its own.
+    length = float(times[-1] - times[0])
+    frequencies = np.arange(1.0 / min(LONGEST, length), 1.0 / SHORTEST, 0.5 / length)
+    clock = times - times[0]
+    power = np.array([np.abs(np.sum(score * np.exp(-2j * np.pi * each * clock))) * each**-1 for each in frequencies])
+    periods: list[float] = []
+    for number in np.argsort(-power, kind="stable").tolist():
+        if all(abs(frequencies[number] - 1.0 / period) > 2.0 / length for period in periods):
+            periods.append(1.0 / float(frequencies[number]))
+        if len(periods) == RHYTHMS:
+            break
+    return periods, 2 * frequencies.size
+
+
+def _heats(fitted: Fitted, columns: LawColumns, forms: Sequence[LawForm]) -> Array:
+    """(n, c) degC/s the heat of each form at unit strength."""
+    running = fitted.frame.record.running
+    out = np.empty((running.size, len(forms)))
+    for number, form in enumerate(forms):
+        heat = np.broadcast_to(compiled(parse(form.text))(columns.values), running.shape)
+        out[:, number] = np.where(np.isfinite(heat), heat, 0.0) * (running if form.running else 1.0)
+    return out
+
+
+def _reading(fitted: Fitted, heats: Array) -> Array:
+    """(m, c) degC what heats do to the windows."""
+    frame, state = fitted.frame, fitted.state
+    added = filtered(frame, state, heats)
+    return np.column_stack([frame.record.windowed(as_read(frame, state, column)) for column in added.T])
+
+
+def _scored(fitted: Fitted, projector: Projector, columns: LawColumns, forms: list[LawForm]) -> _Scored:
+    gains, strengths, kept, weights = [], [], [], []
+    for begin in range(0, len(forms), CHUNK):
+        part = forms[begin : begin + CHUNK]
+        made = _reading(fitted, _heats(fitted, columns, part))
+        _, weighed, before = projector.clean(made)
+        size = np.einsum("ij,ij->j", made, weighed)
+        score = made.T @ projector.weighed_residual
+        # What the model's own parameters imitate but for a twentieth is not visible, as in the screen.
+        visible = size > 0.0025 * np.maximum(before, 1e-300)
+        allowed = visible & ((score > 0) | ~np.array([form.exchange for form in part]))
+        safe = np.where(size > 0, size, 1.0)
+        gains.append(np.where(allowed, 0.5 * score**2 / safe, 0.0))
+        strengths.append(np.where(allowed, score / safe, 0.0))
+        kept.append(made)
+        weights.append(weighed)
+    empty = np.empty((fitted.residual.size, 0))
+    return _Scored(
+        forms=forms,
+        gain=np.concatenate([np.empty(0), *gains]),
+        strength=np.concatenate([np.empty(0), *strengths]),
+        columns=np.column_stack([empty, *kept]),
+        weighed=np.column_stack([empty, *weights]),
+    )
+
+
+def _cosines(scored: _Scored, number: int) -> Array:
+    """(c,) cosine of each form with one of them, in the product that the noise gives."""
+    sizes = np.sqrt(np.maximum(np.einsum("ij,ij->j", scored.columns, scored.weighed), 1e-300))
+    return np.asarray(scored.weighed.T @ scored.columns[:, number] / (sizes * sizes[number]))
+
+
+def _distinct(scored: _Scored, tried: int) -> list[int]:
+    """The surest forms that these data can tell apart: each the simplest of its kind, paid for."""
+    terms = np.array([form.terms for form in scored.forms], dtype=float)
+    # Bonferroni over all that were tried; among forms that say the same the simpler one is taken.
+    worth = np.where(scored.gain - np.log(tried) >= LEAST_GAIN, scored.gain - SIMPLER * terms, -np.inf)
+    chosen: list[int] = []
+    left = worth.copy()
+    while len(chosen) < MOST and np.isfinite(left).any():
+        number = int(np.argmax(left))
+        chosen.append(number)
+        text = scored.forms[number].text
+        # What only adds a factor to a surer law says nothing new.
+        contained = np.array([text in form.text for form in scored.forms])
+        same = contained | (np.abs(_cosines(scored, number)) >= ALIKE)
+        left = np.where(same | (scored.gain < CLOSE_BEHIND * scored.gain[chosen[0]]), -np.inf, left)
+    return chosen
+
+
+def _alike(scored: _Scored, number: int) -> tuple[str, ...]:
+    """Other expressions that these data cannot tell from one, within a tenth of its gain, three at most."""
+    near = np.abs(_cosines(scored, number)) >= ALIKE
+    near &= scored.gain >= 0.9 * scored.gain[number]
+    order = [other for other in np.argsort(-scored.gain, kind="stable").tolist() if near[other] and other != number]
+    texts = dict.fromkeys(scored.forms[other].text for other in order)
+    return tuple(text for text in texts if text != scored.forms[number].text)[:3]
+
+
+def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int, int]:
+    """(share of the error above the floor that is gone, cycles that are better foreseen, cycles)."""
+    order, begun = trial.order, trial.begun
+    part = np.bincount(order, begun * after) / np.maximum(np.bincount(order, begun**2), 1e-12)
+    left = after - begun * part[order]
+    old, new = np.bincount(order, trial.residual**2), np.bincount(order, left**2)
+    counts = np.bincount(order)
+    excess = float(np.sum(old) - floor**2 * np.sum(counts))
+    share = float(np.sum(old) - np.sum(new)) / excess if excess > 0 else 0.0
+    return min(share, 1.0), int(np.count_nonzero(new < old)), int(counts.size)
+
+
+def _line(form: LawForm, names: dict[str, str], strength: float, number: int) -> EffectLine | None:
+    """The law as an engineer's line; None where no engine can execute it (a lag, a rhythm, a clock)."""
+    read = names_in(parse(form.text))
+    if any(name not in (*names, TEMPERATURE, SINCE) for name in read):
+        return None
+    low, high = (0.0, inf) if strength > 0 else (-inf, 0.0)
+    line = EffectLine(
+        name=f"law-{number}",
+        heat=f"gain * ({form.text})",
+        meaning=f"heat that goes with {form.text}",
+        strength="gain",
+        experiment=form.experiment,
+        acts="running" if form.running else "anywhere",
+        signals=tuple((name, names[name]) for name in read if name in names),
+        parameters=(LineParameter(name="gain", unit="degC/s for each unit of the law", low=low, high=high),),
+    )
+    try:
+        own_kind(line)
+    except LineError:
+        return None
+    return line

@@ -1,0 +1,61 @@
+"""The benchmark's thermal network: its steady state, a clean machine nearly of first order, what is hidden in it."""
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.discrepancy.network import thermal
+from benchmarks.discrepancy.network.baseline import left_over, visible
+from benchmarks.discrepancy.network.cases import HIDDEN, plant_of, specs
+from benchmarks.discrepancy.network.duty import Duty, duty
+from benchmarks.discrepancy.network.hidden import INSIDE, OUTSIDE
+from benchmarks.discrepancy.network.thermal import CONTACT, SEAT, Addition, NetworkRun, courses
+from sim.effects import EFFECTS
+
+ROOM = Path(thermal.__file__).parent
+
+
+def test_the_network_shares_no_code_with_what_it_tests() -> None:
+    for name in ("duty", "thermal", "hidden", "baseline"):
+        tree = ast.parse((ROOM / f"{name}.py").read_text(encoding="utf-8"))
+        froms = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        assert not [one for one in froms if one.split(".")[0] in ("sim", "gateway", "drivers")], name
+
+
+def test_what_is_hidden_is_named_as_the_catalogue_names_it() -> None:
+    assert {name for name, _ in INSIDE.values()} <= set(EFFECTS)
+    assert not set(OUTSIDE) & set(EFFECTS)
+    assert [spec.effects for spec in specs("tuning", "singles", [0])] == [(INSIDE["winding"][0],)]
+    with pytest.raises(ValueError, match="there is no stratum 'none'"):
+        specs("tuning", "none", [0])
+
+
+def test_at_a_steady_load_all_heat_leaves_through_the_housing() -> None:
+    day = duty(np.random.default_rng(1), 0.1, "shifts")
+    steady = np.ones(day.running.size)
+    held = replace(day, running=steady, load=200.0 * steady, starts=(0,))
+    plant = replace(plant_of(np.random.default_rng(2), False), viscous=0.0, running=60.0, inrush=0.0, hall=18.0)
+    last = courses([NetworkRun(duty=held, plant=plant, addition=Addition(), unrest=0.0 * steady)])[0][-1]
+    heat = plant.idle + 200.0 * plant.slope
+    assert last == pytest.approx(18.0 + heat / 60.0 + SEAT * heat / CONTACT["outer-housing"], abs=0.01)
+
+
+@pytest.fixture(scope="module")
+def half_a_day() -> tuple[Duty, np.ndarray, np.ndarray]:
+    work = duty(np.random.default_rng(3), 0.4, "shifts")
+    plant, calm = plant_of(np.random.default_rng(4), False), np.zeros(work.running.size)
+    cooled = HIDDEN["cooler"](work, 1.0, np.random.default_rng(5))
+    runs = [NetworkRun(duty=work, plant=plant, addition=each, unrest=calm) for each in (Addition(), cooled)]
+    clean, hidden = courses(runs)
+    return work, clean, hidden
+
+
+def test_a_clean_machine_is_nearly_of_first_order_and_what_is_hidden_is_not(
+    half_a_day: tuple[Duty, np.ndarray, np.ndarray],
+) -> None:
+    work, clean, hidden = half_a_day
+    assert left_over(work, clean) < 0.02
+    assert visible(work, clean, hidden) > 0.1

@@ -1,0 +1,382 @@
+"""From a historian to a proposed version: what is cut, chosen, judged, kept; and what a kill at any step leaves."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.tag import Quality, Sample, Tag
+from gateway.lab.retraining import cutting, judging, shadow, study
+from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
+from gateway.lab.retraining.judging import NEW, PRESENT, compared, scores_along, verdict_on
+from gateway.lab.retraining.library import CycleLibrary, opened_library
+from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, encoded, joined, new_cycles, source_of, sparse
+from gateway.lab.retraining.training_record import read_record
+from gateway.machine.reading import Scan
+from gateway.machine.records import Keeper
+from sim.artefacts import current, load, promote, read_familiarity, version_directory, versions
+from sim.artefacts.formats import save
+from sim.ranking import METHODS, Taught
+from sim.sha import Distribution, Location, Model, Trace, content_hash
+from tests.cli.support import decanter, only_object, refused
+from tests.gateway.support import TEMPERATURE, one_machine, two_modes
+
+BEGIN = 1_770_000_000.0
+CYCLES, RUN, REST, STEP = 16, 900.0, 300.0, 10.0
+HOT = 60.0
+
+
+def heated(target: float) -> Model:
+    """Two modes whose running location warms to `target`."""
+    model = two_modes()
+    places = tuple(
+        replace(place, distribution=Distribution("normal", {"mu": target, "sigma": 1.0}))
+        if place.name == "on"
+        else place
+        for place in model.sha.locations
+    )
+    assert any(isinstance(place, Location) and place.name == "on" for place in places)
+    return replace(model, sha=replace(model.sha, locations=places))
+
+
+def plant(cycles: int = CYCLES, begin: float = BEGIN) -> Trace:
+    """Runs of a quarter of an hour towards HOT, rests of five minutes towards 20 degC, by the two modes' own rates."""
+    rng = np.random.default_rng(3)
+    times = begin + STEP * np.arange(int(cycles * (RUN + REST) / STEP))
+    running = (np.arange(times.size) * STEP % (RUN + REST) < RUN).astype(float)
+    temperature, now = np.empty(times.size), 25.0
+    for row, on in enumerate(running):
+        temperature[row] = now
+        target, rate = (HOT, 0.01) if on else (20.0, 0.002)
+        now = target + (now - target) * np.exp(-rate * STEP)
+    load = np.where(running > 0, 150.0 + 2.0 * rng.normal(size=times.size), 0.0)
+    noise = 0.05 * rng.normal(size=times.size)
+    return Trace("plant", times, {"MarciaDecanter": running, "Assorbimento": load, TEMPERATURE: temperature + noise})
+
+
+def written(path: Path, *traces: Trace) -> Path:
+    """A gateway's historian that has scanned the traces one after the other."""
+    store, historian = one_machine(path, [Tag(name, f"holding:{n}") for n, name in enumerate(traces[0].signals)])
+    keeper = Keeper({name: Tag(name, "holding:0") for name in traces[0].signals}, 5.0)
+    historian.put("runs", [(float(traces[0].times[0]), TEMPERATURE, "", STEP, 5.0)])
+    for trace in traces:
+        for row, time in enumerate(trace.times.tolist()):
+            read = {
+                name: Sample(name, float(column[row]), Quality.GOOD, time, time)
+                for name, column in trace.signals.items()
+            }
+            historian.put("scans", [(time, 0.0, 0)])
+            historian.put("samples", keeper.rows(Scan(row, time, read, 0, 0.0)))
+    assert store.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def historian(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A day's cycles, a hole of three days, and some more."""
+    first = plant()
+    return written(tmp_path_factory.mktemp("h") / "historian.sqlite", first, plant(4, first.times[-1] + 3 * 86_400.0))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    """A store whose current version expects 50 degC where the plant warms to HOT."""
+    folder = tmp_path / "store"
+    promote(folder, save(folder, heated(50.0), created=BEGIN - 1.0))
+    return folder
+
+
+@pytest.fixture
+def request_of(store: Path, historian: Path) -> RetrainingRequest:
+    return RetrainingRequest(
+        store=store,
+        historian=historian,
+        machine="decanter",
+        since=None,
+        standard=(),
+        former=(),
+        method="bins",
+        seed=0,
+        rows=100_000,
+        trials=0,
+        diagnosis=False,
+        yellow=0.4,
+        red=0.5,
+    )
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Iterator[CycleLibrary]:
+    with opened_library(tmp_path / "library", machine="decanter", temperature=TEMPERATURE) as held:
+        yield held
+
+
+def silent(_what: str, _share: float) -> None:
+    """A report to nobody."""
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """Learning and judging without their cost: the learned model is right, its CRPS by half smaller; both counted."""
+    calls = SimpleNamespace(learned=0, judged=0)
+
+    def learn(task: Any, _settings: Any) -> Taught:
+        calls.learned += 1
+        return Taught(heated(HOT), {})
+
+    def judge(trace: Trace, *_: Any, **__: Any) -> list[dict[str, Any]]:
+        calls.judged += 1
+        rng = np.random.default_rng(int(trace.times[0]))
+        crps = {PRESENT: 1.0 + 0.1 * rng.random(), NEW: 0.5}
+        return [
+            {"trace": trace.name, "horizon": 60.0, "method": name, "crps": value, "coverage": 0.9}
+            for name, value in crps.items()
+        ]
+
+    monkeypatch.setitem(METHODS, "bins", replace(METHODS["bins"], learn=learn))  # type: ignore[arg-type]
+    monkeypatch.setattr(study, "scores_along", judge)
+    return calls
+
+
+def run(request: RetrainingRequest, library: CycleLibrary) -> Any:
+    """The whole way, as the command goes it."""
+    source = source_of(request, BEGIN)
+    cut_and_rate(request, library, source, silent)
+    return study.retrain(request, library, source, report=silent, clock=lambda: BEGIN)
+
+
+def test_the_historian_is_cut_at_starts_and_at_gaps_once(
+    request_of: RetrainingRequest, library: CycleLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = source_of(request_of, BEGIN)
+    assert cut_and_rate(request_of, library, source, silent) == CYCLES + 3
+    rows = library.cycles()
+    assert [row.begin - BEGIN for row in rows[:CYCLES]] == [number * (RUN + REST) for number in range(CYCLES)]
+    assert rows[CYCLES].begin - rows[CYCLES - 1].begin > 2 * 86_400.0, "the hole ends a cycle and is none"
+    assert all(row.rating == "badly predicted" and row.kept for row in rows), "ten degrees off"
+    assert (rows[0].region, rows[5].region) == ("A_1, begun at 20-30", "A_1, begun at 40-50")
+    assert cut_and_rate(request_of, library, source, silent) == 0, "the cycle that goes on waits for its end"
+    # In pieces of an hour it comes to the same cycles, and their readings are found again by their hash.
+    monkeypatch.setattr(cutting, "SPAN", 3600.0)
+    with opened_library(library.folder / "other", machine="decanter", temperature=TEMPERATURE) as other:
+        cut_new(other, source, None, silent)
+        assert [row.content for row in other.cycles()] == [row.content for row in rows]
+        plain = replace(rows[3], kept=False)
+        again = cycle_of(source, plain, other)
+        assert again is not None and content_hash(again) == rows[3].content
+        assert cycle_of(source, replace(plain, content="0" * 64), other) is None
+
+
+def test_a_machine_that_is_never_stopped_has_cycles_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store: Path, library: CycleLibrary
+) -> None:
+    on = plant(4)
+    on = replace(on, signals={**on.signals, "MarciaDecanter": np.ones(on.times.size)})
+    monkeypatch.setattr(cutting, "SPAN", 3000.0)
+    monkeypatch.setattr(cutting, "LONGEST", 1500.0)
+    path = written(tmp_path / "on.sqlite", on)
+    source = CycleSource(historian=path, machine="decanter", model=load(store), version="x", since=-np.inf)
+    assert cut_new(library, source, None, silent) >= 1
+    first = library.cycles()[0]
+    assert (first.begin, first.until) == (BEGIN, BEGIN + 2990.0)
+
+
+def test_a_better_model_is_proposed_with_its_report_and_nothing_is_promoted(
+    request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace, store: Path
+) -> None:
+    before = current(store)
+    found = run(request_of, library)
+    assert found.proposed and current(store) == before and versions(store)[-1] == found.version != before
+    home = version_directory(store, found.version)
+    text = (home / "retraining_report.txt").read_text(encoding="utf-8")
+    assert "better than the present model at 60 s on the new cycles" in text
+    page = (home / "retraining_report.html").read_text(encoding="utf-8")
+    assert "<svg" in page and "src=" not in page
+    assert load(store, found.version).provenance.contents == tuple(
+        sorted(content for _, content in read_record(home).training)  # type: ignore[union-attr]
+    )
+    # What was held out is in no training, and all of it is kept beyond the historian.
+    chosen = library.step(1, "sets")
+    held, trained = ({content for _, content in chosen[name]} for name in ("held_out", "training"))
+    assert held and trained and not held & trained
+    assert all(content_hash(library.readings(content)) == content for content in held | trained)
+    familiar = read_familiarity(home)
+    assert familiar is not None and familiar.curve is not None and familiar.curve.cycles == len(held)
+
+
+@pytest.mark.parametrize("killed", ["learned_model", "scores_along", "save", "replace_durably"])
+def test_a_kill_at_any_step_leaves_the_present_model_and_a_study_that_goes_on(
+    killed: str,
+    request_of: RetrainingRequest,
+    library: CycleLibrary,
+    quick: SimpleNamespace,
+    store: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The step is broken off at its beginning, and `save` after the version is there."""
+    monkeypatch.setattr(study, "report_files", lambda *_: {"retraining_report.txt": "drawn in another test"})
+    real, before = getattr(study, killed), current(store)
+
+    def broken(*arguments: Any, **named: Any) -> Any:
+        if killed == "save":
+            real(*arguments, **named)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(study, killed, broken)
+        with pytest.raises(KeyboardInterrupt):
+            run(request_of, library)
+    assert current(store) == before and load(store) == heated(50.0)
+    found = run(request_of, library)
+    assert found.study == 1 and versions(store) == (before, found.version), "one version, whoever made it"
+    assert quick.learned == 1, "what was done is not done again"
+    assert library.step(2, "sets") is None
+
+
+def test_an_excluded_cycle_is_neither_learned_from_nor_judged_by(
+    request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace
+) -> None:
+    source = source_of(request_of, BEGIN)
+    cut_and_rate(request_of, library, source, silent)
+    name = library.cycles()[5].name
+    library.exclude(name, "Ada", "sensor was being changed")
+    study.retrain(request_of, library, source, report=silent, clock=lambda: BEGIN)
+    chosen = library.step(1, "sets")
+    assert name not in {each for pairs in (chosen["held_out"], chosen["training"]) for each, _ in pairs}
+    with pytest.raises(ValueError, match="has no cycle 'nobody'"):
+        library.exclude("nobody", "Ada", "why")
+    library.exclude(name, "", "")
+    assert name in {row.name for row in new_cycles(library, source.model)}
+
+
+def test_the_training_has_no_more_rows_than_it_may_and_takes_what_teaches_first(
+    request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace
+) -> None:
+    source = source_of(request_of, BEGIN)
+    cut_and_rate(request_of, library, source, silent)
+    rows = library.cycles()
+    for row in rows[:-4]:
+        library.rate(row.name, "ordinary", "", 0.5)
+    found = study.retrain(replace(request_of, rows=8 * 120), library, source, report=silent, clock=lambda: BEGIN)
+    assert 0 < found.rows <= 8 * 120
+    chosen = library.step(1, "sets")
+    used = {name for pairs in (chosen["held_out"], chosen["training"]) for name, _ in pairs}
+    assert {row.name for row in rows[-4:]} <= used
+
+
+def _scores(new: float, horizon: float = 60.0, cycles: int = 10) -> list[dict[str, Any]]:
+    rng = np.random.default_rng(1)
+    rows = []
+    for number in range(cycles):
+        present = 1.0 + 0.1 * rng.random()
+        for method, crps in ((PRESENT, present), (NEW, present * new * (1.0 + 0.01 * rng.random()))):
+            rows.append({"trace": f"c{number}", "horizon": horizon, "method": method, "crps": crps, "coverage": 0.9})
+    return rows
+
+
+def test_a_model_is_proposed_only_where_it_is_better_and_worse_nowhere() -> None:
+    better, worse = compared("new cycles", _scores(0.7), seed=0), compared("standard set", _scores(1.2, 300.0), seed=0)
+    assert better[0].told_apart == "better" and worse[0].refuses
+    assert verdict_on(better, (), "new cycles")[0]
+    assert verdict_on([*better, *worse], (), "new cycles") == (
+        False,
+        "not proposed: it is worse than the present model at 300 s on the standard set",
+    )
+    assert not verdict_on(better, ("it grows without bound",), "new cycles")[0]
+    few = compared("new cycles", _scores(0.7, cycles=4), seed=0)
+    proposed, sentence = verdict_on(few, (), "new cycles")
+    assert not proposed and sentence.endswith("4 cycles could not show more")
+    # Two horizons at which nothing differs are called better in one of twenty sets at most.
+    rng = np.random.default_rng(5)
+    called = 0
+    for _ in range(60):
+        rows = [
+            {"trace": f"c{n}", "horizon": h, "method": m, "crps": 1 + 0.1 * rng.random(), "coverage": 0.9}
+            for n in range(10)
+            for h in (60.0, 300.0)
+            for m in (PRESENT, NEW)
+        ]
+        called += any(each.told_apart for each in compared("x", rows, seed=0))
+    assert called <= 8
+
+
+def test_traces_that_follow_one_another_are_learned_from_as_one() -> None:
+    whole = plant(3)
+    parts = [whole.between(a, b) for a, b in ((0, BEGIN + 1200), (BEGIN + 1200, BEGIN + 2400), (BEGIN + 2500, np.inf))]
+    made = joined(list(reversed(parts)), 30.0)
+    assert [trace.times.size for trace in made] == [240, 110]
+    assert made[0].signals[TEMPERATURE].tolist() == whole.signals[TEMPERATURE][:240].tolist()
+
+
+def test_a_diagnosis_gets_fewer_rows_and_all_events() -> None:
+    whole = encoded(plant(1), heated(HOT))
+    thin = sparse(whole, 60.0)
+    assert np.diff(thin.times).tolist() == [60.0] * 19 and thin.events == whole.events
+    assert thin.signals[TEMPERATURE].tolist() == whole.signals[TEMPERATURE][::6].tolist()
+
+
+def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_worse_one_is_rolled_back(
+    tmp_path: Path, historian: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is stubbed here: the gateway's own forecasts along the records."""
+    store = tmp_path / "store"
+    good = save(store, heated(HOT), created=BEGIN - 2.0)
+    bad = save(store, heated(50.0), created=BEGIN - 1.0)
+    promote(store, bad)
+    monkeypatch.setattr(shadow, "MOST", 8)
+    monkeypatch.setattr(judging, "LEAST_PERIOD", 400.0)
+    given = ("model", "shadow", store, good, "--historian", historian, "--library", tmp_path / "l", "--json")
+    result = decanter(*given)
+    data = only_object(result.stdout)
+    assert result.exit_code == 0 and not data["rolled_back"] and current(store) == bad
+    assert any(each["told_apart"] == "worse" for each in data["comparisons"]), data["sentence"]
+    monkeypatch.setattr(shadow, "scores_along", lambda *_, **__: _scores(1.5))
+    data = only_object(decanter(*given, "--roll-back").stdout)
+    assert data["rolled_back"] and current(store) == good
+    refused(decanter("model", "shadow", store, good, "--historian", historian), 2, "is no other version of this store")
+
+
+def test_the_commands_show_cycles_and_family_and_make_a_version_again(
+    tmp_path: Path, store: Path, historian: Path, quick: SimpleNamespace
+) -> None:
+    library = tmp_path / "l"
+    given = ("model", "retrain", store, "--historian", historian, "--library", library, "--full-speed")
+    data = only_object(decanter(*given, "--no-diagnosis", "--json").stdout)
+    assert data["proposed"] and data["cut"] == CYCLES + 3
+    listed = only_object(decanter("model", "cycles", library, "--picture", tmp_path / "map.png", "--json").stdout)
+    assert listed["counts"]["badly predicted"] == CYCLES + 3 and (tmp_path / "map.png").stat().st_size > 1000
+    name = listed["cycles"][0]["name"]
+    shown = decanter("model", "cycles", library, "--exclude", name, "--reason", "cleaning", "--by", "Ada")
+    assert "cleaning (Ada)" in shown.stdout
+    family = decanter("model", "lineage", store).stdout.splitlines()
+    assert family[0].endswith("RUNS  (by hand: it has no record)") and family[1].startswith(f"└─ {data['version']}")
+    again = only_object(
+        decanter("model", "lineage", store, "--remake", data["version"], "--library", library, "--json").stdout
+    )
+    assert again["remade"]["same"]
+    waiting = only_object(decanter(*given, "--if-due", "--after", 30, "--json").stdout)
+    assert waiting == {"due": False, "cycles": 0}
+    refused(
+        decanter("model", "cycles", tmp_path / "none"), 2, "is no library of cycles; `decanter model retrain` makes one"
+    )
+
+
+def test_a_damaged_library_and_too_few_cycles_are_one_sentence(
+    tmp_path: Path, store: Path, request_of: RetrainingRequest
+) -> None:
+    path = written(tmp_path / "few.sqlite", plant(6))
+    given = ("model", "retrain", store, "--historian", path, "--full-speed", "--library", tmp_path / "few")
+    refused(decanter(*given), 2, "5 new cycles are too few to learn from and to judge by; it takes 16")
+    (tmp_path / "few" / "cycles.sqlite").write_bytes(b"no database" * 100)
+    refused(decanter(*given), 2, "cannot be used as a library of cycles")
+
+
+def test_a_cycle_scores_the_same_horizons_for_both_models(historian: Path, store: Path) -> None:
+    cycle = encoded(plant(1), load(store))
+    rows = scores_along(replace(cycle, name="one"), load(store), heated(HOT), seed=0, report=silent)
+    crps = {row["method"]: row["crps"] for row in rows if row["horizon"] == 60.0}
+    assert crps[NEW] < crps[PRESENT]
