@@ -18,4 +18,4 @@ EXAMPLES = {
 
 @click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES)
 def config() -> None:
-    """Look at former configurations of a gateway, and go back to one."""
+    """A gateway's former configurations."""

@@ -20,4 +20,4 @@ EXAMPLES = {
 
 @click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES)
 def user() -> None:
-    """Make, list and remove the page's accounts."""
+    """Accounts of the page."""

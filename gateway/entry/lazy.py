@@ -89,6 +89,16 @@ class LazyGroup(click.Group):
                 raise
             fail("stopped before the end", Exit.INTERRUPTED)
 
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The options; where there are groups too, in one line, so that all commands fit on a screen."""
+        if not self.commands:
+            super().format_options(ctx, formatter)
+            return
+        records = filter(None, (option.get_help_record(ctx) for option in self.get_params(ctx)))
+        formatter.write_paragraph()
+        formatter.write_text(f"Options: {', '.join(names for names, _ in records)}")
+        self.format_commands(ctx, formatter)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list in the help text, from the table: no command is imported for it."""
         with formatter.section("Commands"):

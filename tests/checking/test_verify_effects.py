@@ -5,7 +5,7 @@ from math import inf
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from sim.checking.proof.bounds import find_bounds
@@ -230,6 +230,7 @@ pieces = st.lists(
 
 @settings(max_examples=80, deadline=None)
 @given(pieces, st.floats(-0.5, 0.5), st.floats(0.0, 2000.0), st.sampled_from([inf, 0.05, 1.0]))
+@example([(5e-324, 1.5, 0.0)], 0.5, 3.0, inf)  # losses of which no digits are left
 def test_a_drift_runs_one_way_keeps_order_and_agrees_with_small_steps(
     given_pieces: list[tuple[float, float, float]], heat: float, dt: float, rate: float
 ) -> None:

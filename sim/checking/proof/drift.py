@@ -13,6 +13,9 @@ from math import expm1, inf, isinf, log1p
 Pair = tuple[float, float]
 """a (degC/s) and b (1/s, at least 0) of a piece a - b X."""
 
+SLOWEST = 1e-300
+"""1/s: below it a loss times a time is a subnormal number, of whose digits few or none are left; it moves nothing."""
+
 
 @dataclass(frozen=True, slots=True)
 class DriftBound:
@@ -113,7 +116,7 @@ def _seconds(a: float, b: float, x: float, end: float) -> float:
     speed = a - b * x
     if speed == 0:
         return 0.0  # it is there, but for rounding
-    if b == 0:
+    if b < SLOWEST:
         return (end - x) / speed
     # x(t) = x + speed (1 - e^-bt) / b solved for t; log1p keeps the digits where b (end - x) is small beside the speed.
     share = b * (end - x) / speed
@@ -122,4 +125,4 @@ def _seconds(a: float, b: float, x: float, end: float) -> float:
 
 def _moved(a: float, b: float, x: float, dt: float) -> float:
     # expm1: 1 - e^-bt would lose all digits where b dt is small.
-    return x + (a - b * x) * (dt if b == 0 else -expm1(-b * dt) / b)
+    return x + (a - b * x) * (dt if b < SLOWEST else -expm1(-b * dt) / b)
