@@ -12,7 +12,7 @@ from gateway.lab.regression import history as history_module
 from gateway.lab.regression import regress as regress_module
 from gateway.lab.regression.history import opened_history
 from gateway.lab.regression.standard import CodeVersion, code_version
-from gateway.lab.regression.worse import Regression, regressions_of
+from gateway.lab.regression.worse import WorseForecast, regressions_of
 from sim.artefacts import promote
 from sim.artefacts.formats import save, write_model_directory
 from sim.sha import Distribution
@@ -27,7 +27,7 @@ def traces(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two short traces of the two modes, as a list in TOML."""
     folder = tmp_path_factory.mktemp("standard")
     for seed in (5, 6):
-        write_trace(replace(measured(600.0, seed=seed), name=f"t{seed}"), folder / f"t{seed}.csv")
+        write_trace(replace(measured(430.0, seed=seed), name=f"t{seed}"), folder / f"t{seed}.csv")
     (folder / "standard.toml").write_text('map = "decanter"\ntraces = ["t5.csv", "t*.csv"]\n', encoding="utf-8")
     return folder
 
@@ -66,12 +66,15 @@ def test_a_model_that_was_learned_worse_is_told_since_when_until_somebody_accept
     write_model_directory(models / "a", misled())
     code, data = run(models, traces)
     assert code == 1 and len(data["worse"]) == 2
-    assert data["worse"][0].startswith(f"{models / 'a'}: worse at 60 s since 20")
+    assert data["worse"][0].startswith("models/a: worse at 60 s since 20")
     assert "(model " in data["worse"][0] and "program" not in data["worse"][0]
     assert run(models, traces)[0] == 1 and len(asked) == 4
     code, data = run(models, traces, "--accept", "another product")
     assert code == 0 and len(data["worse"]) == 2
-    assert run(models, traces)[1]["worse"] == []
+    shown = decanter("model", "regress", models, "--standard", traces, "--history", tmp_path / "history.jsonl")
+    assert (shown.exit_code, len(asked)) == (0, 4)
+    assert "standard set, 2 traces, CRPS in °C, program" in " ".join(shown.stdout.split())
+    assert shown.stdout.endswith(f"nothing became worse; history: {tmp_path / 'history.jsonl'}\n")
 
 
 def test_of_a_store_each_version_and_the_promoted_one_are_subjects(traces: Path, tmp_path: Path) -> None:
@@ -79,7 +82,7 @@ def test_of_a_store_each_version_and_the_promoted_one_are_subjects(traces: Path,
     first = save(store, two_modes(), created=0.0)
     promote(store, first)
     code, data = run(store, traces)
-    assert code == 0 and {row["model"] for row in data["results"]} == {str(store), f"{store}@{first}"}
+    assert code == 0 and {row["model"] for row in data["results"]} == {"store", f"store@{first}"}
 
 
 def scored(crps: float) -> list[dict[str, Any]]:
@@ -87,7 +90,7 @@ def scored(crps: float) -> list[dict[str, Any]]:
     return [{"horizon": 60.0, "method": method, "crps": crps, **figures} for method in ("present", "persistence")]
 
 
-def regressions(path: Path, programs: Mapping[str, list[float | str]], accepted: str = "") -> list[Regression | str]:
+def regressions(path: Path, programs: Mapping[str, list[float | str]], accepted: str = "") -> list[WorseForecast | str]:
     """What a history says in which each program had these CRPS (or that reason) along traces 0, 1, ..."""
     with opened_history(path) as history:
         for number, (code, figures) in enumerate(programs.items()):
@@ -114,7 +117,7 @@ def test_the_first_program_that_was_worse_ever_since_is_named(tmp_path: Path) ->
         "p5": [0.9, 2.4],
     }
     (found,) = regressions(tmp_path / "h.jsonl", programs)
-    assert isinstance(found, Regression)
+    assert isinstance(found, WorseForecast)
     assert (found.best["code"], found.since["code"], found.worst_trace) == ("p1", "p4", "t1")
     assert found.sentence("degC") == (
         "a: worse at 60 s since day 4 (program 1.4, before 1.1): CRPS 1.65 °C, before 1.35, on 2 traces "
@@ -136,7 +139,7 @@ def test_runs_are_compared_on_the_traces_of_both_and_a_failure_is_told(tmp_path:
     assert regressions(tmp_path / "slight.jsonl", slight) == []
     clear = {"p0": slight["p0"], "p1": [1.03 * figure for figure in slight["p0"]]}
     (told,) = regressions(tmp_path / "clear.jsonl", clear)
-    assert isinstance(told, Regression) and told.comparison.p < 0.05
+    assert isinstance(told, WorseForecast) and told.comparison.p < 0.05
 
 
 def test_the_program_has_a_name_and_another_source_another_hash(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from drivers.named_files import regular, writing
-from gateway.lab.ingestion.recognising import PLACES, IngestUnit, RecognisedUnit
+from gateway.lab.ingestion.recognising import PLACES, FileStamps, IngestUnit, RecognisedUnit
 from gateway.lab.json_rows import append_row, read_rows
 from sim.artefacts.formats import FLOW_FILE, SUFFIXES
 from sim.files import at, sync_directory
@@ -52,10 +52,18 @@ class IngestArchive:
         """Read the manifest. Raises ArtefactError for one that is none; nothing is written where `dry`."""
         self.folder, self.dry = folder, dry
         self._rows: dict[str, Mapping[str, Any]] = {}
+        # By content, by a trace's readings and by where it came from.
+        self._names: dict[tuple[str, str], str] = {}
         for number, row in enumerate(read_rows(folder / MANIFEST), 1):
             if not isinstance(row.get("name"), str) or not isinstance(row.get("sha256"), str):
                 raise at(folder / MANIFEST, number, "has no name and sha256; restore the manifest from a backup")
-            self._rows[row["name"]] = row
+            self._keep(row)
+
+    def _keep(self, row: Mapping[str, Any]) -> None:
+        self._rows[row["name"]] = row
+        for key in ("sha256", "readings", "source"):
+            if row.get(key):
+                self._names[key, row[key]] = row["name"]
 
     def take(self, unit: IngestUnit, known: RecognisedUnit, *, move: bool, when: float) -> IngestOutcome:
         """Copy or move a unit into its place; `when` is in s UTC.
@@ -63,7 +71,7 @@ class IngestArchive:
         Raises ArtefactError for one whose content is there under another name, or whose name another content has;
         OSError where nothing can be read or written.
         """
-        source = unit.source
+        source, stamp = unit.source, unit.stamp()
         name = Path(PLACES[known.kind], unit.place, source.name).as_posix()
         place = self.folder / name if unit.base else (self.folder / name).parent
         hashes = {path.name: file_hash(path) for path in unit.files}
@@ -97,9 +105,9 @@ class IngestArchive:
                 for path in lacking:
                     _copy(path, place / path.name, hashes[path.name], self.folder)
                 append_row(self.folder / MANIFEST, row)
-            self._rows[name] = row
+            self._keep(row)
         if move:
-            self._remove(unit)
+            self._remove(unit, stamp)
         return IngestOutcome(source, verdict, row=self._rows[name])
 
     def again(self, unit: IngestUnit, *, move: bool) -> IngestOutcome | None:
@@ -107,20 +115,24 @@ class IngestArchive:
 
         A move that was killed has left such a part, which nothing else would recognise. Raises OSError.
         """
-        row = next((row for row in self._rows.values() if row["source"] == str(unit.source.absolute())), None)
-        if row is None or unit.refusal:
+        name = self._names.get(("source", str(unit.source.absolute())))
+        if name is None or unit.refusal:
             return None
+        row, stamp = self._rows[name], unit.stamp()
         for path in unit.files:
             held = self.folder / row["name"] / path.name if unit.base else self.folder / row["name"]
             if not held.is_file() or file_hash(held) != file_hash(path):
                 return None
         if move:
-            self._remove(unit)
+            self._remove(unit, stamp)
         return IngestOutcome(unit.source, "there already", row=row)
 
-    def _remove(self, unit: IngestUnit) -> None:
+    def _remove(self, unit: IngestUnit, stamp: FileStamps) -> None:
+        """Remove the sources, which were as `stamp` says when they were hashed. Raises ArtefactError."""
         if self.dry:
             return
+        if unit.stamp() != stamp:
+            raise at(unit.source, None, "was written after it was copied, so it stays; ingest it again when at rest")
         folder = unit.source.parent
         others = [path for path in folder.glob(f"*{SUFFIXES['source']}") if path not in unit.files]
         # By what is left after a kill the set must still be known: its report goes first, its automaton last. A flow
@@ -131,16 +143,15 @@ class IngestArchive:
         sync_directory(folder)
 
     def _refuse_double(self, source: Path, name: str, content: str, readings: str) -> None:
-        for row in self._rows.values():
+        for key, value in (("sha256", content), ("readings", readings)):
+            other = self._names.get((key, value))
             # What somebody has taken out of the archive may come again.
-            if row["name"] == name or not (self.dry or (self.folder / row["name"]).exists()):
+            if other in (None, name) or not (self.dry or (self.folder / str(other)).exists()):
                 continue
-            if row["sha256"] == content:
-                said = f"is in {self.folder} already as {row['name']} (from {row['source']}); nothing was taken"
-                raise at(source, None, said)
-            if readings and row.get("readings") == readings:
-                said = f"has the readings of {row['name']} in another form (from {row['source']}); nothing was taken"
-                raise at(source, None, said)
+            row = self._rows[str(other)]
+            same = "is" if key == "sha256" else "has readings that are, in another form,"
+            said = f"{same} in {self.folder} already as {other} (from {row['source']}); nothing was taken"
+            raise at(source, None, said)
 
 
 def file_hash(path: Path) -> str:

@@ -15,15 +15,12 @@ from drivers.errors import DriverError
 from gateway.console import config_dir, emit, json_option, progress, shipped
 from gateway.entry import Exit, interruptible, sentence, sentences
 from gateway.lab.ingestion.archive import VERDICTS, IngestArchive, IngestOutcome, opened_archive
-from gateway.lab.ingestion.recognising import IngestUnit, recognised, units_in
+from gateway.lab.ingestion.recognising import FileStamps, IngestUnit, recognised, units_in
 from sim.files import at
 from sim.traces import ColumnMap, load_map
 
 MOST_TOLD = 10_000
 """Outcomes that a watch keeps for its summary: it may run for months."""
-
-Stamp = tuple[tuple[str, int, int], ...]
-"""Name, size (bytes) and time of change (ns) of each file of a unit."""
 
 
 def ingested(
@@ -58,8 +55,8 @@ class FolderWatch:
     """
 
     rest: float
-    _since: dict[Path, tuple[Stamp, float]] = field(default_factory=dict)
-    _done: dict[Path, Stamp] = field(default_factory=dict)
+    _since: dict[Path, tuple[FileStamps, float]] = field(default_factory=dict)
+    _done: dict[Path, FileStamps] = field(default_factory=dict)
 
     def due(self, units: Sequence[IngestUnit], now: float) -> list[IngestUnit]:
         """The units to be taken at the monotonic time `now` (s)."""
@@ -69,7 +66,7 @@ class FolderWatch:
             key = unit.source
             here.add(key)
             try:
-                stamp = _stamp(unit)
+                stamp = unit.stamp()
             except OSError:
                 continue  # it has gone since it was listed
             known, since = self._since.get(key, ((), now))
@@ -82,11 +79,6 @@ class FolderWatch:
             for key in seen.keys() - here:
                 del seen[key]
         return ready
-
-
-def _stamp(unit: IngestUnit) -> Stamp:
-    statuses = [(path.name, path.lstat()) for path in unit.files]
-    return tuple((name, status.st_size, status.st_mtime_ns) for name, status in statuses)
 
 
 @click.command(
@@ -151,8 +143,9 @@ def ingest(
         chosen = map_names or sorted(path.stem for path in (config_dir() / "traces").glob("*.toml"))
         maps = {name: load_map(shipped("traces", name)) for name in chosen}
         if watch:
-            # Ctrl-C is how a watch ends: what was taken is told, and no file is half there.
-            with suppress(KeyboardInterrupt):
+            # Ctrl-C is how a watch ends: what was taken is told, and no file is half there. It is caught here, so that
+            # the exit code is that of what was refused and not that of a command that was stopped.
+            with suppress(KeyboardInterrupt), interruptible(lambda what, share: None):
                 end = time.monotonic() + (inf if seconds is None else seconds)
                 seen = FolderWatch(rest)
                 while True:
@@ -192,6 +185,8 @@ def _tell(outcome: IngestOutcome, dry_run: bool) -> None:
         click.secho(f"refused: {outcome.sentence}", fg="yellow", err=True)
     elif outcome.verdict != "there already":
         row = outcome.row
-        missing = f"; missing of the set: {', '.join(row['missing'])}" if row["missing"] else ""
+        more = f"; missing of the set: {', '.join(row['missing'])}" if row["missing"] else ""
+        if row.get("used", 0) < row.get("rows", 0):
+            more = f"; {row['used']} of {row['rows']} rows are read, see `decanter trace show`"
         would = "would be " if dry_run else ""
-        click.echo(f"{would}{outcome.verdict}: {outcome.source} as {row['kind']} {row['name']}{missing}")
+        click.echo(f"{would}{outcome.verdict}: {outcome.source} as {row['kind']} {row['name']}{more}")

@@ -42,8 +42,13 @@ PICTURES = {
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 HEAD = 1 << 16
 """Bytes by whose content a file is told: the first row of a PLC recording names all its tags."""
+LINK = "is a link; ingest the folder with the file itself"
 LONGEST_NAME = 200
 """Bytes: file systems take 255, and a file has a longer name while it is written."""
+
+
+FileStamps = tuple[tuple[str, int, int], ...]
+"""Name, size (bytes) and time of change (ns) of each file of a unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +68,11 @@ class IngestUnit:
     def source(self) -> Path:
         """The path by which the unit is called: of a set its folder with its base name."""
         return self.files[0].parent / self.base if self.base else self.files[0]
+
+    def stamp(self) -> FileStamps:
+        """What changes when one of the files is written. Raises OSError."""
+        statuses = [(path.name, path.lstat()) for path in self.files]
+        return tuple((name, status.st_size, status.st_mtime_ns) for name, status in statuses)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +128,8 @@ def _units_of(here: Path, names: Sequence[str], folder: Path) -> list[IngestUnit
             own = [name for name in names if name.startswith(base)]
             units.append(_refused(here / own[0], folder, str(error)))
         else:
-            units.append(IngestUnit(files=tuple(here / name for name in own), place=place, base=base))
+            said = next((f"{here / name}: {LINK}" for name in own if (here / name).is_symlink()), "")
+            units.append(IngestUnit(files=tuple(here / name for name in own), place=place, base=base, refusal=said))
         in_sets.update(own)
     for name in names:
         path = here / name
@@ -126,7 +137,7 @@ def _units_of(here: Path, names: Sequence[str], folder: Path) -> list[IngestUnit
         if name in in_sets or main in names:
             continue
         if path.is_symlink():
-            units.append(_refused(path, folder, "is a link; ingest the folder with the file itself"))
+            units.append(_refused(path, folder, LINK))
         else:
             units.append(IngestUnit(files=(path,), place=place))
     return units

@@ -1,5 +1,6 @@
 """`decanter model regress`: a standard set against all models, and what became worse since which version."""
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -15,7 +16,7 @@ from gateway.lab.regression.standard import code_version, models_in, read_standa
 from gateway.lab.regression.worse import regressions_of
 from gateway.lab.retraining.judging import PRESENT
 from sim.learning import PERSISTENCE
-from sim.sha import DEGREES, Model
+from sim.sha import DEGREES, Model, shown_unit
 
 
 @click.command("regress", short_help="Run a standard set against all models; say what became worse since when.")
@@ -48,7 +49,9 @@ def regress(
         traces = read_standard(standard, map_name)
         models: dict[str, Model | str] = {}
         for place in places:
-            models |= models_in(place, traces)
+            found = models_in(place, traces)
+            # As seen from the history: the same subject from wherever the command is called, and after a move of both.
+            models |= {os.path.relpath(Path(name).resolve(), file.parent.resolve()): found[name] for name in found}
         code = code_version()
         with opened_history(file) as history:
             run_standard(models, traces, history, code=code, seed=seed, clock=time.time, report=report)
@@ -67,11 +70,9 @@ def regress(
 
     def show() -> None:
         if rows:
-            table(
-                f"standard set, {len(traces.traces)} traces, program {code}",
-                list(rows[0]),
-                [list(r.values()) for r in rows],
-            )
+            units = ", ".join(sorted({shown_unit(each) for each in unit.values()}))
+            title = f"standard set, {len(traces.traces)} traces, CRPS in {units}, program {code}"
+            table(title, list(rows[0]), [list(row.values()) for row in rows])
         for subject, reasons in data["failed"].items():
             for each in reasons:
                 click.echo(f"{subject}: {each}")
@@ -92,7 +93,7 @@ def _means(subject: str, results: Mapping[str, Mapping[str, Any]]) -> list[dict[
         own = [score for score in scores if (score["horizon"], score["method"]) == (horizon, PRESENT)]
         simple = [score for score in scores if (score["horizon"], score["method"]) == (horizon, PERSISTENCE)]
         row: dict[str, Any] = {"model": subject, "horizon (s)": horizon, "traces": len(own)}
-        for name in ("crps", "mae", "coverage"):
+        for name in ("crps", "coverage"):
             row[name] = sum(score[name] for score in own) / len(own)
         row["persistence"] = sum(score["crps"] for score in simple) / len(simple)
         rows.append(row)

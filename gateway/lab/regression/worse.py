@@ -18,7 +18,7 @@ Results = Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Regression:
+class WorseForecast:
     """A `subject` (a model by its name) whose forecasts became worse at some horizon.
 
     `best` and `since` are rows of runs: the one that it is held against, and the first one that was worse ever since.
@@ -46,14 +46,14 @@ class Regression:
         )
 
 
-def regressions_of(subject: str, history: RegressionHistory, *, seed: int) -> list[Regression | str]:
+def regressions_of(subject: str, history: RegressionHistory, *, seed: int) -> list[WorseForecast | str]:
     """What is worse at the subject's last run than at its best one before; a sentence for a trace that failed since.
 
     The best run is looked for horizon by horizon. Two runs are held against each other on the traces of both.
     """
     runs = history.runs(subject, seed)
     results = [history.results(run, subject) for run in runs]
-    found: list[Regression | str] = []
+    found: list[WorseForecast | str] = []
     if len(runs) < 2:
         return found
     for content, row in results[-1].items():
@@ -70,7 +70,7 @@ def regressions_of(subject: str, history: RegressionHistory, *, seed: int) -> li
         before, now = _crps(results[best], horizon), _crps(results[-1], horizon)
         worst = max(before.keys() & now.keys(), key=lambda content: now[content] - before[content])
         found.append(
-            Regression(
+            WorseForecast(
                 subject=subject,
                 comparison=comparison,
                 best=runs[best],
