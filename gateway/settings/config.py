@@ -701,7 +701,9 @@ def _northbound(section: NorthboundSection, home: Path) -> NorthboundSection:
         )
         for kind in ("mqtt", "postgres", "influx")
     }
-    return section.model_copy(update={"secrets": section.secrets and home / section.secrets, **rows})
+    certificates = section.opcua.certificates
+    opcua = section.opcua.model_copy(update={"certificates": certificates and home / certificates})
+    return section.model_copy(update={"secrets": section.secrets and home / section.secrets, "opcua": opcua, **rows})
 
 
 def _historian_file(section: HistorianSection, home: Path) -> Path:
