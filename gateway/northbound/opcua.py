@@ -133,8 +133,8 @@ class GatewayServer(Server):  # type: ignore[misc]
             )
             for mode in (ua.MessageSecurityMode.SignAndEncrypt, ua.MessageSecurityMode.Sign)
         ]
-        # Without security a client may ask for the endpoints. The library serves such a channel anyhow; without this
-        # row it would read too.
+        # Without security a client may ask for the endpoints. The library opens such a channel anyhow, and without this
+        # row serves whatever a session on it asks for, also to write.
         no_mode = ua.MessageSecurityMode.None_
         self._policies.append(SecurityPolicyFactory(SecurityPolicyNone, no_mode, permission_ruleset=Nothing()))
 
@@ -303,6 +303,8 @@ class OpcUaServer:
         await self._nodes[point.path].write_attribute(ua.AttributeIds.Value, data_value(point))
 
     async def _remove(self, server: GatewayServer, path: tuple[str, ...]) -> None:
+        # Who has subscribed to it hears of it by that: of a node that is deleted nothing comes any more.
+        await self._lose([one for one in self._shown if one[: len(path)] == path], Quality.NO_DATA)
         await server.delete_nodes([self._nodes[path]], recursive=True)
         for gone in [one for one in self._nodes if one[: len(path)] == path]:
             self._places.pop(self._nodes.pop(gone).nodeid, None)

@@ -17,15 +17,15 @@ from drivers.tag import Quality
 from gateway.certificates import make_all, make_application
 from gateway.machine.reading import plant_clock
 from gateway.northbound import check_northbound, northbound
-from gateway.northbound.opcua import GatewayServer, Nothing, ReadingOnly
+from gateway.northbound.opcua import GatewayServer, Nothing, OpcUaServer, ReadingOnly
 from gateway.northbound.opcua_history import recorded
 from gateway.northbound.opcua_points import OpcUaPoint, points_of
 from gateway.plant.app import run
-from gateway.settings import load_config
+from gateway.settings import OpcUaSection, load_config
 from gateway.status import read_status
 from gateway.store import samples
 from tests.cli.support import decanter, refused
-from tests.gateway.status_picture import picture
+from tests.gateway.status_picture import picture, tag
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, plant_file, two_modes
 from tests.northbound.rig import Plant
 from tests.rig.servers import answers, free_port
@@ -130,7 +130,7 @@ async def refusals(url: str, machine: str, folder: Path) -> list[str]:
                 found.append("connected")
         except (ua.UaError, OSError, TimeoutError) as error:
             found.append(type(error).__name__)
-    # Without security a session is made and never activated; the library would answer it.
+    # The endpoints may be asked for without security; the library would serve sessions on such a channel too.
     bare = Client(url, timeout=5.0)
     await bare.connect_socket()
     try:
@@ -139,6 +139,7 @@ async def refusals(url: str, machine: str, folder: Path) -> list[str]:
         found.append(str({one.SecurityPolicyUri.rpartition("#")[2] for one in await bare.get_endpoints()}))
         with suppress(ua.UaError):  # raised by the client, when the server has made the session
             await bare.create_session()
+        await bare.activate_session()
         node = bare.get_node(ua.NodeId(f"{machine}/Measured/{TEMPERATURE}", 2))
         with pytest.raises(ua.UaStatusCodeError) as error:
             await node.read_value()
@@ -207,9 +208,9 @@ async def test_a_plants_system_reads_a_machine_and_changes_nothing(tmp_path: Pat
     assert {one.Value.VariantType for one in seen["running"]} == {ua.VariantType.Boolean}
 
     assert [seen[name] for name in ("write", "method", "delete")] == ["BadUserAccessDenied"] * 3
-    stranger, unprotected, policies, unactivated = refused_
+    stranger, unprotected, policies, bare = refused_
     assert "connected" not in (stranger, unprotected)
-    assert (policies, unactivated) == ("{'Basic256Sha256'}", "BadUserAccessDenied")
+    assert (policies, bare) == ("{'Basic256Sha256'}", "BadUserAccessDenied")
 
 
 async def test_without_certificates_there_is_one_endpoint_and_only_reading_is_served() -> None:
@@ -235,6 +236,83 @@ async def test_without_certificates_there_is_one_endpoint_and_only_reading_is_se
         assert Nothing().check_validity(User(role=role), asked, None) is False
     # A session cannot be taken over by whoever names its number.
     assert server.iserver.lookup_external_session(ua.NodeId(1)) is None
+
+
+def hold_little(server: GatewayServer) -> None:
+    """Give it the few nodes of the standard by which others are added and found: all of them take seconds to load."""
+    ids = ua.ObjectIds
+    nodes = [
+        ua.AddNodesItem(
+            RequestedNewNodeId=ua.NodeId(one),
+            BrowseName=ua.QualifiedName(str(one)),
+            NodeClass=ua.NodeClass.Object,
+            NodeAttributes=ua.ObjectAttributes(),
+        )
+        for one in (
+            *(ids.ObjectsFolder, ids.BaseObjectType, ids.BaseDataVariableType, ids.PropertyType),
+            *(
+                ids.HierarchicalReferences,
+                ids.HasChild,
+                ids.Aggregates,
+                ids.Organizes,
+                ids.HasComponent,
+                ids.HasProperty,
+            ),
+        )
+    ]
+    assert list(server.iserver.node_mgt_service.try_add_nodes(nodes, check=False)) == []
+    subtypes = [
+        ua.AddReferencesItem(
+            SourceNodeId=ua.NodeId(of),
+            ReferenceTypeId=ua.NodeId(ids.HasSubtype),
+            IsForward=True,
+            TargetNodeId=ua.NodeId(sub),
+            TargetNodeClass=ua.NodeClass.ReferenceType,
+        )
+        for of, sub in (
+            (ids.HierarchicalReferences, ids.HasChild),
+            (ids.HierarchicalReferences, ids.Organizes),
+            (ids.HasChild, ids.Aggregates),
+            (ids.Aggregates, ids.HasComponent),
+            (ids.Aggregates, ids.HasProperty),
+        )
+    ]
+    assert list(server.iserver.node_mgt_service.try_add_references(subtypes)) == []
+
+
+async def test_what_is_gone_goes_and_what_is_missed_says_so() -> None:
+    server = GatewayServer(None)
+    hold_little(server)
+    shown = OpcUaServer(OpcUaSection(port=0), dict, tags=dict, historian=Path("none"))
+    north, south = read_status(picture(machine="north")), read_status(picture(machine="south"))
+    await shown._show(server, {"north": north, "south": south})
+
+    async def value(*path: str) -> ua.DataValue:
+        return await server.get_node(shown._id(path)).read_data_value(raise_on_bad_status=False)
+
+    measured = await value("south", "Measured", TEMPERATURE)
+    assert (measured.Value.Value, measured.StatusCode.value) == (45.678, Quality.GOOD)
+    assert measured.SourceTimestamp.timestamp() == pytest.approx(south.values[TEMPERATURE].time, abs=2e-6)
+    limit = await value("south", "Forecast", TEMPERATURE, "limit")
+
+    # Some time later: a machine is gone, a tag too, another is a text now.
+    values = {"Assorbimento": tag(0.0) | {"value": "none"}}
+    later = read_status(picture(machine="south", time=south.time + 10.0, values=values))
+    await shown._show(server, {"south": later})
+    with pytest.raises(ua.UaStatusCodeError):
+        await server.get_node(shown._id(("north",))).read_browse_name()
+    children = await server.get_node(ua.NodeId(ua.ObjectIds.ObjectsFolder)).get_children()
+    assert [child.nodeid for child in children] == [shown._id(("south",))]
+    missed, text = await value("south", "Measured", TEMPERATURE), await value("south", "Measured", "Assorbimento")
+    assert (missed.Value.Value, missed.StatusCode.value) == (None, Quality.NO_DATA)
+    assert (text.Value.Value, text.Value.VariantType) == ("none", ua.VariantType.String)
+    # What stands bears the time since when it does.
+    assert (await value("south", "Forecast", TEMPERATURE, "limit")).SourceTimestamp == limit.SourceTimestamp
+
+    await shown._lose(list(shown._shown))
+    assert (await value("south", "Measured", "Assorbimento")).StatusCode.value == Quality.NO_COMMUNICATION
+    await shown._show(server, {"south": later})
+    assert (await value("south", "Measured", "Assorbimento")).Value.Value == "none"
 
 
 def test_what_has_no_value_says_so_by_its_status() -> None:
