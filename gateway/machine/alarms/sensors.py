@@ -6,7 +6,7 @@ measured against says decision record 0133; `python -m benchmarks.sensor_alarms`
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import exp, isfinite, nan, sqrt
 from typing import Any
 
@@ -33,6 +33,32 @@ that by so much (degC), or so many of its standard deviations."""
 TREND_WINDOW, TREND_STEP, TREND_LEAST = 300.0, 5.0, 150.0
 """The straight line is laid through the readings of so many seconds, one each step, and not before there are as many
 seconds of them."""
+
+
+DISTRUSTED: Mapping[str, Quality] = {
+    "sensor frozen": Quality.SENSOR_FAILURE,
+    "sensor jumping": Quality.SENSOR_NOT_ACCURATE,
+    "sensor noisy": Quality.SENSOR_NOT_ACCURATE,
+}
+"""What a reading is worth to a model by what is wrong with its sensor; out of range its own quality says so. One that
+needs maintenance (NE 107) still measures: of two that drift apart nobody knows which one is right."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFault:
+    """What is wrong with a sensor (a kind of alarm), and since when (plant s) its readings have been wrong."""
+
+    kind: str
+    since: float
+
+
+def without_faulty(scan: Scan, faults: Mapping[str, SensorFault]) -> Scan:
+    """The scan as a model may see it: sensors that were found out show nothing. `faults` are by tag."""
+    samples = dict(scan.samples)
+    for name, fault in faults.items():
+        if (sample := samples.get(name)) is not None and not sample.quality.is_bad:
+            samples[name] = replace(sample, value=None, quality=DISTRUSTED[fault.kind], reason=fault.kind)
+    return replace(scan, samples=samples)
 
 
 @dataclass(slots=True)
@@ -126,6 +152,16 @@ class SensorWatch:
             if a is not None and b is not None and seconds > 0.0:
                 found[names["sensor drifting", one]] = self.reference.take(a - b, seconds)
         return found
+
+    def fault(self, kind: str, name: str, now: float) -> SensorFault:
+        """The fault of a kind that was found by `now`, with the time from which on the readings were wrong."""
+        history = self._histories[name]
+        begun = {
+            "sensor frozen": history.changed,
+            "sensor jumping": history.jumps[0] if history.jumps else now,
+            "sensor noisy": now - NOISE_SECONDS,
+        }
+        return SensorFault(kind, begun.get(kind, now))
 
     def _twin(self, name: str) -> str:
         return self.twins[1] if name == self.twins[0] else self.twins[0]
