@@ -11,14 +11,17 @@ import numpy as np
 import pytest
 
 from drivers.tag import Quality, Sample
+from gateway.machine.alarms import Change
 from gateway.machine.model.predict import Predictor
 from gateway.machine.pipeline import Machine
 from gateway.machine.writing.block import Validity
+from gateway.northbound.sparkplug import GOOD, STALE, metrics_of
 from gateway.plant.log import open_log
 from gateway.plant.status import snapshot
 from gateway.settings.config import Config
 from gateway.status import findings
 from gateway.status.changes import topics
+from gateway.store import FollowedRow, RowStream
 from gateway.web.texts import all_words
 from gateway.web.views import machine_view
 from tests.gateway.support import (
@@ -42,9 +45,9 @@ SETTINGS = '[writeback]\nmode = "shadow"\n[forecast]\nhorizons = [10.0]\nruns = 
 class Plant:
     """A machine that warms from 25 to 50 degC as its model says, scan by scan, with noise on both sensors."""
 
-    def __init__(self, machine: Machine, clock: JumpClock) -> None:
+    def __init__(self, machine: Machine, clock: JumpClock, begin: int = 0) -> None:
         self.machine, self.clock = machine, clock
-        self.rng, self.seconds, self.truth = np.random.default_rng(5), 0, 25.0
+        self.rng, self.seconds, self.truth = np.random.default_rng(5), begin, 25.0
 
     async def run(self, seconds: int, reading: float | str | None = "", **others: Any) -> None:
         """Scans one second apart; `reading` is what the sensor shows instead of the truth, None that it has failed."""
@@ -81,12 +84,12 @@ class Plant:
 
 
 @asynccontextmanager
-async def plant_in(config: Config) -> AsyncIterator[Plant]:
-    clock = JumpClock(EPOCH)
+async def plant_in(config: Config, begin: int = 0) -> AsyncIterator[Plant]:
+    clock = JumpClock(EPOCH + begin)
     with open_log(config.log.path, config.log.level) as log:
         machine = Machine(config, driver=Bench(config, clock), clock=clock, log=log, rng=Random(0))
         try:
-            yield Plant(machine, clock)
+            yield Plant(machine, clock, begin)
             await machine.finish()
         finally:
             machine.close()
@@ -185,6 +188,49 @@ async def test_a_frozen_sensor_is_taken_from_the_model_back_to_when_it_froze(tmp
         assert plant.row()["value"] is None and "sensor bad; by the model" in plant.row()["sentence"]
         sample = snapshot(plant.machine).values[TEMPERATURE]
         assert sample.value == pytest.approx(stuck), "what it shows stays on record as it is"
+
+
+async def test_a_jumping_sensor_is_not_believed_unless_a_person_has_its_alarm_out_of_service(tmp_path: Path) -> None:
+    text = f'{SETTINGS}[alarms]\ntags = ["{TEMPERATURE}", "{TWIN}"]\n'
+    name = f"sensor jumping {TEMPERATURE}"
+    async with plant_in(config_in(tmp_path, text, model=two_modes())) as plant:
+        await plant.run(60)
+        await plant.run(1, 70.0)
+        assert plant.prediction.virtual is None, "one step is no fault yet"
+        await plant.run(3)
+        p = plant.prediction
+        assert plant.state(name) == "unacknowledged" and p.virtual.reason == "sensor jumping"
+        assert EPOCH + 30 < p.virtual.since <= EPOCH + 60
+        assert abs(p.mean - plant.truth) < 0.5, "the 70 degC are forgotten"
+        await plant.machine.desk.change(Change.REMOVE, [name], by="A. Rossi", reason="the cable is being moved")
+        await plant.run(1)
+        assert plant.prediction.virtual is None and plant.prediction.measured is not None
+
+
+async def test_a_restart_neither_prolongs_it_nor_has_it_begin_again(tmp_path: Path) -> None:
+    config = config_in(tmp_path, SETTINGS, model=two_modes())
+    async with plant_in(config) as plant:
+        await plant.run(30)
+        await plant.run(20, None)
+    async with plant_in(config, 50) as again:
+        await again.run(2, None)
+        assert again.prediction.virtual.since == EPOCH + 30
+        await again.run(1, None, **{RUNNING: None})
+        await again.run(2, None)
+        assert again.prediction.virtual.stopped == "state not known"
+    async with plant_in(config, 55) as third:
+        await third.run(1, None)
+        assert third.prediction.virtual.stopped == "state not known"
+
+
+def test_northbound_a_prediction_without_its_sensor_is_uncertain() -> None:
+    values = dict.fromkeys(("mean", "low", "high", "free_run", "anomaly"), 1.0) | {"location": "on", "known": 1}
+    for measured, zone, quality in ((1.0, "green", GOOD), (None, "green", GOOD), (None, "none", STALE)):
+        stream = RowStream("decanter", TEMPERATURE, "predictions", 0)
+        own = values | {"measured": measured, "zone": zone}
+        row = FollowedRow(stream=stream, key=1, time=EPOCH, values=own, position=None)
+        mean = next(metrics_of(row, {}))
+        assert (mean.name, mean.quality) == (f"Predicted/{TEMPERATURE}/mean", quality)
 
 
 def test_without_the_wrong_readings_the_belief_is_that_of_a_model_that_never_had_them() -> None:

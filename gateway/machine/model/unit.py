@@ -8,8 +8,6 @@ from contextlib import suppress
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import Ensemble
 from gateway.machine.model.guards import Guards
@@ -23,7 +21,7 @@ from gateway.settings import Config
 from gateway.store import HistorianView, saved_state
 from sim.artefacts import is_store, versions
 from sim.files import ArtefactError
-from sim.forecast import Forecast, factors, factors_at
+from sim.forecast import Forecast
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -162,16 +160,13 @@ class ModelUnit:
         if belief is None or belief.read_at is None or p.mean is None or p.high is None:
             return None
         others = (scan.samples.get(name) for name in self.predictor.inputs if name != tag)
-        # The model's own spread is widened as that of its forecasts is, by what has come true of them; never narrowed.
-        widening = factors(self.outlook.calibration, integral=self.outlook.ensemble is None)
-        ahead = np.array([scan.time - belief.read_at])
         return self.virtual.take(
             scan.time,
             belief.read_at,
             "no such reading" if sample is None else sample.reason or sample.quality.name,
             known=p.known and not p.reset and all(each is not None and each.quality.is_good for each in others),
             mean=p.mean,
-            half_width=(p.high - p.mean) * max(float(factors_at(widening, ahead)[0]), 1.0),
+            half_width=(p.high - p.mean) * self.outlook.widening(scan.time - belief.read_at),
         )
 
     def _note_virtual(self, before: VirtualReading | None, now: VirtualReading | None, time: float) -> None:

@@ -17,9 +17,9 @@ from sim.sha import Event
 Stopped = Literal["", "too long", "too wide", "state not known"]
 """Why the model does not speak for the sensor any more; "" while it does."""
 
-LOOK_BACK_SECONDS, KEPT_EVERY = 2100.0, 30.0
+LOOK_BACK_SECONDS, KEPT_EVERY, INPUTS_EVERY = 2100.0, 30.0, 1.0
 """How far (s) the model can go back, a little more than it takes to find a sensor frozen that has no twin, and how far
-the kept beliefs are apart."""
+the kept beliefs are apart, and at least the inputs beside them: a device that speaks by itself may do so often."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,8 @@ class PastBeliefs:
     def keep(self, time: float, events: Sequence[Event], signals: Mapping[str, float], belief: Belief) -> None:
         """Remember one scan with the `belief` after it; between two kept beliefs only what is news."""
         due = time - self._kept_at >= KEPT_EVERY
-        if not (due or events or signals != self._signals):
+        news = signals != self._signals and (not self._steps or time - self._steps[-1].time >= INPUTS_EVERY)
+        if not (due or events or news):
             return
         self._signals = signals
         self._kept_at = time if due else self._kept_at
