@@ -18,8 +18,8 @@ Stopped = Literal["", "too long", "too wide", "state not known"]
 """Why the model does not speak for the sensor any more; "" while it does."""
 
 LOOK_BACK_SECONDS, KEPT_EVERY, INPUTS_EVERY = 2100.0, 30.0, 1.0
-"""How far (s) the model can go back, a little more than it takes to find a sensor frozen that has no twin, and how far
-the kept beliefs are apart, and at least the inputs beside them: a device that speaks by itself may do so often."""
+"""How far (s) the model can go back, a little more than it takes to find a sensor frozen that has no twin; how far the
+kept beliefs are apart, and the inputs beside them at least, since a device that speaks by itself may do so often."""
 
 
 @dataclass(frozen=True, slots=True)
