@@ -1,11 +1,16 @@
-"""Certificates for Modbus/TCP Security, for commissioning and tests: one authority, a server, clients with roles.
+"""Certificates for Modbus/TCP Security and for OPC UA, for commissioning and tests.
+
+For Modbus/TCP Security: one authority, a server, clients with roles.
 
 For a plant with a public key infrastructure of its own these are not needed: its certificates do, with the role in
 the client's. Keys are elliptic (P-256), signatures ECDSA with SHA-256.
+
+OPC UA's policy Basic256Sha256 wants RSA: an application's certificate signs itself and names the application, and each
+side is given the other's.
 """
 
 import datetime as dt
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
@@ -13,13 +18,17 @@ from pathlib import Path
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from drivers.named_files import writing
 
 ROLE = x509.ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
 """The extension that holds a client's role as a UTF8String (MODBUS/TCP Security v21)."""
+
+OPC_UA_CERTIFICATE, OPC_UA_KEY, OPC_UA_TRUSTED = "opcua.pem", "opcua.key", "trusted"
+"""The files of an OPC UA application in its folder, and the folder of the certificates that it trusts."""
+_RSA_BITS = 2048
 
 LONGEST_ROLE = 64
 _UTF8_STRING = 0x0C
@@ -32,7 +41,7 @@ class Signer:
     """Who signs: the certificate and the key of the authority."""
 
     certificate: x509.Certificate
-    key: ec.EllipticCurvePrivateKey
+    key: ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
 
 
 def make_all(
@@ -54,6 +63,87 @@ def make_all(
     for name, signer in (("ca", authority), ("server", server), ("client", client)):
         write(folder, name, signer)
     return folder
+
+
+def make_application(folder: Path, *, hosts: Sequence[str], days: int = 825, now: dt.datetime | None = None) -> Path:
+    """Write opcua.pem and opcua.key of an OPC UA application into `folder`, and make `trusted` in it; gives the folder.
+
+    The application's URI is urn:HOST:decanter-gateway, by the first of `hosts`. Raises as `make_all` does.
+    """
+    now = now or dt.datetime.now(dt.UTC)
+    if (folder / OPC_UA_KEY).exists():
+        raise FileExistsError(f"{folder / OPC_UA_KEY}: is there already; give another folder, or remove it")
+    names = [_host(host) for host in hosts]
+    uri = x509.UniformResourceIdentifier(f"urn:{hosts[0]}:decanter-gateway")
+    key = rsa.generate_private_key(public_exponent=65_537, key_size=_RSA_BITS)
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "decanter gateway")])
+    use = x509.KeyUsage(
+        digital_signature=True,
+        content_commitment=True,
+        key_encipherment=True,
+        data_encipherment=True,
+        key_agreement=False,
+        # It signs itself, and is its own authority to those who check chains.
+        key_cert_sign=True,
+        crl_sign=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
+    certificate = (
+        x509.CertificateBuilder(
+            issuer_name=name,
+            subject_name=name,
+            public_key=key.public_key(),
+            serial_number=x509.random_serial_number(),
+            not_valid_before=now - _CLOCK_SLACK,
+            not_valid_after=now + dt.timedelta(days=days),
+        )
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(use, critical=True)
+        .add_extension(
+            x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]), critical=False
+        )
+        .add_extension(x509.SubjectAlternativeName([uri, *names]), critical=False)
+        .add_extension(identifier, critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    (folder / OPC_UA_TRUSTED).mkdir(parents=True, exist_ok=True)
+    write(folder, "opcua", Signer(certificate, key))
+    return folder
+
+
+def application_problem(folder: Path) -> str | None:
+    """What is wrong with the files of an OPC UA application, in a sentence; None if nothing is."""
+    advice = f"`decanter certificates {folder} --opcua --host NAME` makes them"
+    try:
+        certificate = x509.load_pem_x509_certificate((folder / OPC_UA_CERTIFICATE).read_bytes())
+        key = serialization.load_pem_private_key((folder / OPC_UA_KEY).read_bytes(), None)
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except OSError as error:
+        return f"{error.filename}: cannot be read ({(error.strerror or str(error)).lower()}); {advice}"
+    except (ValueError, TypeError, x509.ExtensionNotFound):
+        return f"{folder}: {OPC_UA_CERTIFICATE} and {OPC_UA_KEY} are no certificate and its key; {advice}"
+    if not isinstance(key, rsa.RSAPrivateKey) or key.public_key() != certificate.public_key():
+        return f"{folder / OPC_UA_KEY}: is not the RSA key of {OPC_UA_CERTIFICATE}; {advice}"
+    if not names.get_values_for_type(x509.UniformResourceIdentifier):
+        return f"{folder / OPC_UA_CERTIFICATE}: names no application (a URI among its alternative names); {advice}"
+    return None
+
+
+def trusted_certificates(folder: Path) -> Iterator[bytes]:
+    """The certificates (DER) of the applications that the one in `folder` trusts, as they are by now.
+
+    A file that holds none trusts nobody.
+    """
+    for path in sorted((folder / OPC_UA_TRUSTED).glob("*")):
+        with suppress(OSError, ValueError):
+            content = path.read_bytes()
+            if content.startswith(b"-----"):
+                certificate = x509.load_pem_x509_certificate(content)
+            else:
+                certificate = x509.load_der_x509_certificate(content)
+            yield certificate.public_bytes(serialization.Encoding.DER)
 
 
 def make_authority(now: dt.datetime, days: int, name: str = "decanter commissioning authority") -> Signer:

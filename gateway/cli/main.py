@@ -31,7 +31,7 @@ COMMANDS: Table = {
     "support": ("gateway.cli.support:support", "Put what support needs into one file, without secrets."),
     "certificates": (
         "gateway.cli.certificates:certificates",
-        "Make certificates and keys for Modbus/TCP Security.",
+        "Make certificates and keys for Modbus/TCP Security or OPC UA.",
     ),
     "diagnose": (
         "gateway.lab.diagnose:diagnose",

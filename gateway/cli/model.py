@@ -38,6 +38,10 @@ COMMANDS: Table = {
         "gateway.lab.retraining.lineage:lineage_command",
         "Draw the family of a store's versions; make one again.",
     ),
+    "regress": (
+        "gateway.lab.regression.regress:regress",
+        "Run a standard set against all models; say what became worse since when.",
+    ),
     "export": ("gateway.lab.export:export", "Write a model for UPPAAL along traces; compare with its engine."),
 }
 
@@ -58,6 +62,7 @@ EXAMPLES = {
     "cycles": "model cycles out/cycles/decanter-TCuscinettiRiduttore --rating rare",
     "shadow": "model shadow models/decanter --historian out/historian.sqlite --roll-back",
     "lineage": "model lineage models/decanter",
+    "regress": "model regress models/decanter --standard out/traces",
     "export": "model export out/model --uppaal --trace out/traces/cd8.csv --out out/uppaal",
 }
 

@@ -261,6 +261,7 @@ def _known_secrets(path: Path, machines: Sequence[Config]) -> set[str]:
 
 def _key_files(machines: Sequence[Config]) -> Iterator[Path]:
     folders = [config.page.certificates for config in machines]
+    folders += [config.northbound.opcua.certificates for config in machines]
     folders += [
         Path(str(each)) for one in machines for link in one.links if (each := link.settings.get("certificates"))
     ]

@@ -1,4 +1,4 @@
-"""`decanter trace`: make synthetic traces, look at recorded ones."""
+"""`decanter trace`: make synthetic traces, look at recorded ones, take files from elsewhere."""
 
 import click
 
@@ -8,6 +8,10 @@ COMMANDS: Table = {
     "can": (
         "gateway.lab.traces.can:can_log",
         "Decode a CAN log (candump, ASC, BLF, TRC, CSV, MF4) to a table and a CSV.",
+    ),
+    "ingest": (
+        "gateway.lab.ingestion.ingest:ingest",
+        "Take a folder's files into an archive: recognised, copied, listed; doubles refused.",
     ),
     "map": (
         "gateway.lab.traces.map:map_command",
@@ -20,6 +24,7 @@ COMMANDS: Table = {
 
 EXAMPLES = {
     "can": "trace can trip.asc --device obd2 --out out/trip.csv",
+    "ingest": "trace ingest /media/usb/export --into archive",
     "map": "trace map export.csv --out my_map.toml",
     "show": "trace show out/traces/cd8.csv",
     "synth": "trace synth cd8 --out out/traces",

@@ -120,6 +120,7 @@ def _northbound(site: Site) -> list[CheckStep]:
         return [failed("northbound", problem) for problem in error.problems]
     names = [row.name for row in config.northbound.sinks]
     names += ["Prometheus"] if config.northbound.metrics.port is not None else []
+    names += ["OPC UA's clients"] if config.northbound.opcua.port is not None else []
     return [ok("northbound", f"what is on record is told to {', '.join(names)}")]
 
 

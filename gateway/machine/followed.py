@@ -44,11 +44,14 @@ class FollowedTemperature:
         """Forget the scan before: a stage that fails leaves nothing of it behind."""
         self._begin(None)
 
-    def predict(self, scan: Scan) -> dict[str, float | None]:
-        """Follow a scan with the model; gives what its alarms look at, nothing without a model."""
+    def predict(self, scan: Scan, wrong_since: float | None = None) -> dict[str, float | None]:
+        """Follow a scan with the model; gives what its alarms look at, nothing without a model.
+
+        `wrong_since` (plant s): the sensor was found out, and its readings from then on were wrong.
+        """
         if self.model is None:
             return {}
-        self.prediction = self.model.follow(scan)
+        self.prediction = self.model.follow(scan, wrong_since)
         if (finished := self.model.settle(self.prediction)) is not None:
             self._finished, self._guards = finished, self.model.guard_report()
         self._forecast = self.model.usable(self.prediction)

@@ -36,6 +36,7 @@ from gateway.machine.alarms import (
     make_conditions,
     name_of,
     suppressing_tags,
+    without_faulty,
 )
 from gateway.machine.followed import FollowedTemperature
 from gateway.machine.model import LoadedModel, LoadedModels, ModelUnit, ScanPrediction, load_models
@@ -239,6 +240,10 @@ class Machine:
         # The threshold stands before the model: nothing that the model does or fails to do delays this alarm.
         self.alarms.on_measured(scan)
 
+        # What a faulty sensor shows goes on being recorded and held against the threshold; no model sees it.
+        faults = self.alarms.faulty_sensors(scan.time)
+        believed = without_faulty(scan, faults) if faults else scan
+
         for one in self.followed:
             one.begin_scan()
         try:
@@ -246,7 +251,8 @@ class Machine:
             for one in self.followed:
                 if one.model is not None and one.model.pick_up(scan.time):
                     self._begin_with_promoted(one, scan.time)
-                for name, value in one.predict(scan).items():
+                fault = faults.get(one.tag)
+                for name, value in one.predict(believed, fault.since if fault else None).items():
                     # Inputs are bad when those of one model are; every other alarm is of one temperature.
                     if name == INPUTS:
                         findings[name] = max(findings.get(name) or 0.0, value or 0.0)
@@ -287,7 +293,7 @@ class Machine:
                 one.keep(scan)
 
         for one in self.followed:
-            one.foresee(scan)
+            one.foresee(believed)
         if scan.time - self._saved >= SAVE_SECONDS:
             self.save(scan.time)
 

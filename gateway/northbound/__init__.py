@@ -1,4 +1,4 @@
-"""Telling other systems what is on record: MQTT, PostgreSQL, InfluxDB, each fed from the historian; and metrics."""
+"""Telling other systems what is on record: MQTT, PostgreSQL, InfluxDB, each fed from the historian; metrics, OPC UA."""
 
 from gateway.northbound.feed import SinkFeed
 from gateway.northbound.northbound import Northbound, check_northbound

@@ -134,6 +134,17 @@ METRICS: Sequence[MachineMetric] = (
         "decanter_state_known", "gauge", "Whether the model's state is known.", ("temperature",), _predicted("known")
     ),
     MachineMetric(
+        "decanter_sensor_bad",
+        "gauge",
+        "Whether the model stands for a bad sensor, or would if it could: nothing is measured.",
+        ("temperature",),
+        lambda s: [
+            ((one.temperature,), float(one.prediction.virtual is not None))
+            for one in _temperatures(s)
+            if one.prediction is not None
+        ],
+    ),
+    MachineMetric(
         "decanter_zone",
         "gauge",
         "1 for the zone of trust in the model: green, yellow or red.",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -17,18 +17,13 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from gateway.northbound.metrics import FeedFigures, GatewayCollector
+from gateway.northbound.pictures import Pictures, ask_statuses
 from gateway.settings import MetricsSection
 
 if TYPE_CHECKING:
     from starlette.requests import Request
 
-    from gateway.status import GatewayStatus
-
 MOST_REQUESTS = 8
-PATIENCE_SECONDS = 5.0
-
-Pictures = Callable[[], Mapping[str, Callable[[], "GatewayStatus"]]]
-"""Gives what takes each machine's status, by its name; called in the gateway's loop."""
 
 
 class MetricsServer:
@@ -41,19 +36,9 @@ class MetricsServer:
         self.port = section.port or 0
         self.stop = threading.Event()
 
-    async def _statuses(self) -> dict[str, GatewayStatus]:
-        """All pictures, in the gateway's loop: scans come between one and the next."""
-        statuses = {}
-        for name, take in self._pictures().items():
-            statuses[name] = take()
-            await asyncio.sleep(0)
-        return statuses
-
     async def _metrics(self, request: Request) -> Response:
         try:
-            asked = asyncio.run_coroutine_threadsafe(self._statuses(), self._gateway_loop)
-            async with asyncio.timeout(PATIENCE_SECONDS):
-                statuses = await asyncio.wrap_future(asked)
+            statuses = await ask_statuses(self._pictures, self._gateway_loop)
         except (TimeoutError, RuntimeError):
             return Response("the gateway does not answer\n", status_code=503, media_type="text/plain")
         registry = CollectorRegistry()

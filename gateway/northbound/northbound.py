@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.json_lines import packed
 from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
+from gateway.certificates import application_problem
 from gateway.northbound.feed import SinkFeed
 from gateway.northbound.sink import SinkContext
 from gateway.settings import Config, NorthboundSecrets, load_northbound_secrets
@@ -20,11 +21,14 @@ from gateway.store import Historian
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
-    from gateway.northbound.metrics_server import MetricsServer, Pictures
+    from gateway.northbound.metrics_server import MetricsServer
+    from gateway.northbound.opcua import OpcUaServer
+    from gateway.northbound.pictures import Pictures
 
 Answer = Callable[[bytes], Awaitable[Mapping[str, Any]]]
 """Gives the reply to one request of the control socket, in the gateway's loop."""
 JOIN_SECONDS = 2.0
+LOAD_SECONDS = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +57,11 @@ def check_northbound(config: Config) -> NorthboundSecrets:
             _load_extra(kind.extra, kind.needs, f"{config.path}: northbound.{name}")
     if section.metrics.port is not None:
         _load_extra("prometheus", ("prometheus_client",), f"{config.path}: northbound.metrics")
+    if section.opcua.port is not None:
+        _load_extra("opcua", ("asyncua",), f"{config.path}: northbound.opcua")
+        folder = section.opcua.certificates
+        if folder is not None and (problem := application_problem(folder)) is not None:
+            raise ConfigError([f"{config.path}: northbound.opcua.certificates: {problem}"])
     return load_northbound_secrets(section)
 
 
@@ -113,6 +122,12 @@ class Northbound:
 
             self.metrics = MetricsServer(section.metrics, pictures, self.feeds)
             self._thread = supervisor.thread("metrics", self.metrics.run, stop=self.metrics.stop)
+        self.opcua: OpcUaServer | None = None
+        if section.opcua.port is not None:
+            from gateway.northbound.opcua import OpcUaServer
+
+            self.opcua = OpcUaServer(section.opcua, pictures, tags=self._tags, historian=historian.path)
+            self._opcua_thread = supervisor.thread("opcua", self.opcua.run, stop=self.opcua.stop)
 
     def _tags(self) -> Mapping[str, Mapping[str, Any]]:
         return {name: config.map.by_name for name, config in self._machines().items()}
@@ -129,13 +144,22 @@ class Northbound:
         with suppress(RuntimeError):  # the gateway's loop has ended
             asyncio.run_coroutine_threadsafe(ask(), self._loop)
 
+    def wait_loaded(self) -> None:
+        """Wait until all that is large is there. Call it in a thread."""
+        if self.opcua is not None:
+            self.opcua.loaded.wait(LOAD_SECONDS)
+
     def close(self) -> None:
         """End all sessions; what was not handed on is, after the next start. Waits, so call it in a thread."""
         if self.metrics is not None:
             self.metrics.close()
+        if self.opcua is not None:
+            self.opcua.close()
         for feed in self.feeds:
             feed.stop()
         for feed in self.feeds:
             feed.join()
         if self.metrics is not None:
             self._thread.join(JOIN_SECONDS)
+        if self.opcua is not None:
+            self._opcua_thread.join(JOIN_SECONDS)

@@ -119,7 +119,9 @@ def metrics_of(row: FollowedRow, tags: Mapping[str, Tag]) -> Iterator[SparkplugM
             )
         case "predictions":
             unit = tags[of].unit if of in tags else ""
-            quality = GOOD if values["known"] else STALE
+            # Without a reading and without a zone it is the model's alone, in place of a bad sensor.
+            alone = values["measured"] is None and values["zone"] == "none"
+            quality = GOOD if values["known"] and not alone else STALE
             for key in ("mean", "low", "high", "free_run", "anomaly"):
                 yield SparkplugMetric(
                     name=f"Predicted/{of}/{key}",

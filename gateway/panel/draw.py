@@ -22,6 +22,7 @@ from gateway.status import (
     link_sentence,
     model_text,
     records_sentence,
+    virtual_sentence,
 )
 from sim.units import shown_unit
 
@@ -57,6 +58,8 @@ def status_rows(status: GatewayStatus) -> dict[str, Text]:
     else:
         band = f"90 % band {number(p.low)} to {number(p.high)}"
         rows["predicted"] = Text(f"{number(p.mean, 2, unit)}, {band}; free run {number(p.free_run)}")
+        if alone := virtual_sentence(status, status):
+            rows["predicted"] = Text(shorten(alone, LONGEST_SENTENCE), style="yellow")
         location = p.location if p.known else "not known"
         borrowed = ", never seen in the data" if p.borrowed else ""
         rows["state"] = Text(f"{location}{borrowed}, confidence {p.zone}", style=ZONE_COLOURS.get(p.zone, ""))
@@ -97,6 +100,7 @@ def _further(one: TemperatureStatus, status: GatewayStatus) -> Text:
     tag, p, forecast = status.values.get(one.temperature), one.prediction, one.forecast
     measured = NOTHING if tag is None else f"{number(tag.value, 2)} {tag.quality}"
     predicted = NOTHING if p is None or status.scan.late else f"{number(p.mean, 2)}, confidence {p.zone}"
+    predicted = virtual_sentence(status, one) or predicted
     to_limit = _forecast_rows(forecast, "").get("to limit") if forecast else None
     return Text(
         f"{measured}; limit {one.limit:g}; predicted {predicted}; to limit {to_limit or NOTHING}",

@@ -229,6 +229,8 @@ async def _northbound(config: Config, secrets: NorthboundSecrets, fleet: Fleet |
         log=fleet.log,
     )
     try:
+        # So that it is never looked through for garbage.
+        await asyncio.to_thread(northbound.wait_loaded)
         yield
     finally:
         await asyncio.to_thread(northbound.close)

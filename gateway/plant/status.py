@@ -22,6 +22,7 @@ from gateway.status import (
     ScanStatus,
     TagStatus,
     TemperatureStatus,
+    VirtualStatus,
 )
 from gateway.store import percentile
 from sim.strict_json import json_text
@@ -149,6 +150,8 @@ def alarm_statuses(board: AlarmBoard, *, normal: bool = True) -> list[AlarmStatu
 def _prediction(prediction: ScanPrediction) -> PredictionStatus:
     plain = asdict(prediction)
     del plain["events"]
+    if plain["virtual"] is not None:
+        plain["virtual"] = VirtualStatus(**plain["virtual"])
     return PredictionStatus(**plain)
 
 

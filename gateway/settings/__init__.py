@@ -26,6 +26,7 @@ from gateway.settings.northbound import (
     MqttRow,
     NorthboundSecrets,
     NorthboundSection,
+    OpcUaSection,
     PostgresRow,
     load_northbound_secrets,
 )
@@ -60,6 +61,7 @@ __all__ = [
     "NorthboundSection",
     "NotifySecrets",
     "NotifySection",
+    "OpcUaSection",
     "PageSection",
     "PostgresRow",
     "RecipientRow",

@@ -197,6 +197,13 @@ class ForecastSection(Section):
         return horizons
 
 
+class VirtualSensorSection(Section):
+    """For how long the model stands in for a bad sensor."""
+
+    minutes: float = Field(120.0, gt=0, le=1440, description="the most minutes since the last good reading, up to 1440")
+    width: float = Field(15.0, gt=0, description="the widest 90 % band, in degC from its lower to its upper end")
+
+
 class EnsembleSection(Section):
     """Models that are followed beside the one of [model]; the forecast is then a mixture of them all."""
 
@@ -335,6 +342,9 @@ class _PlantFile(Section):
     log: LogSection = Field(default_factory=LogSection, description="a [log] table")
     forecast: ForecastSection = Field(default_factory=ForecastSection, description="a [forecast] table")
     ensemble: EnsembleSection = Field(default_factory=EnsembleSection, description="an [ensemble] table")
+    virtual_sensor: VirtualSensorSection = Field(
+        default_factory=VirtualSensorSection, description="a [virtual_sensor] table"
+    )
     control: ControlSection = Field(default_factory=ControlSection, description="a [control] table")
     clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
     serve: ServeSection = Field(default_factory=ServeSection, description="a [serve] table")
@@ -378,6 +388,7 @@ class Config:
     log: LogSection
     forecast: ForecastSection
     ensemble: EnsembleSection
+    virtual_sensor: VirtualSensorSection
     control: ControlSection
     clock: ClockSection
     serve: ServeSection
@@ -664,6 +675,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         log=log,
         forecast=content.forecast,
         ensemble=content.ensemble.model_copy(update={"members": members}),
+        virtual_sensor=content.virtual_sensor,
         control=content.control.model_copy(update={"path": content.control.path and home / content.control.path}),
         clock=content.clock,
         serve=content.serve,
@@ -701,7 +713,9 @@ def _northbound(section: NorthboundSection, home: Path) -> NorthboundSection:
         )
         for kind in ("mqtt", "postgres", "influx")
     }
-    return section.model_copy(update={"secrets": section.secrets and home / section.secrets, **rows})
+    certificates = section.opcua.certificates
+    opcua = section.opcua.model_copy(update={"certificates": certificates and home / certificates})
+    return section.model_copy(update={"secrets": section.secrets and home / section.secrets, "opcua": opcua, **rows})
 
 
 def _historian_file(section: HistorianSection, home: Path) -> Path:

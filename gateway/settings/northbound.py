@@ -121,6 +121,33 @@ class MetricsSection(Section):
     )
 
 
+class OpcUaSection(Section):
+    """`[northbound.opcua]`: an OPC UA server that plant systems read; off without a port."""
+
+    port: int | None = Field(
+        None, ge=0, le=65535, description="a TCP port (OPC UA's own is 4840), 0 for a free one, no key for no server"
+    )
+    host: str = Field(
+        "127.0.0.1", min_length=1, description="the address to listen on: this machine only, if not given"
+    )
+    certificates: FilePath | None = Field(
+        None,
+        description="a folder with opcua.pem, opcua.key and trusted, as `decanter certificates --opcua` makes it; only "
+        "clients whose certificates are in trusted are served then, by Basic256Sha256",
+    )
+    period: float = Field(1.0, ge=0.1, le=60, description="seconds between two looks at the machines, 0.1 to 60")
+    most_clients: int = Field(16, ge=1, le=200, description="how many connections are served at a time, 1 to 200")
+
+    @model_validator(mode="after")
+    def _protected_elsewhere(self) -> "OpcUaSection":
+        if self.port is not None and self.certificates is None and not is_loopback(self.host):
+            raise ValueError(
+                f"host {self.host!r} can be reached from other machines, and whoever reaches it would read all; give "
+                "certificates (`decanter certificates FOLDER --opcua --host NAME` makes them), or listen on 127.0.0.1"
+            )
+        return self
+
+
 class NorthboundSection(Section):
     """Who is handed what is on record, and the bound of what is kept for one that cannot be reached."""
 
@@ -140,6 +167,7 @@ class NorthboundSection(Section):
         (), max_length=8, description="[[northbound.influx]] tables"
     )
     metrics: MetricsSection = Field(default_factory=MetricsSection, description="a [northbound.metrics] table")
+    opcua: OpcUaSection = Field(default_factory=OpcUaSection, description="a [northbound.opcua] table")
 
     @property
     def sinks(self) -> tuple[MqttRow | PostgresRow | InfluxRow, ...]:
@@ -149,7 +177,7 @@ class NorthboundSection(Section):
     @property
     def enabled(self) -> bool:
         """Whether anybody is told anything."""
-        return bool(self.sinks) or self.metrics.port is not None
+        return bool(self.sinks) or self.metrics.port is not None or self.opcua.port is not None
 
     @model_validator(mode="after")
     def _told_apart(self) -> "NorthboundSection":

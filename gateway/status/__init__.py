@@ -13,7 +13,15 @@ from gateway.status.changes import (
     opening,
 )
 from gateway.status.client import ControlError, GatewayLine, connect, short
-from gateway.status.health import Health, HealthFinding, findings, health_of, link_sentence, records_sentence
+from gateway.status.health import (
+    Health,
+    HealthFinding,
+    findings,
+    health_of,
+    link_sentence,
+    records_sentence,
+    virtual_sentence,
+)
 from gateway.status.picture import (
     AlarmStatus,
     ForecastStatus,
@@ -27,6 +35,7 @@ from gateway.status.picture import (
     StatusError,
     TagStatus,
     TemperatureStatus,
+    VirtualStatus,
     read_status,
 )
 from gateway.status.watch import GatewayWatch, Sighting
@@ -52,6 +61,7 @@ __all__ = [
     "StatusError",
     "TagStatus",
     "TemperatureStatus",
+    "VirtualStatus",
     "arming_text",
     "clock_text",
     "connect",
@@ -64,4 +74,5 @@ __all__ = [
     "read_status",
     "records_sentence",
     "short",
+    "virtual_sentence",
 ]

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from gateway.status.health import link_sentence, not_good, readings_sentence, records_sentence
-from gateway.status.picture import GatewayStatus
+from gateway.status.health import link_sentence, not_good, readings_sentence, records_sentence, virtual_sentence
+from gateway.status.picture import GatewayStatus, TemperatureStatus
 from sim.strict_json import escaped
 
 FIRST_HOLD, LONGEST_HOLD = 2.0, 300.0
@@ -19,6 +19,7 @@ SAID_BY_CHANGES = frozenset(
         "no good reading",
         "another link is used",
         "alarm",
+        "the model in place of a bad sensor",
         "armed",
         "disarmed",
         "a promoted model runs from now on",
@@ -95,6 +96,12 @@ def topics(status: GatewayStatus) -> Iterator[tuple[str, Topic]]:
     if (p := status.prediction) is not None and status.link.alive:
         location = "not known" if not p.known else p.location
         yield "zone", Topic(p.zone, f"confidence: {p.zone} (state {location})", usual=p.zone == "none")
+    temperatures: tuple[GatewayStatus | TemperatureStatus, ...] = (status, *status.further)
+    for one in temperatures:
+        if one.prediction is not None:
+            v, bad = one.prediction.virtual, virtual_sentence(status, one)
+            sentence = f"sensor: {bad or one.temperature + ' is measured again'}"
+            yield f"sensor {one.temperature}", Topic(v and bad and (v.stopped or "model"), sentence, usual=not bad)
     w = status.writeback
     arming = (w["mode"], w.get("armed_by"), w.get("armed_until"))
     yield "arming", Topic(arming, f"write-back: {arming_text(status)}", usual=w["mode"] != "armed")

@@ -4,7 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from gateway.status.picture import GatewayStatus, TagStatus
+from gateway.status.picture import GatewayStatus, TagStatus, TemperatureStatus
+from sim.units import shown_unit
 
 MOST_NAMED = 3
 """How many tags, alarms or parts one sentence names; the rest is counted."""
@@ -77,6 +78,24 @@ def model_sentence(status: GatewayStatus) -> str:
     return ""
 
 
+def virtual_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStatus) -> str:
+    """What the model says of a temperature in place of its bad sensor, or why it does not; "" while that is good."""
+    v = None if one.prediction is None else one.prediction.virtual
+    if v is None or link_sentence(status):
+        return ""
+    gone = (status.time - v.since) / status.speed
+    lasting = f"{gone:.0f} s" if gone < 120.0 else f"{gone / 60.0:.0f} min"
+    if v.mean is None or v.low is None or v.high is None:
+        return f"{one.temperature}: sensor bad for {lasting} ({v.reason}); not known by the model either: {v.stopped}"
+    said = f"{v.mean:.1f} {shown_unit(one.unit)} ({v.low:.1f} to {v.high:.1f})"
+    return f"{one.temperature}: sensor bad ({v.reason}); by the model {said}, for {lasting}"
+
+
+def _virtual(status: GatewayStatus) -> str:
+    own = virtual_sentence(status, status)
+    return "; ".join(filter(None, (own, *(virtual_sentence(status, one) for one in status.further))))
+
+
 def records_sentence(status: GatewayStatus) -> str:
     """Why the records cannot be relied on; "" if they can."""
     audit: str = (status.writeback.get("audit") or {}).get("complaint") or ""
@@ -106,6 +125,7 @@ CHECKS: dict[str, Callable[[GatewayStatus], str]] = {
     "readings": readings_sentence,
     "alarms": _alarms,
     "model": model_sentence,
+    "sensors": _virtual,
     "write-back": _writeback,
     "records": records_sentence,
     "parts": _parts,

@@ -56,6 +56,18 @@ class ScanStatus:
 
 
 @dataclass(frozen=True, kw_only=True)
+class VirtualStatus:
+    """The model in place of a bad sensor: the fields of `gateway.machine.model.virtual_sensor.VirtualReading`."""
+
+    since: float
+    reason: str
+    mean: float | None
+    low: float | None
+    high: float | None
+    stopped: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class PredictionStatus:
     """What the model expected of the newest scan: the fields of `gateway.machine.model.ScanPrediction`."""
 
@@ -76,6 +88,7 @@ class PredictionStatus:
     reset: bool
     free_sigma: float | None
     borrowed: bool
+    virtual: VirtualStatus | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

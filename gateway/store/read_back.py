@@ -64,11 +64,15 @@ class Matured:
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[sqlite3.Connection]:
-    """A read-only connection; a running gateway is not disturbed. Raises HistorianError for what is no historian."""
+def reading(path: Path, *, immutable: bool = False) -> Iterator[sqlite3.Connection]:
+    """A read-only connection; a running gateway is not disturbed. Raises HistorianError for what is no historian.
+
+    A file that is `immutable` nobody writes meanwhile: SQLite puts no files of its own beside it.
+    """
     if not path.is_file():
         raise HistorianError(f"{path}: there is no historian; give the path of the file that a gateway has written")
-    connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=5.0)
+    how = "?mode=ro&immutable=1" if immutable else "?mode=ro"
+    connection = sqlite3.connect(f"{path.absolute().as_uri()}{how}", uri=True, timeout=5.0)
     try:
         if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
             raise HistorianError(f"{path}: is no historian; give the path of the file that a gateway has written")

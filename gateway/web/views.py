@@ -58,6 +58,7 @@ def _temperature(
     what = f"{labels.get(status.machine, status.machine)}: {label}"
     silence = link_sentence(status)
     present = not silence and tag is not None and tag.quality == "GOOD" and isinstance(tag.value, int | float)
+    v = one.prediction.virtual if one.prediction is not None and not silence else None
     value = float(tag.value) if present and tag is not None and isinstance(tag.value, int | float) else None
     row: dict[str, Any] = {
         "tag": one.temperature,
@@ -69,6 +70,20 @@ def _temperature(
         "age": None if tag is None else tag.age / status.speed,
         "valid": "none",
     }
+    # What a faulty sensor shows is no measurement; but above the limit nobody leaves it at that.
+    if v is not None and (value is None or value <= one.limit):
+        age = duration(words, (status.time - v.since) / status.speed)
+        if v.mean is None or v.low is None or v.high is None:
+            why = words.say(f"why.{v.stopped.replace(' ', '_')}")
+            sentence = words.say("sentence.virtual_stopped", what=what, age=age, why=why)
+            own = {"level": "unknown", "sentence": sentence, "validity": words.say("validity.none")}
+        else:
+            mean, low, high = (words.number(x, 0 if v.high - v.low >= 2.0 else 1) for x in (v.mean, v.low, v.high))
+            value_of_model = f"{mean}\u00a0{unit}"
+            sentence = words.say("sentence.virtual", what=what, age=age, value=value_of_model, low=low, high=high)
+            own = {"level": "attention", "sentence": sentence, "validity": words.say("validity.virtual")}
+            own["valid"] = "doubtful"
+        return {**row, "value": None, **own}
     if value is None:
         if silence and status.link.last_good is not None:
             gone = (status.time - status.link.last_good) / status.speed

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import skill
+from benchmarks import skill, virtual_sensor
 from benchmarks.figures import Figure, as_table
 from benchmarks.latency import Scan, follow
 from benchmarks.peers.plcs import judged
@@ -22,6 +23,8 @@ from sim.learning.calibrate import HeldOutForecasts
 from sim.plc.program.encoding import encode
 from sim.plc.program.registers import read_map
 from sim.plc.record.recording import BlockRow, RequestRow, TruthRow
+from sim.sha import Flow, Trace
+from tests.gateway.support import EPOCH, two_modes
 
 REGISTERS = read_map(MAP)
 
@@ -222,3 +225,21 @@ def test_a_reply_without_the_value_or_a_block_without_its_location_proves_nothin
     same_location = [scan(0.0, 1, 20.0, 150.0, 4), scan(1.0, 5, 20.0, 250.0, 4)]
     other_block = follow([change(0.4, 3, CURRENT, 250.0)], same_location, REGISTERS)
     assert (other_reply.unproven, other_block.unproven) == (1, 1)
+
+
+async def test_a_model_that_is_right_holds_where_its_sensor_is_bad_and_the_last_reading_does_not() -> None:
+    times = np.arange(0.0, 10_000.0, 20.0)
+    truth = 50.0 - 30.0 * np.exp(-0.0005 * times)
+    readings = truth + 0.05 * np.random.default_rng(0).standard_normal(times.size)
+    signals = {"MarciaDecanter": np.ones(times.size), "Assorbimento": np.full(times.size, 150.0), TEMPERATURE: readings}
+    slow = two_modes(gap=120.0)
+    *others, on = slow.sha.locations
+    on = replace(on, flow=Flow("exponential", {"k": 0.0005, "noise": 0.01}))
+    model = replace(slow, sha=replace(slow.sha, locations=(*others, on)))
+    rows = await virtual_sensor.failures(model, Trace("heating", EPOCH + times, signals), period=20.0, every=600.0)
+    assert {row[0] for row in rows} == set(virtual_sensor.AFTER)
+    for figure in virtual_sensor.table_of("plant", rows):
+        if figure.name.endswith("mean error"):
+            assert figure.other is not None and figure.value < 0.5 * figure.other, figure
+        if figure.name.endswith("coverage"):
+            assert figure.value >= 0.75, figure

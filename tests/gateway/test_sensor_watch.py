@@ -74,6 +74,18 @@ def test_a_noisy_sensor_is_found() -> None:
     assert set(found) == {"sensor noisy"} and found["sensor noisy"] < 600 + 180
 
 
+def test_heating_that_is_read_at_uneven_times_is_no_noise() -> None:
+    watch, rng = SensorWatch((A,), (), None), np.random.default_rng(2)
+    highest = 0.0
+    for second in np.cumsum(np.tile([1.0, 1.0, 9.0], 400)).tolist():
+        # Up and down at 0.3 degC/s, each for a minute: a second difference takes the gaps for noise.
+        warm = 40.0 + 0.3 * (60.0 - abs(second % 120.0 - 60.0)) + rng.normal(0.0, 0.05)
+        sample = Sample(A, warm, Quality.GOOD, second)
+        found = watch.take(Scan(number=int(second), time=second, samples={A: sample}, missed=0, duration=0.0))
+        highest = max(highest, found[f"sensor noisy {A}"] or 0.0)
+    assert 0.0 < highest < FAULT
+
+
 def test_a_reading_out_of_range_is_found_at_once_and_one_that_fails_is_not_judged() -> None:
     assert raised(lambda _, value: (200.0, Quality.OUT_OF_RANGE)) == {"sensor out of range": 600}
     assert raised(lambda _, value: (0.0, Quality.SENSOR_FAILURE)) == {"sensor out of range": 600}

@@ -41,6 +41,22 @@ def test_the_sentence_says_when_the_limit_is_reached_if_it_goes_on_so() -> None:
     assert (row()["level"], row()["valid"]) == ("attention", "good")
 
 
+def test_in_place_of_a_bad_sensor_the_model_speaks_and_says_so() -> None:
+    v = {"since": EPOCH - 720.0, "reason": "sensor frozen", "mean": 61.2, "low": 57.3, "high": 65.8, "stopped": ""}
+    said = row(prediction__virtual=v)
+    assert said["sentence"].replace("\u00a0", " ") == (
+        "Decanter 2: gearbox bearing: sensor bad; by the model 61 °C (57 to 66), for 12 min"
+    )
+    assert (said["value"], said["level"], said["valid"]) == (None, "attention", "doubtful")
+    assert "secondo il modello 61" in row("it", prediction__virtual=v)["sentence"]
+    assert "nach dem Modell 61" in row("de", prediction__virtual=v)["sentence"]
+    over = row(prediction__virtual=v, **{"values__" + TEMPERATURE: tag(85.0)})
+    assert over["level"] == "alarm" and "above its limit" in over["sentence"], "what it shows is not waved away"
+    for stopped in ("too long", "too wide", "state not known"):
+        gone = row(prediction__virtual=v | {"mean": None, "low": None, "high": None, "stopped": stopped})
+        assert (gone["level"], gone["valid"]) == ("unknown", "none") and "not known by the model" in gone["sentence"]
+
+
 def test_what_is_beyond_the_horizons_is_not_promised() -> None:
     stays = row(**forecast(None, None, None))
     assert stays["sentence"].endswith("stays below 80\u00a0°C for the next 15 min if it goes on so")

@@ -24,12 +24,12 @@ LEAST_PERIOD, MOST_FORECASTS = 60.0, 40
 
 
 def scores_along(
-    trace: Trace, present: Model, new: Model, *, seed: int, report: Callable[[str, float], None]
+    trace: Trace, present: Model, new: Model | None, *, seed: int, report: Callable[[str, float], None]
 ) -> list[dict[str, Any]]:
     """A row for each horizon (s) and method along a trace: how many forecasts, CRPS and MAE (degC), coverage.
 
-    Methods are compared at the moments at which all of them have a forecast. Raises ValueError for a trace that a model
-    cannot follow.
+    Without a `new` model the present one is alone beside persistence. Methods are compared at the moments at which all
+    of them have a forecast. Raises ValueError for a trace that a model cannot follow.
     """
     horizons = ForecastSection().horizons
     lasts = float(trace.times[-1] - trace.times[0])
@@ -39,7 +39,7 @@ def scores_along(
             trace,
             present.temperature,
             present.alphabet,
-            models={PRESENT: [present], NEW: [new]},
+            models={PRESENT: [present]} | ({} if new is None else {NEW: [new]}),
             others={PERSISTENCE: partial(persist, horizons=horizons)},
             forecasts=section,
             report=report,

@@ -66,9 +66,9 @@ def created_of(folder: Path) -> float:
         raise at(manifest, None, f"does not say when the version was made ({error!r}); restore it") from None
 
 
-def code_hash() -> str:
-    """SHA-256 over the sources that a model is computed by: all of `sim`, file by file."""
-    root = Path(__file__).parents[3] / "sim"
+def code_hash(floor: str = "sim") -> str:
+    """SHA-256 over the sources of a floor, file by file: those that a model is computed by are all of `sim`."""
+    root = Path(__file__).parents[3] / floor
     digest = sha256()
     for path in sorted(root.rglob("*.py")):
         digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())

@@ -22,7 +22,7 @@ from gateway.machine.alarms.conditions import (
 from gateway.machine.alarms.journal import JournalRow, read_journal
 from gateway.machine.alarms.picture import diagram, state_table, transition_table
 from gateway.machine.alarms.rates import PRIORITIES, AlarmFlood, AlarmRates, alarm_rates
-from gateway.machine.alarms.sensors import SensorWatch
+from gateway.machine.alarms.sensors import SensorFault, SensorWatch, without_faulty
 from gateway.machine.alarms.states import (
     CHANGE_WORDS,
     HIDDEN,
@@ -70,6 +70,7 @@ __all__ = [
     "AlarmState",
     "Change",
     "JournalRow",
+    "SensorFault",
     "SensorWatch",
     "Transition",
     "acknowledge_words",
@@ -82,4 +83,5 @@ __all__ = [
     "state_table",
     "suppressing_tags",
     "transition_table",
+    "without_faulty",
 ]

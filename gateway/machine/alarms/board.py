@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from drivers.errors import OneLineError, did_you_mean
 from gateway.machine.alarms.conditions import DRIFTING, OVER_LIMIT, on_tag
-from gateway.machine.alarms.sensors import SensorWatch
+from gateway.machine.alarms.sensors import DISTRUSTED, SensorFault, SensorWatch
 from gateway.machine.alarms.states import (
     CHANGE_WORDS,
     HIDDEN,
@@ -136,6 +136,23 @@ class AlarmBoard:
             bad = any(scan.good(name) is None for name in self.watched)
             findings = {"inputs bad": float(bad), **findings}
         self._step(findings, scan.time, dict(self.alarms))
+
+    def faulty_sensors(self, now: float) -> dict[str, SensorFault]:
+        """The sensors, by their tags, whose readings are not to be believed, by the alarms that stand.
+
+        An alarm that is shelved stands all the same; one that means nothing (by design, or out of service) takes no
+        reading away.
+        """
+        found: dict[str, SensorFault] = {}
+        for name, condition in self.conditions.items():
+            alarm = self.alarms[name]
+            silent = alarm.state in (AlarmState.SUPPRESSED, AlarmState.OUT_OF_SERVICE)
+            if self._sensors is not None and condition.kind in DISTRUSTED and alarm.standing and not silent:
+                fault = self._sensors.fault(condition.kind, condition.tag, now)
+                # Of several the one that began first: from then on nothing was right.
+                if condition.tag not in found or fault.since < found[condition.tag].since:
+                    found[condition.tag] = fault
+        return found
 
     def _take_acknowledgements(self, scan: Scan) -> None:
         """What the PLC acknowledges: by bits, each those alarms that share it, and by one tag all of them."""

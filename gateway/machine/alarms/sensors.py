@@ -6,7 +6,7 @@ measured against says decision record 0133; `python -m benchmarks.sensor_alarms`
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import exp, isfinite, nan, sqrt
 from typing import Any
 
@@ -35,13 +35,40 @@ TREND_WINDOW, TREND_STEP, TREND_LEAST = 300.0, 5.0, 150.0
 seconds of them."""
 
 
+DISTRUSTED: Mapping[str, Quality] = {
+    "sensor frozen": Quality.SENSOR_FAILURE,
+    "sensor jumping": Quality.SENSOR_NOT_ACCURATE,
+    "sensor noisy": Quality.SENSOR_NOT_ACCURATE,
+}
+"""What a reading is worth to a model by what is wrong with its sensor; out of range its own quality says so. One that
+needs maintenance (NE 107) still measures: of two that drift apart nobody knows which one is right."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFault:
+    """What is wrong with a sensor (a kind of alarm), and since when (plant s) its readings have been wrong."""
+
+    kind: str
+    since: float
+
+
+def without_faulty(scan: Scan, faults: Mapping[str, SensorFault]) -> Scan:
+    """The scan as a model may see it: sensors that were found out show nothing. `faults` are by tag."""
+    samples = dict(scan.samples)
+    for name, fault in faults.items():
+        if (sample := samples.get(name)) is not None and not sample.quality.is_bad:
+            samples[name] = replace(sample, value=None, quality=DISTRUSTED[fault.kind], reason=fault.kind)
+    return replace(scan, samples=samples)
+
+
 @dataclass(slots=True)
 class SensorHistory:
-    """What is remembered of one sensor. Times are plant seconds, numbers degC."""
+    """What is remembered of one sensor. Times are plant seconds, numbers degC; the last `step` took the `span`."""
 
     value: float | None = None
     time: float = 0.0
     step: float | None = None
+    span: float = 0.0
     changed: float = 0.0
     longest: float = 0.0
     twin_then: float | None = None
@@ -127,6 +154,16 @@ class SensorWatch:
                 found[names["sensor drifting", one]] = self.reference.take(a - b, seconds)
         return found
 
+    def fault(self, kind: str, name: str, now: float) -> SensorFault:
+        """The fault of a kind that was found by `now`, with the time from which on the readings were wrong."""
+        history = self._histories[name]
+        begun = {
+            "sensor frozen": history.changed,
+            "sensor jumping": history.jumps[0] if history.jumps else now,
+            "sensor noisy": now - NOISE_SECONDS,
+        }
+        return SensorFault(kind, begun.get(kind, now))
+
     def _twin(self, name: str) -> str:
         return self.twins[1] if name == self.twins[0] else self.twins[0]
 
@@ -172,13 +209,19 @@ def _jumping(history: SensorHistory, value: float, now: float, seconds: float) -
 
 
 def _noisy(history: SensorHistory, value: float, seconds: float) -> float | None:
-    """Of white noise the second difference has six times its variance; heating leaves next to nothing in it."""
-    before, history.step = history.step, None if history.value is None else value - history.value
+    """By how far readings lie off the straight line through the two before; heating leaves next to nothing in it.
+
+    Of white noise that has 1 + (1 + r)^2 + r^2 times its variance, r being the time from the last reading over the time
+    between the two before it: the six times of a second difference where readings come evenly.
+    """
+    before, span = history.step, history.span
+    history.step, history.span = None if history.value is None else value - history.value, seconds
     # What is a jump is said as one.
     if history.step is None or before is None or max(abs(history.step), abs(before)) > NOISE_STEP:
         return None
-    weight = 1.0 - exp(-seconds / NOISE_SECONDS)
-    history.variance += weight * ((history.step - before) ** 2 / 6.0 - history.variance)
+    ratio = seconds / span
+    off = (history.step - ratio * before) ** 2 / (1.0 + (1.0 + ratio) ** 2 + ratio**2)
+    history.variance += (1.0 - exp(-seconds / NOISE_SECONDS)) * (off - history.variance)
     history.noise_seconds += seconds
     if history.noise_seconds < NOISE_SECONDS:
         return None

@@ -7,12 +7,25 @@ from functools import partial
 from math import inf, isfinite
 from typing import Any
 
+import numpy as np
+
 from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import Ensemble, ForecastJob, MixedForecast, bands, foresee, run_job
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading import Scan
 from gateway.settings import ForecastSection
-from sim.forecast import LEVELS, Calibration, Forecast, Horizon, PendingForecast, factors, issue, settle, thinned
+from sim.forecast import (
+    LEVELS,
+    Calibration,
+    Forecast,
+    Horizon,
+    PendingForecast,
+    factors,
+    factors_at,
+    issue,
+    settle,
+    thinned,
+)
 
 FRESH_PERIODS = 3.0
 """A forecast older than three of its periods is not used any more."""
@@ -65,6 +78,14 @@ class Outlook:
     def settle(self, time: float, measured: float | None) -> None:
         """A reading came (or did not): forecasts that were due are scored, and the bands learn."""
         self.calibration = settle(self.calibration, time, float("nan") if measured is None else measured)
+
+    def widening(self, ahead: float) -> float:
+        """By how much a band of the model itself is to be widened `ahead` s after a reading, 1 or more.
+
+        As its forecasts' bands are, by what has come true of them; beyond the last horizon as at that.
+        """
+        own = factors(self.calibration, integral=self.ensemble is None)
+        return max(float(factors_at(own, np.array([ahead]))[0]), 1.0)
 
     def void(self) -> None:
         """What was believed is no longer known: forget the forecast, and the one being made."""

@@ -6,6 +6,7 @@ from math import sqrt
 from typing import Any, Literal
 
 from drivers.tag import Quality
+from gateway.machine.model.virtual_sensor import PastBeliefs, VirtualReading
 from gateway.machine.reading import Scan
 from sim.engine import (
     Belief,
@@ -67,6 +68,7 @@ class ScanPrediction:
     reset: bool
     free_sigma: float | None = None
     borrowed: bool = False
+    virtual: VirtualReading | None = None
 
 
 class Predictor:
@@ -79,6 +81,7 @@ class Predictor:
         self.encoder = Encoder(model.alphabet)
         self.belief: Belief | None = None
         self.free: Belief | None = None
+        self.past = PastBeliefs(self.tracker)
         self.events = 0
         # What is known of this machine from before a pause (mean and sigma of its offset, degC).
         self._machine: tuple[float, float] | None = None
@@ -147,6 +150,7 @@ class Predictor:
         if expected.time < scan.time:
             expected = advance(self.tracker, expected, scan.time)
         self.belief = expected if measured is None else observe(self.tracker, expected, scan.time, measured)
+        self.past.keep(scan.time, events, signals, self.belief)
         return events, signals, measured, expected
 
     def step(self, scan: Scan) -> ScanPrediction:
@@ -197,6 +201,19 @@ class Predictor:
             free_sigma=None if free_run is None or self.free is None else sqrt(self.free.xx + self.tracker.sensor),
             borrowed=belief.location in self.model.borrowed,
         )
+
+    def forget_readings(self, since: float) -> bool:
+        """Believe what would be believed without the readings from `since` (plant s) on; False if that is too long ago.
+
+        They were a sensor's that has been found out.
+        """
+        if self.belief is None or self.belief.read_at is None or self.belief.read_at < since:
+            return self.belief is not None
+        belief = self.past.without_readings(since, self.belief.time)
+        if belief is None:
+            return False
+        self.belief = belief
+        return True
 
     def _free_run(
         self, time: float, events: list[Event], signals: Mapping[str, float], expected: Belief, measured: float | None

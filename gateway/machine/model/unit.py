@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from drivers.supervision import Supervisor
@@ -15,6 +15,7 @@ from gateway.machine.model.loading import LoadedModel
 from gateway.machine.model.outlook import FinishedForecast, Outlook, limit_probability
 from gateway.machine.model.pickup import Pickup, ReadyModel
 from gateway.machine.model.predict import Predictor, ScanPrediction
+from gateway.machine.model.virtual_sensor import VirtualReading, VirtualSensor
 from gateway.machine.reading import Scan
 from gateway.settings import Config
 from gateway.store import HistorianView, saved_state
@@ -82,7 +83,10 @@ class ModelUnit:
             turns=self._turns,
         )
         self.guards = Guards(self.loaded.model, config.forecast.horizons, config.alarms.drift)
+        section = config.virtual_sensor
+        self.virtual = VirtualSensor(section.minutes * 60.0, section.width, period)
         self.prediction: ScanPrediction | None = None
+        self._found_out = False
         self._clamped = False
 
     @property
@@ -120,9 +124,23 @@ class ModelUnit:
         self._log.info("a promoted model runs from now on", version=version, before=before, hash=self.loaded.hash)
         self._warn(self.loaded)
 
-    def follow(self, scan: Scan) -> ScanPrediction:
-        """Move the model on by a scan: its events, and what it expected of its reading."""
-        prediction = self.prediction = self.predictor.step(scan)
+    def follow(self, scan: Scan, wrong_since: float | None = None) -> ScanPrediction:
+        """Move the model on by a scan: its events, and what it expected of its reading.
+
+        `wrong_since` (plant s): the sensor was found out, and its readings from then on were wrong.
+        """
+        if wrong_since is not None and not self._found_out:
+            self.outlook.void()  # the forecast began from a wrong temperature, too
+            if not self.predictor.forget_readings(wrong_since):
+                self.virtual.stopped = "state not known"
+        self._found_out = wrong_since is not None
+        before, prediction = self.prediction, self.predictor.step(scan)
+        virtual = self._virtual_reading(scan, prediction)
+        if virtual is not None:
+            v = virtual
+            prediction = replace(prediction, virtual=v, mean=v.mean, low=v.low, high=v.high)
+        self._note_virtual(before.virtual if before is not None else None, virtual, scan.time)
+        self.prediction = prediction
         for event in prediction.events:
             self._log.debug("event", symbol=event.symbol, time=event.time, location=prediction.location)
         clamps = self.predictor.clamps[0]
@@ -131,6 +149,35 @@ class ModelUnit:
             self._log.warning(message, time=scan.time, clamps=clamps)
         self._clamped = clamps > 0
         return prediction
+
+    def _virtual_reading(self, scan: Scan, p: ScanPrediction) -> VirtualReading | None:
+        """What stands for the sensor in this scan; None while it is good, and where the model never had a reading."""
+        tag, belief = self.config.model.temperature, self.predictor.belief
+        sample = scan.samples.get(tag)
+        if sample is not None and sample.quality.is_good:
+            self.virtual.stopped = ""
+            return None
+        if belief is None or belief.read_at is None or p.mean is None or p.high is None:
+            return None
+        others = (scan.samples.get(name) for name in self.predictor.inputs if name != tag)
+        return self.virtual.take(
+            scan.time,
+            belief.read_at,
+            "no such reading" if sample is None else sample.reason or sample.quality.name,
+            known=p.known and not p.reset and all(each is not None and each.quality.is_good for each in others),
+            mean=p.mean,
+            half_width=(p.high - p.mean) * self.outlook.widening(scan.time - belief.read_at),
+        )
+
+    def _note_virtual(self, before: VirtualReading | None, now: VirtualReading | None, time: float) -> None:
+        """Say in log and records when the model begins and ceases to speak for the sensor."""
+        if (before and before.stopped) == (now and now.stopped):
+            return
+        tag, shown = self.config.model.temperature, now or before
+        word = "ends" if now is None else f"stops: {now.stopped}" if now.stopped else "begins"
+        reason = "" if shown is None else shown.reason
+        self._log.warning("the model in place of a bad sensor", sensor=tag, what=word, reason=reason)
+        self._historian.put("audit", [(time, f"virtual sensor {tag} {word}"[:200], "the gateway", reason[:200])])
 
     def settle(self, prediction: ScanPrediction) -> FinishedForecast | None:
         """Let the guards and the forecast's bands learn from the reading; the forecast finished since, once.
@@ -231,7 +278,7 @@ class ModelUnit:
         snapshot = self.predictor.snapshot()
         if snapshot is None:
             return
-        self._historian.save("belief", now, {"model": self.loaded.hash, **snapshot})
+        self._historian.save("belief", now, {"model": self.loaded.hash, "stopped": self.virtual.stopped, **snapshot})
         bands = {
             "model": self.loaded.hash,
             "horizons": self.outlook.snapshot(),
@@ -246,6 +293,7 @@ class ModelUnit:
         belief, bands = (saved_state(self._historian, key, self._log) for key in ("belief", "bands"))
         try:
             if belief is not None and belief[1]["model"] == self.loaded.hash and self.predictor.restore(belief[1], now):
+                self.virtual.stopped = belief[1].get("stopped", "")
                 self._log.info("goes on from the saved belief", age=now - belief[0])
             if bands is not None and bands[1]["model"] == self.loaded.hash:
                 self.outlook.restore(bands[1]["horizons"])

@@ -7,6 +7,7 @@ from sim.doors import opened_at_use
 if TYPE_CHECKING:
     from sim.artefacts.formats.bundle import Artefacts, file_names, read_artefacts, write_artefacts
     from sim.artefacts.formats.find import FoundModel, artefact_base, find_model
+    from sim.artefacts.formats.flow_file import FLOW_FILE, read_flow_file
     from sim.artefacts.formats.from_model import reported_laws, to_artefacts
     from sim.artefacts.formats.histogram import PRINTED, Histogram, evidence, fit, read_histogram
     from sim.artefacts.formats.report import Report, read_report
@@ -16,6 +17,7 @@ else:
     __getattr__ = opened_at_use(__name__)
 
 __all__ = [
+    "FLOW_FILE",
     "PRINTED",
     "SUFFIXES",
     "Artefacts",
@@ -29,6 +31,7 @@ __all__ = [
     "find_model",
     "fit",
     "read_artefacts",
+    "read_flow_file",
     "read_histogram",
     "read_report",
     "reported_laws",

@@ -1,0 +1,192 @@
+"""`decanter trace ingest`: a folder of files from elsewhere into an archive, once or as long as it is watched."""
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.errors import DriverError
+from gateway.console import config_dir, emit, json_option, progress, shipped
+from gateway.entry import Exit, interruptible, sentence, sentences
+from gateway.lab.ingestion.archive import VERDICTS, IngestArchive, IngestOutcome, opened_archive
+from gateway.lab.ingestion.recognising import FileStamps, IngestUnit, recognised, units_in
+from sim.files import at
+from sim.traces import ColumnMap, load_map
+
+MOST_TOLD = 10_000
+"""Outcomes that a watch keeps for its summary: it may run for months."""
+
+
+def ingested(
+    units: Sequence[IngestUnit],
+    archive: IngestArchive,
+    maps: dict[str, ColumnMap],
+    *,
+    move: bool,
+    clock: Callable[[], float],
+) -> Iterator[IngestOutcome]:
+    """What becomes of each unit, as it comes; `clock` gives s UTC. Raises OSError for what cannot be written."""
+    for unit in units:
+        try:
+            if (outcome := archive.again(unit, move=move)) is not None:
+                yield outcome
+                continue
+            known = recognised(unit, maps)
+        except (DriverError, ValueError, OSError) as error:
+            yield IngestOutcome(unit.source, "refused", sentence(error))
+            continue
+        try:
+            yield archive.take(unit, known, move=move, when=clock())
+        except ValueError as error:
+            yield IngestOutcome(unit.source, "refused", sentence(error))
+
+
+@dataclass(slots=True)
+class FolderWatch:
+    """What has been seen of a folder: units that are at rest for `rest` seconds are due, each once as it is.
+
+    It holds no more than the folder does.
+    """
+
+    rest: float
+    _since: dict[Path, tuple[FileStamps, float]] = field(default_factory=dict)
+    _done: dict[Path, FileStamps] = field(default_factory=dict)
+
+    def due(self, units: Sequence[IngestUnit], now: float) -> list[IngestUnit]:
+        """The units to be taken at the monotonic time `now` (s)."""
+        ready: list[IngestUnit] = []
+        here: set[Path] = set()
+        for unit in units:
+            key = unit.source
+            here.add(key)
+            try:
+                stamp = unit.stamp()
+            except OSError:
+                continue  # it has gone since it was listed
+            known, since = self._since.get(key, ((), now))
+            if known != stamp:
+                self._since[key] = stamp, now
+            elif now - since >= self.rest and self._done.get(key) != stamp:
+                self._done[key] = stamp
+                ready.append(unit)
+        for seen in (self._since, self._done):
+            for key in seen.keys() - here:
+                del seen[key]
+        return ready
+
+
+@click.command(
+    "ingest", short_help="Take a folder's files into an archive: recognised, copied, listed; doubles refused."
+)
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--into", "archive", type=click.Path(path_type=Path), default=Path("archive"), show_default=True)
+@click.option(
+    "--map",
+    "map_names",
+    multiple=True,
+    help="Column map that reads the traces; may be given again  [all shipped ones].",
+)
+@click.option("--move", is_flag=True, help="Remove what was taken from FOLDER; without it, it is copied.")
+@click.option("--dry-run", is_flag=True, help="Say what would become of each file, and write nothing.")
+@click.option("--watch", is_flag=True, help="Go on until Ctrl-C: take what comes into FOLDER when it is at rest.")
+@click.option(
+    "--every", type=click.FloatRange(0.05), default=10.0, show_default=True, help="With --watch: s between two looks."
+)
+@click.option(
+    "--rest", type=click.FloatRange(0.0), default=60.0, show_default=True, help="With --watch: s without a change."
+)
+@click.option("--for", "seconds", type=click.FloatRange(0.0), help="With --watch: stop after so many seconds.")
+@json_option
+def ingest(
+    folder: Path,
+    archive: Path,
+    map_names: Sequence[str],
+    move: bool,
+    dry_run: bool,
+    watch: bool,
+    every: float,
+    rest: float,
+    seconds: float | None,
+    as_json: bool,
+) -> None:
+    """Take what lies in FOLDER into an archive, each file by its kind: traces, artefact sets, flow files, PLC
+    recordings, historians, CAN logs, plots.
+
+    Every file is read by the program's own reader of its kind; what none reads, what is there already by content, and
+    a name that another content has are refused, in one sentence each, and the exit code is 1. The archive's
+    manifest.jsonl has a row for each. Killed at any moment, the same command goes on.
+    """
+    if watch and dry_run:
+        raise click.UsageError("--watch takes files, and --dry-run takes none; give one of them")
+    if seconds is not None and not watch:
+        raise click.UsageError("--for ends a watch; give --watch with it")
+    counts: Counter[str] = Counter()
+    told: deque[IngestOutcome] = deque(maxlen=MOST_TOLD)
+
+    def tell(outcome: IngestOutcome) -> None:
+        counts[outcome.verdict] += 1
+        told.append(outcome)
+        if not as_json:
+            _tell(outcome, dry_run)
+
+    with sentences():
+        if not folder.is_dir():
+            raise at(folder, None, "is no folder; give the one that the files lie in")
+        if archive.resolve() in (folder.resolve(), *folder.resolve().parents):
+            raise at(folder, None, f"lies in the archive {archive}; give a folder outside of it")
+        chosen = map_names or sorted(path.stem for path in (config_dir() / "traces").glob("*.toml"))
+        maps = {name: load_map(shipped("traces", name)) for name in chosen}
+        if watch:
+            # Ctrl-C is how a watch ends: what was taken is told, and no file is half there. It is caught here, so that
+            # the exit code is that of what was refused and not that of a command that was stopped.
+            with suppress(KeyboardInterrupt), interruptible(lambda what, share: None):
+                end = time.monotonic() + (inf if seconds is None else seconds)
+                seen = FolderWatch(rest)
+                while True:
+                    due = seen.due(units_in(folder, archive), time.monotonic())
+                    if due:
+                        with opened_archive(archive) as opened:
+                            for outcome in ingested(due, opened, maps, move=move, clock=time.time):
+                                tell(outcome)
+                    if time.monotonic() + every > end:
+                        break
+                    time.sleep(every)
+        else:
+            units = units_in(folder, archive)
+            with (
+                opened_archive(archive, dry=dry_run) as opened,
+                progress("ingesting") as bar,
+                interruptible(bar) as report,
+            ):
+                for number, outcome in enumerate(ingested(units, opened, maps, move=move, clock=time.time)):
+                    report(outcome.source.name, number / len(units))
+                    tell(outcome)
+    data: dict[str, Any] = {"archive": str(archive), "dry_run": dry_run}
+    data |= {"counts": {verdict: counts[verdict] for verdict in VERDICTS}}
+    data |= {"files": [{"source": str(o.source), "verdict": o.verdict, "why": o.sentence, **o.row} for o in told]}
+    said = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
+    emit(
+        data,
+        lambda: click.echo(f"{archive}: {said}{' (nothing was written)' if dry_run else ''}"),
+        as_json_line=as_json,
+    )
+    if counts["refused"]:
+        click.get_current_context().exit(Exit.CHECK_FAILED)
+
+
+def _tell(outcome: IngestOutcome, dry_run: bool) -> None:
+    if outcome.verdict == "refused":
+        click.secho(f"refused: {outcome.sentence}", fg="yellow", err=True)
+    elif outcome.verdict != "there already":
+        row = outcome.row
+        more = f"; missing of the set: {', '.join(row['missing'])}" if row["missing"] else ""
+        if row.get("used", 0) < row.get("rows", 0):
+            more = f"; {row['used']} of {row['rows']} rows are read, see `decanter trace show`"
+        would = "would be " if dry_run else ""
+        click.echo(f"{would}{outcome.verdict}: {outcome.source} as {row['kind']} {row['name']}{more}")

@@ -1,0 +1,271 @@
+"""What a file is, by the rooms that read such files: nothing is taken that its own reader would refuse later."""
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from drivers.driver import open_recording
+from drivers.errors import RecordingError
+from drivers.json_lines import NoObject, parsed
+from drivers.named_files import regular
+from gateway.store import machines, newest_scan, oldest_scan, reading
+from sim.artefacts import MODEL_FILE, STORE_FILE
+from sim.artefacts.formats import FLOW_FILE, SUFFIXES, file_names, read_artefacts, read_flow_file, read_report
+from sim.files import ArtefactError, at
+from sim.sha import joint_hash
+from sim.traces import ColumnMap, TraceError, load_traces
+
+Kind = Literal["trace", "artefact set", "flow file", "PLC recording", "historian", "CAN log", "plot"]
+PLACES: Mapping[Kind, str] = {
+    "trace": "traces",
+    "artefact set": "artefacts",
+    "flow file": "flows",
+    "PLC recording": "recordings",
+    "historian": "historians",
+    "CAN log": "can_logs",
+    "plot": "plots",
+}
+"""The folder of an archive for each kind."""
+SQLITE = b"SQLite format 3\0"
+BESIDE_SQLITE = ("-wal", "-shm", "-journal", ".lock")
+PICTURES = {
+    ".png": b"\x89PNG\r\n\x1a\n",
+    ".pdf": b"%PDF-",
+    ".svg": b"<svg",
+    ".jpg": b"\xff\xd8\xff",
+    ".jpeg": b"\xff\xd8\xff",
+}
+CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
+HEAD = 1 << 16
+"""Bytes by whose content a file is told: the first row of a PLC recording names all its tags."""
+LINK = "is a link; ingest the folder with the file itself"
+LONGEST_NAME = 200
+"""Bytes: file systems take 255, and a file has a longer name while it is written."""
+
+
+FileStamps = tuple[tuple[str, int, int], ...]
+"""Name, size (bytes) and time of change (ns) of each file of a unit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IngestUnit:
+    """What is taken together: one file, or the `files` of an artefact set with the base name `base`.
+
+    `place` is the folder that it lies in, relative to the one that is ingested. `refusal` is a sentence for what is not
+    even looked into.
+    """
+
+    files: tuple[Path, ...]
+    place: Path
+    base: str = ""
+    refusal: str = ""
+
+    @property
+    def source(self) -> Path:
+        """The path by which the unit is called: of a set its folder with its base name."""
+        return self.files[0].parent / self.base if self.base else self.files[0]
+
+    def stamp(self) -> FileStamps:
+        """What changes when one of the files is written. Raises OSError."""
+        statuses = [(path.name, path.lstat()) for path in self.files]
+        return tuple((name, status.st_size, status.st_mtime_ns) for name, status in statuses)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecognisedUnit:
+    """What a unit is: its `kind`, plain `facts` about it, the names of `missing` files of a set.
+
+    `readings` is the joint hash of a trace's readings, by which the same trace in another form is known; "" for others.
+    """
+
+    kind: Kind
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+    readings: str = ""
+
+
+def units_in(folder: Path, besides: Path) -> list[IngestUnit]:
+    """What is in a folder and those below, in the order of names, but for what lies in `besides` or begins with a dot.
+
+    Raises OSError where the folder cannot be listed.
+    """
+    units: list[IngestUnit] = []
+
+    def unlisted(error: OSError) -> None:
+        if Path(error.filename) == folder:
+            raise error
+        path = Path(error.filename)
+        units.append(_refused(path, folder, f"cannot be listed ({error.strerror}); let this user read it"))
+
+    for parent, names, files in os.walk(folder, onerror=unlisted):
+        here = Path(parent)
+        names[:] = sorted(name for name in names if name[:1] != "." and (here / name).resolve() != besides.resolve())
+        if any(name in files for name in (MODEL_FILE, STORE_FILE)):
+            names.clear()
+            said = (
+                "is a model of this program, not a file from elsewhere; `decanter model promote STORE --add` takes it"
+            )
+            units.append(_refused(here, folder, said))
+            continue
+        units += _units_of(here, sorted(name for name in files if name[:1] != "."), folder)
+    return units
+
+
+def _units_of(here: Path, names: Sequence[str], folder: Path) -> list[IngestUnit]:
+    units: list[IngestUnit] = []
+    place = here.relative_to(folder)
+    endings = (SUFFIXES["source"], SUFFIXES["histogram"])
+    bases = sorted({name.removesuffix(end) for name in names for end in endings if name.endswith(end)})
+    in_sets: set[str] = set()
+    for base in bases:
+        try:
+            own = [name for name in file_names(base).values() if name in names]
+        except ArtefactError as error:
+            own = [name for name in names if name.startswith(base)]
+            units.append(_refused(here / own[0], folder, str(error)))
+        else:
+            said = next((f"{here / name}: {LINK}" for name in own if (here / name).is_symlink()), "")
+            units.append(IngestUnit(files=tuple(here / name for name in own), place=place, base=base, refusal=said))
+        in_sets.update(own)
+    for name in names:
+        path = here / name
+        main = next((name.removesuffix(end) for end in BESIDE_SQLITE if name.endswith(end)), None)
+        if name in in_sets or main in names:
+            continue
+        if path.is_symlink():
+            units.append(_refused(path, folder, LINK))
+        else:
+            units.append(IngestUnit(files=(path,), place=place))
+    return units
+
+
+def _refused(path: Path, folder: Path, sentence: str) -> IngestUnit:
+    place = path.parent.relative_to(folder) if path != folder else Path()
+    return IngestUnit(files=(path,), place=place, refusal=f"{path}: {sentence}")
+
+
+def check_names(unit: IngestUnit) -> None:
+    """Raises ArtefactError unless every name of the unit can be a file's on any system, and a trace's in a table."""
+    for path in unit.files:
+        for name in (*unit.place.parts, path.name):
+            # A name that is no UTF-8 has half surrogates here, which are no letters.
+            if not re.fullmatch(r"\w[\w .+()\-]*", name) or name.endswith((" ", ".")):
+                shown = name.encode("utf-8", "replace").decode()
+                said = f"{shown!r} is no name for an archive; use letters, digits, blanks and _-+.(), a letter first"
+                raise at(os.fsencode(path).decode("utf-8", "replace"), None, said)
+            if len(name.encode()) > LONGEST_NAME:
+                raise at(
+                    path, None, f"its name has {len(name.encode())} bytes, {LONGEST_NAME} are the most; shorten it"
+                )
+
+
+def recognised(unit: IngestUnit, maps: Mapping[str, ColumnMap]) -> RecognisedUnit:
+    """What the unit is; a trace is read by the first of the column `maps` that can.
+
+    Raises ValueError (a sentence of the room that would read it) for what is none of `PLACES`, OSError where it cannot
+    be read.
+    """
+    if unit.refusal:
+        raise ArtefactError(unit.refusal)
+    check_names(unit)
+    path = unit.files[0]
+    if unit.base:
+        return _artefact_set(path.parent, unit.base)
+    with regular(path).open("rb") as stream:
+        head = stream.read(HEAD)
+    if not head:
+        raise at(path, None, "is empty; there is nothing to keep")
+    suffix = path.suffix.lower()
+    if path.name == FLOW_FILE:
+        return RecognisedUnit(kind="flow file", facts={"flows": len(read_flow_file(path).equations)})
+    if head.startswith(SQLITE):
+        return _historian(path)
+    if suffix in PICTURES:
+        # SVG may begin with a declaration and comments.
+        if not (PICTURES[suffix] in head if suffix == ".svg" else head.startswith(PICTURES[suffix])):
+            raise at(path, None, f"is called {suffix}, but its content is no such picture; correct its name")
+        return RecognisedUnit(kind="plot")
+    if head.startswith(b"PK") and suffix == ".xlsx":
+        raise at(path, None, "is a workbook, and traces are read as CSV; save its sheet as .csv")
+    if suffix == ".csv":
+        return _trace(path, maps)
+    if _begins_a_run(head):
+        return RecognisedUnit(kind="PLC recording")
+    if suffix == ".txt":
+        _refuse_lone_report(path)
+    if path.name.lower().removesuffix(".gz").endswith(CAN_LOGS):
+        return _can_log(path)
+    said = (
+        f"is none of {', '.join(PLACES)} by name and content; leave it out, or name it as files of its kind are named"
+    )
+    raise at(path, None, said)
+
+
+def _artefact_set(folder: Path, base: str) -> RecognisedUnit:
+    read = read_artefacts(folder, base, ("histogram", "flows"))
+    names = file_names(base)
+    missing = [names[kind] for kind, part in (("histogram", read.histogram), ("flows", read.flows)) if part is None]
+    facts = {"locations": len(read.source.locations), "edges": len(read.source.edges)}
+    return RecognisedUnit(kind="artefact set", facts=facts, missing=tuple(missing))
+
+
+def _refuse_lone_report(path: Path) -> None:
+    """Raises ArtefactError, which says what the set lacks, for a learner's report without its automaton."""
+    try:
+        report = read_report(path)
+    except ArtefactError:
+        return
+    if report.distributions or report.events:
+        read_artefacts(path.parent, path.stem, ("histogram", "flows"))
+
+
+def _historian(path: Path) -> RecognisedUnit:
+    log = path.with_name(path.name + BESIDE_SQLITE[0])
+    if log.exists() and log.stat().st_size:
+        said = f"a gateway may be writing it ({log.name} is beside it); ingest a copy that `decanter backup` made"
+        raise at(path, None, said)
+    with reading(path, immutable=True) as connection:
+        known = machines(connection)
+        spans = {
+            name: [oldest_scan(connection, machine=name), newest_scan(connection, machine=name)] for name, _ in known
+        }
+    return RecognisedUnit(kind="historian", facts={"machines": spans})
+
+
+def _trace(path: Path, maps: Mapping[str, ColumnMap]) -> RecognisedUnit:
+    refusals: list[str] = []
+    for name, column_map in maps.items():
+        try:
+            traces, report = load_traces(path, column_map)
+        except TraceError as error:
+            refusals.append(str(error))
+            continue
+        facts = {"map": name, "traces": len(traces), "rows": report.rows, "used": report.used}
+        return RecognisedUnit(kind="trace", facts=facts, readings=joint_hash(traces))
+    with suppress(RecordingError):
+        return _can_log(path)
+    if len(refusals) == 1:
+        raise ArtefactError(refusals[0])
+    said = f"no column map reads it (tried {', '.join(maps)}); draft one with `decanter trace map`, give it with --map"
+    raise at(path, None, said)
+
+
+def _can_log(path: Path) -> RecognisedUnit:
+    """Raises RecordingError for a log without a data frame."""
+    log = open_recording("can-log", path, {"log": str(path)}, ())
+    for _ in log.samples(lambda what, share: None):
+        pass  # it has no tags: reading counts the frames
+    return RecognisedUnit(kind="CAN log", facts={"frames": log.counts()["log_frames"], "problem": log.problem})
+
+
+def _begins_a_run(head: bytes) -> bool:
+    """Whether a file begins as the software PLC's recorder begins one: with the row of a run."""
+    try:
+        first = parsed(head.lstrip().partition(b"\n")[0])
+    except NoObject:
+        return False
+    return first.get("k") == "run" and "n" in first and "t" in first

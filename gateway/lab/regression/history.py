@@ -1,0 +1,122 @@
+"""The history of a standard set: one JSON object a line, each result once, and what models there were at each run."""
+
+import fcntl
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from gateway.lab.json_rows import append_row, read_rows
+from gateway.lab.regression.standard import CodeVersion, StandardSet
+from gateway.lab.retraining.judging import scores_along
+from sim.artefacts import model_hash
+from sim.files import at
+from sim.sha import Model, content_hash
+
+FORMAT = 1
+KEPT = ("horizon", "method", "forecasts", "crps", "mae", "coverage")
+"""What is kept of the scores of a method at a horizon (s) along a trace: CRPS and MAE in degC."""
+
+
+@dataclass(slots=True)
+class RegressionHistory:
+    """The file of all results and runs; see `opened_history`.
+
+    A `result` is of a model along a trace by a program and a seed, so that none is computed twice; a `run` says which
+    models there were under which names.
+    """
+
+    path: Path
+    rows: list[dict[str, Any]]
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Keep a row. Raises OSError."""
+        append_row(self.path, {"format": FORMAT, **row})
+        self.rows.append(dict(row))
+
+    def results(self, run: Mapping[str, Any], subject: str) -> dict[str, Mapping[str, Any]]:
+        """The results of a subject along a run's traces, by the content of the trace."""
+        key = (run["models"].get(subject), run["code"], run["seed"])
+        found = (row for row in self.rows if row["kind"] == "result")
+        own = (row for row in found if (row["model"], row["code"], row["seed"]) == key)
+        return {row["trace"]: row for row in own if row["trace"] in run["traces"]}
+
+    def runs(self, subject: str, seed: int) -> list[Mapping[str, Any]]:
+        """The runs with the subject since it was last accepted as it was, the oldest first; equal ones count once."""
+        kept: list[Mapping[str, Any]] = []
+        for row in self.rows:
+            if row["kind"] == "accepted":
+                kept = kept[-1:]
+            elif row["kind"] == "run" and subject in row["models"] and row["seed"] == seed:
+                last = kept[-1] if kept else None
+                state = (row["code"], row["models"][subject], row["traces"])
+                if last is None or state != (last["code"], last["models"][subject], last["traces"]):
+                    kept.append(row)
+        return kept
+
+
+@contextmanager
+def opened_history(path: Path) -> Iterator[RegressionHistory]:
+    """The history in a file, held by this process alone; made where there is none.
+
+    Raises ArtefactError where it is no such file or another process holds it, OSError where it cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle = os.open(path.with_name(f".{path.name}.lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise at(path, None, "another process is writing this history; wait for it") from None
+        rows = read_rows(path)
+        for number, row in enumerate(rows, 1):
+            if row.get("format") != FORMAT or row.get("kind") not in ("result", "run", "accepted"):
+                raise at(path, number, "is no row of a history of regressions; give another file, or a new name")
+        yield RegressionHistory(path, rows)
+    finally:
+        os.close(handle)
+
+
+def run_standard(
+    models: Mapping[str, Model | str],
+    standard: StandardSet,
+    history: RegressionHistory,
+    *,
+    code: CodeVersion,
+    seed: int,
+    clock: Callable[[], float],
+    report: Callable[[str, float], None],
+) -> None:
+    """Forecast with every model along every trace, as far as the history has not; each result is kept as it comes."""
+    hashes = {subject: _hash_of(model) for subject, model in models.items()}
+    known = {(row["model"], row["trace"], row["code"], row["seed"]) for row in history.rows if row["kind"] == "result"}
+    traces = {content_hash(trace): trace for trace in standard.traces}
+    for number, (subject, model) in enumerate(models.items()):
+        for content, trace in traces.items():
+            key = (hashes[subject], content, code.content, seed)
+            if key in known:
+                continue
+            known.add(key)
+            report(f"{subject} along {trace.name}", number / len(models))
+            scores: list[dict[str, Any]] = []
+            failed = model if isinstance(model, str) else ""
+            if not isinstance(model, str):
+                try:
+                    found = scores_along(trace, model, None, seed=seed, report=lambda what, share: None)
+                    scores = [{name: each[name] for name in KEPT} for each in found]
+                except ValueError as error:
+                    failed = str(error)
+            row = {"kind": "result", "model": key[0], "trace": content, "code": code.content, "seed": seed}
+            history.add({**row, "trace_name": trace.name, "scores": scores, "failed": failed})
+    when = datetime.fromtimestamp(clock(), UTC).isoformat(timespec="seconds")
+    run = {"kind": "run", "when": when, "code": code.content, "code_name": str(code), "seed": seed}
+    history.add({**run, "models": hashes, "traces": sorted(traces)})
+
+
+def _hash_of(model: Model | str) -> str:
+    # What cannot be run is known by the sentence why.
+    return sha256(model.encode()).hexdigest() if isinstance(model, str) else model_hash(model)

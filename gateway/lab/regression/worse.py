@@ -1,0 +1,111 @@
+"""What became worse: a subject's last run against the best one before it, and the run since which it is so."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from gateway.lab.regression.history import RegressionHistory
+from gateway.lab.retraining.judging import NEW, PRESENT, HorizonComparison, compared
+from sim.sha import shown_unit
+
+LEAST = 1.01
+"""A CRPS that a test tells apart, but that is not so many times the former one's, is nothing to act on."""
+SET = "standard set"
+
+Results = Mapping[str, Mapping[str, Any]]
+"""The results of a run by the content of the trace."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorseForecast:
+    """A `subject` (a model by its name) whose forecasts became worse at some horizon.
+
+    `best` and `since` are rows of runs: the one that it is held against, and the first one that was worse ever since.
+    """
+
+    subject: str
+    comparison: HorizonComparison
+    best: Mapping[str, Any]
+    since: Mapping[str, Any]
+    worst_trace: str
+
+    def sentence(self, unit: str) -> str:
+        """What became worse since when, and what changed there."""
+        c = self.comparison
+        changed = []
+        if self.since["code"] != self.best["code"]:
+            changed.append(f"program {self.since['code_name']}, before {self.best['code_name']}")
+        now, before = self.since["models"][self.subject], self.best["models"][self.subject]
+        if now != before:
+            changed.append(f"model {now[:8]}, before {before[:8]}")
+        return (
+            f"{self.subject}: worse at {c.horizon:g} s since {self.since['when']} ({'; '.join(changed)}): CRPS "
+            f"{c.crps[NEW]:.3g} {shown_unit(unit)}, before {c.crps[PRESENT]:.3g}, on {c.difference.n} traces "
+            f"(p {c.p:.2g}), most of all on {self.worst_trace}"
+        )
+
+
+def regressions_of(subject: str, history: RegressionHistory, *, seed: int) -> list[WorseForecast | str]:
+    """What is worse at the subject's last run than at its best one before; a sentence for a trace that failed since.
+
+    The best run is looked for horizon by horizon. Two runs are held against each other on the traces of both.
+    """
+    runs = history.runs(subject, seed)
+    results = [history.results(run, subject) for run in runs]
+    found: list[WorseForecast | str] = []
+    if len(runs) < 2:
+        return found
+    for content, row in results[-1].items():
+        if row["failed"] and any(content in each and not each[content]["failed"] for each in results[:-1]):
+            found.append(f"{subject}: has no forecast along {row['trace_name']} any more: {row['failed']}")
+    worse = [worse_by_horizon(before, results[-1], seed) for before in results[:-1]]
+    for horizon in sorted({each for comparisons in worse for each in comparisons}):
+        held = [(comparisons[horizon], place) for place, comparisons in enumerate(worse) if horizon in comparisons]
+        comparison, best = min(held, key=lambda each: each[0].crps[PRESENT] / each[0].crps[NEW])
+        # Back from the last run, which is worse, to the first of those that are worse without a break.
+        since = len(runs) - 1
+        while since - 1 > best and horizon in worse_by_horizon(results[best], results[since - 1], seed):
+            since -= 1
+        before, now = _crps(results[best], horizon), _crps(results[-1], horizon)
+        worst = max(before.keys() & now.keys(), key=lambda content: now[content] - before[content])
+        found.append(
+            WorseForecast(
+                subject=subject,
+                comparison=comparison,
+                best=runs[best],
+                since=runs[since],
+                worst_trace=results[-1][worst]["trace_name"],
+            )
+        )
+    return found
+
+
+def worse_by_horizon(before: Results, now: Results, seed: int) -> dict[float, HorizonComparison]:
+    """The horizons (s) at which the later run is worse on the traces that both have forecasts along."""
+    scores: list[dict[str, Any]] = []
+    for content in before.keys() & now.keys():
+        both = [
+            {**score, "trace": content, "method": method}
+            for method, row in ((PRESENT, before[content]), (NEW, now[content]))
+            for score in row["scores"]
+            if score["method"] == PRESENT
+        ]
+        # A horizon that only one of them has would be in one mean and not in the other.
+        counts = Counter(score["horizon"] for score in both)
+        scores += [score for score in both if counts[score["horizon"]] == 2]
+    scores.sort(key=lambda score: score["trace"])
+    return {
+        comparison.horizon: comparison
+        for comparison in compared(SET, scores, seed=seed)
+        if comparison.refuses and comparison.crps[NEW] > LEAST * comparison.crps[PRESENT]
+    }
+
+
+def _crps(results: Results, horizon: float) -> dict[str, float]:
+    return {
+        content: score["crps"]
+        for content, row in results.items()
+        for score in row["scores"]
+        if (score["method"], score["horizon"]) == (PRESENT, horizon)
+    }
