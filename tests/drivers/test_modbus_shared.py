@@ -69,7 +69,7 @@ async def once(driver: ModbusDriver) -> Sample:
 
 async def until_silent(living: ModbusDriver, *dead: ModbusDriver) -> None:
     """Read all until the dead ones are known to be silent, which needs an answer of the living one in between."""
-    async with asyncio.timeout(3):
+    async with asyncio.timeout(60):
         while not all(driver.statistics()["silent"] for driver in dead):
             await asyncio.gather(*map(once, (living, *dead)))
             await asyncio.sleep(0.01)
@@ -135,7 +135,7 @@ async def test_who_is_cancelled_while_waiting_or_just_granted_keeps_no_turn() ->
     tasks[0].cancel()
     tasks[2].cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
-    async with asyncio.timeout(1), turns.turn(2, urgent=False, probe=False):
+    async with asyncio.timeout(20), turns.turn(2, urgent=False, probe=False):
         pass
 
 
@@ -327,7 +327,7 @@ async def test_a_write_without_an_answer_ends_the_connection_and_costs_the_other
     scans = asyncio.ensure_future(scan())
     with pytest.raises(ReplyTimeout):
         await other.write([(SETPOINT, 7)])
-    async with asyncio.timeout(2):
+    async with asyncio.timeout(60):
         await scans
     assert all(sample.value == 1 for sample in seen), seen
     assert plc.functions().count(16) == 1

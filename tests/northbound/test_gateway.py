@@ -69,7 +69,7 @@ async def test_a_gateway_is_scraped_and_an_alarm_is_acknowledged_from_outside(tm
         client.loop_start()
         gateway = asyncio.create_task(run(config, clock=clock, stop=bench.stop, driver=bench))
         try:
-            async with asyncio.timeout(30.0):
+            async with asyncio.timeout(120.0):
                 while len(states) < 2 or bench.reads < 60:
                     assert not gateway.done() or gateway.result() is None
                     await asyncio.sleep(0.05)

@@ -252,7 +252,7 @@ def test_every_answer_has_the_headers_that_keep_a_browser_to_our_own_page(gatewa
 
 def test_an_update_is_sent_within_300_ms_of_its_scan(gateway: Served) -> None:
 
-    connection = http.client.HTTPConnection("127.0.0.1", gateway.port, timeout=10.0)
+    connection = http.client.HTTPConnection("127.0.0.1", gateway.port, timeout=60.0)
     connection.request("GET", "/api/live")
     stream, late = connection.getresponse(), []
     assert stream.getheader("content-type") == "text/event-stream"
@@ -282,7 +282,7 @@ def test_over_tls_the_cookie_is_secure_and_browsers_stay_with_it(tmp_path: Path)
     text = PAGE.replace("port = 0", 'port = 0\ncertificates = "tls"')
     with served(tmp_path, text, {"olga": AccountRole.OPERATOR}) as gateway:
         context = ssl.create_default_context(cafile=str(tmp_path / "tls/ca.pem"))
-        connection = http.client.HTTPSConnection("127.0.0.1", gateway.port, timeout=10.0, context=context)
+        connection = http.client.HTTPSConnection("127.0.0.1", gateway.port, timeout=60.0, context=context)
         given = json.dumps({"name": "olga", "password": PASSWORD})
         connection.request("POST", "/api/session", given, {"content-type": "application/json"})
         answer = connection.getresponse()

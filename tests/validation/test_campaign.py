@@ -106,7 +106,7 @@ def dask() -> Iterator[Dask]:
     ) as process:
         assert process.stdout is not None
         yield Dask(process, process.stdout.readline().strip())
-        process.communicate(timeout=30)
+        process.communicate(timeout=200)
 
 
 def test_several_processes_give_the_very_same_results_in_the_same_order(monkeypatch: pytest.MonkeyPatch) -> None:
