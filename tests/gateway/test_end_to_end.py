@@ -80,8 +80,9 @@ async def test_over_a_real_socket_through_an_outage_to_a_graceful_stop(tmp_path:
         )
         await until(lambda: status().get("writeback", {}).get("accepted", 0) > 60)
         await until(lambda: (status().get("writeback") or {}).get("last_validity") == 31)
-        plc.order("fault", fault={"kind": "silent", "duration": 1.0})
+        silence = plc.order("fault", fault={"kind": "silent"})["number"]  # until it is seen
         await until(lambda: status()["link"]["outage_count"] == 1)
+        plc.order("clear", number=silence)
         await until(lambda: status()["link"]["alive"] and status()["writeback"]["last_validity"] == 31)
         stop.set()
         last = await asyncio.wait_for(gateway, PATIENCE_S)
