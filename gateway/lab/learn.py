@@ -92,27 +92,26 @@ def learn(
                 f"{REPORT}.json": json_text(report_document(account), indent=1) + "\n",
                 f"{REPORT}.md": report_text(account, name),
             }
-            model, shown, acceptance = words_learned.model, lsha_diagnostics(words_learned), account.acceptance
-            spread = None
-            written = write_model_directory(out, model, words_learned.values, observations=account.table, more=more)
+            model, spread = words_learned.model, words_learned.spread
+            values, observations = words_learned.values, account.table
+            shown, acceptance = lsha_diagnostics(words_learned), account.acceptance
         else:
             learned = learn_from(traces, column_map, name=name, seed=seed, report=report, temperature=temperature)
-            # Of several machines it is a model of their type, and has what is each one's own.
-            own = machine_corrections(learned.model, traces, learned.spread)
-            learned = replace(learned, model=replace(learned.model, machines=own))
-            written = write(out, learned)
-            model, shown, acceptance = learned.model, diagnostics(learned), None
-            spread = learned.spread
+            model, spread = learned.model, learned.spread
+            values, observations, more = learned.values, None, {}
+            shown, acceptance = diagnostics(learned), None
+        # Of several machines it is a model of their type, and has what is each one's own.
+        model = replace(model, machines=machine_corrections(model, traces, spread))
+        written = write_model_directory(out, model, values, observations=observations, more=more)
     data = {"model": str(out), "file": str(written), **summary(model), "diagnostics": shown}
-    data |= {"machines": spread and asdict(spread), "warnings": warnings}
+    data |= {"machines": asdict(spread), "warnings": warnings}
 
     def show() -> None:
         show_model(model)
         for title, rows in shown.items():
             if rows:
                 table(title, list(rows[0]), [list(row.values()) for row in rows])
-        if spread is not None:
-            click.echo(spread_sentence(spread, shown_unit(model.unit)))
+        click.echo(spread_sentence(spread, shown_unit(model.unit)))
         click.echo(f"model directory: {out}")
         if acceptance is not None:
             counts = f"{acceptance.accepted} of {acceptance.traces} training traces"
