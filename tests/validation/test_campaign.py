@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim import workers
 from sim.artefacts.formats.find import FoundModel
 from sim.sha.trace import Trace
 from sim.traces.load_report import FileReport, LoadReport
@@ -17,19 +18,18 @@ from sim.validation import campaign
 from sim.validation.campaign import (
     Runner,
     Unread,
-    cluster,
     jobs_of,
     outcomes_by_model,
-    parallel,
     run_here,
+    run_there,
     unread,
-    waited_for,
 )
 from sim.validation.discovery import Discovery
 from sim.validation.output_folder import results_json
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
 from sim.validation.trace_run import TraceRunSettings
+from sim.workers import cluster, parallel, waited_for
 from tests.validation.killed import twice
 from tests.validation.small_plant import plant_model, plant_trace
 
@@ -127,7 +127,7 @@ def test_a_result_depends_on_its_model_and_trace_and_not_on_what_runs_beside_the
 
 def test_a_dask_cluster_gives_the_very_same_results(dask: Dask) -> None:
     dask.scale(2)
-    with cluster(dask.address) as run:
+    with run_there(dask.address) as run:
         found = results(run, [*GOOD, COLD])
     dask.scale(0)
     assert as_text(found) == as_text(results(run_here(1), [*GOOD, COLD]))
@@ -136,7 +136,7 @@ def test_a_dask_cluster_gives_the_very_same_results(dask: Dask) -> None:
 def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
     dask: Dask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(campaign, "REACHABLE_WITHIN", 0.2)  # where there is nobody, waiting longer changes nothing
+    monkeypatch.setattr(workers, "REACHABLE_WITHIN", 0.2)  # where there is nobody, waiting longer changes nothing
     with (
         pytest.raises(ValueError, match=r"tcp://127\.0\.0\.1:1: no Dask scheduler answers"),
         cluster("tcp://127.0.0.1:1"),
@@ -144,7 +144,7 @@ def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
         pass
     with pytest.raises(ValueError, match="no Dask scheduler answers"), cluster("nonsense://x"):
         pass
-    monkeypatch.setattr(campaign, "REACHABLE_WITHIN", 1.0)
+    monkeypatch.setattr(workers, "REACHABLE_WITHIN", 1.0)
     with pytest.raises(ValueError, match="has no worker"), cluster(dask.address):
         pass
 
