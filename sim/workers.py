@@ -157,7 +157,8 @@ def _as_they_end(futures: Sequence[Any], client: Any) -> Iterator[Any]:
         over = [future for future in left if future.done()]
         if not over:
             try:
-                distributed.wait(list(left), timeout=REACHABLE_WITHIN, return_when="FIRST_COMPLETED")
+                with client.as_current():
+                    distributed.wait(list(left), timeout=REACHABLE_WITHIN, return_when="FIRST_COMPLETED")
                 continue
             except TimeoutError:
                 if client.scheduler_info()["workers"]:

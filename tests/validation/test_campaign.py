@@ -30,7 +30,7 @@ from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
 from sim.validation.trace_run import TraceRunSettings
 from sim.workers import cluster, parallel, waited_for
-from tests.validation.killed import twice
+from tests.validation.killed import divided, twice
 from tests.validation.small_plant import plant_model, plant_trace
 
 SETTINGS = TraceRunSettings(runs=300)
@@ -131,6 +131,16 @@ def test_a_dask_cluster_gives_the_very_same_results(dask: Dask) -> None:
         found = results(run, [*GOOD, COLD])
     dask.scale(0)
     assert as_text(found) == as_text(results(run_here(1), [*GOOD, COLD]))
+
+
+def test_work_on_a_cluster_comes_as_it_is_done_and_what_cannot_be_done_is_lost_alone(dask: Dask) -> None:
+    dask.scale(2)
+    with cluster(dask.address) as run:
+        found = list(run(divided, [1, 0, 2, 4], lambda number, reason: f"{number}: {reason}", ordered=False))
+    dask.scale(0)
+    assert {each for each in found if isinstance(each, float)} == {8.0, 4.0, 2.0}
+    (lost,) = (each for each in found if isinstance(each, str))
+    assert lost.startswith("0: the cluster could not run it (ZeroDivisionError")
 
 
 def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
