@@ -212,11 +212,8 @@ class SharedLink:
         return health.silent or (health.failures > 0 and self._answered_at > health.doubted_since)
 
     def _patience(self, settings: ModbusSettings, health: UnitHealth, *, urgent: bool) -> float:
-        """The deadline of a question: the unit's own, of a reading less where it is doubted.
-
-        One that has never answered and is not yet taken to be silent is given its own: nobody knows how long it takes.
-        """
-        if not urgent and self._doubted(health) and (health.silent or health.times.usual):
+        """The deadline of a question: the unit's own, of a reading less where it is doubted."""
+        if not urgent and self._doubted(health):
             return health.patience(settings.timeout, settings.longest_read, self._times.usual)
         return self.link.patience(settings.timeout)
 
