@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of, features_of, free_run_error
-from gateway.lab.retraining.judging import compared, scores_along, verdict_on
+from gateway.lab.retraining.judging import MOST_FORECASTS, compared, scores_along, verdict_on
 from gateway.lab.retraining.library import RATINGS, CycleLibrary, CycleRow
 from gateway.lab.retraining.report import Retraining, report_files
 from gateway.lab.retraining.training_record import RECORD, TrainingRecord, code_hash, read_record, software
@@ -70,7 +70,8 @@ class RetrainingRequest:
 
     `standard` are the traces that a new model must not be worse on, `former` those of earlier training that no library
     has; both encoded by nobody yet. `rows` is how many scans the training has at most, `trials` those of a search of
-    settings where performance has fallen. `yellow` and `red` are the classes of expected relative error.
+    settings where performance has fallen. `yellow` and `red` are the classes of expected relative error; `forecasts` is
+    by how many forecasts a cycle judges at most.
     """
 
     store: Path
@@ -86,6 +87,7 @@ class RetrainingRequest:
     diagnosis: bool
     yellow: float
     red: float
+    forecasts: int = MOST_FORECASTS
 
 
 def source_of(request: RetrainingRequest, last: float) -> CycleSource:
@@ -128,9 +130,11 @@ def cut_and_rate(request: RetrainingRequest, library: CycleLibrary, source: Cycl
 
 
 def new_cycles(library: CycleLibrary, model: Model) -> list[CycleRow]:
-    """The cycles that the model has not been learned from, that nobody has excluded and that can be run."""
-    seen = set(model.provenance.contents)
-    return [row for row in library.cycles() if not row.excluded and row.error is not None and row.content not in seen]
+    """The cycles since the last one that the model was learned from, which nobody has excluded and which can be run."""
+    seen, rows = set(model.provenance.contents), library.cycles()
+    # One that was left out of that training is no news: it tells of the plant as it was then.
+    last = max((row.begin for row in rows if row.content in seen), default=-inf)
+    return [row for row in rows if row.begin > last and not row.excluded and row.error is not None]
 
 
 def due(library: CycleLibrary, model: Model, *, after: int, drifting: bool, age: float, every: float) -> str:
@@ -168,6 +172,7 @@ def retrain(
         "rows": request.rows,
         "trials": request.trials,
         "diagnosis": request.diagnosis,
+        "forecasts": request.forecasts,
         "standard": joint_hash(request.standard),
         "former": joint_hash(request.former),
         "code": code_hash(),
@@ -217,7 +222,7 @@ def retrain(
                 report(what, share)
 
             try:
-                rows = scores_along(trace, present, new, seed=request.seed, report=tell)
+                rows = scores_along(trace, present, new, seed=request.seed, report=tell, most=request.forecasts)
             except ValueError as error:
                 notes.append(f"{trace.name} cannot be judged: {error}")
                 rows = []
@@ -292,8 +297,8 @@ def encoded(trace: Trace, model: Model) -> Trace:
 def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSource) -> dict[str, Any]:
     """Which cycles are held out and which are learned from, (name, content hash) each; all of them are kept by then.
 
-    Held out are new cycles evenly over ratings and time. The training takes what teaches first, and fills up with
-    ordinary cycles evenly over time until it has as many rows as it may have.
+    Held out are new cycles evenly over ratings and time. The training takes what teaches first, the newest before the
+    older, and fills up with ordinary cycles evenly over time until it has as many rows as it may have.
     """
     fresh = new_cycles(library, source.model)
     count = min(max(len(fresh) // 4, LEAST_HELD_OUT), HELD_OUT, len(fresh) // 2)
@@ -307,8 +312,9 @@ def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSour
     held = {ordered[place].name for place in places}
     seen = set(source.model.provenance.contents)
     rest = [row for row in library.cycles() if not row.excluded and row.error is not None and row.name not in held]
-    teaching = [row for row in rest if row.rating != "ordinary" or row.content in seen]
-    ordinary = [row for row in rest if row not in teaching]
+    # A plant that has changed is what its newest cycles say: where room is short the oldest are left out.
+    teaching = [row for row in reversed(rest) if row.rating != "ordinary" or row.content in seen]
+    ordinary = [row for row in rest if row.rating == "ordinary" and row.content not in seen]
     # Every cycle of an evenly halved order lies in the middle of the largest gap that is left.
     ordinary = [ordinary[place] for place in _spread(len(ordinary))]
     notes, sets = list[str](), {"training": list[tuple[str, str]](), "held_out": list[tuple[str, str]]()}
