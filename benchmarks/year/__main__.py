@@ -78,7 +78,7 @@ def lived(arm: str, months: int, days: int, before: int, seed: int) -> Year:
         elif arm == "daily":
             made = Daily(first, history, seed)
         else:
-            made = Loop(first, Path(folder), seed, BEGIN)
+            made = Loop(first, history, Path(folder), seed, BEGIN)
         scores: list[DayScore] = []
         judging = 0.0
         for day in year:

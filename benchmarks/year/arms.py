@@ -83,13 +83,15 @@ class Loop:
 
     A candidate that has enough live cycles is held against the running version; a promoted version against the one
     before it, once, PROVING days after its promotion, and rolled back where it is worse; and a retraining begins where
-    one is due. `former` is the model that ran before each promotion, by its day: for the judge.
+    one is due, from the `history` of the first model too (`--traces`). `former` is the model that ran before each
+    promotion, by its day: for the judge.
     """
 
-    def __init__(self, model: Model, folder: Path, seed: int, begin: float) -> None:
+    def __init__(self, model: Model, history: Sequence[Trace], folder: Path, seed: int, begin: float) -> None:
         self.model, self.happenings, self.former = model, list[Happening](), dict[float, Model]()
         self._store, self._historian, self._library = folder / "store", folder / "historian.sqlite", folder / "cycles"
         self._seed, self._candidate, self._proving = seed, "", 0
+        self._history = [replace(trace, events=()) for trace in history]
         promote(self._store, save(self._store, model, created=begin))
 
     def evening(self, day: Day) -> None:
@@ -116,7 +118,7 @@ class Loop:
             machine=MACHINE,
             since=None,
             standard=(),
-            former=(),
+            former=self._history,
             method=None,
             seed=self._seed,
             rows=ROWS,

@@ -62,11 +62,13 @@ def draw_year(years: Sequence[Year]) -> Drawing:
     for kind, (mark, words) in MARKS.items():
         if any(each.kind == kind for year in years for each in year.happenings):
             error.plot([], [], mark, color=COLOURS["loop"], label=words)
-    error.set(ylabel="MAE 900 s ahead (°C)", ylim=(0.0, 1.15 * most), title="A year at the plant")
+    error.set(ylabel="MAE 900 s ahead (°C)", ylim=(0.0, 1.15 * most))
+    drawing.suptitle("A year at the plant")
     covered.axhline(100.0 * NOMINAL, color="black", linewidth=0.8, linestyle=":")
     covered.set(ylabel="in the 90 % band (%)")
     alarms.axhline(0.0, color="black", linewidth=0.8)
-    alarms.set(ylabel="missed | false alarms", xlabel="month", xlim=(0.0, max(months) + 1.0))
+    alarms.yaxis.get_major_locator().set_params(integer=True)
+    alarms.set(ylabel="missed below,\nfalse alarms above", xlabel="month", xlim=(0.0, max(months) + 1.0))
     alarms.set_xticks(centres, [str(month + 1) for month in months])
     for axes in (error, covered, alarms):
         _changes(axes, max(months) + 1.0, words=axes is error)

@@ -32,7 +32,7 @@ COMMANDS: Table = {
     ),
     "shadow": (
         "gateway.lab.retraining.shadow:shadow_command",
-        "Compare two versions on live cycles; roll back where the promoted one is worse.",
+        "Compare two versions on live cycles; promote the better one by a stated policy.",
     ),
     "lineage": (
         "gateway.lab.retraining.lineage:lineage_command",

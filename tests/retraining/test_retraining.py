@@ -367,7 +367,7 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     data = only_object(decanter(*given[:3], bad, *given[4:], "--promote").stdout)
     assert data["promoted"] == current(store) == bad
     refused(decanter(*given[:-1], "--promote", "--roll-back"), 2, "--promote needs the VERSION that waits for it")
-    refused(decanter("model", "shadow", store, good, "--historian", historian), 2, "is no other version of this store")
+    refused(decanter("model", "shadow", store, bad, "--historian", historian), 2, "is no other version of this store")
 
 
 def test_the_commands_show_cycles_and_family_and_make_a_version_again(

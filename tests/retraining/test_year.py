@@ -70,7 +70,8 @@ def test_the_loop_promotes_what_is_better_on_live_cycles_and_nothing_else(
     monkeypatch.setattr(study, "scores_along", judged(0.5))
     monkeypatch.setattr(shadow, "scores_along", judged(worth))
     days = [Day(0, float(number), plant(11, BEGIN + 86_400.0 * number)) for number in range(4)]
-    loop, once = Loop(first, tmp_path, 0, float(days[0].trace.times[0]) - 1.0), Once(first)
+    earlier = [plant(2, BEGIN - 86_400.0)]
+    loop, once = Loop(first, earlier, tmp_path, 0, BEGIN - 1.0), Once(first)
     for day in days:
         loop.evening(day)
         once.evening(day)
