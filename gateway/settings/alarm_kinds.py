@@ -60,6 +60,14 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         response="the readings of {tag} do not fit the model: look at the machine and at its sensors",
         consequence="what is predicted is not to be relied on, and what the machine does is not what it used to do",
     ),
+    "unfamiliar": AlarmKind(
+        subject="predicted", bit=2, priority=3,
+        watches="how strange the present cycle is to the model's training, against `alarms.unfamiliar`; only with a "
+        "model that knows its training",
+        response="the present cycle of {tag} is unlike the model's training: see familiarity in the status for what is "
+        "strange, and do not rely on the forecast alone",
+        consequence="the forecast is made for what nobody has seen, and its band may be too narrow",
+    ),
     "drift": AlarmKind(
         subject="predicted", bit=3, priority=3,
         watches="the error of the model's free run, cycle by cycle (`alarms.drift`, `alarms.drift_cycles`)",

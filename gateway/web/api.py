@@ -19,12 +19,12 @@ from starlette.responses import Response
 from drivers.json_lines import NoObject, parsed
 from drivers.settings import Line, Section, first_sentence
 from gateway.status import ControlError
+from gateway.texts import LANGUAGES, preferred
 from gateway.web.access import AccountRole, AccountsError, Session
 from gateway.web.box import box_facts
 from gateway.web.openapi import document
 from gateway.web.promotion import PromotionRefused, promote_version
 from gateway.web.state import PageState, Unaccountable
-from gateway.web.texts import LANGUAGES, preferred
 from sim.strict_json import json_text
 
 MOST_BODY = 8 * 1024

@@ -205,7 +205,10 @@ def test_a_better_model_is_proposed_with_its_report_and_nothing_is_promoted(
     assert held and trained and not held & trained
     assert all(content_hash(library.readings(content)) == content for content in held | trained)
     familiar = read_familiarity(home)
-    assert familiar is not None and familiar.curve is not None and familiar.curve.cycles == len(held)
+    assert familiar is not None and familiar.curve is not None and familiar.held_out
+    # The first cycles have no hour before them, which could be looked back over.
+    pointed = {row.content for row in library.cycles() if len(row.points)}
+    assert familiar.curve.cycles == len(held & pointed) >= len(held) - 3
 
 
 @pytest.mark.parametrize("killed", ["learned_model", "scores_along", "save", "replace_durably"])

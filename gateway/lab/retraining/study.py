@@ -17,14 +17,22 @@ from typing import Any
 
 import numpy as np
 
-from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of, features_of, free_run_error
+from gateway.lab.familiar import (
+    ErrorPair,
+    error_pair,
+    familiarity,
+    familiarity_files,
+    features_of,
+    reference_of,
+    strange_words,
+)
+from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
 from gateway.lab.retraining.judging import compared, scores_along, verdict_on
 from gateway.lab.retraining.library import RATINGS, CycleLibrary, CycleRow
 from gateway.lab.retraining.report import Retraining, report_files
 from gateway.lab.retraining.training_record import RECORD, TrainingRecord, code_hash, read_record, software
 from gateway.store import moment_of
 from sim.artefacts import (
-    FAMILIARITY_FILE,
     MANIFEST,
     MODEL_FILE,
     Familiarity,
@@ -40,14 +48,7 @@ from sim.artefacts import (
 from sim.artefacts.formats import save, write_model_directory
 from sim.checking.proof import verify
 from sim.discrepancy import diagnose
-from sim.familiarity import (
-    LEAST_CYCLES,
-    ClassFigures,
-    FamiliarityReference,
-    error_curve,
-    fit_reference,
-    measured_classes,
-)
+from sim.familiarity import ClassFigures, measured_classes
 from sim.files import replace_durably
 from sim.ranking import METHODS, Settings, StudyPlan, Task, Taught, tune
 from sim.sha import Alphabet, Model, Trace, content_hash, encode, joint_hash
@@ -112,16 +113,16 @@ def cut_and_rate(request: RetrainingRequest, library: CycleLibrary, source: Cycl
     count = cut_new(library, source, None, report)
     cycles = [row for row in library.cycles() if not row.excluded]
     half = len(cycles) // 2
-    if half < LEAST_CYCLES:
+    reference = reference_of([row.points for row in cycles[:half]])
+    if reference is None:
         return count
-    reference = fit_reference([row.points for row in cycles[:half]])
     for row in cycles[half:]:
         strange = reference.strangeness(row.points, np.arange(len(row.points), dtype=float))
         if row.rating == "ordinary" and strange.value > 1.0:
             trace = cycle_of(source, row, library)
             if trace is not None:
                 library.keep(row.name, trace)
-            library.rate(row.name, "rare", strange.words, strange.value)
+            library.rate(row.name, "rare", strange_words(strange), strange.value)
         else:
             library.rate(row.name, row.rating, row.words, strange.value)
     return count
@@ -237,7 +238,7 @@ def retrain(
         library.done(study, "diagnosed", left)
 
     rows_by_name = {row.name: row for row in library.cycles()}
-    familiarity, classes = _familiarity(request, library, chosen, rows_by_name, new)
+    familiar, classes = _familiarity(request, library, chosen, rows_by_name, new)
     key = sha256(json.dumps([settings, chosen], sort_keys=True).encode()).hexdigest()
     record = _record(request, source, method, chosen, settings=learned["settings"], study=key)
     found = Retraining(
@@ -270,7 +271,7 @@ def retrain(
         made = next((name for name in versions(request.store) if _study_of(request.store, name) == record.study), None)
         if made is None:
             more = _written(folder / "model") | files | {RECORD: record.text()}
-            more |= {} if familiarity is None else {FAMILIARITY_FILE: familiarity.text()}
+            more |= familiarity_files(familiar)
             made = save(request.store, new, created=clock(), parent=source.version, more=more)
         found = replace(found, version=made)
     place = library.folder / REPORTS / f"{study:04d}"
@@ -443,21 +444,16 @@ def _familiarity(
     """What is familiar to the new model, and its error on the cycles held out by the class that was expected."""
     known = [rows[name].points for name, _ in chosen["training"]]
     known += [features_of(new, encoded(trace, new)).values for trace in request.former]
-    if len(known) < LEAST_CYCLES:
+    reference = reference_of(known)
+    if reference is None:
         return None, []
-    reference: FamiliarityReference = fit_reference(known)
-    pairs: list[tuple[float, float]] = []
+    pairs: list[ErrorPair] = []
     for name, content in chosen["held_out"]:
-        off = free_run_error(new, encoded(library.readings(content), new))
-        if off is not None and off.moved > 0:
-            points = rows[name].points
-            strange = reference.strangeness(points, np.arange(len(points), dtype=float))
-            pairs.append((strange.value, off.error / off.moved))
-    if not pairs:
-        return Familiarity(reference, None), []
-    classes = measured_classes(pairs, request.yellow, request.red)
-    curve = error_curve([one for one, _ in pairs], [one for _, one in pairs])
-    return Familiarity(reference, curve), classes
+        pair = error_pair(reference, new, encoded(library.readings(content), new), rows[name].points)
+        if pair is not None:
+            pairs.append(pair)
+    found = familiarity(reference, pairs, held_out=True)
+    return found, measured_classes(pairs, request.yellow, request.red) if pairs else []
 
 
 def _regions(library: CycleLibrary, chosen: dict[str, Any]) -> tuple[dict[str, Any], ...]:

@@ -26,6 +26,8 @@ CLOCK_SYNC = "clock not steered"
 """The alarm for a clock that no time server steers."""
 OVER_LIMIT, RISING = "over limit", "rising"
 DRIFTING = "sensor drifting"
+UNFAMILIAR = "unfamiliar"
+"""The alarm for a cycle whose like the model's training never had; it shares the bit of the anomaly."""
 SENSOR_FAULTS = tuple(name for name in ALARM_KINDS if name.startswith("sensor "))
 """The alarms for what may be wrong with a sensor."""
 FAULT = 0.5
@@ -99,6 +101,7 @@ def _of_model(config: Config) -> list[AlarmCondition]:
     return [
         *_of_kind(config, "predicted over limit", a.p_limit, tag=tag, deadband=a.p_limit / 2),
         *_of_kind(config, "anomaly", a.anomaly, tag=tag, deadband=a.anomaly / 3),
+        *_of_kind(config, UNFAMILIAR, a.unfamiliar, tag=tag, deadband=a.unfamiliar / 10),
         *_of_kind(config, "review", 0.5, tag=tag),
         *_of_kind(config, "drift", a.drift_cycles - 0.5, tag=tag, off_delay=0.0, response=offer),
     ]
