@@ -31,6 +31,9 @@ ALIKE = 0.5
 """Root mean square over the whitened features, in standard deviations, within which two cycles are alike."""
 USUAL = 0.95
 """The share of the training's cycles that are not strange."""
+COMMON = 0.8
+"""The share of cycles within the scale of one distance at one age. It only weighs them up: the limit itself is set on
+the greatest of all, and sixteen scales from so far out in the tail would fit the very cycles that set it."""
 AGES = (1800.0, 3600.0, 7200.0)
 """Seconds of a cycle's age at which another scale of the distances begins."""
 NOTHING = (0.1, 0.1, 1.0, 0.5)
@@ -249,30 +252,30 @@ def fit_reference(cycles: Sequence[Array], groups: Sequence[str] | None = None) 
 
 
 def _calibrated(distances: Sequence[Array], ages: Sequence[Places]) -> tuple[Array, Array]:
-    """((ages, 4) scales, (n,) strangeness of the cycles): by each age's own quantile, then by that of the greatest.
+    """((ages, 4) scales, (n,) strangeness of the cycles): each age's own quantile, then the limit of the greatest.
 
     Several distances at several ages are each beyond their own limit in a twentieth of the cycles, and one of them in
-    more: only the second step makes a twentieth of all.
+    more: so the limit is one of the greatest, the value that a further cycle exceeds with a chance of 1 - USUAL at most
+    (a conformal quantile).
     """
-    scales = np.tile(_usual([each.max(axis=0) for each in distances]), (len(AGES) + 1, 1))
+    scales = np.tile(_common(distances), (len(AGES) + 1, 1))
     for age in range(len(AGES) + 1):
         parts = [each[np.flatnonzero(own == age)] for each, own in zip(distances, ages, strict=True)]
-        of_age = [part.max(axis=0) for part in parts if len(part)]
+        of_age = [part for part in parts if len(part)]
         if len(of_age) >= LEAST_CYCLES:
-            scales[age] = _usual(of_age)
-    scales = np.maximum(scales, NOTHING)
-    worst = np.array([(each / scales[own]).max() for each, own in zip(distances, ages, strict=True)])
-    joint = max(float(_usual([np.array([value]) for value in worst.tolist()])[0]), 1e-6)
+            scales[age] = _common(of_age)
+    # Half of nothing, as the limit lies beyond the scales by about as much.
+    scales = np.maximum(scales, 0.5 * np.array(NOTHING))
+    worst = np.sort([float((each / scales[own]).max()) for each, own in zip(distances, ages, strict=True)])
+    limit = max(float(worst[min(ceil(USUAL * (worst.size + 1)), worst.size) - 1]), 1e-6)
     # What was weighed up against nothing stays there: a training without any scatter makes no degree strange.
-    final = np.maximum(scales * joint, NOTHING)
+    final = np.maximum(scales * limit, NOTHING)
     return final, np.array([(each / final[own]).max() for each, own in zip(distances, ages, strict=True)])
 
 
-def _usual(rows: Sequence[Array]) -> Array:
-    """(4,) the value that a further cycle exceeds with a chance of 1 - USUAL at most (a conformal quantile)."""
-    table = np.sort(np.vstack(rows), axis=0)
-    rank = min(ceil(USUAL * (len(table) + 1)), len(table))
-    return np.asarray(table[rank - 1])
+def _common(cycles: Sequence[Array]) -> Array:
+    """(4,) what COMMON of cycles, each (P, 4), do not exceed at any point."""
+    return np.asarray(np.quantile([each.max(axis=0) for each in cycles], COMMON, axis=0))
 
 
 def _ages(points: Array) -> Places:
