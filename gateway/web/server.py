@@ -26,6 +26,7 @@ from gateway.status import GatewayStatus
 from gateway.store import Audit
 from gateway.web.access import Accounts, AccountsError, PasswordChecks, Sessions, read_accounts
 from gateway.web.application import make_application
+from gateway.web.backing_up import BackupMaker
 from gateway.web.calls import Answer, GatewayCalls
 from gateway.web.live import LiveStream
 from gateway.web.reader import HistorianReader
@@ -236,6 +237,7 @@ class PageServer:
             sessions=Sessions(accounts, 60.0 * page.session_minutes),
             audit=self._audit,
             now=self._now,
+            backups=BackupMaker(config),
         )
         protocol = type("PageProtocol", (BoundedProtocol,), {"most": 2 * page.most_clients + 20})
         context = None if page.certificates is None else _tls(page.certificates, config)
