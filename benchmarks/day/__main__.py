@@ -50,6 +50,8 @@ from tests.rig.servers import Line, free_port, program, running
 
 LATE_SECONDS, RETRY_SECONDS = 2.0, 20.0
 """Real seconds: how late a reading may be seen on a busy computer, and until a broker that is back is found again."""
+PLC_SECONDS = 0.25
+"""Real seconds for which the program of a software PLC may stand still on a busy computer."""
 SESSION_SECONDS = 5.0
 """Real seconds after a session's beginning in which rows may be history."""
 MOST_SHOWN = 40
@@ -179,22 +181,27 @@ def as_sparkplug(record: list[Message], begin: float) -> list[Message]:
     ]
 
 
-def readings(path: Path, script: Plan, played: Mapping[str, Trace], begin: float, late: float) -> Iterator[str]:
-    """The good samples on record against what the PLCs showed between question and answer; a lost link has none."""
+def readings(
+    path: Path, script: Plan, played: Mapping[str, Trace], begin: float, late: float, standing: float
+) -> Iterator[str]:
+    """The good samples on record against what the PLCs showed between question and answer; a lost link has none.
+
+    `standing` (s) is how old what a PLC shows may be.
+    """
     quiet = (script.link[0] + late, script.link[1] - STEP)
     for machine, trace in played.items():
         columns = shown(script, machine, trace)
-        for one in samples(path, start=begin, machine=machine):
-            if one.name not in columns or not one.quality.is_good or not isinstance(one.value, int | float):
+        for one in samples(path, start=begin, end=begin + script.length, machine=machine):
+            if one.tag not in columns or not one.quality.is_good or not isinstance(one.value, int | float):
                 continue
             time_, asked = one.time - begin, (one.time if one.sent is None else one.sent) - begin
             if machine == "west" and quiet[0] <= time_ <= quiet[1]:
-                yield f"record: west, {one.name}: a good reading of {time_:.1f} s, when there was no link"
-            if (machine, one.name) == ("south", COOL) and any(abs(time_ - edge) < late for edge in script.freeze):
+                yield f"record: west, {one.tag}: a good reading of {time_:.1f} s, when there was no link"
+            if (machine, one.tag) == ("south", COOL) and any(abs(time_ - edge) < late for edge in script.freeze):
                 continue  # the command that freezes it comes by another clock
-            rows = slice(max(int(asked // ROW) - 1, 0), max(int(time_ // ROW), 0) + 2)
-            if not np.any(np.abs(columns[one.name][rows] - one.value) < SAME):
-                yield f"record: {machine}, {one.name}: {one.value:g} of {time_:.1f} s is not what the PLC showed"
+            rows = slice(max(int((asked - standing) // ROW), 0), max(int(time_ // ROW), 0) + 2)
+            if not np.any(np.abs(columns[one.tag][rows] - one.value) < SAME):
+                yield f"record: {machine}, {one.tag}: {one.value:g} of {time_:.1f} s is not what the PLC showed"
 
 
 def judged(
@@ -230,7 +237,7 @@ def judged(
     for name, own in (("json", record), ("sparkplug", as_sparkplug(record, day.begin))):
         findings += copies(name, own, messages[name], outage)
         findings += marks(name, messages[name], settled)
-    findings += readings(historian, script, played, day.begin, late)
+    findings += readings(historian, script, played, day.begin, late, PLC_SECONDS * day.speed)
     findings += looks("page", book, seen.page, lag=STEP, words=plain)
     findings += looks("metrics", book, seen.metrics, lag=late, words=FLAGS)
     end = max((look.end for look in seen.page), default=0.0)
