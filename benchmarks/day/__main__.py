@@ -39,7 +39,6 @@ from benchmarks.day.script import (
     Plan,
     expected,
     plan,
-    shown,
     traces,
 )
 from benchmarks.figures import Figure, show
@@ -190,17 +189,20 @@ def readings(
     """
     quiet = (script.link[0] + late, script.link[1] - STEP)
     for machine, trace in played.items():
-        columns = shown(script, machine, trace)
         for one in samples(path, start=begin, end=begin + script.length, machine=machine):
-            if one.tag not in columns or not one.quality.is_good or not isinstance(one.value, int | float):
+            if one.tag not in trace.signals or not one.quality.is_good or not isinstance(one.value, int | float):
                 continue
             time_, asked = one.time - begin, (one.time if one.sent is None else one.sent) - begin
             if machine == "west" and quiet[0] <= time_ <= quiet[1]:
                 yield f"record: west, {one.tag}: a good reading of {time_:.1f} s, when there was no link"
             if (machine, one.tag) == ("south", COOL) and any(abs(time_ - edge) < late for edge in script.freeze):
                 continue  # the command that freezes it comes by another clock
-            rows = slice(max(int((asked - standing) // ROW), 0), max(int(time_ // ROW), 0) + 2)
-            if not np.any(np.abs(columns[one.tag][rows] - one.value) < SAME):
+            begun, ended = asked - standing, time_
+            if (machine, one.tag) == ("south", COOL) and script.freeze[0] < time_ < script.freeze[1]:
+                # It stands at what it was when the command came.
+                begun, ended = script.freeze[0] - standing, script.freeze[0] + late
+            rows = slice(max(int(begun // ROW), 0), max(int(ended // ROW), 0) + 2)
+            if not np.any(np.abs(trace.signals[one.tag][rows] - one.value) < SAME):
                 yield f"record: {machine}, {one.tag}: {one.value:g} of {time_:.1f} s is not what the PLC showed"
 
 

@@ -133,7 +133,6 @@ def test_every_row_comes_once_and_in_order_while_rows_are_packed(tmp_path: Path,
             assert [tuple(v[name] for name in names) for _, _, v in rows] == kept_rows and kept_rows
 
 
-@pytest.mark.usefixtures("small_batches")
 def test_the_newest_row_of_a_stream_is_its_own_where_another_machine_has_a_later_one(tmp_path: Path) -> None:
     """By it rows are told to be history: an alarm must not be, because another machine has one a moment later."""
     store = open_historian(tmp_path / "h.sqlite")
@@ -153,6 +152,7 @@ def test_the_newest_row_of_a_stream_is_its_own_where_another_machine_has_a_later
         store.close()
 
 
+@pytest.mark.usefixtures("small_batches")
 def test_what_retention_took_first_is_counted_and_a_position_is_found_by_time(tmp_path: Path) -> None:
     rng, path = random.Random(1), tmp_path / "h.sqlite"
     store = open_historian(path)
