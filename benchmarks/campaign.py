@@ -33,10 +33,11 @@ from sim.sha.events import encode
 from sim.sha.flows import RELAXING
 from sim.sha.model import Model
 from sim.sha.trace import Trace
-from sim.validation.campaign import parallel, slim
+from sim.validation.campaign import slim
 from sim.validation.pictures import draw_one, drawings
 from sim.validation.semantics import side_by_side
 from sim.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
+from sim.workers import parallel
 
 GOAL = 10.0
 RUNS = 1000

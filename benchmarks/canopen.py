@@ -25,7 +25,7 @@ import tempfile
 import time
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,15 +40,17 @@ from benchmarks.canopen_rig import DEVICE, NODE, canopen_rig, face
 from benchmarks.figures import Figure, give, shares
 from drivers.can.bus.hub_bus import HubBus
 from drivers.canopen.driver import open_canopen
-from drivers.driver import open_driver
+from drivers.driver import Driver, open_driver
+from drivers.errors import DriverError
 from drivers.tag import Sample
 from gateway.demo.can_bus import can_hub
 from gateway.machine.reading.clock import PlantClock
-from gateway.settings.devices import load_device
+from gateway.settings.devices import DeviceMap, load_device
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import BlockRow, PlcRecording, read_recording
 from sim.sha.trace import Trace
-from tests.rig.pair import CURRENT, ROOT, RUNNING, TEMPERATURE, Plc, make_rig, restless_trace
+from tests.rig.pair import CURRENT, PATIENCE_S, ROOT, RUNNING, TEMPERATURE, Plc, make_rig, restless_trace
+from tests.rig.stalls import longest_pause
 
 CHANGES, PERIOD = 300, 1.0
 CURRENTS = (150.0, 250.0)
@@ -134,7 +136,12 @@ def _provoke(plc: Plc, hub: Path, changes: int, rng: random.Random) -> list[floa
             remote.sdo.upload(0x1008, 0) if number == 0 else remote.sdo.upload(0x2001, 1)
             bare.append(1e3 * (time.perf_counter() - begin))
             time.sleep(rng.uniform(0.05, 0.15))
+            accepted = plc.order("status")["accepted"]
             plc.order("force", tag=CURRENT, value=CURRENTS[(number + 1) % 2])
+            # A change that is overtaken by the next one before anybody has read it cannot be followed.
+            answered = time.monotonic() + PATIENCE_S
+            while plc.order("status")["accepted"] == accepted and time.monotonic() < answered:
+                time.sleep(0.002)
         time.sleep(0.5)
     finally:
         network.disconnect()
@@ -252,6 +259,18 @@ class Garbage:
     wrong: int
     refused: int
     examples: tuple[str, ...]
+    still_s: float
+    """The longest time in which the PLC, or a round of frames and readings, did not get on."""
+
+
+async def _all_good(driver: Driver, device: DeviceMap) -> Sequence[Sample]:
+    """The readings once all of them are good; the last ones if they never are."""
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        read = await driver.read(device.tags)
+        if all(sample.quality.is_good for sample in read) or time.monotonic() > deadline:
+            return read
+        await asyncio.sleep(0.01)
 
 
 async def garbage(folder: Path, frames: int, *, own: bool, seed: int = 7) -> Garbage:
@@ -266,10 +285,12 @@ async def garbage(folder: Path, frames: int, *, own: bool, seed: int = 7) -> Gar
         device = load_device(DEVICE)
         settings = {**device.settings, "interface": "hub", "channel": str(path), "configure": True}
         driver = open_driver("canopen", settings, clock=clock.now)
-        await driver.open()
-        await asyncio.sleep(0.5)
+        with suppress(DriverError):  # the node may not be up yet; the driver goes on by itself
+            await driver.open()
+        await _all_good(driver, device)
         rng, talker = random.Random(seed), HubBus(str(path))
         lengths = {0x181: 8, 0x281: 6, 0x381: 6, 0x481: 8, 0x1C1: 6, 0x2C1: 8, 0x3C1: 8}
+        longest, begun = 0.0, time.monotonic()
         for number in range(frames):
             if own:
                 identifier = rng.choice(list(lengths))
@@ -280,8 +301,9 @@ async def garbage(folder: Path, frames: int, *, own: bool, seed: int = 7) -> Gar
             if number % 20 == 0:
                 await asyncio.sleep(0.01)
                 read += await driver.read(device.tags)
+                longest, begun = max(longest, time.monotonic() - begun), time.monotonic()
         await asyncio.sleep(0.3)
-        alive = await driver.read(device.tags)
+        alive = await _all_good(driver, device)
         counts = driver.statistics()
         await driver.close()
         talker.shutdown()
@@ -290,10 +312,12 @@ async def garbage(folder: Path, frames: int, *, own: bool, seed: int = 7) -> Gar
     if not all(sample.quality.is_good for sample in alive):
         bad = next(sample for sample in alive if not sample.quality.is_good)
         raise BenchmarkError(f"after the garbage {bad.tag} is not good again: {bad.reason}")
-    wrong = wrong_good(read_recording(rig.recording), read, TRANSPORT_S)
+    recording = read_recording(rig.recording)
+    wrong = wrong_good(recording, read, TRANSPORT_S)
+    still = max(longest, longest_pause(recording))
     good = sum(sample.quality.is_good for sample in read)
     refused = int(counts["malformed_pdos"] + counts["stranger_pdos"] + counts["malformed_emergencies"])
-    return Garbage(frames, good, len(wrong), refused, tuple(one.reason for one in wrong[:3]))
+    return Garbage(frames, good, len(wrong), refused, tuple(one.reason for one in wrong[:3]), still)
 
 
 # ---------------------------------------------------------------- the command

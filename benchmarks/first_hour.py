@@ -44,7 +44,7 @@ EXPORT = {
 }
 """Header in the SCADA's export -> signal; the first two are not called as in the I/O list."""
 MOST_COMMANDS, MOST_S = 12, 600.0
-PATIENCE_S = 60.0
+PATIENCE_S = 300.0
 _RUNNING: tuple[str, ...] = ("plc.pid", "run.pid")
 
 

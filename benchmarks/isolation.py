@@ -2,13 +2,13 @@
 
 `python -m benchmarks.isolation [--machines N] [--seconds S] [--link L] [--workers N] [--quick] [--json]`. The machines
 are served by one software PLC, the gateway is one process (or `--workers`) with a model, a forecast and blocks in
-shadow for each. It runs first without a fault, then as long with each fault of the matrix in turn on one machine; the
-figures are the other machines'. Lateness is how long after its absolute deadline a scan's last reply was complete. The
-PLC's own record judges every value that was good.
+shadow for each. It runs first without a fault, then as long with each fault of the matrix in turn on one machine, each
+once that one is well again; the figures are the other machines', of the whole time and fault by fault. Lateness is how
+long after its absolute deadline a scan's last reply was complete. The PLC's own record judges every good value.
 
 `--link`: each machine at a port of its own (tcp), as units behind one port (units) or on one serial line (serial), as
-nodes on one CAN bus (canopen). What is shared can be taken from all by one: of these links the faults are those of a
-unit or node that leave connection and bus to the others.
+nodes on one CAN bus (canopen). Where they share a connection the faults are those of one unit's replies, also those
+that stop or end the connection under all; of a CAN bus those of a node that leave the bus to the others.
 """
 
 import json
@@ -28,45 +28,61 @@ import numpy as np
 from benchmarks.canopen_rig import DEVICE as CANOPEN
 from benchmarks.canopen_rig import EVENT_TIMER_S
 from benchmarks.canopen_rig import FAULTS as CANOPEN_FAULTS
-from benchmarks.fault_matrix import FAULTS, TOLERANCE_S
-from benchmarks.figures import Figure, give, shares
+from benchmarks.fault_matrix import FAULTS
+from benchmarks.figures import Figure, give, percentile, shares
 from benchmarks.processes import family_of, growth, resident_kilobytes
 from gateway.demo.can_bus import can_hub
+from gateway.machine.reading import STALE_PERIODS
 from gateway.store import reading, samples, stored_rows
 from sim.artefacts.model_json import model_text
+from sim.plc.program.faults import shown_at
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording
+from sim.sha.trace import Array
 from sim.traces.trace_file import write_trace
 from tests.rig.pair import CYCLE_S, MAP, ROOT, TIMEOUT_S, Gateway, Plc, end, known_model, plc_process, restless_trace
 
 PERIODS = {"tcp": 0.1, "units": 0.2, "serial": 0.5, "canopen": 0.2}
 """The links, and the seconds between two scans of a machine over each."""
-_UNIT_FAULTS = (
-    "silent", "late reply", "exception 4", "exception 6 (busy)", "illegal register", "frozen image",
-    "words swapped in mid-run", "write ignored",
-)  # fmt: skip
+_FLOOD = {"flood of replies": {"kind": "duplicate", "copies": 40, "duration": 1.0}}
+_NOT_A_UNITS = ("refuse", "half_open")
+"""Of a unit behind another one's port the one is its silence, and the other nothing."""
 _BUS_FAULTS = ("babbling node", "babbling node, our identifiers")
 SAMPLE_SECONDS = 0.5
+AGAIN_S = 12.0
+"""So long the harmed machine is waited for before the next fault; a silent unit is asked within 10 s."""
 SETTLED_S = 3.0
 """How long the machines run before anything is counted."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """What the other machines did between two moments (plant s): scans done and due, lateness (ms), blocks."""
+    """What the other machines did in some time (plant s): scans done and due, their lateness (ms), blocks.
 
-    done: int
-    due: float
-    lateness: Sequence[float]
-    blocks: int
+    `good` of `readings` were of good quality, and `wrong` of these were not what the PLC had.
+    """
+
+    done: int = 0
+    due: float = 0.0
+    lateness: tuple[float, ...] = ()
+    blocks: int = 0
+    readings: int = 0
+    good: int = 0
+    wrong: int = 0
+
+    def __add__(self, other: "Stretch") -> "Stretch":
+        """Both times together."""
+        return Stretch(*(getattr(self, key) + getattr(other, key) for key in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The others without faults and under them; good values judged, wrong ones, faults ordered; memory (min, MB)."""
+    """The others without faults, under them, and under each by its name; good values judged of all machines, wrong ones
+    of all, faults ordered; memory (min, MB)."""
 
     without: Stretch
     under: Stretch
+    by_fault: Mapping[str, Stretch]
     judged: int
     wrong: int
     ordered: int
@@ -74,13 +90,19 @@ class Outcome:
     memory: list[float]
 
 
-def faults_over(link: str) -> Sequence[Mapping[str, Any]]:
-    """What is ordered of the harmed machine."""
+def faults_over(link: str) -> Mapping[str, Mapping[str, Any]]:
+    """What is ordered of the harmed machine, by name."""
     if link == "tcp":
-        return list(FAULTS.values())
+        return FAULTS
     if link == "canopen":
-        return [fault for name, fault in CANOPEN_FAULTS.items() if name not in _BUS_FAULTS]
-    return [FAULTS[name] for name in _UNIT_FAULTS]
+        return {name: fault for name, fault in CANOPEN_FAULTS.items() if name not in _BUS_FAULTS}
+    face = "serial" if link == "serial" else "tcp"
+    all_of_them = {**FAULTS, **_FLOOD}
+    return {
+        name: fault
+        for name, fault in all_of_them.items()
+        if name not in _NOT_A_UNITS and shown_at(str(fault["kind"]), face)
+    }
 
 
 def plc_options(folder: Path, link: str, names: Sequence[str], bus: Path) -> list[object]:
@@ -152,35 +174,78 @@ path = "gateway.jsonl"
     return path
 
 
+def well(machine: Mapping[str, Any]) -> bool:
+    """True for a machine's status in which every reading is good."""
+    return all(value["quality"] == "GOOD" for value in machine["values"].values())
+
+
 def resident_mb(process: "Popen[str]") -> float:
     """The resident memory of a process and of all that it has begun."""
     return sum(map(resident_kilobytes, family_of(process.pid))) / 1e3
 
 
-def stretch(historian: Path, others: Sequence[str], begin: float, end_at: float, *, period: float) -> Stretch:
-    """The scans and blocks of the other machines between two moments, from the records."""
-    done, blocks, lateness = 0, 0, list[float]()
+@dataclass(frozen=True)
+class Watched:
+    """One machine's records: the times of its scans and of its blocks, and of its readings, the good and the wrong ones
+    among them (all plant s, sorted). `phase` is that of its deadlines."""
+
+    scans: Array
+    blocks: Array
+    readings: Array
+    good: Array
+    wrong: Array
+    period: float
+    phase: float
+
+    def between(self, begin: float, end_at: float) -> Stretch:
+        """What it did from one moment to another."""
+
+        def within(times: Array) -> Array:
+            return times[np.searchsorted(times, begin) : np.searchsorted(times, end_at)]
+
+        scans, period = within(self.scans), self.period
+        late = np.mod(scans - self.phase + period / 10, period) - period / 10
+        counts = [within(times).size for times in (self.blocks, self.readings, self.good, self.wrong)]
+        lateness = tuple((1000.0 * late.clip(0.0)).tolist())
+        return Stretch(scans.size, (end_at - begin) / period, lateness, *counts)
+
+
+def watched(folder: Path, name: str, link: str, quiet: tuple[float, float]) -> Watched:
+    """The records of a machine; in the `quiet` time (plant s) no fault was in force."""
+    period, historian = PERIODS[link], folder / "historian.sqlite"
+    # So much later than its count stands still a node may send the count that it stands at.
+    tolerance = STALE_PERIODS * period + (EVENT_TIMER_S if link == "canopen" else 0.0)
     with reading(historian) as connection:
-        for name in others:
-            times = [row[0] for row in stored_rows(connection, "scans", ("time",), begin, end_at, machine=name)]
-            done += len(times)
-            blocks += len(stored_rows(connection, "writes", ("time",), begin, end_at, machine=name))
-            # The deadlines lie a period apart from one that is not known: the earliest phase is taken for on time.
-            phases = np.mod(np.array(times) - begin, period)
-            first = float(np.quantile(phases, 0.02))
-            lateness += (1000.0 * np.mod(phases - first + period / 10, period) - 100.0 * period).clip(0.0).tolist()
-    return Stretch(done, len(others) * (end_at - begin) / period, lateness, blocks)
+        scans, blocks = (
+            np.sort([row[0] for row in stored_rows(connection, table, ("time",), machine=name)])
+            for table in ("scans", "writes")
+        )
+    read = list(samples(historian, machine=name))
+    good = [sample for sample in read if sample.quality.is_good]
+    wrong = [one.sample for one in wrong_good(read_recording(folder / f"{name}.jsonl"), good, tolerance)]
+    readings, proper, untrue = (np.sort([sample.time for sample in some]) for some in (read, good, wrong))
+    # The deadlines lie a period apart from one that is not known: the earliest phase is taken for on time.
+    at_rest = scans[np.searchsorted(scans, quiet[0]) : np.searchsorted(scans, quiet[1])]
+    phase = float(np.quantile(np.mod(at_rest - quiet[0], period), 0.02)) + quiet[0]
+    return Watched(scans, blocks, readings, proper, untrue, period, phase)
 
 
-def measured(folder: Path, link: str, machines: int, seconds: float, workers: int) -> Outcome:
-    """Run for `seconds` without a fault and as long with every fault in turn. Raises what the processes fail with."""
+def measured(
+    folder: Path,
+    link: str,
+    machines: int,
+    seconds: float,
+    workers: int,
+    faults: Mapping[str, Mapping[str, Any]],
+) -> Outcome:
+    """Run for `seconds` without a fault and as long with the `faults` in turn. Raises what the processes fail with."""
     names = [f"machine{number}" for number in range(1, machines + 1)]
     # Behind one port or on one line the first one's faces are all others'.
     harmed = names[-1] if link in ("units", "serial") else names[0]
     others = [name for name in names if name != harmed]
     write_trace(restless_trace(160.0), folder / "trace.csv")
     (folder / "model.json").write_text(model_text(known_model()), encoding="utf-8")
-    ordered = 0
+    ordered = list[tuple[str, float, float]]()
     with ExitStack() as ending:
         bus = ending.enter_context(can_hub(folder)) if link == "canopen" else folder
         plc: Plc = plc_process(
@@ -211,31 +276,36 @@ def measured(folder: Path, link: str, machines: int, seconds: float, workers: in
 
         wait(started + seconds)
         middle = plant_time()
-        until, faults = time.monotonic() + seconds, faults_over(link)
+        until, rows = time.monotonic() + seconds, list(faults.items())
         while time.monotonic() < until:
-            fault: dict[str, Any] = dict(faults[ordered % len(faults)])
+            kind, given = rows[len(ordered) % len(rows)]
+            fault: dict[str, Any] = dict(given)
+            begin = plant_time()
             plc.order("fault", machine=harmed, fault=fault)
-            ordered += 1
             wait(min(time.monotonic() + fault.get("duration", 0.5) + 0.5, until))
+            ordered.append((kind, begin, plant_time()))
+            patience = min(time.monotonic() + AGAIN_S, until)
+            while time.monotonic() < patience and not well(gateway.status["machines"][harmed]):
+                wait(min(time.monotonic() + 0.1, until))
         over = plant_time()
         code, _ = gateway.stop()
         assert code == 0, gateway.words()
         plc.order("stop")
-    historian = folder / "historian.sqlite"
-    judged = wrong = 0
-    # So much later than its count stands still a node may send the count that it stands at.
-    tolerance = TOLERANCE_S + (EVENT_TIMER_S if link == "canopen" else 0.0)
-    for name in names:
-        good = [sample for sample in samples(historian, machine=name) if sample.quality.is_good]
-        judged += len(good)
-        wrong += len(wrong_good(read_recording(folder / f"{name}.jsonl"), good, tolerance))
-    period = PERIODS[link]
+    records = {name: watched(folder, name, link, (begun, middle)) for name in names}
+
+    def others_between(begin: float, end_at: float) -> Stretch:
+        return sum((records[name].between(begin, end_at) for name in others), Stretch())
+
+    by_fault: dict[str, Stretch] = {}
+    for kind, begin, end_at in ordered:
+        by_fault[kind] = by_fault.get(kind, Stretch()) + others_between(begin, end_at)
     return Outcome(
-        without=stretch(historian, others, begun, middle, period=period),
-        under=stretch(historian, others, middle, over, period=period),
-        judged=judged,
-        wrong=wrong,
-        ordered=ordered,
+        without=others_between(begun, middle),
+        under=others_between(middle, over),
+        by_fault=by_fault,
+        judged=sum(one.good.size for one in records.values()),
+        wrong=sum(one.wrong.size for one in records.values()),
+        ordered=len(ordered),
         minutes=minutes,
         memory=memory,
     )
@@ -245,34 +315,72 @@ def measured(folder: Path, link: str, machines: int, seconds: float, workers: in
 @click.option("--machines", type=click.IntRange(2, 100), default=10, show_default=True, help="Machines of the plant.")
 @click.option("--seconds", type=click.FloatRange(1.0), default=120.0, show_default=True, help="Each of the two ways.")
 @click.option("--link", type=click.Choice(tuple(PERIODS)), default="tcp", show_default=True, help="To the machines.")
+@click.option("--fault", "only", multiple=True, metavar="NAME", help="This fault only; may be given again.")
 @click.option("--workers", type=click.IntRange(1, 16), default=1, show_default=True, help="The gateway's processes.")
 @click.option("--quick", is_flag=True, help="Three machines, two seconds.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
-def main(*, machines: int, seconds: float, link: str, workers: int, quick: bool, as_json: bool) -> None:
+def main(
+    *, machines: int, seconds: float, link: str, only: tuple[str, ...], workers: int, quick: bool, as_json: bool
+) -> None:
     """Set the unharmed machines' scans with every fault on another one against theirs without."""
     if quick:
         machines, seconds = 3, 2.0
+    faults = faults_over(link)
+    if unknown := [name for name in only if name not in faults]:
+        raise click.BadParameter(f"{unknown[0]!r} is none of {', '.join(faults)}", param_hint="--fault")
+    faults = {name: fault for name, fault in faults.items() if not only or name in only}
     with tempfile.TemporaryDirectory(prefix="decanter-isolation-") as folder:
-        found = measured(Path(folder), link, machines, seconds, workers)
+        found = measured(Path(folder), link, machines, seconds, workers, faults)
     without, under, memory = found.without, found.under, np.array(found.memory)
     slope, error = growth(np.array(found.minutes), memory)
     tenth = max(memory.size // 10, 1)
     figures = [
         Figure(
             "scans done of the others",
-            under.done / under.due * 100,
+            _share(under.done, under.due),
             "%",
             "without faults",
-            without.done / without.due * 100,
+            _share(without.done, without.due),
         ),
         *shares("lateness of the others", "ms", under.lateness, "without faults", without.lateness),
+        Figure(
+            "good readings of the others",
+            _share(under.good, under.readings),
+            "%",
+            "without faults",
+            _share(without.good, without.readings),
+        ),
+        Figure("wrong values that were good, the others", under.wrong, "", "good values", under.good),
         Figure("blocks of the others", under.blocks, "", "without faults", without.blocks),
         Figure("memory at the end", float(np.median(memory[-tenth:])), "MB", "at the start", float(memory[0])),
         Figure("its growth under faults", 1e3 * slope, "kB/min", "two standard errors of it", 1e3 * error),
         Figure("wrong values that were good, all machines", found.wrong, "", "good values", found.judged),
-        Figure("faults on the harmed machine", found.ordered, "", "kinds", len(faults_over(link))),
+        Figure("faults on the harmed machine", found.ordered, "", "kinds", len(faults)),
     ]
+    for kind, one in found.by_fault.items():
+        figures += [
+            Figure(
+                f"{kind}: scans done",
+                _share(one.done, one.due),
+                "%",
+                "without faults",
+                _share(without.done, without.due),
+            ),
+            Figure(
+                f"{kind}: lateness, p99",
+                percentile(one.lateness or (0.0,), 99),
+                "ms",
+                "p50",
+                percentile(one.lateness or (0.0,), 50),
+            ),
+            Figure(f"{kind}: good readings", _share(one.good, one.readings), "%", "wrong ones among them", one.wrong),
+        ]
     give(f"one of {machines} machines ({link}) under every fault in turn", figures, as_json=as_json)
+
+
+def _share(part: float, whole: float) -> float:
+    """Per cent; 0 of nothing."""
+    return 100.0 * part / whole if whole else 0.0
 
 
 if __name__ == "__main__":

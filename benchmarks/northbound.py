@@ -26,7 +26,7 @@ import numpy as np
 import structlog
 from sparkplub_b_packets.core.sparkplug_b_pb2 import Payload
 
-from benchmarks.figures import Figure, as_table
+from benchmarks.figures import Figure, show
 from drivers.supervision import Supervisor
 from drivers.tag import Quality, Tag
 from gateway.entry import print_json
@@ -202,7 +202,7 @@ def main(machines: int, tags: int, outage: int, live: float, as_json: bool) -> N
     if as_json:
         print_json(figures)
     else:
-        click.echo(as_table([Figure(name, value, "") for name, value in figures.items()]))
+        show("a broker's outage", [Figure(name, value, "") for name, value in figures.items()])
 
 
 if __name__ == "__main__":

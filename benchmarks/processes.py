@@ -34,7 +34,7 @@ SLOW_CYCLE_S = 0.05
 """The cycle of many PLCs in one process, which takes as much time for each of them."""
 FORECAST_SCANS = 10
 """A forecast every so many scans, as config/plant.toml has it, whatever the period that is measured."""
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 
 
 class BenchmarkError(click.ClickException):

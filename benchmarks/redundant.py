@@ -29,6 +29,7 @@ from sim.plc.record.recording import PlcRecording, read_recording
 from sim.sha.events import DECANTER, encode
 from sim.sha.trace import Array, Event, Trace
 from tests.rig.pair import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
+from tests.rig.stalls import longest_pause
 
 PERIOD = 0.1
 SWITCH_AFTER_S = 0.1
@@ -62,7 +63,8 @@ class Outcome:
     """What a run came to; times in real seconds.
 
     `switch_s`: from a fault's beginning to the switch-over; `waited_s`: how much longer that scan took than others may;
-    `gap_s`: the longest time between two good readings of the temperature. `delays` are the events' (s).
+    `gap_s`: the longest time between two good readings of the temperature. `delays` are the events' (s). `still_s` is
+    the longest time in which the PLC did not get to its next row: far more than a row's and the computer stood still.
     """
 
     standby: str
@@ -70,6 +72,7 @@ class Outcome:
     returns: int
     switch_s: tuple[float, ...]
     gap_s: float
+    still_s: float
     events: int
     lost: tuple[str, ...]
     doubled: tuple[str, ...]
@@ -181,6 +184,7 @@ def _judged(rig: Rig, standby: str, switch_overs: int, returns: int) -> Outcome:
         returns,
         switch_times(recording, rig.historian),
         float(np.max(np.diff(good))),
+        longest_pause(recording),
         len(delays) + len(lost),
         lost,
         doubled,

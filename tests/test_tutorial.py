@@ -60,7 +60,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             os.kill(int(kept.read_text(encoding="ascii")), signal.SIGKILL)
 
 
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("page", PAGES)
 def test_a_tutorial_can_be_followed_literally(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first command of `decanter` and whatever a shell has a part in run in a shell, as a reader types them.
@@ -79,7 +79,7 @@ def test_a_tutorial_can_be_followed_literally(page: str, folder: Path, monkeypat
             result = decanter(*words)
             code, printed, complaints = result.exit_code, result.stdout, result.stderr
         else:
-            done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=90, check=False)
+            done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=400, check=False)
             code, printed, complaints = done.returncode, done.stdout, done.stderr
             known = known or words is not None
         assert code == 0, f"{command}\n{printed}\n{complaints}"

@@ -15,7 +15,7 @@ from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
-from drivers.modbus.verify import Asked, asked, check_reply, split_frames, words_of
+from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, asked, check_reply, split_frames, words_of
 from drivers.modbus.wire import FLOOD, Secured, WireReply, discard, keep_alive, no_connection, socket_place
 from drivers.tap import current, moved
 
@@ -42,7 +42,8 @@ class _Question:
 class NumberedWire(asyncio.Protocol):
     """A connection, from `connect` to `abandon`.
 
-    `on_lost` hears why it broke, `on_late` of which unit a reply came when nobody waited for it any more.
+    `on_lost` hears why it broke, `on_late` of which unit a reply came when nobody waited for it any more, and whether
+    the unit gave it itself.
     `last` is the unit and the PDU of the last reply that answered a request.
     """
 
@@ -53,7 +54,7 @@ class NumberedWire(asyncio.Protocol):
         *,
         clock: Clock,
         on_lost: Callable[[str], None],
-        on_late: Callable[[int], None],
+        on_late: Callable[[int, bool], None],
         secured: Secured | None = None,
     ) -> None:
         self._host, self._port, self._secured = host, port, secured
@@ -223,7 +224,7 @@ class NumberedWire(asyncio.Protocol):
                 None,
             )
             if frame[6] == question.asked.unit:
-                self._on_late(question.asked.unit)
+                self._on_late(question.asked.unit, not (frame[7] & 0x80 and frame[8] in NO_WAY_TO_UNIT))
         if question is None or waiting is None or waiting.reply is None or waiting.reply.done():
             self.foreign += 1
             self._unasked += len(frame)

@@ -27,6 +27,9 @@ from drivers.tap import current, moved
 
 GAP_S = 0.02
 """A pause that ends a reply of unknown length: long against an operating system's buffers, short against a deadline."""
+TORN_S = 5 * GAP_S
+"""After a pause of so long on a serial port the rest of a reply does not come any more: its bytes follow one another
+within 1.5 characters (MODBUS over serial line V1.02, 2.5.1.1). A device server's network knows no such limit."""
 _FLOOD = 65536
 _CHUNK = 4096
 
@@ -71,7 +74,7 @@ class LineWire:
         *,
         clock: Clock,
         on_lost: Callable[[str], None],
-        on_late: Callable[[int], None] = lambda _: None,
+        on_late: Callable[[int, bool], None] = lambda _, __: None,
     ) -> None:
         self._settings, self._quiet, self._clock = settings, quiet, clock
         self._on_lost, self._on_late = on_lost, on_late
@@ -180,6 +183,11 @@ class LineWire:
             owed = self._awaited(wanted)
             if owed is not None and not self._is_reply_to(owed.question):
                 left = owed.until - _now()
+                if owed.question.unit != wanted.unit and self._settings.serial:
+                    left = min(left, self._heard + TORN_S - _now())
+                    if left <= 0.0:
+                        self._data, self.foreign = b"", self.foreign + 1
+                        continue
                 if not await self._more(min(until, _now() + left)) and _now() >= until:
                     raise ReplyTimeout(
                         f"{wanted}: not asked, as {owed.question} may still be answered for {left:.2f} s"
@@ -223,7 +231,7 @@ class LineWire:
             self._data = self._data[rtu.reply_length(owed.question, self._data) :]
             del self._quiet.owed[owed.question.unit]
             self.foreign += 1
-            self._on_late(owed.question.unit)
+            self._on_late(owed.question.unit, True)
 
     # ------------------------------------------------------------ the reply
 

@@ -7,11 +7,15 @@ A unit that gives no valid reply as often, or for as long, as would end a connec
 taken to be silent: it is asked one question after `silent_first` seconds, then after twice as long each time up to
 `silent_cap`, and not at all in between; all silent ones together once in `silent_first` seconds. Its failures are its
 own as long as others answer in between. All other failures are the connection's (`drivers.link`), which is made anew.
+
+What waiting for one unit costs the others is bounded (record 0154): the first question without an answer has its whole
+deadline, the next ones only what the unit's own replies take; and what a unit wastes beyond one reading's deadlines it
+pays back out of its share of the time, resting meanwhile.
 """
 
 import asyncio
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 
 from pymodbus.pdu import ModbusPDU
 
@@ -20,18 +24,17 @@ from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, Re
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.transport import AnyWire, make_transport
-from drivers.modbus.turns import AT_ONCE, ReplyTimes, Turns, UnitHealth
+from drivers.modbus.turns import AT_ONCE, ReplyTimes, Stall, Suspect, Turns, UnitHealth
+from drivers.modbus.verify import NO_WAY_TO_UNIT
 from drivers.modbus.wire import WireReply
 from drivers.supervision import Supervisor
 
-_NO_WAY_TO_UNIT = frozenset({10, 11})
-"""What a gateway answers for a unit that does not (MODBUS Application Protocol V1.1b3, 7)."""
+_UNDER_A_QUESTION = frozenset({LinkFault.CLOSED, LinkFault.FOREIGN})
+"""How a connection ends under a question that is to blame for it: the peer hangs up, or what comes is not Modbus."""
 _OF_THE_CONNECTION = (
     "transport", "certificates", "tls_name", "baud", "parity", "stopbits", "echo", "longest_reply", "connect_timeout",
     "one_client", "backoff_first", "backoff_cap", "max_failures", "max_silence",
 )  # fmt: skip
-_SHORT_PROBE_S = 0.05
-"""A silent unit is waited for so long at least."""
 
 
 class SharedLink:
@@ -53,6 +56,8 @@ class SharedLink:
         self._last_exchange = float("-inf")
         self._times = ReplyTimes()
         self._next_probe = self._answered_at = 0.0
+        self._stall: Stall | None = None
+        self._suspect: Suspect | None = None
         self._foreign = 0
 
     def _adopt(self, settings: ModbusSettings) -> None:
@@ -120,19 +125,17 @@ class SharedLink:
         """Send one request once when it is the unit's turn, and note how it went. `again`: see `Wire.ask`."""
         settings = line.settings
         health = self.health.setdefault(settings.unit, UnitHealth())
-        self._spare(settings.unit, health, urgent=urgent)
-        async with self._turns.turn(settings.unit, urgent=urgent, probe=health.silent):
+        self._spare(settings, health, urgent=urgent)
+        async with self._turns.turn(settings.unit, urgent=urgent, probe=self._doubted(health)):
             # Another driver of the same unit may have asked it while this one waited.
-            self._spare(settings.unit, health, urgent=urgent)
+            self._spare(settings, health, urgent=urgent)
             if (rest := self._last_exchange + settings.limits.pause - _now()) > 0.0:
                 await asyncio.sleep(rest)
             wire = await self._wire()
-            probe, started = health.silent, _now()
-            patience = (
-                health.probe_patience(settings.timeout, max(_SHORT_PROBE_S, self._times.usual))
-                if probe
-                else self.link.patience(settings.timeout)
-            )
+            started = _now()
+            if not again:
+                health.asked_at = started
+            patience = self._patience(settings, health, urgent=urgent)
             most_open = 1 if self.link.suspect else 2
             line.counts["requests"] += 1
             try:
@@ -140,70 +143,173 @@ class SharedLink:
             except (ReplyTimeout, ReplyMismatch) as error:
                 line.counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
                 waited = _now() - started
-                if not self._is_its_own(settings, health, started):
-                    self.link.failed(wire, waited, str(error))
+                shadowed = isinstance(error, ReplyTimeout) and self._shadowed(settings.unit, started)
+                if shadowed or not self._is_its_own(settings, health, started):
+                    with self._noting_its_end(wire):
+                        self.link.failed(wire, waited, str(error))
                 raise
             except DeviceException as error:
                 line.counts["exceptions"] += 1
                 self.link.answered(wire)
-                if error.code in _NO_WAY_TO_UNIT and len(self.health) > 1:
-                    self._answered_at = _now()
+                if error.code in NO_WAY_TO_UNIT and len(self.health) > 1:
+                    self._note_life(settings)
                     self._is_its_own(settings, health, started)
                 else:
-                    self._note_answer(health)
+                    self._note_answer(settings, health)
                 raise self.transport.explained(error) from None
             except LinkDown as error:
-                self.link.lost(wire, str(error))
+                # What ends the connection under its question again and again is the unit's own, as silence would be.
+                if wire.fault in _UNDER_A_QUESTION:
+                    self._is_its_own(settings, health, started)
+                    self._suspect = self._suspected(settings.unit, stalled=False)
+                self.give_up(wire, str(error))
                 raise
             finally:
                 self._last_exchange = _now()
             self._times.take(self._last_exchange - started)
+            health.times.take(self._last_exchange - health.asked_at)
             self.link.answered(wire)
-            self._note_answer(health)
+            self._note_answer(settings, health)
             return reply
 
-    def _spare(self, unit: int, health: UnitHealth, *, urgent: bool) -> None:
-        """Raise LinkDown for a silent unit that is not to be asked now; to a silent one nothing is written."""
+    @property
+    def _share(self) -> float:
+        """The part of the connection's time that is each unit's."""
+        return 1.0 / max(1, len(self.health))
+
+    def _spare(self, settings: ModbusSettings, health: UnitHealth, *, urgent: bool) -> None:
+        """Raise LinkDown for a unit that is not to be asked now; to a silent one nothing is written."""
+        unit, now = settings.unit, _now()
+        if self.suspects(unit):
+            raise LinkDown(
+                f"the last connection to {self.settings.place} ended with a question to unit {unit}; it is asked again "
+                "after another unit",
+                fault=LinkFault.SILENT,
+            )
+        rest = 0.0
+        if len(self.health) > 1 and not urgent and self._answered_at > health.doubted_since:
+            rest = health.debt.rest(now, self._share, settings.longest_read)
         if health.silent_since is None:
+            if rest > 0.0:
+                raise LinkDown(
+                    f"unit {unit} has held up the others on {self.settings.place} for {health.debt.owed:.2f} s; "
+                    f"asked again in {rest:.1f} s",
+                    fault=LinkFault.SILENT,
+                )
             return
-        left = 0.0 if health.retry_at == AT_ONCE else max(health.retry_at, self._next_probe) - _now()
+        left = max(rest, 0.0 if health.retry_at == AT_ONCE else max(health.retry_at, self._next_probe) - now)
         if left <= 0 and not urgent:
             return
         wait = f"asked again in {left:.1f} s" if left > 0 else "asked again with the next reading"
         raise LinkDown(
-            f"unit {unit} is silent for {_now() - health.silent_since:.1f} s while others on {self.settings.place} "
+            f"unit {unit} is silent for {now - health.silent_since:.1f} s while others on {self.settings.place} "
             f"answer; {wait}",
             fault=LinkFault.SILENT,
         )
 
-    def _note_answer(self, health: UnitHealth) -> None:
-        self._answered_at = _now()
+    def _doubted(self, health: UnitHealth) -> bool:
+        """True for a unit whose last question failed while others answered."""
+        return health.silent or (health.failures > 0 and self._answered_at > health.doubted_since)
+
+    def _patience(self, settings: ModbusSettings, health: UnitHealth, *, urgent: bool) -> float:
+        """The deadline of a question: the unit's own, of a reading less where it is doubted."""
+        if not urgent and self._doubted(health):
+            return health.patience(settings.timeout, settings.longest_read, self._times.usual)
+        return self.link.patience(settings.timeout)
+
+    def _note_answer(self, settings: ModbusSettings, health: UnitHealth) -> None:
+        if self._answered_at > health.doubted_since and health.debt.connection == self.link.connects:
+            self._book(settings, health)
+        health.debt.waited = 0.0
+        self._note_life(settings)
         health.answered(self.link.connects)
+
+    def _note_life(self, settings: ModbusSettings) -> None:
+        """Something has been answered: the connection lives."""
+        self._answered_at, self._stall = _now(), None
+        if self._suspect is not None and self._suspect.stalled and self._suspect.unit != settings.unit:
+            # The others answer on the new connection. Whoever was asked when the last one stalled may have been the
+            # cause: it is asked again as a silent one is.
+            self._avoid(self._suspect.unit)
+        self._suspect = None
 
     def _is_its_own(self, settings: ModbusSettings, health: UnitHealth, asked_at: float) -> bool:
         """Note that the unit has not answered; True if that is the silent unit's own failure, not the connection's."""
         now = _now()
         health.failed(asked_at, now - asked_at)
+        health.debt.wait(now - asked_at, self.link.connects)
         others_answer = self._answered_at > health.doubted_since
+        if others_answer:
+            self._book(settings, health)
         given_up = health.failures >= settings.max_failures or health.waited >= settings.max_silence
         if health.silent or (given_up and others_answer):
-            health.avoid(now, settings.silent_first, settings.silent_cap)
-            # One short wait in this time for all silent units together, however many they are.
-            self._next_probe = now + settings.silent_first
+            self._avoid(settings.unit)
         return health.silent and others_answer
 
-    def _late(self, unit: int) -> None:
-        if unit in self.health:
-            self.health[unit].heard()
+    def _avoid(self, unit: int) -> None:
+        """Take the unit to be silent, and ask it rarely."""
+        if (health := self.health.get(unit)) is not None:
+            now = _now()
+            health.avoid(now, self.settings.silent_first, self.settings.silent_cap)
+            # One short wait in this time for all silent units together, however many they are.
+            self._next_probe = now + self.settings.silent_first
+
+    def _book(self, settings: ModbusSettings, health: UnitHealth, seconds: float = 0.0) -> None:
+        share = self._share
+        health.debt.book(_now(), share, settings.longest_read + share * settings.silent_cap, seconds)
+
+    def _shadowed(self, unit: int, started: float) -> bool:
+        """Whether a question has had no answer because an earlier one, to another unit, has stopped the connection."""
+        if self._answered_at > started:
+            return False
+        if self._stall is None:
+            self._stall = Stall(unit, _now())
+        if self._stall.unit == unit:
+            return False
+        self._stall.others = True
+        return True
+
+    def _late(self, unit: int, there: bool) -> None:
+        """A reply has come too late for its question; `there`: the unit itself has given it, and no gateway for it."""
+        health, stall = self.health.get(unit), self._stall
+        self._stall = None
+        if health is None:
+            return
+        now = _now()
+        if stall is not None and stall.unit == unit and (stall.others or self._turns.busy):
+            # The others were kept waiting for longer than anybody waited for this unit.
+            self._book(self.settings, health, now - stall.since)
+        if there:
+            health.times.take(now - health.asked_at)
+            health.heard()
 
     # ------------------------------------------------------------ the connection
 
     def give_up(self, wire: AnyWire, reason: str) -> None:
         """End this connection; the next one is waited for, so that it costs the other units nothing but that."""
-        if wire is self.link.connection:
-            self.renewing = len(self.health) > 1 and self.link.proven
-            self._made.clear()
+        with self._noting_its_end(wire):
             self.link.lost(wire, reason)
+
+    @contextmanager
+    def _noting_its_end(self, wire: AnyWire) -> Iterator[None]:
+        """If this ends the connection: the next is waited for, and the unit that stalled it is asked after another."""
+        present, proven = wire is self.link.connection, self.link.proven
+        yield
+        if not present or self.link.connection is not None:
+            return
+        self.renewing = proven and len(self.health) > 1
+        self._made.clear()
+        if self._stall is not None and self._stall.others:
+            self._suspect = self._suspected(self._stall.unit, stalled=True)
+        self._stall = None
+
+    def suspects(self, unit: int) -> bool:
+        """True for the unit with whose question the last connection ended, until another one has been asked."""
+        return self._suspect is not None and self._suspect.unit == unit and _now() < self._suspect.until
+
+    def _suspected(self, unit: int, *, stalled: bool) -> Suspect | None:
+        patience = self.settings.connect_timeout + self.settings.timeout
+        return Suspect(unit, _now() + patience, stalled) if len(self.health) > 1 else None
 
     async def _wire(self) -> AnyWire:
         if self.link.connection is None and self.renewing:
@@ -219,7 +325,7 @@ class SharedLink:
         return wire
 
     async def _connect(self) -> AnyWire:
-        wire = self.transport.wire(lambda reason: self.link.lost(wire, reason))
+        wire = self.transport.wire(lambda reason: self.give_up(wire, reason))
         await wire.connect()
         self.renewing = False
         self._made.set()
@@ -286,9 +392,9 @@ class UnitLine:
         try:
             return await self._shared.exchange(self, request, before_sending, again=again, urgent=urgent)
         except LinkDown:
-            if urgent or not self._shared.renewing:
+            if urgent or not self._shared.renewing or self._shared.suspects(self.settings.unit):
                 raise
-            # Another unit's write has ended the connection under a read, which may be asked again.
+            # Another unit has ended the connection under a read, by a write or by what came, and it is asked again.
             return await self._shared.exchange(self, request, before_sending, again=False, urgent=urgent)
 
     def give_up(self, wire: AnyWire, reason: str) -> None:

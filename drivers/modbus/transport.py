@@ -59,11 +59,12 @@ class ModbusTransport:
 
 
 def make_transport(
-    settings: ModbusSettings, clock: Clock, on_late: Callable[[int], None] | None = None
+    settings: ModbusSettings, clock: Clock, on_late: Callable[[int, bool], None] | None = None
 ) -> ModbusTransport:
     """The transport of checked settings. Raises DriverError for certificates that cannot be used.
 
-    With `on_late` its wires carry the requests of several units; it hears of which unit a reply came too late.
+    With `on_late` its wires carry the requests of several units; it hears of which unit a reply came too late,
+    and whether the unit itself gave it.
     """
     place = (settings.host, settings.port)
 
@@ -77,7 +78,7 @@ def make_transport(
     if settings.transport != "tls":
         # One for all wires to come: what is still under way on the line outlives a reconnection.
         quiet = Quiet()
-        heard = on_late or (lambda _: None)
+        heard = on_late or (lambda _, __: None)
         return ModbusTransport(
             lambda on_lost: LineWire(settings, quiet, clock=clock, on_lost=on_lost, on_late=heard), tuple
         )

@@ -4,20 +4,22 @@ import asyncio
 from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from drivers.modbus.plan import retry_delay
 
 URGENT_IN_A_ROW = 8
 """So many urgent turns are given one after another while something else waits; then that has one."""
 AT_ONCE = 0.0
+SHORT_WAIT_S = 0.05
+"""A unit that has failed while others answer is waited for so long at least."""
 LONG_PROBE = 8
 """Each so-many-th question to a silent unit has the whole deadline: the unit may have become slower than the others."""
 
 
 @dataclass(slots=True)
 class _Place:
-    """One who waits; `probe`: for a unit that is taken to be silent."""
+    """One who waits; `probe`: for a unit that is silent, or failed last while others answered."""
 
     unit: int
     urgent: bool
@@ -26,10 +28,12 @@ class _Place:
 
 
 class Turns:
-    """Turns for the units of one connection: at most `outstanding` at a time, round robin by unit.
+    """Turns for the units of one connection: at most `outstanding` at a time, by the time that each has had.
 
-    What is urgent (a write and its reading back) goes before what is not, in turns among themselves. Of silent units
-    one is asked at a time, so that with `outstanding` 2 or more their waits hold nobody up.
+    Who waits goes in the order of start-time fair queueing (Goyal, Vin & Cheng 1996): a unit that holds the connection
+    ten times as long has a tenth of the turns where there is not time for all, and one that was idle has no claim to
+    what it did not use. Equal ones go round. What is urgent (a write and its reading back) goes before what is not. One
+    probe is under way at a time, so that with `outstanding` 2 or more the waits of silent units hold nobody up.
     """
 
     def __init__(self, outstanding: int) -> None:
@@ -38,17 +42,28 @@ class Turns:
         self._waiting: dict[int, deque[_Place]] = {}
         # Its order is the rotation: whose turn was longest ago stands first.
         self._order: dict[int, None] = {}
+        # Virtual time (s): of the turn granted last, and until when each unit has had its share.
+        self._now = 0.0
+        self._had: dict[int, float] = {}
 
     @asynccontextmanager
     async def turn(self, unit: int, *, urgent: bool, probe: bool) -> AsyncIterator[None]:
         """Wait for a turn of the unit and hold it."""
-        place = _Place(unit, urgent, probe, asyncio.get_running_loop().create_future())
+        loop = asyncio.get_running_loop()
+        place = _Place(unit, urgent, probe, loop.create_future())
         self._order.setdefault(unit)
-        self._waiting.setdefault(unit, deque()).append(place)
+        queue = self._waiting.setdefault(unit, deque())
+        if not queue:
+            self._had[unit] = max(self._had.get(unit, 0.0), self._now)
+        queue.append(place)
         self._grant()
         try:
             await place.granted
-            yield
+            begun = loop.time()
+            try:
+                yield
+            finally:
+                self._had[unit] += loop.time() - begun
         finally:
             if place.granted.done() and not place.granted.cancelled():
                 self._taken -= 1
@@ -57,21 +72,27 @@ class Turns:
                 self._waiting[unit].remove(place)
             self._grant()
 
+    @property
+    def busy(self) -> bool:
+        """True while somebody has a turn."""
+        return self._taken > 0
+
     def _grant(self) -> None:
         while self._taken < self.outstanding and (place := self._next()) is not None:
             self._waiting[place.unit].remove(place)
             self._order[place.unit] = self._order.pop(place.unit)
             self._taken += 1
+            self._now = max(self._now, self._had[place.unit])
             self._probes += place.probe
             self._urgent_in_a_row = self._urgent_in_a_row + 1 if place.urgent else 0
             place.granted.set_result(None)
 
     def _next(self) -> _Place | None:
-        """The first in the rotation, of the urgent ones if there are any and their row is not too long."""
+        """Whose unit has had least, of the urgent ones if there are any and their row is not too long."""
         eligible = [
             place
-            for unit in self._order
-            for place in self._waiting.get(unit, ())
+            for unit in sorted(filter(self._waiting.get, self._order), key=self._had.__getitem__)
+            for place in self._waiting[unit]
             if not place.granted.done() and not (place.probe and self._probes)
         ]
         preferred = self._urgent_in_a_row < URGENT_IN_A_ROW
@@ -82,10 +103,16 @@ class Turns:
 class UnitHealth:
     """Whether a unit answers; times are the loop's. `connection` is the number of the one on which it did last.
 
-    `doubted_since`: an answer of another unit after this moment says that the connection is not to blame.
+    `asked_at` is when its newest question was first sent, `times` are its own replies'. `doubted_since`: an answer of
+    another unit after this moment says that the connection is not to blame. `late`: of a silent unit something has come
+    after its time. `debt` is what it owes the others.
     """
 
     connection: int = 0
+    asked_at: float = 0.0
+    times: "ReplyTimes" = field(default_factory=lambda: ReplyTimes())
+    late: bool = False
+    debt: "WaitingDebt" = field(default_factory=lambda: WaitingDebt())
     doubted_since: float = 0.0
     failures: int = 0
     waited: float = 0.0
@@ -101,7 +128,7 @@ class UnitHealth:
     def answered(self, connection: int) -> None:
         """It has answered, over this connection."""
         self.connection, self.failures, self.waited = connection, 0, 0.0
-        self.silent_since, self.probes = None, 0
+        self.silent_since, self.probes, self.late = None, 0, False
 
     def failed(self, asked_at: float, waited: float) -> None:
         """No valid answer came to what was asked then, after `waited` seconds."""
@@ -115,19 +142,80 @@ class UnitHealth:
         if self.silent_since is None:
             self.silent_since = now
         self.probes += 1
-        self.doubted_since, self.retry_at = now, now + retry_delay(self.probes, first, cap)
+        self.late, self.doubted_since, self.retry_at = False, now, now + retry_delay(self.probes, first, cap)
 
     def heard(self) -> None:
         """Something of it has come too late for its question: it is there, and is asked at once with all patience."""
         if self.silent:
-            self.retry_at, self.probes = AT_ONCE, LONG_PROBE
+            self.retry_at, self.late = AT_ONCE, True
 
-    def probe_patience(self, deadline: float, usual: float) -> float:
-        """How long a silent unit is waited for, in the others' time: what is `usual` on this connection.
+    def patience(self, deadline: float, longest: float, usual: float) -> float:
+        """How long to wait in the others' time for a unit that has failed while they answered.
 
-        Each eighth time the whole deadline.
+        As long as its replies take as a rule, `usual` where it has given none; where something has come too late as
+        long as for a whole reading, `longest`; each eighth question to a silent unit has the whole `deadline`.
         """
-        return deadline if self.probes % LONG_PROBE == 0 else min(deadline, usual)
+        if self.late:
+            return longest
+        if self.silent and self.probes % LONG_PROBE == 0:
+            return deadline
+        return min(deadline, max(SHORT_WAIT_S, self.times.usual or usual))
+
+
+@dataclass(slots=True)
+class WaitingDebt:
+    """What a unit owes the others: seconds for which the connection was held for it in vain, as of `at` (loop's time).
+
+    It is paid by time, of which its `share` is the unit's own. What was waited is booked once others have answered on
+    the same connection: until then the connection may be to blame.
+    """
+
+    owed: float = 0.0
+    at: float = 0.0
+    waited: float = 0.0
+    connection: int = 0
+
+    def wait(self, seconds: float, connection: int) -> None:
+        """So long has been waited in vain over this connection; it is booked, or forgotten, later."""
+        if connection != self.connection:
+            self.connection, self.waited = connection, 0.0
+        self.waited += seconds
+
+    def book(self, now: float, share: float, most: float, seconds: float = 0.0) -> None:
+        """What was waited, and `seconds` beyond it, is owed; never more than `most`."""
+        self.owed, self.at = min(most, self._left(now, share) + self.waited + seconds), now
+        self.waited = 0.0
+
+    def rest(self, now: float, share: float, free: float) -> float:
+        """Seconds until no more than `free` is owed."""
+        return max(0.0, self._left(now, share) - free) / share
+
+    def _left(self, now: float, share: float) -> float:
+        return max(0.0, self.owed - share * (now - self.at))
+
+
+@dataclass(slots=True)
+class Stall:
+    """Nobody has answered since this unit's question, which was given up `since` (loop's time).
+
+    `others`: another unit's question has been given up meanwhile.
+    """
+
+    unit: int
+    since: float
+    others: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Suspect:
+    """The unit with whose question the last connection ended: it is asked after another one, or at `until`.
+
+    `stalled`: the connection stood still after the question; otherwise it was closed or made unreadable under it.
+    """
+
+    unit: int
+    until: float
+    stalled: bool
 
 
 class ReplyTimes:

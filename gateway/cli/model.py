@@ -32,7 +32,7 @@ COMMANDS: Table = {
     ),
     "shadow": (
         "gateway.lab.retraining.shadow:shadow_command",
-        "Compare two versions on live cycles; roll back where the promoted one is worse.",
+        "Compare two versions on live cycles; promote the better one by a stated policy.",
     ),
     "lineage": (
         "gateway.lab.retraining.lineage:lineage_command",
@@ -42,6 +42,7 @@ COMMANDS: Table = {
         "gateway.lab.regression.regress:regress",
         "Run a standard set against all models; say what became worse since when.",
     ),
+    "fleet": ("gateway.lab.fleet.fleet:fleet", "Learn a type's model from many machines; say which stands out."),
     "export": ("gateway.lab.export:export", "Write a model for UPPAAL along traces; compare with its engine."),
 }
 
@@ -62,6 +63,7 @@ EXAMPLES = {
     "cycles": "model cycles out/cycles/decanter-TCuscinettiRiduttore --rating rare",
     "shadow": "model shadow models/decanter --historian out/historian.sqlite --roll-back",
     "lineage": "model lineage models/decanter",
+    "fleet": "model fleet out/machines --out out/fleet",
     "regress": "model regress models/decanter --standard out/traces",
     "export": "model export out/model --uppaal --trace out/traces/cd8.csv --out out/uppaal",
 }

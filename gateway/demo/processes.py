@@ -17,8 +17,8 @@ from gateway.demo.child import DemoError, last_words, stop
 from gateway.demo.links import LINKS
 from gateway.demo.prepare import DemoRun
 
-READY_S = 20.0
-"""Real seconds within which a process must be up."""
+READY_S = 120.0
+"""Real seconds within which a process must be up; one that ends is noticed at once."""
 
 
 def _environment() -> dict[str, str]:

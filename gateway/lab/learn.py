@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ import click
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, table
 from gateway.entry import sentences
+from gateway.lab.familiar import familiarity_files, trained_familiarity
 from gateway.lab.show import show_model, spread_sentence, summary
 from gateway.lab.traces.load import load, warned_of
 from sim.artefacts.formats import check_free, write_model_directory
@@ -92,27 +93,32 @@ def learn(
                 f"{REPORT}.json": json_text(report_document(account), indent=1) + "\n",
                 f"{REPORT}.md": report_text(account, name),
             }
-            model, shown, acceptance = words_learned.model, lsha_diagnostics(words_learned), account.acceptance
-            spread = None
-            written = write_model_directory(out, model, words_learned.values, observations=account.table, more=more)
+            model, spread = words_learned.model, words_learned.spread
+            values, observations = words_learned.values, account.table
+            shown, acceptance = lsha_diagnostics(words_learned), account.acceptance
         else:
             learned = learn_from(traces, column_map, name=name, seed=seed, report=report, temperature=temperature)
-            # Of several machines it is a model of their type, and has what is each one's own.
-            own = machine_corrections(learned.model, traces, learned.spread)
-            learned = replace(learned, model=replace(learned.model, machines=own))
-            written = write(out, learned)
-            model, shown, acceptance = learned.model, diagnostics(learned), None
-            spread = learned.spread
+            model, spread = learned.model, learned.spread
+            values, observations, more = learned.values, None, {}
+            shown, acceptance = diagnostics(learned), None
+        # Of several machines it is a model of their type, and has what is each one's own.
+        model = replace(model, machines=machine_corrections(model, traces, spread))
+        familiar = trained_familiarity(model, traces)
+        more = more | familiarity_files(familiar)
+        written = write_model_directory(out, model, values, observations=observations, more=more)
     data = {"model": str(out), "file": str(written), **summary(model), "diagnostics": shown}
-    data |= {"machines": spread and asdict(spread), "warnings": warnings}
+    cycles = 0 if familiar is None else familiar.reference.held_out.size
+    data |= {"familiar_cycles": cycles, "machines": asdict(spread), "warnings": warnings}
 
     def show() -> None:
         show_model(model)
         for title, rows in shown.items():
             if rows:
                 table(title, list(rows[0]), [list(row.values()) for row in rows])
-        if spread is not None:
-            click.echo(spread_sentence(spread, shown_unit(model.unit)))
+        click.echo(spread_sentence(spread, shown_unit(model.unit)))
+        click.echo(
+            f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
+        )
         click.echo(f"model directory: {out}")
         if acceptance is not None:
             counts = f"{acceptance.accepted} of {acceptance.traces} training traces"
@@ -144,9 +150,9 @@ def learn_from(
     )
 
 
-def write(out: Path, learned: Learned) -> Path:
-    """Write the model directory; returns the path of its model.json."""
-    return write_model_directory(out, learned.model, learned.values)
+def write(out: Path, learned: Learned, more: Mapping[str, str] | None = None) -> Path:
+    """Write the model directory with `more` files by their names; returns the path of its model.json."""
+    return write_model_directory(out, learned.model, learned.values, more=more)
 
 
 def diagnostics(learned: Learned) -> dict[str, list[dict[str, Any]]]:

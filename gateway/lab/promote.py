@@ -7,7 +7,7 @@ import click
 
 from gateway.console import emit, json_option
 from gateway.entry import sentences
-from sim.artefacts import Force, forced
+from sim.artefacts import FAMILIARITY_FILE, Force, forced, read_familiarity
 from sim.artefacts import promote as promote_version
 from sim.artefacts.formats import find_model, save
 
@@ -35,7 +35,9 @@ def promote(
     with sentences():
         now = time.time()
         if model is not None:
-            version = save(store, find_model(model).runnable(), created=now)
+            familiar = read_familiarity(Path(model)) if Path(model).is_dir() else None
+            more = {} if familiar is None else {FAMILIARITY_FILE: familiar.text()}
+            version = save(store, find_model(model).runnable(), created=now, more=more)
         chosen = str(version)
         promote_version(store, chosen, Force(str(by), reason, now) if reason is not None else None)
         force = forced(store)

@@ -35,7 +35,6 @@ from sim.validation import (
     Wanted,
     check_folder,
     claim_folder,
-    cluster,
     conduct,
     findings_of,
     fitness_sentence,
@@ -46,6 +45,7 @@ from sim.validation import (
     prepare,
     relabelled,
     run_here,
+    run_there,
     summaries,
     unread,
     verdict,
@@ -99,7 +99,7 @@ def campaign(request: ValidationRequest, tell: Callable[[str], None], progress: 
     check_folder(request.out, overwrite=request.overwrite)
     column_map = load_map(request.map_file)
     workers = request.jobs or len(os.sched_getaffinity(0))
-    with nullcontext(run_here(workers)) if request.address is None else cluster(request.address) as run:
+    with nullcontext(run_here(workers)) if request.address is None else run_there(request.address) as run:
         # The models come before the traces and the learning after both: what can be refused at once is refused first.
         unlearned = to_learn(request.models)
         if unlearned and not request.training:

@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import isinf
-from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -26,6 +25,7 @@ from gateway.machine.alarms import (
     DISK,
     INPUTS,
     LINK,
+    NORTHBOUND,
     NOTIFICATION,
     OTHER_WRITER,
     PARTS,
@@ -33,6 +33,7 @@ from gateway.machine.alarms import (
     AlarmBoard,
     SensorWatch,
     acknowledge_words,
+    certificate_folders,
     make_conditions,
     name_of,
     suppressing_tags,
@@ -148,8 +149,7 @@ class Machine:
                 sensors=SensorWatch(config.watched, config.twins, config.alarms.trend),
             )
             self.desk = AlarmDesk(config, self.alarms, self.common, clock=clock, historian=store, log=log)
-            named = [link.settings.get("certificates") for link in config.links]
-            self.surroundings = Surroundings(store.path, [Path(str(each)) for each in named if each], self.supervisor)
+            self.surroundings = Surroundings(store.path, certificate_folders(config), self.supervisor)
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
             self.records = Records(store, Keeper(config.map.by_name, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):
@@ -270,6 +270,7 @@ class Machine:
             findings[PARTS] = float(bool(self.records_watch.failed_parts))
             findings[CLOCK] = float(bool(self.clock_complaint))
             findings[NOTIFICATION] = float(bool(self.notification_complaint()))
+            findings[NORTHBOUND] = float(bool(self.common.unreached()))
             findings[LINK] = float(not self.link.alive)
             self.surroundings.look(scan.time)
             free, days = self.surroundings.free_mb, self.surroundings.days

@@ -10,7 +10,7 @@ from typing import Any, Literal, Protocol
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from gateway.status import AlarmStatus, GatewayStatus, TemperatureStatus
+from gateway.status import AlarmStatus, FamiliarityStatus, GatewayStatus, TemperatureStatus
 
 Labelled = tuple[Sequence[str], float | None]
 """The values of a metric's labels after the machine's, and the metric's own."""
@@ -59,6 +59,12 @@ def _predicted(key: str) -> Callable[[GatewayStatus], Iterable[Labelled]]:
 
 def _number(value: object) -> float | None:
     return float(value) if isinstance(value, int | float) else None
+
+
+def _familiarity(status: GatewayStatus) -> Iterator[tuple[GatewayStatus | TemperatureStatus, FamiliarityStatus]]:
+    for one in _temperatures(status):
+        if one.prediction is not None and one.prediction.familiarity is not None:
+            yield one, one.prediction.familiarity
 
 
 def _quantiles(status: GatewayStatus) -> Iterator[Labelled]:
@@ -150,6 +156,27 @@ METRICS: Sequence[MachineMetric] = (
         "1 for the zone of trust in the model: green, yellow or red.",
         ("temperature", "zone"),
         lambda s: [((one.temperature, one.prediction.zone), 1.0) for one in _temperatures(s) if one.prediction],
+    ),
+    MachineMetric(
+        "decanter_strangeness",
+        "gauge",
+        "How unlike its training the present cycle is: 1 as the strangest twentieth of it; none where not known.",
+        ("temperature",),
+        lambda s: [((one.temperature,), f.strangeness) for one, f in _familiarity(s)],
+    ),
+    MachineMetric(
+        "decanter_familiarity_zone",
+        "gauge",
+        "1 for the zone of the present cycle: green, yellow or red, unknown without a reference.",
+        ("temperature", "zone"),
+        lambda s: [((one.temperature, f.zone), 1.0) for one, f in _familiarity(s)],
+    ),
+    MachineMetric(
+        "decanter_unfamiliar",
+        "gauge",
+        "1 while the present cycle is beyond the limit, with what is strange of it.",
+        ("temperature", "sentence"),
+        lambda s: [((one.temperature, f.sentence), 1.0) for one, f in _familiarity(s) if f.outside],
     ),
     MachineMetric(
         "decanter_limit",

@@ -10,7 +10,7 @@ paho gets no thread of its own: all is done in the feed's.
 import json
 import ssl
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from math import isfinite
 from threading import Event
@@ -27,17 +27,19 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersi
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from drivers.tag import Quality
+from drivers.tag import Quality, Tag
 from gateway.northbound.sink import Acknowledge, OutgoingRow, Present, Sink, SinkContext, SinkUnreachable, Tags
 from gateway.northbound.sparkplug import (
     BOOLEAN,
     INT64,
     LONGEST_NAME,
     STRING,
+    HostState,
     Payload,
     SparkplugMetric,
     add_metric,
     commands_in,
+    host_state,
     metrics_of,
     milliseconds,
 )
@@ -51,6 +53,8 @@ WINDOW = 100
 """JSON messages that wait for their acknowledgement at a time; fewer where the broker says so (MQTT 5)."""
 MOST_METRICS = 500
 """Metrics in one Sparkplug message."""
+HOST_SECONDS = 2.0
+"""How long the word of a primary host may take that the broker has kept."""
 TOGETHER = 10
 """Sparkplug messages that are confirmed together."""
 ACKNOWLEDGE = "Alarm Control/Acknowledge"
@@ -208,22 +212,47 @@ class SparkplugSink:
         self._aliases: dict[tuple[str, str], int] = {}
         self._present: dict[str, dict[str, SparkplugMetric]] = {}
         self._is_born = False
+        self._host: HostState | None = None
+        self._born_tags: dict[str, Mapping[str, Tag]] = {}
 
     def _topic(self, kind: str, device: str = "") -> str:
         return "/".join(filter(None, ("spBv1.0", self._row.group, kind, self._row.node, device)))
 
     def open(self, present: Present) -> None:
-        """Connect and be born."""
+        """Connect, wait for the primary host where there is one, and be born."""
         self._births = (self._births + 1) % 256
+        self._host = None
         # The devices' commands only where somebody may give them: else nothing that is sent there is even received.
         commands = [self._topic("NCMD"), *([self._topic("DCMD", "+")] if self._row.commands else [])]
-        self._broker.open(self._topic("NDEATH"), self._death(), retain=False, subscribed=commands)
+        state = [] if self._row.primary_host is None else [f"spBv1.0/STATE/{self._row.primary_host}"]
+        self._broker.open(self._topic("NDEATH"), self._death(), retain=False, subscribed=[*state, *commands])
+        self._wait_for_host()
         tags = self._tags()
         self._present = {
             machine: {metric.name: metric for row in rows for metric in metrics_of(row, tags.get(machine, {}))}
             for machine, rows in present.items()
         }
         self._give_birth()
+
+    def _wait_for_host(self) -> None:
+        """Wait for the word of the primary host, which the broker keeps. Raises SinkUnreachable where it is offline."""
+        if self._row.primary_host is None:
+            return
+        end = monotonic() + HOST_SECONDS
+        while self._host is None or not self._host.online:
+            if monotonic() > end:
+                raise SinkUnreachable(f"the primary host {self._row.primary_host!r} is not online")
+            self._broker.turn(0.05)
+            self._obey()
+
+    def _take_host_state(self, payload: bytes) -> None:
+        """A host's death is its will, which may come late: one that is older than what it has said since is no news."""
+        state = host_state(payload)
+        if state is None or (self._host is not None and state.timestamp < self._host.timestamp):
+            return
+        self._host = state
+        if not state.online and self._is_born:
+            raise SinkUnreachable(f"the primary host {self._row.primary_host!r} has gone offline")
 
     def _death(self) -> bytes:
         death = Payload(timestamp=milliseconds(self._now()))
@@ -249,7 +278,26 @@ class SparkplugSink:
             add_metric(birth, metric, alias=self._alias(machine, metric.name), birth=True)
         if self._row.commands:
             birth.metrics.add(name=ACKNOWLEDGE, timestamp=birth.timestamp, datatype=STRING, string_value="")
+        self._born_tags[machine] = self._tags().get(machine, {})
         self._send("DBIRTH", machine, birth)
+
+    def _follow_reload(self) -> None:
+        """A device dies with its machine; one whose tags have changed is born anew, without those that it has no more.
+
+        Only once all is handed on: what is on record of a machine that is gone comes before its death.
+        """
+        tags = self._tags()
+        for machine in [name for name in self._present if name not in tags]:
+            del self._present[machine]
+            if self._born_tags.pop(machine, None) is not None:
+                self._send("DDEATH", machine, Payload(timestamp=milliseconds(self._now())))
+        for machine, own in tags.items():
+            if self._born_tags.get(machine, own) == own:
+                continue
+            former = self._born_tags[machine]
+            for name in former.keys() - own.keys():
+                self._present[machine].pop(f"Measured/{name}", None)
+            self._give_birth_to(machine)
 
     def _alias(self, machine: str, name: str) -> int:
         return self._aliases.setdefault((machine, name), len(self._aliases) + 1)
@@ -301,7 +349,8 @@ class SparkplugSink:
             self._give_birth_to(machine)
 
     def idle(self, seconds: float, stop: Event) -> None:
-        """Keep the connection alive, and hear commands."""
+        """Keep the connection alive, hear commands, and follow what a reload has changed."""
+        self._follow_reload()
         end = monotonic() + seconds
         while not stop.is_set() and (left := end - monotonic()) > 0:
             self._broker.turn(min(left, 0.2))
@@ -311,9 +360,13 @@ class SparkplugSink:
         """Do what was commanded; what makes no sense is passed over, as the specification wants it."""
         while self._broker.received:
             message = self._broker.received.popleft()
+            if message.topic.startswith("spBv1.0/STATE/"):
+                self._take_host_state(bytes(message.payload))
+                continue
             kind, *device = message.topic.split("/")[2:3] + message.topic.split("/")[4:]
             for command in commands_in(bytes(message.payload)):
-                if kind == "NCMD" and command.name == "Node Control/Rebirth" and command.is_true:
+                rebirth = kind == "NCMD" and command.name == "Node Control/Rebirth" and command.is_true
+                if rebirth and self._is_born:
                     self._give_birth()
                 elif kind == "DCMD" and device and command.name == ACKNOWLEDGE and command.text:
                     self._acknowledge(device[0], [command.text], f"mqtt {self._row.name}")

@@ -129,6 +129,11 @@ class Northbound:
             self.opcua = OpcUaServer(section.opcua, pictures, tags=self._tags, historian=historian.path)
             self._opcua_thread = supervisor.thread("opcua", self.opcua.run, stop=self.opcua.stop)
 
+    @property
+    def unreached(self) -> str:
+        """Which sinks are out of reach, and why; "" while none is."""
+        return "; ".join(f"{feed.name}: {feed.reason}" for feed in self.feeds if feed.reason)
+
     def _tags(self) -> Mapping[str, Mapping[str, Any]]:
         return {name: config.map.by_name for name, config in self._machines().items()}
 

@@ -85,6 +85,16 @@ def _predicted(machine: str, one: GatewayStatus | TemperatureStatus, now: float)
             unit=one.unit if kind == "double" and key != "anomaly" else "",
             recorded=key not in ("inputs_good", "known"),
         )
+    familiarity = None if made is None else made.familiarity
+    of_cycle: tuple[tuple[str, PointType, str], ...] = (
+        ("strangeness", "double", "strangeness"),
+        ("familiarity", "string", "zone"),
+        ("strange", "string", "sentence"),
+    )
+    for key, kind, field in of_cycle:
+        value = None if familiarity is None else getattr(familiarity, field)
+        quality = Quality.WAITING_FOR_INITIAL_DATA if value is None else Quality.GOOD
+        yield point_at((machine, "Predicted", one.temperature, key), kind, value, quality, time=time)
     limit = (machine, "Forecast", one.temperature, "limit")
     yield point_at(limit, "double", one.limit, Quality.GOOD, time=now, unit=one.unit, standing=True)
     forecast = one.forecast

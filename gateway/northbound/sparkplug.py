@@ -19,8 +19,8 @@ INT32, INT64, DOUBLE, BOOLEAN, STRING = 3, 4, 10, 11, 12
 """Sparkplug's data types that are used here."""
 GOOD, STALE, BAD = 192, 500, 0
 """Values of the property `Quality`."""
-LONGEST_NAME, MOST_COMMANDS = 300, 100
-"""Characters of an alarm's name, and metrics of one command, that are heard."""
+LONGEST_NAME, MOST_COMMANDS, MOST_STATE = 300, 100, 1_000
+"""Characters of an alarm's name, metrics of one command, and bytes of a host's state, that are heard."""
 
 _FIELDS: Mapping[str, Sequence[tuple[int, str, str]]] = {
     "PropertyValue": (
@@ -100,6 +100,26 @@ def commands_in(payload: bytes) -> list[SparkplugCommand]:
         if isinstance(one.name, str) and isinstance(one.string_value, str)
         if one.string_value.isprintable() and len(one.string_value) <= LONGEST_NAME
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class HostState:
+    """What a host application says of itself (Sparkplug 3.0, 6.4.2): whether it is online, and since when (ms UTC)."""
+
+    online: bool
+    timestamp: int
+
+
+def host_state(payload: bytes) -> HostState | None:
+    """The state in a STATE message; None where its bytes make no sense."""
+    try:
+        plain = json.loads(payload[:MOST_STATE])
+        online, timestamp = plain["online"], plain["timestamp"]
+    except (ValueError, TypeError, KeyError):
+        return None
+    if not isinstance(online, bool) or isinstance(timestamp, bool) or not isinstance(timestamp, int):
+        return None
+    return HostState(online, timestamp)
 
 
 def metrics_of(row: FollowedRow, tags: Mapping[str, Tag]) -> Iterator[SparkplugMetric]:

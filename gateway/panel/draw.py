@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gateway.status import (
+    FamiliarityStatus,
     ForecastStatus,
     GatewayStatus,
     Health,
@@ -63,6 +64,7 @@ def status_rows(status: GatewayStatus) -> dict[str, Text]:
         location = p.location if p.known else "not known"
         borrowed = ", never seen in the data" if p.borrowed else ""
         rows["state"] = Text(f"{location}{borrowed}, confidence {p.zone}", style=ZONE_COLOURS.get(p.zone, ""))
+    rows["familiarity"] = _familiarity(None if p is None or status.scan.late else p.familiarity)
     rows |= _forecast_rows(status.forecast, unit)
     rows |= {one.temperature: _further(one, status) for one in status.further}
     recent = ", ".join(symbol for _, symbol, _ in status.recent_events[-EVENTS_SHOWN:])
@@ -71,6 +73,15 @@ def status_rows(status: GatewayStatus) -> dict[str, Text]:
     rows["events"] = Text(f"{status.events}: ... {recent}" if recent else f"{status.events}")
     rows["alarms"] = Text(", ".join(raised) or "none", style="bold red" if urgent else "")
     return rows
+
+
+def _familiarity(f: FamiliarityStatus | None) -> Text:
+    """How like its training the present cycle is, and what is strange of it."""
+    if f is None or f.strangeness is None:
+        return Text("unknown")
+    found = f"{f.sentence}; " if f.outside else ""
+    counted = f"strangeness {number(f.strangeness, 2)}, limit {f.limit:g}"
+    return Text(f"{f.zone}: {shorten(found, LONGEST_SENTENCE)} {counted}", style=ZONE_COLOURS.get(f.zone, ""))
 
 
 def _link(status: GatewayStatus) -> Text:

@@ -228,6 +228,7 @@ async def _northbound(config: Config, secrets: NorthboundSecrets, fleet: Fleet |
         supervisor=fleet.supervisor,
         log=fleet.log,
     )
+    fleet.records.unreached = lambda: northbound.unreached
     try:
         # So that it is never looked through for garbage.
         await asyncio.to_thread(northbound.wait_loaded)

@@ -13,6 +13,7 @@ from gateway.machine.reading import STALE_PERIODS, Redundant, Scan, unread
 from gateway.machine.writing import WritebackStage
 from gateway.status import (
     AlarmStatus,
+    FamiliarityStatus,
     ForecastStatus,
     GatewayStatus,
     HistorianStatus,
@@ -20,11 +21,13 @@ from gateway.status import (
     ModelStatus,
     PredictionStatus,
     ScanStatus,
+    StrangeStatus,
     TagStatus,
     TemperatureStatus,
     VirtualStatus,
 )
 from gateway.store import percentile
+from gateway.texts import all_words, strange_sentence
 from sim.strict_json import json_text
 
 
@@ -150,6 +153,11 @@ def alarm_statuses(board: AlarmBoard, *, normal: bool = True) -> list[AlarmStatu
 def _prediction(prediction: ScanPrediction) -> PredictionStatus:
     plain = asdict(prediction)
     del plain["events"]
+    if (rating := prediction.familiarity) is not None:
+        own, sentence = plain["familiarity"], strange_sentence(all_words()["en"], rating.thing)
+        plain["familiarity"] = FamiliarityStatus(
+            **{**own, "thing": StrangeStatus(**own["thing"]), "sentence": sentence}
+        )
     if plain["virtual"] is not None:
         plain["virtual"] = VirtualStatus(**plain["virtual"])
     return PredictionStatus(**plain)

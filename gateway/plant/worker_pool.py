@@ -380,6 +380,7 @@ class WorkerPool:
             "note": historian.note or "; ".join(failed[part] for part in RECORDING if part in failed),
             "audit": trail.audit.failure if trail else "",
             "log": self._log_failure(),
+            "northbound": self.records.unreached(),
             "lost": {
                 name: {"dropped": one.dropped, "refused": one.refused, "what": one.what, "at": one.at}
                 for name, one in lost.items()

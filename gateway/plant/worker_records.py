@@ -41,6 +41,7 @@ class RecordsHealth:
     note: str = ""
     audit: str = ""
     log: str = ""
+    northbound: str = ""
     lost: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
@@ -190,6 +191,7 @@ class WorkerRecords(PlantRecords):
             log_failure=lambda: self.health.log,
             historian=historian,
         )
+        self.unreached = lambda: self.health.northbound
 
     def _on_heard(self) -> None:
         """What keeps the supervisor's audit log from being written is what keeps this one, and ends with it."""

@@ -60,6 +60,14 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         response="the readings of {tag} do not fit the model: look at the machine and at its sensors",
         consequence="what is predicted is not to be relied on, and what the machine does is not what it used to do",
     ),
+    "unfamiliar": AlarmKind(
+        subject="predicted", bit=2, priority=3,
+        watches="how strange the present cycle is to the model's training, against `alarms.unfamiliar`; only with a "
+        "model that knows its training",
+        response="the present cycle of {tag} is unlike the model's training: see familiarity in the status for what is "
+        "strange, and do not rely on the forecast alone",
+        consequence="the forecast is made for what nobody has seen, and its band may be too narrow",
+    ),
     "drift": AlarmKind(
         subject="predicted", bit=3, priority=3,
         watches="the error of the model's free run, cycle by cycle (`alarms.drift`, `alarms.drift_cycles`)",
@@ -162,15 +170,23 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     ),
     "certificate": AlarmKind(
         subject="machine", priority=3,
-        watches="the days until a certificate of the link runs out, against `alarms.certificate_days`",
-        response="a certificate of the link runs out: have a new one made and put in its place",
-        consequence="the PLC refuses the gateway from that day on, and the machine is not watched",
+        watches="the days until a certificate of the link or of the OPC UA server runs out, against "
+        "`alarms.certificate_days`",
+        response="a certificate of the link or of the OPC UA server runs out: have a new one made and put in its place",
+        consequence="from that day on the PLC refuses the gateway and the machine is not watched, or the clients of "
+        "the OPC UA server refuse it and see nothing",
     ),
     "notification": AlarmKind(
         subject="machine", priority=3,
         watches="whether messages about alarms are delivered",
         response="messages about alarms are not delivered: see the log for the recipient, then mail server or web hook",
         consequence="nobody who is away from the page hears of an alarm",
+    ),
+    "northbound": AlarmKind(
+        subject="machine", priority=3, on_delay=300.0,
+        watches="whether the brokers and databases that are told what is on record can be reached",
+        response="a broker or database is out of reach: see the log for which one and why, then network and server",
+        consequence="other systems show old values, and what is older than northbound.backlog_hours never comes there",
     ),
 }  # fmt: skip
 """Every kind by its name, in the order in which they are shown."""

@@ -111,6 +111,13 @@ class AlarmSection(Section):
     tags: Names = Field((), description="the tags of the temperatures to watch")
     p_limit: float = Field(0.5, gt=0, le=1, description="the probability of passing the limit that is worth an alarm")
     anomaly: float = Field(3.0, gt=0, description="the anomaly score worth an alarm (3: once in a thousand windows)")
+    unfamiliar: float = Field(
+        1.2,
+        ge=0.5,
+        le=100,
+        description="the strangeness of the present cycle that lowers confidence and is worth an alarm, 0.5 to 100 (1: "
+        "as the strangest twentieth of the training's cycles)",
+    )
     drift: float | None = Field(
         None, gt=0, description="degC of a cycle's free-run error that is drift, or no key for the model's own band"
     )

@@ -47,8 +47,15 @@ class MqttRow(_SinkRow):
         False, description="true: alarms may be acknowledged by messages from the broker (docs/northbound.md)"
     )
 
+    primary_host: _Name | None = Field(
+        None,
+        description=f"Sparkplug's primary host: rows are handed on only while its STATE says that it is online: {NAME}",
+    )
+
     @model_validator(mode="after")
     def _protected(self) -> "MqttRow":
+        if self.primary_host is not None and self.payload != "sparkplug":
+            raise ValueError("primary_host is Sparkplug's; leave it out, or give payload = 'sparkplug'")
         if not self.tls and not is_loopback(self.host):
             raise ValueError(f"{self.host!r} would be told in the clear; leave tls true, or use a broker on 127.0.0.1")
         if (self.certificate is None) != (self.key is None):

@@ -20,10 +20,12 @@ from gateway.status.health import (
     health_of,
     link_sentence,
     records_sentence,
+    unfamiliar_sentence,
     virtual_sentence,
 )
 from gateway.status.picture import (
     AlarmStatus,
+    FamiliarityStatus,
     ForecastStatus,
     GatewayStatus,
     HistorianStatus,
@@ -33,6 +35,7 @@ from gateway.status.picture import (
     PredictionStatus,
     ScanStatus,
     StatusError,
+    StrangeStatus,
     TagStatus,
     TemperatureStatus,
     VirtualStatus,
@@ -45,6 +48,7 @@ __all__ = [
     "AlarmStatus",
     "ChangeLines",
     "ControlError",
+    "FamiliarityStatus",
     "ForecastStatus",
     "GatewayLine",
     "GatewayStatus",
@@ -59,6 +63,7 @@ __all__ = [
     "ScanStatus",
     "Sighting",
     "StatusError",
+    "StrangeStatus",
     "TagStatus",
     "TemperatureStatus",
     "VirtualStatus",
@@ -74,5 +79,6 @@ __all__ = [
     "read_status",
     "records_sentence",
     "short",
+    "unfamiliar_sentence",
     "virtual_sentence",
 ]

@@ -20,6 +20,8 @@ SAID_BY_CHANGES = frozenset(
         "another link is used",
         "alarm",
         "the model in place of a bad sensor",
+        "the present cycle is unlike the training",
+        "the cycle is familiar again",
         "armed",
         "disarmed",
         "a promoted model runs from now on",
@@ -95,6 +97,10 @@ def topics(status: GatewayStatus) -> Iterator[tuple[str, Topic]]:
             yield "readings", Topic(key, f"quality: {bad or 'all readings are good'}", usual=not bad)
     if (p := status.prediction) is not None and status.link.alive:
         location = "not known" if not p.known else p.location
+        if (f := p.familiarity) is not None:
+            known = {True: f"unlike the training: {f.sentence}", False: "as in training"}[f.outside]
+            said = "unknown" if f.zone == "unknown" else known
+            yield "familiarity", Topic((f.zone == "unknown", f.outside), f"familiarity: {said}", usual=not f.outside)
         yield "zone", Topic(p.zone, f"confidence: {p.zone} (state {location})", usual=p.zone == "none")
     temperatures: tuple[GatewayStatus | TemperatureStatus, ...] = (status, *status.further)
     for one in temperatures:

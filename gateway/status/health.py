@@ -73,9 +73,21 @@ def model_sentence(status: GatewayStatus) -> str:
         return ""
     if not p.known:
         return "the state of the plant is not known, so that nothing is predicted"
+    if strange := unfamiliar_sentence(status):
+        return strange
     if p.zone in ("yellow", "red"):
         return f"the confidence is {p.zone}: the readings do not follow the model (anomaly {p.anomaly or 0.0:.1f})"
     return ""
+
+
+def unfamiliar_sentence(one: GatewayStatus | TemperatureStatus) -> str:
+    """Why the confidence is lowered where it is the present cycle that the training never had; "" elsewhere."""
+    p = one.prediction
+    f = None if p is None else p.familiarity
+    # Readings that do not follow the model are the worse news.
+    if p is None or f is None or not f.outside or p.zone != f.zone:
+        return ""
+    return f"the confidence is {p.zone}: the present cycle is unlike the training: {f.sentence}"
 
 
 def virtual_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStatus) -> str:

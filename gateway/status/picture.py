@@ -68,6 +68,33 @@ class VirtualStatus:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StrangeStatus:
+    """What is strange of a cycle: the fields of `sim.familiarity.StrangeThing`."""
+
+    kind: Literal["", "above", "below", "together", "warmer", "colder"]
+    features: Sequence[str]
+    values: Sequence[float]
+    bound: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FamiliarityStatus:
+    """How like its training the present cycle is: the fields of `gateway.machine.model.FamiliarityRating`.
+
+    `sentence` says in plant words what is strange, "" where nothing is.
+    """
+
+    zone: str
+    limit: float
+    time: float | None
+    strangeness: float | None
+    expected_error: float | None
+    outside: bool
+    thing: StrangeStatus
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class PredictionStatus:
     """What the model expected of the newest scan: the fields of `gateway.machine.model.ScanPrediction`."""
 
@@ -89,6 +116,7 @@ class PredictionStatus:
     free_sigma: float | None
     borrowed: bool
     virtual: VirtualStatus | None = None
+    familiarity: FamiliarityStatus | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

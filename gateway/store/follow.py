@@ -107,9 +107,10 @@ def rows_after(connection: sqlite3.Connection, stream: RowStream, position: RowP
         end = newest_position(connection, stream)
         if end in (None, position) or (ends := _ends(connection, stream)) is None:
             return FollowedRows(rows=(), newest=position.key, gone=0, passed=position)
-        lowest, newest = ends
+        lowest, last = ends
+        newest = last if stream.table in PACKED else _own_newest(connection, stream)
         key = position.key
-        if key > newest or (key >= lowest and _time_of(connection, stream, key) != position.time):
+        if key > last or (key >= lowest and _time_of(connection, stream, key) != position.time):
             key = position_at(connection, stream, position.time).key
         begin = key + 1
         if begin >= lowest:
@@ -209,6 +210,14 @@ def _ends(connection: sqlite3.Connection, stream: RowStream) -> tuple[int, int] 
         return None if keys is None else (keys[0] - _base(stream), keys[1] - _base(stream))
     end = newest_position(connection, stream)
     return None if end is None else (1, end.key)
+
+
+def _own_newest(connection: sqlite3.Connection, stream: RowStream) -> int:
+    """The number of the stream's own last row in a table that is never packed; 0 without any."""
+    condition, values = _mine(stream)
+    query = f"SELECT t.id FROM {stream.table} t WHERE {condition} ORDER BY t.id DESC LIMIT 1"  # noqa: S608
+    row = connection.execute(query, values).fetchone()
+    return 0 if row is None else int(row[0]) - _base(stream)
 
 
 def newest_position(connection: sqlite3.Connection, stream: RowStream) -> RowPosition | None:

@@ -12,17 +12,13 @@ if TYPE_CHECKING:
     from gateway.web.access import AccountsError, read_accounts
     from gateway.web.box import box_facts
     from gateway.web.server import PageServer, check_page
-    from gateway.web.texts import LANGUAGES, Words, all_words
     from gateway.web.views import machine_view
 else:
     __getattr__ = opened_at_use(__name__)
 
 __all__ = [
-    "LANGUAGES",
     "AccountsError",
     "PageServer",
-    "Words",
-    "all_words",
     "box_facts",
     "check_page",
     "machine_view",

@@ -19,12 +19,13 @@ from starlette.responses import Response
 from drivers.json_lines import NoObject, parsed
 from drivers.settings import Line, Section, first_sentence
 from gateway.status import ControlError
+from gateway.texts import LANGUAGES, preferred
 from gateway.web.access import AccountRole, AccountsError, Session
+from gateway.web.backing_up import BackupRefused
 from gateway.web.box import box_facts
 from gateway.web.openapi import document
 from gateway.web.promotion import PromotionRefused, promote_version
 from gateway.web.state import PageState, Unaccountable
-from gateway.web.texts import LANGUAGES, preferred
 from sim.strict_json import json_text
 
 MOST_BODY = 8 * 1024
@@ -380,6 +381,10 @@ class _Promoting(_OfMachine):
     reason: Line = Field(description="why it is to run, as one line of text")
 
 
+class _BackingUp(Section):
+    pass
+
+
 class _Reloading(Section):
     dry_run: bool = Field(False, description="true: only say what would change")
 
@@ -431,6 +436,15 @@ async def _promote(call: Call) -> Any:
     except PromotionRefused as error:
         raise Refused(HTTPStatus.CONFLICT, str(error)) from None
     return {"version": g.version}
+
+
+async def _back_up(call: Call) -> Any:
+    try:
+        folder = call.page.backups.next_folder()
+        await call.page.record("page: backup", call.who, folder=str(folder))
+        return await call.page.backups.make(folder)
+    except BackupRefused as error:
+        raise Refused(HTTPStatus.CONFLICT, str(error)) from None
 
 
 async def _reload(call: Call) -> Any:
@@ -519,6 +533,14 @@ ENDPOINTS: Sequence[Endpoint] = (
         answer=_promote,
         gives=_Promoting,
         role=AccountRole.ENGINEER,
+    ),
+    Endpoint(
+        method="POST",
+        path="/api/backup",
+        summary="Copy all that the gateway is into a new folder beside its records.",
+        answer=_back_up,
+        gives=_BackingUp,
+        role=AccountRole.ADMINISTRATOR,
     ),
     Endpoint(
         method="POST",

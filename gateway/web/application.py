@@ -20,9 +20,9 @@ from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gateway.status import ControlError
+from gateway.texts import LANGUAGES
 from gateway.web.api import COOKIE, ENDPOINTS, Endpoint, answered, as_json, language_of
 from gateway.web.state import PageState
-from gateway.web.texts import LANGUAGES
 from sim.strict_json import json_text
 
 STATIC = Path(__file__).parent / "static"

@@ -1,17 +1,9 @@
-"""A version of a model's store made the one that runs, on a person's word.
+"""A version of a model's store made the one that runs, on a person's word; it is proven first."""
 
-It is proven first, by the program itself in a process of its own: that takes the processor for seconds, and no scan
-waits for the interpreter meanwhile.
-"""
-
-import asyncio
-import os
-import sys
 from pathlib import Path
 
-from gateway.web.reader_process import NICENESS
+from gateway.web.program import ProgramRefused, run_program
 
-PROGRAM = "gateway.cli.main"
 PATIENCE_S = 300.0
 
 
@@ -21,22 +13,9 @@ class PromotionRefused(Exception):
 
 async def promote_version(store: Path, version: str) -> None:
     """Have a version of the store made current, if its model verifies. Raises PromotionRefused."""
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-P", "-m", PROGRAM, "model", "promote", str(store), version),
-        stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.DEVNULL,
-        stderr=asyncio.subprocess.PIPE,
-        start_new_session=True,
-    )
     try:
-        os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
-        async with asyncio.timeout(PATIENCE_S):
-            _, said = await process.communicate()
+        await run_program("model", "promote", str(store), version, patience=PATIENCE_S)
     except TimeoutError:
         raise PromotionRefused(f"{version} was not proven within {PATIENCE_S:g} s; promote it at the box") from None
-    finally:
-        if process.returncode is None:
-            process.kill()
-    if process.returncode:
-        sentence = " ".join(said.decode(errors="replace").split()).removeprefix("decanter: ")
-        raise PromotionRefused(sentence or f"{version} was not promoted")
+    except ProgramRefused as error:
+        raise PromotionRefused(str(error) or f"{version} was not promoted") from None

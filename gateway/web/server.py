@@ -24,13 +24,14 @@ from drivers.settings import ConfigError
 from gateway.settings import Config
 from gateway.status import GatewayStatus
 from gateway.store import Audit
+from gateway.texts import all_words
 from gateway.web.access import Accounts, AccountsError, PasswordChecks, Sessions, read_accounts
 from gateway.web.application import make_application
+from gateway.web.backing_up import BackupMaker
 from gateway.web.calls import Answer, GatewayCalls
 from gateway.web.live import LiveStream
 from gateway.web.reader import HistorianReader
 from gateway.web.state import PageState
-from gateway.web.texts import all_words
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -236,6 +237,7 @@ class PageServer:
             sessions=Sessions(accounts, 60.0 * page.session_minutes),
             audit=self._audit,
             now=self._now,
+            backups=BackupMaker(config),
         )
         protocol = type("PageProtocol", (BoundedProtocol,), {"most": 2 * page.most_clients + 20})
         context = None if page.certificates is None else _tls(page.certificates, config)

@@ -8,11 +8,12 @@ from typing import Any
 from gateway.settings import Config
 from gateway.status import GatewayStatus
 from gateway.store import Audit, AuditEntry
+from gateway.texts import Words
 from gateway.web.access import Accounts, Lockout, PasswordChecks, Sessions
+from gateway.web.backing_up import BackupMaker
 from gateway.web.calls import GatewayCalls
 from gateway.web.live import LiveStream
 from gateway.web.reader import HistorianReader
-from gateway.web.texts import Words
 from gateway.web.views import machine_view
 
 SUBJECT = "page"
@@ -37,6 +38,7 @@ class PageState:
     sessions: Sessions
     audit: Audit
     now: Callable[[], float]
+    backups: BackupMaker
     lockout: Lockout = field(default_factory=Lockout)
 
     @property

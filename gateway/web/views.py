@@ -10,14 +10,16 @@ from typing import Any
 
 from gateway.status import (
     AlarmStatus,
+    FamiliarityStatus,
     ForecastStatus,
     GatewayStatus,
     TemperatureStatus,
     findings,
     health_of,
     link_sentence,
+    unfamiliar_sentence,
 )
-from gateway.web.texts import Words
+from gateway.texts import Words, strange_sentence
 from sim.units import shown_unit
 
 LEVELS = ("normal", "attention", "unknown", "alarm")
@@ -69,6 +71,7 @@ def _temperature(
         "quality": "" if tag is None else tag.quality,
         "age": None if tag is None else tag.age / status.speed,
         "valid": "none",
+        "familiarity": None if one.prediction is None else _familiarity(words, one.prediction.familiarity),
     }
     # What a faulty sensor shows is no measurement; but above the limit nobody leaves it at that.
     if v is not None and (value is None or value <= one.limit):
@@ -105,12 +108,28 @@ def _temperature(
         sentence = _foreseen(words, forecast, what=what, shown=shown, limit=limit)
         zone = one.prediction.zone if one.prediction is not None else "none"
         worth = ("doubtful" if zone in DOUBTFUL_ZONES else "good", words.say(f"validity.{zone}"))
+        if unfamiliar_sentence(one) and row["familiarity"] is not None:
+            worth = ("doubtful", f"{words.say('validity.unfamiliar')}: {row['familiarity']['sentence']}")
     level = "normal"
     if value > one.limit:
         level, sentence = "alarm", words.say("sentence.over", what=what, value=shown, limit=limit)
     elif worth[0] != "none" and forecast is not None and minutes_to_limit(forecast)[1] is not None:
         level = "attention"
     return {**row, "level": level, "sentence": sentence, "valid": worth[0], "validity": worth[1]}
+
+
+def _familiarity(words: Words, f: FamiliarityStatus | None) -> dict[str, Any] | None:
+    """How like its training the present cycle is: zone, word, and the sentence of what is strange; None unasked."""
+    if f is None:
+        return None
+    if f.strangeness is None:
+        return {"zone": f.zone, "word": words.say("familiarity.unknown"), "sentence": "", "detail": ""}
+    parts = {"value": words.number(f.strangeness, 2), "limit": words.number(f.limit, 2)}
+    detail = [words.say("familiarity.strangeness", **parts)]
+    if f.expected_error is not None:
+        detail.append(words.say("familiarity.expected", percent=words.number(100.0 * f.expected_error, 0)))
+    word = words.say("familiarity.unfamiliar" if f.outside else "familiarity.familiar")
+    return {"zone": f.zone, "word": word, "sentence": strange_sentence(words, f.thing), "detail": "; ".join(detail)}
 
 
 def minutes_to_limit(forecast: ForecastStatus) -> tuple[float | None, float | None, float | None]:

@@ -1,20 +1,25 @@
 """The law of a training set's cycles, and how far from it another one is.
 
-Two distances, since either is blind where the other sees: Mahalanobis' with a covariance shrunk after Ledoit and Wolf
-(2004) for what lies outside, and a kernel density (Gaussian, Scott's bandwidth, on whitened points) for what lies
-between the kinds of cycles that there are. Both are counted in units of what cycles held out have: strangeness 1 is as
-strange as the strangest twentieth of the training's own cycles, each judged by the others.
+Four distances, since each is blind where another sees. Mahalanobis' with a covariance shrunk after Ledoit and Wolf
+(2004) sees what lies outside, a kernel density (Gaussian, Scott's bandwidth, on whitened points) what lies between the
+kinds of cycles that there are. Both take a feature as it is; of a temperature that says little, since load and time
+move it by far more than another machine would. So it is held against the temperature that the training had after such
+an hour (least squares on load, running and temperature before), at the point and on average over the cycle so far.
+
+All are counted in units of what cycles held out have at that age: strangeness 1 is as strange as the strangest
+twentieth of the training's own cycles, each judged by the others.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, nan
-from typing import Any
+from math import ceil, nan
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from sim.familiarity.features import FEATURES
+from sim.familiarity.features import COLUMNS, FEATURES, HISTORY
 from sim.sha import Array
 
 LEAST_CYCLES = 8
@@ -26,28 +31,55 @@ ALIKE = 0.5
 """Root mean square over the whitened features, in standard deviations, within which two cycles are alike."""
 USUAL = 0.95
 """The share of the training's cycles that are not strange."""
+COMMON = 0.8
+"""The share of cycles within the scale of one distance at one age. It only weighs them up: the limit itself is set on
+the greatest of all, and sixteen scales from so far out in the tail would fit the very cycles that set it."""
+AGES = (1800.0, 3600.0, 7200.0)
+"""Seconds of a cycle's age at which another scale of the distances begins."""
+NOTHING = (0.1, 0.1, 1.0, 0.5)
+"""The least scale of each distance: a degree more than expected is not strange, however exact the training was."""
+SLOW = 12
+"""Points (an hour) that a cycle's mean excess is weighed down by: the first ones alone shall not make it."""
+RIDGE = 1e-3
+
+Places = NDArray[np.intp]
+StrangeKind = Literal["", "above", "below", "together", "warmer", "colder"]
+
+
+@dataclass(frozen=True, slots=True)
+class StrangeThing:
+    """What is strange of a point, for people. `above` and `below` the training's extreme: one of `features`, its value
+    and that `bound`, both as they are told. `together`: two features that the training did not have together, without
+    a bound. `warmer` and `colder`: the degrees by which it is so than training after such an hour. "": nothing."""
+
+    kind: StrangeKind = ""
+    features: tuple[str, ...] = ()
+    values: tuple[float, ...] = ()
+    bound: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Strangeness:
     """How strange a cycle is: `value` (1: as the strangest twentieth held out), the moment (s) at which it is, and what
-    is strange in an operator's words. `p` is the share of cycles held out that were at least as strange."""
+    is strange. `p` is the share of cycles held out that were at least as strange."""
 
     value: float
     p: float
     time: float
-    words: str
+    thing: StrangeThing
+
+
+@dataclass(frozen=True, slots=True)
+class ExcessSoFar:
+    """Of a cycle so far: at how many `points` the temperature was held against the expected one, and the `total`."""
+
+    points: int = 0
+    total: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FamiliarityReference:
-    """The law of the points of a training set. Arrays are over the `features` (F,) that all its cycles have.
-
-    `mean` and `scale` standardise, `whitening` (F, F) makes the shrunk covariance the identity, `centres` (C, F) are
-    whitened points of the density and `peak` its greatest logarithm among them. `low` and `high` are the training's
-    extremes. `distance` and `density` are what strangeness 1 is in either; `held_out` (n,) the strangeness of the
-    training's cycles, ascending.
-    """
+class _Law:
+    """The law of points, not calibrated: see FamiliarityReference."""
 
     features: tuple[str, ...]
     mean: Array
@@ -57,68 +89,114 @@ class FamiliarityReference:
     peak: float
     low: Array
     high: Array
-    distance: float
-    density: float
+    expectation: Array
+
+    def own(self, points: Array) -> Array:
+        """(P, F) the law's own features; the mean where one is not known."""
+        columns = points[:, [COLUMNS.index(name) for name in self.features]]
+        return np.where(np.isfinite(columns), columns, self.mean)
+
+    def excess(self, points: Array) -> Array:
+        """(P,) degC that a temperature is above the one that is expected after such an hour; NaN where not known."""
+        if not self.expectation.size:
+            return np.full(len(points), nan)
+        return np.asarray(points[:, COLUMNS.index("temperature")] - _regressors(points) @ self.expectation)
+
+    def distances(self, points: Array, before: ExcessSoFar = ExcessSoFar()) -> Array:
+        """(P, 4) the distances of a cycle's points that follow on `before`: Mahalanobis' and the density's, sqrt(2
+        log(peak / density)), both without unit; the excess and its mean over the cycle so far (degC)."""
+        white = (self.own(points) - self.mean) / self.scale @ self.whitening
+        rare = np.sqrt(2.0 * np.maximum(self.peak - _log_density(white, self.centres), 0.0))
+        excess, lasting = self._lasting(points, before)
+        return np.column_stack([np.sqrt(np.sum(white**2, axis=1)), rare, np.abs(excess), np.abs(lasting)])
+
+    def _lasting(self, points: Array, before: ExcessSoFar) -> tuple[Array, Array]:
+        """(P,) the excess, 0 where it is not known, and its mean over the cycle so far, weighed down by SLOW points."""
+        excess = self.excess(points)
+        known = np.isfinite(excess)
+        excess = np.where(known, excess, 0.0)
+        return excess, (before.total + np.cumsum(excess)) / (SLOW + before.points + np.cumsum(known))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FamiliarityReference(_Law):
+    """The law of the points of a training set. Arrays are over the `features` (F,) that all its cycles have.
+
+    `mean` and `scale` standardise, `whitening` (F, F) makes the shrunk covariance the identity, `centres` (C, F) are
+    whitened points of the density and `peak` its greatest logarithm among them. `low` and `high` are the training's
+    extremes. `expectation` (R,) are the coefficients of the expected temperature, none where the training does not
+    have all that it takes. `scales` (ages, 4) is what strangeness 1 is in each distance at each age; `held_out` (n,)
+    the strangeness of the training's cycles, ascending.
+    """
+
+    scales: Array
     held_out: Array
 
     def strangeness(self, points: Array, times: Array) -> Strangeness:
-        """Of a cycle with `points` (P, F of FEATURES) at `times` (P,): that of its strangest point.
+        """Of a cycle with `points` (P, C of COLUMNS) at `times` (P,): that of its strangest point.
 
         Points at which a feature is not known count with the mean of it: what is not measured is not strange.
         """
-        own = self._own(points)
-        far, rare = self.distances(own)
-        values = np.maximum(far / self.distance, rare / self.density)
-        if not values.size:
-            return Strangeness(0.0, 1.0, nan, "")
-        worst = int(np.argmax(values))
-        value = float(values[worst])
+        if not len(points):
+            return Strangeness(0.0, 1.0, nan, StrangeThing())
+        distances = self.distances(points) / self.scales[_ages(points)]
+        worst = int(np.argmax(distances.max(axis=1)))
+        _, lasting = self._lasting(points, ExcessSoFar())
+        return self._rated(points[worst], float(times[worst]), distances[worst], float(lasting[worst]))
+
+    def follow(self, point: Array, time: float, before: ExcessSoFar) -> tuple[Strangeness, ExcessSoFar]:
+        """That of one more point (C,) of a growing cycle, and what the next one follows on."""
+        points = point[None, :]
+        distances = self.distances(points, before) / self.scales[_ages(points)]
+        excess, lasting = self._lasting(points, before)
+        known = int(np.isfinite(self.excess(points))[0])
+        after = ExcessSoFar(before.points + known, before.total + float(excess[0]))
+        return self._rated(point, time, distances[0], float(lasting[0])), after
+
+    def _rated(self, point: Array, time: float, distances: Array, lasting: float) -> Strangeness:
+        value = float(distances.max())
         p = (1 + np.count_nonzero(self.held_out >= value)) / (self.held_out.size + 1)
-        return Strangeness(value, float(p), float(times[worst]), self._words(own[worst]))
+        which = int(np.argmax(distances))
+        excess = lasting if which == 3 else float(self.excess(point[None, :])[0])
+        return Strangeness(value, float(p), time, self._warmth(excess) if which >= 2 else self._thing(point))
 
     def alike(self, points: Array, others: Array) -> bool:
-        """Whether two cycles (P, F) and (Q, F) are: their mean points lie within ALIKE of one another."""
-        apart = self._own(points).mean(axis=0) - self._own(others).mean(axis=0)
+        """Whether two cycles (P, C) and (Q, C) are: their mean points lie within ALIKE of one another."""
+        if not len(points) or not len(others):
+            return False
+        apart = self.own(points).mean(axis=0) - self.own(others).mean(axis=0)
         return bool(np.mean((apart / self.scale @ self.whitening) ** 2) < ALIKE**2)
 
-    def _own(self, points: Array) -> Array:
-        """(P, F) the reference's own features; the mean where one is not known."""
-        names = list(FEATURES)
-        columns = points[:, [names.index(name) for name in self.features]]
-        return np.where(np.isfinite(columns), columns, self.mean)
+    @staticmethod
+    def _warmth(excess: float) -> StrangeThing:
+        return StrangeThing("warmer" if excess > 0 else "colder", (), (abs(excess),))
 
-    def distances(self, own: Array) -> tuple[Array, Array]:
-        """(P,) of own features (P, F): Mahalanobis' distance, and that of the density, sqrt(2 log(peak / density))."""
-        white = (own - self.mean) / self.scale @ self.whitening
-        logs = _log_density(white, self.centres)
-        return np.sqrt(np.sum(white**2, axis=1)), np.sqrt(2.0 * np.maximum(self.peak - logs, 0.0))
-
-    def _words(self, point: Array) -> str:
+    def _thing(self, point: Array) -> StrangeThing:
         """The feature that is farthest outside of the training's extremes, or the two that make the combination."""
-        beyond = np.maximum(point - self.high, self.low - point) / self.scale
+        own = self.own(point[None, :])[0]
+        beyond = np.maximum(own - self.high, self.low - own) / self.scale
         place = int(np.argmax(beyond))
         if beyond[place] > 0:
-            kind = FEATURES[self.features[place]]
-            above = point[place] > self.high[place]
-            bound = (self.high if above else self.low)[place]
-            most = "at most" if above else "at least"
-            return f"{kind.words} {kind.text(point[place])}: in training {most} {kind.text(bound)}"
+            above = own[place] > self.high[place]
+            name = self.features[place]
+            shown = FEATURES[name].shown
+            bound = float((self.high if above else self.low)[place]) * shown
+            return StrangeThing("above" if above else "below", (name,), (float(own[place]) * shown,), bound)
         # Shares of the squared distance, feature by feature: z (P z) sums to it.
-        z = (point - self.mean) / self.scale
+        z = (own - self.mean) / self.scale
         share = z * (self.whitening @ (self.whitening.T @ z))
-        one, other = (FEATURES[self.features[place]] for place in np.argsort(-share)[:2])
-        first, second = np.argsort(-share)[:2]
-        return (
-            f"{one.words} {one.text(point[first])} together with {other.words} {other.text(point[second])}: "
-            "not in training together"
-        )
+        pair = np.argsort(-share)[:2].tolist()
+        names = tuple(self.features[place] for place in pair)
+        values = tuple(float(own[place]) * FEATURES[self.features[place]].shown for place in pair)
+        return StrangeThing("together", names, values)
 
     def as_plain(self) -> dict[str, Any]:
         """All of it as plain values for JSON."""
-        arrays = ("mean", "scale", "whitening", "centres", "low", "high", "held_out")
-        plain: dict[str, Any] = {name: getattr(self, name).tolist() for name in arrays}
-        numbers = {"peak": self.peak, "distance": self.distance, "density": self.density}
-        return {"features": list(self.features), **plain, **numbers}
+        plain: dict[str, Any] = {name: getattr(self, name).tolist() for name in _ARRAYS}
+        return {"features": list(self.features), **plain, "peak": self.peak}
+
+
+_ARRAYS = ("mean", "scale", "whitening", "centres", "low", "high", "expectation", "scales", "held_out")
 
 
 def parse_reference(plain: Mapping[str, Any]) -> FamiliarityReference:
@@ -126,84 +204,127 @@ def parse_reference(plain: Mapping[str, Any]) -> FamiliarityReference:
     features = tuple(str(name) for name in plain["features"])
     if unknown := set(features) - set(FEATURES):
         raise ValueError(f"the feature {min(unknown)!r} is unknown")
-    arrays: dict[str, Array] = {
-        name: np.array(plain[name], dtype=float)
-        for name in ("mean", "scale", "whitening", "centres", "low", "high", "held_out")
-    }
+    arrays: dict[str, Array] = {name: np.array(plain[name], dtype=float) for name in _ARRAYS}
     size = len(features)
     shapes = {"mean": (size,), "scale": (size,), "whitening": (size, size), "low": (size,), "high": (size,)}
+    shapes |= {"scales": (len(AGES) + 1, len(NOTHING))}
     if any(arrays[name].shape != shape for name, shape in shapes.items()) or arrays["centres"].shape[1:] != (size,):
         raise ValueError("its arrays do not have one place a feature")
-    peak, distance, density = (float(plain[name]) for name in ("peak", "distance", "density"))
-    return FamiliarityReference(features=features, **arrays, peak=peak, distance=distance, density=density)
+    if arrays["expectation"].shape not in ((0,), (_REGRESSORS,)):
+        raise ValueError(f"what a temperature is expected by has not {_REGRESSORS} coefficients")
+    if not (arrays["scales"] > 0).all() or not (arrays["scale"] > 0).all():
+        raise ValueError("its scales are not above 0")
+    return FamiliarityReference(features=features, **arrays, peak=float(plain["peak"]))
 
 
 def fit_reference(cycles: Sequence[Array], groups: Sequence[str] | None = None) -> FamiliarityReference:
-    """The law of cycles, each (P, F of FEATURES). It is calibrated on cycles that are held out.
+    """The law of cycles, each (P, C of COLUMNS), in the order of time. It is calibrated on cycles that are held out.
 
-    `groups` are their machines: with three at least each is held out in turn, else tenths of the cycles are. Raises
-    ValueError with fewer than LEAST_CYCLES, or where they have no feature in common.
+    `groups` are their machines: with three at least each is held out in turn, else tenths of the cycles are, each in
+    one piece: cycles of one day share its weather, and one judged by its neighbours would look too usual. Cycles
+    without a point do not count. Raises ValueError with fewer than LEAST_CYCLES, or where they have no feature in
+    common.
     """
-    if len(cycles) < LEAST_CYCLES:
-        raise ValueError(f"{len(cycles)} cycles do not tell what is usual; it takes {LEAST_CYCLES}")
-    known = [bool(np.isfinite(np.vstack(cycles)[:, place]).all()) for place in range(len(FEATURES))]
-    features = tuple(name for name, there in zip(FEATURES, known, strict=True) if there)
+    pairs = [(each, "" if groups is None else groups[place]) for place, each in enumerate(cycles) if len(each)]
+    if len(pairs) < LEAST_CYCLES:
+        raise ValueError(f"{len(pairs)} cycles do not tell what is usual; it takes {LEAST_CYCLES}")
+    own = [each for each, _ in pairs]
+    known = np.asarray(np.isfinite(np.vstack(own)).all(axis=0))
+    features = tuple(name for name in FEATURES if known[COLUMNS.index(name)])
     if not features:
         raise ValueError("the cycles have no feature in common")
-    own = [cycle[:, known] for cycle in cycles]
-    machines = sorted(set(groups or ()))
-    if groups is not None and len(machines) >= 3:
-        fold = np.array([machines.index(name) for name in groups])
+    expected = all(known[COLUMNS.index(name)] for name in ("temperature", *HISTORY))
+    machines = sorted({name for _, name in pairs})
+    if len(machines) >= 3:
+        fold = np.array([machines.index(name) for _, name in pairs])
     else:
-        fold = np.arange(len(own)) % min(FOLDS, len(own))
-    far, rare = np.zeros(len(own)), np.zeros(len(own))
+        fold = np.arange(len(own)) * min(FOLDS, len(own)) // len(own)
+    distances: list[Array] = [np.empty((0, len(NOTHING)))] * len(own)
     for held in range(int(fold.max()) + 1):
-        rest = _fitted(features, [cycle for cycle, number in zip(own, fold, strict=True) if number != held])
+        rest = _fitted(features, [each for each, number in zip(own, fold, strict=True) if number != held], expected)
         for place in np.flatnonzero(fold == held).tolist():
-            one, other = rest.distances(own[place])
-            far[place], rare[place] = one.max(), other.max()
-    distance, density = float(np.quantile(far, USUAL)), float(np.quantile(rare, USUAL))
-    whole = _fitted(features, own)
+            distances[place] = rest.distances(own[place])
+    scales, held_out = _calibrated(distances, [_ages(each) for each in own])
+    law = _fitted(features, own, expected)
     return FamiliarityReference(
-        features=features,
-        mean=whole.mean,
-        scale=whole.scale,
-        whitening=whole.whitening,
-        centres=whole.centres,
-        peak=whole.peak,
-        low=whole.low,
-        high=whole.high,
-        distance=distance,
-        density=density,
-        held_out=np.sort(np.maximum(far / distance, rare / density)),
+        **{name: getattr(law, name) for name in _Law.__slots__}, scales=scales, held_out=np.sort(held_out)
     )
 
 
-def _fitted(features: tuple[str, ...], cycles: Sequence[Array]) -> FamiliarityReference:
+def _calibrated(distances: Sequence[Array], ages: Sequence[Places]) -> tuple[Array, Array]:
+    """((ages, 4) scales, (n,) strangeness of the cycles): each age's own quantile, then the limit of the greatest.
+
+    Several distances at several ages are each beyond their own limit in a twentieth of the cycles, and one of them in
+    more: so the limit is one of the greatest, the value that a further cycle exceeds with a chance of 1 - USUAL at most
+    (a conformal quantile).
+    """
+    scales = np.tile(_common(distances), (len(AGES) + 1, 1))
+    for age in range(len(AGES) + 1):
+        parts = [each[np.flatnonzero(own == age)] for each, own in zip(distances, ages, strict=True)]
+        of_age = [part for part in parts if len(part)]
+        if len(of_age) >= LEAST_CYCLES:
+            scales[age] = _common(of_age)
+    # Half of nothing, as the limit lies beyond the scales by about as much.
+    scales = np.maximum(scales, 0.5 * np.array(NOTHING))
+    worst = np.sort([float((each / scales[own]).max()) for each, own in zip(distances, ages, strict=True)])
+    limit = max(float(worst[min(ceil(USUAL * (worst.size + 1)), worst.size) - 1]), 1e-6)
+    # What was weighed up against nothing stays there: a training without any scatter makes no degree strange.
+    final = np.maximum(scales * limit, NOTHING)
+    return final, np.array([(each / final[own]).max() for each, own in zip(distances, ages, strict=True)])
+
+
+def _common(cycles: Sequence[Array]) -> Array:
+    """(4,) what COMMON of cycles, each (P, 4), do not exceed at any point."""
+    return np.asarray(np.quantile([each.max(axis=0) for each in cycles], COMMON, axis=0))
+
+
+def _ages(points: Array) -> Places:
+    """(P,) the number of each point's age, in the order of AGES."""
+    return np.asarray(np.searchsorted(AGES, points[:, COLUMNS.index("age")], side="right"))
+
+
+_EXPECTING = [COLUMNS.index(name) for name in HISTORY if name != "age"]
+_REGRESSORS = len(_EXPECTING) + 2
+
+
+def _regressors(points: Array) -> Array:
+    """(P, R) what the temperature is expected by: a bearing that rests forgets more slowly than one that runs."""
+    table = points[:, _EXPECTING]
+    before = points[:, COLUMNS.index("temperature before")] * points[:, COLUMNS.index("running an hour")]
+    return np.column_stack([table, before, np.ones(len(points))])
+
+
+def _fitted(features: tuple[str, ...], cycles: Sequence[Array], expected: bool) -> _Law:
     """The law of the points, not calibrated yet."""
     points = np.vstack(cycles)
-    mean = points.mean(axis=0)
-    scale = np.maximum(points.std(axis=0), [FEATURES[name].least for name in features])
-    z = (points - mean) / scale
+    own = points[:, [COLUMNS.index(name) for name in features]]
+    mean = own.mean(axis=0)
+    scale = np.maximum(own.std(axis=0), [FEATURES[name].least for name in features])
+    z = (own - mean) / scale
     # Features that the training never varied have scale `least` and no variance: shrinking towards the identity gives
     # them a finite one, and the floor keeps a single sample from being infinitely far.
     values, vectors = np.linalg.eigh(shrunk_covariance(z))
     whitening = vectors / np.sqrt(np.maximum(values, 0.05))
     white = z @ whitening
     centres = white[np.unique(np.linspace(0, len(white) - 1, CENTRES).astype(int))]
-    peak = float(_log_density(centres, centres).max())
-    return FamiliarityReference(
+    expectation = np.empty(0)
+    if expected:
+        x = _regressors(points)
+        # Ridge on standardised columns: a training that never varied one of them says nothing of it.
+        size = np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-6)
+        x = x / size
+        target = points[:, COLUMNS.index("temperature")]
+        expectation = np.linalg.solve(x.T @ x + RIDGE * len(x) * np.eye(len(size)), x.T @ target) / size
+    return _Law(
         features=features,
         mean=mean,
         scale=scale,
         whitening=whitening,
         centres=centres,
-        peak=peak,
-        low=points.min(axis=0),
-        high=points.max(axis=0),
-        distance=inf,
-        density=inf,
-        held_out=np.empty(0),
+        peak=float(_log_density(centres, centres).max()),
+        low=own.min(axis=0),
+        high=own.max(axis=0),
+        expectation=expectation,
     )
 
 

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from sim.learning.calibrate import Coverage, HeldOutForecasts, Scored, coverage_of, score_forecasts
     from sim.learning.correction import FORMS, LearnedCorrection, corrected_model, learn_correction
     from sim.learning.data import in_order
+    from sim.learning.fleet import outstanding, own_targets
     from sim.learning.free_run import (
         RATES,
         FitShape,
@@ -29,7 +30,15 @@ if TYPE_CHECKING:
         huber_scale,
         training_errors,
     )
-    from sim.learning.machines import MachineSpread, machine_corrections, machine_spread, machines_of, next_stay
+    from sim.learning.machines import (
+        MachineSpread,
+        believed,
+        machine_corrections,
+        machine_spread,
+        machines_of,
+        next_stay,
+        spread_of,
+    )
     from sim.learning.max_rate import Bite, MaxRate, bite, learn_max_rate, with_max_rate
     from sim.learning.noise import Memories, NoiseLevels, drift_noise, fit_noise
     from sim.learning.outcomes import Outcomes, outcomes_of
@@ -96,6 +105,7 @@ __all__ = [
     "Scored",
     "announcements",
     "bare_sha",
+    "believed",
     "bite",
     "check_data",
     "choose",
@@ -129,6 +139,8 @@ __all__ = [
     "nearest",
     "next_stay",
     "outcomes_of",
+    "outstanding",
+    "own_targets",
     "pieces",
     "predict",
     "product_sha",
@@ -137,6 +149,7 @@ __all__ = [
     "score_forecasts",
     "shape_of",
     "splits",
+    "spread_of",
     "steps",
     "thinned",
     "training_errors",

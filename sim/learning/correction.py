@@ -24,9 +24,9 @@ from sim.learning.held_out import huber_scale
 from sim.learning.structure import LearningError
 from sim.sha import Array, Correction, Model, Trace, content_hash, joint_hash, shown_unit
 
-Form = Literal["gain", "affine"]
+Form = Literal["offset", "gain", "affine"]
 FORMS: tuple[Form, ...] = ("gain", "affine")
-"""T' = k T, the thesis's form, and T' = k T + b; the simplest first."""
+"""T' = k T, the thesis's form, and T' = k T + b; the simplest first. `offset` is T' = T + b, asked for by name."""
 
 Progress = Callable[[str, float], None]
 
@@ -98,8 +98,8 @@ def learn_correction(
 ) -> LearnedCorrection:
     """The correction of `model` that encoded `traces` ask for, which should not be those that it was fitted to.
 
-    It takes the place of the one that the model has. Of several accepted forms the simplest is taken that the held-out
-    error does not tell from the best one (no worse by more than one standard error).
+    It takes the place of the one that the model has. `forms` begin with the simplest: of several accepted ones the
+    first is taken that the held-out error does not tell from the best (no worse by more than one standard error).
 
     Raises LearningError when fewer than two runs are left to learn from and to judge by.
     """
@@ -121,7 +121,7 @@ def learn_correction(
         report(f"fitting {form}", 0.2 + 0.8 * number / len(forms))
         fits.append(_fit(form, bare, runs, rows, before))
     report("done", 1.0)
-    accepted = sorted((pair for pair in fits if pair[0].accepted), key=lambda pair: FORMS.index(pair[0].form))
+    accepted = [pair for pair in fits if pair[0].accepted]
     chosen: CorrectionFit | None = None
     if accepted:
         # The one-standard-error rule, run by run: the simplest form that is not worse than the best by more than that.
@@ -187,7 +187,9 @@ def _regressors(bare: Model, run: Trace) -> _Regressors:
 def _solve(form: Form, rows: Sequence[_Regressors]) -> tuple[float, float] | None:
     """(gain, offset) by iteratively reweighted least squares; None where the runs cannot tell them apart."""
     gain, left = np.concatenate([row.gain for row in rows]), np.concatenate([row.left for row in rows])
-    columns = [gain] if form == "gain" else [gain, np.concatenate([row.offset for row in rows])]
+    offset = np.concatenate([row.offset for row in rows])
+    columns = {"offset": [offset], "gain": [gain], "affine": [gain, offset]}[form]
+    left = left - gain if form == "offset" else left
     scale = [max(float(np.sqrt(np.mean(column**2))), 1e-12) for column in columns]
     X = np.column_stack([column / size for column, size in zip(columns, scale, strict=True)])
     if not np.any(X) or np.linalg.cond(X) > WORST_CONDITION:
@@ -202,7 +204,7 @@ def _solve(form: Form, rows: Sequence[_Regressors]) -> tuple[float, float] | Non
         if np.allclose(before, solved, rtol=1e-9, atol=1e-12):
             break
     values = (solved / np.array(scale)).tolist()
-    return values[0], values[1] if form == "affine" else 0.0
+    return (1.0, values[0]) if form == "offset" else (values[0], values[1] if form == "affine" else 0.0)
 
 
 def _fit(
@@ -213,7 +215,7 @@ def _fit(
     parts = [_solve(form, [row for place, row in enumerate(rows) if place != out]) for out in range(len(rows))]
     count, readings = len(runs), sum(row.left.size for row in rows)
     if whole is None or None in parts or not LEAST_GAIN <= whole[0] <= MOST_GAIN:
-        reason = "the traces cannot tell a gain from an offset"
+        reason = "the traces do not tell it" if form == "offset" else "the traces cannot tell a gain from an offset"
         if whole is not None and None not in parts:
             reason = f"a gain of {whole[0]:.3g} is no calibration ({LEAST_GAIN:g} to {MOST_GAIN:g}): learn a new model"
         figures = (nan, nan, float(before.mean()), nan, nan, nan, count, readings)

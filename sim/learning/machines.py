@@ -27,6 +27,8 @@ SURE_OF_A_SENSOR = 2.0
 """Standard errors by which the error must fall: the runs of one machine lie in few days, and share what these had."""
 LEAST_TOLD = 100.0
 """degC: a run whose offset is not known better than this says nothing of its machine."""
+LEAST_ERROR = 1e-3
+"""degC: no offset is known better, whatever its runs say."""
 _Z95 = 1.6448536269514722
 
 
@@ -93,18 +95,24 @@ def machine_spread(
     names = sorted(set(machines))
     numbers = np.array([names.index(each) for each in machines], dtype=np.intp)
     value, variance = _offsets(runs, shape, fit, noise=noise, groups=groups, machine=numbers)
-    told = np.isfinite(variance) & (variance < LEAST_TOLD**2)
-    offset = {name: float(value[number]) for number, name in enumerate(names) if told[number]}
+    return spread_of(dict(zip(names, value.tolist(), strict=True)), dict(zip(names, np.sqrt(variance), strict=True)))
+
+
+def spread_of(offsets: Mapping[str, float], errors: Mapping[str, float]) -> MachineSpread:
+    """The spread of machines whose targets lie by `offsets` off the model's, with standard errors (degC), by name.
+
+    Those of which nothing is known (an error that is no number, or LEAST_TOLD and more) are left out.
+    """
+    offset = {name: float(value) for name, value in offsets.items() if errors[name] < LEAST_TOLD}
+    error = {name: max(float(errors[name]), LEAST_ERROR) for name in offset}
     count = len(offset)
     if count < 2:
-        return MachineSpread(offset, 0.0, 0.0)
-    error = variance[told]
-    errors = dict(zip(offset, np.sqrt(error).tolist(), strict=True))
-    means, weight = np.array(list(offset.values())), 1.0 / np.array(error)
+        return MachineSpread(offset, 0.0, 0.0, error)
+    means, weight = np.array(list(offset.values())), 1.0 / np.square(list(error.values()))
     heterogeneity = float(weight @ (means - np.average(means, weights=weight)) ** 2)
     spread = (heterogeneity - (count - 1)) / (weight.sum() - float(weight @ weight) / weight.sum())
     between = float(np.sqrt(max(spread, 0.0)))
-    return MachineSpread(offset, between, between * small_sample(count - 1), errors)
+    return MachineSpread(offset, between, between * small_sample(count - 1), error)
 
 
 def machine_corrections(model: Model, traces: Sequence[Trace], spread: MachineSpread) -> dict[str, MachineCorrection]:
@@ -118,9 +126,7 @@ def machine_corrections(model: Model, traces: Sequence[Trace], spread: MachineSp
     if spread.between <= 0:
         return own
     for name, offset in spread.offsets.items():
-        error, between = spread.errors[name] ** 2, spread.between**2
-        share = between / (between + error)
-        own[name] = MachineCorrection(targets=share * offset, targets_error=float(np.sqrt(share * error)))
+        own[name] = believed(offset, spread.errors[name], spread.between)
         machine = of_machine(replace(model, machines=own), name)
         try:
             fit = learn_correction(machine, [trace for trace in traces if trace.machine == name])
@@ -130,6 +136,12 @@ def machine_corrections(model: Model, traces: Sequence[Trace], spread: MachineSp
         if fit.chosen is not None and best.improvement > SURE_OF_A_SENSOR * best.improvement_error:
             own[name] = replace(own[name], gain=fit.correction.gain, offset=fit.correction.offset)
     return own
+
+
+def believed(offset: float, error: float, between: float) -> MachineCorrection:
+    """A machine's targets, where its runs say `offset` with a standard `error`, of machines `between` apart (degC)."""
+    share = between**2 / (between**2 + error**2)
+    return MachineCorrection(targets=share * offset, targets_error=float(np.sqrt(share) * error))
 
 
 def _offsets(

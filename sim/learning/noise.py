@@ -21,7 +21,7 @@ from sim.effects import DisturbanceStep, disturbance_step
 from sim.engine import repeat_factor
 from sim.learning.data import resolution
 from sim.learning.free_run import RATES, FitShape, FreeRunFit, loads
-from sim.learning.runs import FreeRuns, Indices, sampled
+from sim.learning.runs import FreeRuns, Indices, stretches
 from sim.sha import FLOWS, RELAXING, Array, Effect, Flow, Mask, coefficients
 
 HORIZONS = (60.0, 300.0, 900.0)
@@ -29,6 +29,9 @@ CHUNK = 150
 """Knots of a chunk at most: the filter's loop has so many rounds, however long the runs are."""
 ORIGINS = 400
 """Pairs of readings by which each horizon is judged, at most."""
+LONGEST_STEP = 60.0
+"""Seconds between the readings that noise is told from, where there are so many: the shortest horizon. Over steps of
+many minutes what the flows do not describe adds up, and would be taken for noise of every second (record 0158)."""
 STEP = 1e-4
 """Of the logarithms, for the gradient by forward differences."""
 WORTH = 2.0
@@ -295,8 +298,11 @@ def _log_score(error: Array, variance: Array) -> Array:
     return np.asarray(-0.5 * np.log(2 * np.pi * variance) - np.where(z < 3, 0.5 * z * z, 3 * z - 4.5))
 
 
-def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ahead | None:
-    """The predictions over `horizon`, or None when no two readings are so far apart.
+def _aheads(
+    steps: _AffineSteps, heats: Sequence[DisturbanceStep | None], horizon: float, groups: int, places: int
+) -> list[_Ahead]:
+    """The predictions over `horizon`, one for each of `heats` (None: no disturbance); none when no two readings are so
+    far apart.
 
     They are made for ORIGINS pairs at most of readings of one run, `horizon` to 1.2 times as far apart.
     """
@@ -311,57 +317,77 @@ def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ah
     # After a gap the next reading may come much later: that would be another horizon.
     pairs = pairs[steps.time[pairs[:, 1]] - steps.time[pairs[:, 0]] <= 1.2 * horizon]
     chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), ORIGINS)).astype(np.intp))
+    # Those with most knots before them first: those that go on are then always the first of all.
+    chosen = chosen[np.argsort(pairs[chosen, 0] - pairs[chosen, 1], kind="stable")]
     origin, end = pairs[chosen, 0], pairs[chosen, 1]
-    size = origin.size
+    size, rounds = origin.size, end - origin
     if not size:
-        return None
+        return []
     decay, own, drift, fresh = np.ones(size), np.zeros(size), np.zeros(size), np.zeros(size)
-    # The disturbance: the weight of the origin's own in X and what is left of it, and of what is new since then the
-    # variance in X, its covariance with D, and D's variance, all for a sigma of 1.
-    heated, kept, vx, vxd, vd = np.zeros(size), np.ones(size), np.zeros(size), np.zeros(size), np.zeros(size)
     process, scatter = np.zeros((size, groups)), np.zeros((size, places))
+    # The disturbances, a row each: the weight of the origin's own in X and what is left of it, and of what is new since
+    # then the variance in X, its covariance with D, and D's variance, all for a sigma of 1. Without one all are 0.
+    some = [heat for heat in heats if heat is not None]
+    keeps, carries, new_xx, new_xd, new_dd = (
+        np.array([getattr(heat, name) for heat in some]).reshape(len(some), steps.time.size)
+        for name in ("keep", "carried", "xx", "xd", "dd")
+    )
+    kept = np.ones((len(some), size))
+    heated, vx, vxd, vd = np.zeros((4, len(some), size))
     # All origins walk on together, one knot a round, until each is at its outcome. The m of the stay in which an
     # origin lies is the filter's (`own`, while `still`); each later stay has one of its own, whose weight on X is
     # `fresh` while it lasts and which then goes, squared, to the scatter of its location.
-    at, still = origin.copy(), np.ones(size, dtype=bool)
-    for _ in range(int((end - origin).max())):
-        go = np.flatnonzero(at < end)
-        knots = at[go] + 1
+    still, every = np.ones(size, dtype=bool), np.arange(size)
+    for past in range(int(rounds.max())):
+        go = int(np.searchsorted(-rounds, -past))
+        knots = origin[:go] + past + 1
         a, p = steps.decay[knots], steps.pull[knots]
-        left = steps.stay[knots] != steps.stay[at[go]]
-        ended = go[left & ~still[go]]
-        scatter[ended, steps.place[at[ended]]] += fresh[ended] ** 2
-        fresh[go[left]] = 0.0
-        still[go[left]] = False
-        decay[go] *= a
-        own[go] = a * own[go] + np.where(still[go], p, 0.0)
-        fresh[go] = a * fresh[go] + np.where(still[go], 0.0, p)
-        drift[go] = a * drift[go] + steps.drift[knots]
-        process[go] *= a[:, None] ** 2
-        process[go, steps.group[knots]] += steps.density[knots]
-        scatter[go] *= a[:, None] ** 2
-        if steps.heat is not None:
-            heat = steps.heat
-            keep, carry = heat.keep[knots], heat.carried[knots]
-            heated[go] = a * heated[go] + carry * kept[go]
-            kept[go] *= keep
-            vx[go] = a * a * vx[go] + 2.0 * a * carry * vxd[go] + carry * carry * vd[go] + heat.xx[knots]
-            vxd[go] = keep * (a * vxd[go] + carry * vd[go]) + heat.xd[knots]
-            vd[go] = keep * keep * vd[go] + heat.dd[knots]
-        at[go] = knots
-    scatter[np.arange(size), steps.place[end]] += fresh**2
-    return _Ahead(
+        left = np.flatnonzero(steps.stay[knots] != steps.stay[knots - 1])
+        if left.size:
+            ended = left[~still[left]]
+            scatter[ended, steps.place[knots[ended] - 1]] += fresh[ended] ** 2
+            fresh[left] = 0.0
+            still[left] = False
+        for weight, with_own in ((own[:go], still[:go]), (fresh[:go], ~still[:go])):
+            weight *= a
+            weight += np.where(with_own, p, 0.0)
+        decay[:go] *= a
+        drift[:go] *= a
+        drift[:go] += steps.drift[knots]
+        squared = (a**2)[:, None]
+        process[:go] *= squared
+        process[every[:go], steps.group[knots]] += steps.density[knots]
+        scatter[:go] *= squared
+        if some:
+            keep, carry = keeps[:, knots], carries[:, knots]
+            of_heat, of_rest = vd[:, :go].copy(), vxd[:, :go].copy()
+            heated[:, :go] = a * heated[:, :go] + carry * kept[:, :go]
+            kept[:, :go] *= keep
+            vx[:, :go] = a * a * vx[:, :go] + 2.0 * a * carry * of_rest + carry * carry * of_heat + new_xx[:, knots]
+            vxd[:, :go] = keep * (a * of_rest + carry * of_heat) + new_xd[:, knots]
+            vd[:, :go] = keep * keep * of_heat + new_dd[:, knots]
+    scatter[every, steps.place[end]] += fresh**2
+    order = np.argsort(chosen)
+    plain = _Ahead(
         horizon=horizon,
-        origin=origin,
-        outcome=steps.reading[end],
-        decay=decay,
-        own=own,
-        drift=drift,
-        process=process,
-        scatter=scatter,
-        heated=heated,
-        disturbed=vx,
+        origin=origin[order],
+        outcome=steps.reading[end][order],
+        decay=decay[order],
+        own=own[order],
+        drift=drift[order],
+        process=process[order],
+        scatter=scatter[order],
+        heated=np.zeros(size),
+        disturbed=np.zeros(size),
     )
+    of_heats = iter(zip(heated, vx, strict=True))
+    made = []
+    for heat in heats:
+        weights, variance = (
+            (plain.heated, plain.disturbed) if heat is None else (part[order] for part in next(of_heats))
+        )
+        made.append(replace(plain, heated=weights, disturbed=variance))
+    return made
 
 
 def _mean_known(scores: Array) -> Array:
@@ -491,7 +517,8 @@ def fit_noise(
     """The noise of greatest composite likelihood, the means given by `fit`.
 
     `groups` (L,) numbers the locations that share one process noise. `floor` is the least sensor sigma (degC); the
-    sensor's own rounding, step/sqrt(12), is taken where that is more. Rows are sampled to about `budget` knots. Of
+    sensor's own rounding, step/sqrt(12), is taken where that is more. About `budget` knots are looked at, close
+    together however long the time is (`stretches`): give all of the runs, not what was thinned for the means. Of
     disturbances and errors of the sensor with one of the `memories` the likeliest is taken, if it is worth it on data
     held out.
     """
@@ -510,10 +537,10 @@ def fit_noises(
 ) -> list[NoiseLevels]:
     """The noise without a disturbance and, where one is worth it, the noise with it (`fit_noise`)."""
     memories = memories or Memories()
-    few = sampled(runs, budget)
+    few = stretches(runs, budget, LONGEST_STEP)
     steps = _steps(few, shape, fit, groups)
     floor = max(floor, resolution(runs.reading) / sqrt(12.0))
-    task = _task(steps, groups, shape, floor)
+    (task,) = _tasks(steps, groups, shape, floor)
     # As many independent looks as the data have stretches of 300 s, spread over one step and the horizons.
     weight = max(float(few.dt.sum()) / 300.0, 10.0)
     best = task.fitted(weight)
@@ -534,10 +561,7 @@ def fit_noises(
         task = found[0]
         best = task.fitted(weight, best)
     levels = [_levels(task, best)]
-    heated = [
-        _task(task.steps, groups, shape, floor, memory=memory, sensor_memory=task.sensor_memory)
-        for memory in memories.heat
-    ]
+    heated = _tasks(task.steps, groups, shape, floor, memories.heat, sensor_memory=task.sensor_memory)
     if (found := _worth_it(task, best, heated, np.append(best, log(FIRST_HEAT)), weight)) is not None:
         trial, theta = found
         levels.append(_levels(trial, trial.fitted(weight, theta)))
@@ -592,29 +616,33 @@ def _levels(task: _Task, theta: Array) -> NoiseLevels:
     )
 
 
-def _task(
+def _tasks(
     steps: _AffineSteps,
     groups: Indices,
     shape: FitShape,
     floor: float,
-    memory: float | None = None,
+    memories: Sequence[float | None] = (None,),
     sensor_memory: float = 0.0,
-) -> _Task:
-    if memory is not None:
-        steps = replace(steps, heat=disturbance_step(memory, steps.k, steps.dt))
+) -> list[_Task]:
+    """A task for each memory (s) of the disturbance, None without one; what does not depend on it is made once."""
+    heats = [None if memory is None else disturbance_step(memory, steps.k, steps.dt) for memory in memories]
     count = int(groups.max()) + 1
-    aheads = [_ahead(steps, horizon, count, groups.size) for horizon in HORIZONS]
-    return _Task(
-        steps=steps,
-        table=_chunks(steps),
-        aheads=tuple(ahead for ahead in aheads if ahead is not None),
-        groups=count,
-        seen=np.flatnonzero(shape.target >= 0),
-        places=groups.size,
-        floor=floor,
-        memory=memory,
-        sensor_memory=sensor_memory,
-    )
+    aheads = [_aheads(steps, heats, horizon, count, groups.size) for horizon in HORIZONS]
+    table = _chunks(steps)
+    return [
+        _Task(
+            steps=replace(steps, heat=heat),
+            table=table,
+            aheads=tuple(of_horizon[number] for of_horizon in aheads if of_horizon),
+            groups=count,
+            seen=np.flatnonzero(shape.target >= 0),
+            places=groups.size,
+            floor=floor,
+            memory=memory,
+            sensor_memory=sensor_memory,
+        )
+        for number, (memory, heat) in enumerate(zip(memories, heats, strict=True))
+    ]
 
 
 def _held_out(task: _Task, first: Array, begin: Array, free: Mask, weight: float) -> float:

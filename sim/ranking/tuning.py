@@ -15,7 +15,8 @@ from sim.ranking.cross_validation import HeldOutFold, folds, held_out, usable
 from sim.ranking.study import REASON, Facts, ask, finished_trials, interrupt, opened, unbroken
 from sim.ranking.tuning_methods import Method, Settings, Task, Taught, method_of
 from sim.sha import Alphabet, Trace
-from sim.validation import TROUBLE, parallel
+from sim.validation import TROUBLE
+from sim.workers import parallel
 
 if TYPE_CHECKING:
     from optuna.study import Study

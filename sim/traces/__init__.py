@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from sim.traces.auto_thresholds import Levels, levels_of, round_to
+    from sim.traces.auto_thresholds import Levels, levels_of, round_to, with_thresholds
     from sim.traces.cells import SWITCH_WORDS, booleans, numbers
     from sim.traces.channel_use import ChannelUse, channel_uses
     from sim.traces.clock import read_clock
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sim.traces.load_report import LoadReport, TraceError, listed
     from sim.traces.text_table import SEPARATORS, decode_head
     from sim.traces.trace_file import write_trace
-    from sim.traces.traces import load_traces, units
+    from sim.traces.traces import files_by_machine, load_traces, units
 else:
     __getattr__ = opened_at_use(__name__)
 
@@ -30,6 +30,7 @@ __all__ = [
     "booleans",
     "channel_uses",
     "decode_head",
+    "files_by_machine",
     "levels_of",
     "listed",
     "load_map",
@@ -40,5 +41,6 @@ __all__ = [
     "round_to",
     "split_cycles",
     "units",
+    "with_thresholds",
     "write_trace",
 ]

@@ -53,6 +53,14 @@ def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], Loa
     return traces, report
 
 
+def files_by_machine(source: Source, column_map: ColumnMap) -> dict[str, list[Path]]:
+    """The files that `load_traces` would read, by the machine that their traces are of."""
+    machines: dict[str, list[Path]] = {}
+    for group in _groups(_files(source, column_map), column_map):
+        machines.setdefault(_machine([FileReport(path) for path in group], column_map), []).extend(group)
+    return machines
+
+
 def _files(source: Source, column_map: ColumnMap) -> list[Path]:
     files: list[Path] = []
     for path in (Path(each).expanduser() for each in ([source] if isinstance(source, str | Path) else source)):

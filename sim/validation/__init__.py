@@ -1,6 +1,6 @@
 """The nine stages of validation, their campaign and their report."""
 
-from sim.validation.campaign import Progress, cluster, outcomes_by_model, parallel, run_here, unread
+from sim.validation.campaign import Progress, outcomes_by_model, run_here, run_there, unread
 from sim.validation.campaign_run import CampaignPlan, conduct
 from sim.validation.fitness import (
     Facts,
@@ -49,7 +49,6 @@ __all__ = [
     "Wanted",
     "check_folder",
     "claim_folder",
-    "cluster",
     "conduct",
     "draw",
     "findings_of",
@@ -62,12 +61,12 @@ __all__ = [
     "load_stage",
     "natural",
     "outcomes_by_model",
-    "parallel",
     "prepare",
     "read_results",
     "relabelled",
     "run_here",
     "run_job",
+    "run_there",
     "summaries",
     "unread",
     "verdict",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from sim.sha import Trace
 from sim.skill import ForecastSkill
 from sim.strict_json import json_text
-from sim.validation.campaign import Progress, Runner, Unread, outcomes_by_model, parallel
+from sim.validation.campaign import Progress, Runner, Unread, outcomes_by_model
 from sim.validation.fitness import Facts, Finding, findings_of
 from sim.validation.output_folder import COMPLETE, RESULTS, SKILL, Folder, results_csv, results_json
 from sim.validation.pictures import draw_one, drawings
@@ -16,6 +16,7 @@ from sim.validation.results import TraceResult
 from sim.validation.stage_records import records
 from sim.validation.stages import Prepared, Stage, timed
 from sim.validation.trace_run import TraceOutcome, TraceRunSettings
+from sim.workers import parallel
 
 PICTURES_HERE = 2
 """Pictures that are drawn in this process: fewer are done before another process has started."""

@@ -13,7 +13,7 @@ from benchmarks.smc import RARE, parameter_sets
 
 def said(name: str) -> dict[str, dict[str, Any]]:
     command = [sys.executable, "-m", f"benchmarks.{name}", "--json", "--quick"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=500, check=False)
     assert done.returncode == 0, done.stderr
     return {figure["name"]: figure for figure in json.loads(done.stdout)["figures"]}
 

@@ -223,7 +223,7 @@ def test_run_stops_when_its_standard_input_ends_and_leaves_the_historian_whole(t
         assert b"does not answer yet" in process.stderr.readline()
         process.stdin.close()
         process.stderr.read()
-        assert process.wait(20) == 0
+        assert process.wait(120) == 0
     assert json.loads((tmp_path / "status.json").read_text(encoding="utf-8"))["phase"] == "stopped"
 
 

@@ -154,7 +154,7 @@ async def test_a_gateway_keeps_what_it_starts_with_and_what_it_takes_over(there:
         run(config, clock=bench.clock, stop=bench.stop, driver=bench, read_anew=read_anew, hangup=hangup)
     )
     kept = there.folder / "out/configurations"
-    async with asyncio.timeout(30.0):
+    async with asyncio.timeout(120.0):
         while not (kept / "0001").exists():
             await asyncio.sleep(0.01)
         there.write(75.0)

@@ -128,7 +128,7 @@ def test_the_cooled_plant_is_the_same_for_a_seed_and_colder_with_its_cooling() -
         cooled_days(0, seed=1)
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1200)
 def test_the_demonstration_names_what_is_hidden_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -74,7 +74,7 @@ def server(handle: Handler) -> Iterator[int]:
                 listener.shutdown(socket.SHUT_RDWR)
             for connection in connections:
                 connection.close()
-            thread.join(5.0)
+            thread.join(60.0)
 
 
 def ssh(connection: socket.socket) -> None:

@@ -150,7 +150,7 @@ def test_a_watch_on_a_terminal_is_live_and_enter_sets_a_mark(device: tuple[Proce
                 break
             if not marked and b"GOOD" in seen:
                 marked = os.write(ours, b"\n") == 1
-        assert process.wait(20) == 0
+        assert process.wait(120) == 0
     os.close(ours)
     record = json.loads((tmp_path / "records.jsonl").read_text(encoding="utf-8"))
     assert "last readings" in seen.decode(errors="replace") and "mark 1 at" in seen.decode(errors="replace")

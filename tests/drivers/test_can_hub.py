@@ -49,7 +49,7 @@ def joined(hub: Hub, path: Path, count: int) -> list[can.BusABC]:
 
 def settled(condition: object) -> None:
     assert callable(condition)
-    end = time.monotonic() + 5.0
+    end = time.monotonic() + 60.0
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.005)
@@ -64,7 +64,7 @@ def test_every_frame_reaches_all_others_in_order_and_not_its_sender(hub: Hub, pa
     for place in range(200):
         buses[0].send(message(place))
     for bus in buses[1:]:
-        received = [bus.recv(2.0) for _ in range(200)]
+        received = [bus.recv(60.0) for _ in range(200)]
         assert [one.arbitration_id for one in received if one is not None] == list(range(200))
     assert buses[0].recv(0.05) is None
     for bus in buses:
@@ -109,7 +109,7 @@ def test_a_client_that_does_not_listen_stalls_nobody_and_is_told_what_it_missed(
     assert kept[-1].is_error_frame
     assert kept[-1].data[1] == 0x01
     sender.send(message(0x101))
-    after = sleeper.recv(2.0)
+    after = sleeper.recv(60.0)
     assert after is not None
     assert after.arbitration_id == 0x101
     for bus in (sender, listener, sleeper):
@@ -149,7 +149,7 @@ def test_packets_that_are_no_frames_are_counted_and_forwarded_to_nobody(hub: Hub
         strange.connect(str(path))
         strange.send(b"no frame")
         strange.send(pack(message(0x42)))
-        one = bus.recv(2.0)
+        one = bus.recv(60.0)
     assert one is not None
     assert one.arbitration_id == 0x42
     assert hub.statistics()["malformed"] == 1
@@ -160,7 +160,7 @@ def test_bus_off_keeps_a_client_off_the_bus_until_the_restart(hub: Hub, path: Pa
     wire, node = joined(hub, path, 2)
     wire.send(can.Message(arbitration_id=0x40, is_error_frame=True, dlc=8, data=bytes(8)))
     wire.send(message(0x1))
-    error = node.recv(2.0)
+    error = node.recv(60.0)
     assert error is not None
     assert error.is_error_frame
     assert node.state is can.BusState.ERROR
@@ -169,7 +169,7 @@ def test_bus_off_keeps_a_client_off_the_bus_until_the_restart(hub: Hub, path: Pa
         node.send(message(0x2))
     wire.send(can.Message(arbitration_id=0x100, is_error_frame=True, dlc=8, data=bytes(8)))
     wire.send(message(0x3))
-    assert [one.arbitration_id for one in (node.recv(2.0), node.recv(2.0)) if one] == [0x100, 0x3]
+    assert [one.arbitration_id for one in (node.recv(60.0), node.recv(2.0)) if one] == [0x100, 0x3]
     node.send(message(0x4))
     for bus in (wire, node):
         bus.shutdown()
@@ -183,11 +183,11 @@ def test_filters_own_messages_and_a_file_descriptor_work_as_python_can_says(hub:
     assert bus.fileno() > 0
     for number in (0x20, 0x15):
         other.send(message(number))
-    one = bus.recv(2.0)
+    one = bus.recv(60.0)
     assert one is not None
     assert one.arbitration_id == 0x15
     bus.send(message(0x11))
-    own = bus.recv(2.0)
+    own = bus.recv(60.0)
     assert own is not None
     assert own.arbitration_id == 0x11
     for open_one in (bus, other):
@@ -197,14 +197,14 @@ def test_filters_own_messages_and_a_file_descriptor_work_as_python_can_says(hub:
 def test_any_python_can_program_can_join(hub: Hub, path: Path) -> None:
     (bus,) = joined(hub, path, 1)
     with subprocess.Popen([sys.executable, "-c", FOREIGN, str(path)], cwd=path.parent) as program:
-        heard = bus.recv(20.0)
+        heard = bus.recv(60.0)
         assert heard is not None
         assert (heard.arbitration_id, bytes(heard.data)) == (0x123, b"hello")
         bus.send(message(0x200, b"abc"))
-        answer = bus.recv(10.0)
+        answer = bus.recv(60.0)
         assert answer is not None
         assert (answer.arbitration_id, answer.is_extended_id, bytes(answer.data)) == (0x201, True, b"cba")
-        assert program.wait(10.0) == 0
+        assert program.wait(60.0) == 0
     bus.shutdown()
 
 
@@ -216,18 +216,18 @@ def test_the_hub_as_a_process_says_when_it_is_ready_and_what_it_has_carried(path
         with open_bus("hub", str(path)) as one, open_bus("hub", str(path)) as other:
             time.sleep(0.1)
             one.send(message(5))
-            assert other.recv(2.0) is not None
+            assert other.recv(60.0) is not None
         process.send_signal(signal.SIGTERM)
         last = json.loads(process.stdout.readline())
         assert (last["event"], last["frames"], last["delivered"]) == ("stopped", 1, 1)
-        assert process.wait(5.0) == 0
+        assert process.wait(60.0) == 0
     assert not path.exists()
 
 
 def test_a_place_where_no_socket_can_be_is_one_sentence(tmp_path: Path) -> None:
     for place in (tmp_path / "nowhere" / "bus", tmp_path / ("x" * 120)):
         command = [sys.executable, "-m", "drivers.can.bus.hub", str(place)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
         assert done.returncode == 1
         assert done.stderr.startswith(f"no CAN hub at {place}")
         assert len(done.stderr.splitlines()) == 1

@@ -1,6 +1,7 @@
 """Several units behind one connection: fair turns, the device's limits, a silent unit apart, no reply of another's."""
 
 import asyncio
+import re
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Sequence
@@ -69,7 +70,7 @@ async def once(driver: ModbusDriver) -> Sample:
 
 async def until_silent(living: ModbusDriver, *dead: ModbusDriver) -> None:
     """Read all until the dead ones are known to be silent, which needs an answer of the living one in between."""
-    async with asyncio.timeout(3):
+    async with asyncio.timeout(60):
         while not all(driver.statistics()["silent"] for driver in dead):
             await asyncio.gather(*map(once, (living, *dead)))
             await asyncio.sleep(0.01)
@@ -97,6 +98,18 @@ async def order_of(turns: Turns, wanted: Sequence[tuple[int, bool, bool]]) -> li
 async def test_a_unit_with_much_to_ask_has_one_turn_in_the_round() -> None:
     wanted = [(1, False, False)] * 3 + [(2, False, False), (3, False, False)]
     assert await order_of(Turns(1), wanted) == [1, 2, 3, 1, 1]
+
+
+async def test_who_holds_the_connection_for_long_has_fewer_turns() -> None:
+    turns, order = Turns(1), list[int]()
+
+    async def one(unit: int) -> None:
+        async with turns.turn(unit, urgent=False, probe=False):
+            order.append(unit)
+            await asyncio.sleep(0.1 if unit == 1 else 0.0)
+
+    await asyncio.gather(*map(one, (1, 1, 2, 2, 3, 3)))
+    assert order[0] == order[-1] == 1, order
 
 
 async def test_what_is_urgent_goes_first_and_starves_nobody() -> None:
@@ -135,7 +148,7 @@ async def test_who_is_cancelled_while_waiting_or_just_granted_keeps_no_turn() ->
     tasks[0].cancel()
     tasks[2].cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
-    async with asyncio.timeout(1), turns.turn(2, urgent=False, probe=False):
+    async with asyncio.timeout(20), turns.turn(2, urgent=False, probe=False):
         pass
 
 
@@ -327,13 +340,156 @@ async def test_a_write_without_an_answer_ends_the_connection_and_costs_the_other
     scans = asyncio.ensure_future(scan())
     with pytest.raises(ReplyTimeout):
         await other.write([(SETPOINT, 7)])
-    async with asyncio.timeout(2):
+    async with asyncio.timeout(60):
         await scans
     assert all(sample.value == 1 for sample in seen), seen
     assert plc.functions().count(16) == 1
 
 
+# ------------------------------------------------------------------ what one unit can take from the others
+
+
+def waited(reason: str) -> float:
+    """The deadline that a reading's reason speaks of."""
+    found = re.search(r"no reply within ([0-9.]+) s", reason)
+    assert found, reason
+    return float(found[1])
+
+
+async def test_only_the_first_question_without_an_answer_has_its_whole_deadline(plc: ScriptedPlc, shared: Open) -> None:
+    dead: dict[int, Bend] = {}
+    plc.bend = by_unit(dead)
+    living, other = await shared(1, 2, timeout=0.5)
+    await asyncio.gather(once(living), once(other))
+    dead[2] = silent
+    assert waited((await once(other)).reason) == 0.5
+    assert (await once(living)).value == 1
+    assert waited((await once(other)).reason) < 0.5
+    # A write is never hurried: of what is given up early it is not known whether the device took it.
+    with pytest.raises(ReplyTimeout) as raised:
+        await other.write([(SETPOINT, 7)])
+    assert waited(str(raised.value)) == 0.5
+
+
+async def test_a_unit_that_has_never_answered_is_waited_for_as_the_others_are_after_its_first_deadline(
+    plc: ScriptedPlc, shared: Open
+) -> None:
+    plc.bend = by_unit({2: silent})
+    living, dead = await shared(1, 2, timeout=0.5)
+    reasons = []
+    async with asyncio.timeout(5):
+        while not dead.statistics()["silent"]:
+            assert (await once(living)).value == 1
+            reasons.append((await once(dead)).reason)
+    first, *others = [waited(reason) for reason in reasons if "held up" not in reason]
+    assert first == 0.5 and len(others) == 2 and max(others) < 0.5
+
+
+async def test_a_unit_that_stops_the_whole_connection_does_not_stop_the_next_one_too(
+    plc: ScriptedPlc, shared: Open
+) -> None:
+    asked_two: list[int] = []
+
+    async def blocking(plc: ScriptedPlc, request: bytes, honest: bytes, writer: asyncio.StreamWriter) -> None:
+        asked_two.append(plc.connections)
+        await asyncio.sleep(1.0)  # nobody else on this connection is served meanwhile
+
+    blocks: dict[int, Bend] = {}
+    plc.bend = by_unit(blocks)
+    drivers = await shared(1, 2, 3)
+    await asyncio.gather(*map(once, drivers))
+    blocks[2] = blocking
+    seen: list[Sample] = []
+
+    async def scan(driver: ModbusDriver) -> None:
+        while len(seen) < 60:
+            sample = await once(driver)
+            if driver is not drivers[1] and plc.connections > 1:
+                seen.append(sample)
+            await asyncio.sleep(0.01)
+
+    async with asyncio.timeout(5):
+        await asyncio.gather(*map(scan, drivers))
+    assert drivers[1].statistics()["silent"] and drivers[0].connected
+    assert asked_two == [1] and plc.connections == 2
+    assert {sample.value for sample in seen} == {1, 3}, seen
+
+
+async def test_garbage_of_one_unit_ends_the_connection_a_few_times_and_loses_no_reading_of_another(
+    plc: ScriptedPlc, shared: Open
+) -> None:
+    bends: dict[int, Bend] = {}
+
+    async def garbage(plc: ScriptedPlc, request: bytes, honest: bytes, writer: asyncio.StreamWriter) -> None:
+        writer.write(bytes(range(40, 56)))
+
+    plc.bend = by_unit(bends)
+    living, other = await shared(1, 2)
+    await asyncio.gather(once(living), once(other))
+    bends[2] = garbage
+    reasons = []
+    for _ in range(12):
+        lost, sample = await asyncio.gather(once(other), once(living))
+        assert sample.value == 1, sample.reason
+        assert lost.value is None
+        reasons.append(lost.reason)
+    assert "not Modbus TCP" in reasons[0] and "unit 2 is silent" in reasons[-1]
+    assert plc.connections <= 4
+
+
+async def test_a_unit_that_answers_now_and_then_wastes_no_more_than_its_share(plc: ScriptedPlc, shared: Open) -> None:
+    asked = 0
+
+    async def every_other(plc: ScriptedPlc, request: bytes, honest: bytes, writer: asyncio.StreamWriter) -> None:
+        nonlocal asked
+        asked += 1
+        if asked % 2:
+            writer.write(honest)
+
+    plc.bend = by_unit({2: every_other})
+    drivers = await shared(1, 2, 3, 4)
+    stop, reasons = asyncio.Event(), list[str]()
+
+    async def scan(driver: ModbusDriver) -> None:
+        while not stop.is_set():
+            sample = await once(driver)
+            if driver is drivers[1]:
+                reasons.append(sample.reason)
+            await asyncio.sleep(0.005)
+
+    began = time.monotonic()
+    scans = [asyncio.ensure_future(scan(driver)) for driver in drivers]
+    await asyncio.sleep(1.5)
+    stop.set()
+    await asyncio.gather(*scans)
+    in_vain = 0.1 * sum("no reply within" in reason for reason in reasons)
+    # One reading's deadline, the last wait, and a quarter of the time.
+    assert 0.1 <= in_vain <= 0.2 + 0.25 * (time.monotonic() - began)
+    assert any("has held up the others" in reason for reason in reasons)
+
+
 # ------------------------------------------------------------------ late replies
+
+
+async def test_what_a_gateway_says_late_of_a_dead_unit_does_not_mean_that_it_is_there(
+    plc: ScriptedPlc, shared: Open
+) -> None:
+    async def no_way(plc: ScriptedPlc, request: bytes, honest: bytes, writer: asyncio.StreamWriter) -> None:
+        refusal = mbap(transaction_of(request), unit_of(request), bytes((request[7] | 0x80, 11)))
+        asyncio.get_running_loop().call_later(0.08, writer.write, refusal)
+
+    plc.bend = by_unit({2: no_way})
+    living, dead = await shared(1, 2, timeout=0.04, silent_first=30.0, silent_cap=30.0)
+    await until_silent(living, dead)
+    asked = Counter(map(unit_of, plc.requests))[2]
+    foreign = dead.statistics()["foreign_replies"]
+    async with asyncio.timeout(2):
+        while dead.statistics()["foreign_replies"] < asked:
+            await asyncio.gather(once(living), once(dead))
+            await asyncio.sleep(0.01)
+    assert foreign < asked  # at least one came after the unit was known to be silent
+    await asyncio.gather(once(living), once(dead))
+    assert Counter(map(unit_of, plc.requests))[2] == asked
 
 
 async def test_a_late_reply_of_one_unit_is_never_anothers_and_says_that_it_is_there(
@@ -457,6 +613,20 @@ async def test_another_unit_is_not_asked_in_the_middle_of_a_late_reply(
     await three.read([three_words])
     assert (await once(four)).value in (None, 4)
     assert (await read_until_good(four, FIVE, within=2.5)).value == 4
+
+
+async def test_a_reply_that_breaks_off_holds_the_line_for_a_moment_and_not_for_the_longest_reply(
+    ends: PtyLine, on_line: list[ModbusDriver]
+) -> None:
+    three, four = on_line
+
+    def bend(line: ScriptedLine, request: bytes, honest: bytes) -> None:
+        line.put(own_number(request) if request[0] == 4 else rtu(3, bytes((3, 2, 0, 3)))[:4])
+
+    ends.line.bend = bend
+    assert (await once(three)).value is None
+    assert (await read_until_good(four, FIVE, within=0.9)).value == 4  # an answer may come for 1 s
+    assert four.statistics()["reconnects"] == 0
 
 
 async def test_a_whole_reply_of_another_unit_is_not_taken_on_a_line(ends: PtyLine, on_line: list[ModbusDriver]) -> None:

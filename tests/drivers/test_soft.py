@@ -242,7 +242,7 @@ async def test_a_stream_yields_what_is_put_in_order_and_ends_with_close(clock: C
         driver.put("other", value)
     await asyncio.sleep(0.05)
     await driver.close()
-    await asyncio.wait_for(listening, 1)
+    await asyncio.wait_for(listening, 20)
     assert heard == list(range(50))
 
 

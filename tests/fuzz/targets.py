@@ -26,6 +26,7 @@ from drivers.tag import Tag
 from drivers.vehicle.log import Log
 from gateway.commission.files.cells import ListError, read_sheet
 from gateway.settings import load_config
+from sim import familiarity
 from sim.artefacts.effect_lines import read_effect_lines
 from sim.artefacts.familiarity_file import FAMILIARITY_FILE, Familiarity, read_familiarity
 from sim.artefacts.formats.dot import read_source
@@ -34,7 +35,7 @@ from sim.artefacts.formats.histogram import read_histogram
 from sim.artefacts.formats.report import read_report
 from sim.artefacts.model_json import model_text, read_model_file
 from sim.checking.language.parse import QueryError, parse_query
-from sim.familiarity import FEATURES, error_curve, fit_reference
+from sim.familiarity import error_curve, fit_reference
 from sim.files import ArtefactError
 from sim.plc.modbus import framing
 from sim.plc.modbus.server import make_rtu_tcp
@@ -66,7 +67,7 @@ ACKNOWLEDGEMENT = b"\x12\x2b\n\x19Alarm Control/Acknowledge \x0cz\x0cover limit 
 
 
 def _familiarity() -> str:
-    points = np.random.default_rng(0).normal(size=(8, 3, len(FEATURES)))
+    points = np.random.default_rng(0).normal(size=(8, 3, len(familiarity.COLUMNS)))
     return Familiarity(fit_reference(list(points)), error_curve([0.5, 1.0], [0.1, 0.2])).text()
 
 

@@ -1,6 +1,5 @@
 """Alarms about what a machine relies on: link, disk, certificates, messages; and each kind is watched by something."""
 
-import asyncio
 import datetime as dt
 import math
 import shutil
@@ -10,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from gateway.certificates import days_left, make_all
+from gateway.certificates import days_left, make_all, make_application
 from gateway.clock_sync import clock_error
 from gateway.machine.alarms import make_conditions
 from gateway.plant.status import snapshot
@@ -19,6 +18,7 @@ from gateway.settings.config import Config, load_config
 from tests.gateway.support import EPOCH, MAP, TEMPERATURE, config_in, plant_file, two_modes
 from tests.gateway.test_alarm_desk import OTHER, QUICK, Stand, standing
 
+BROKER = '[[northbound.mqtt]]\nname = "it"\nhost = "127.0.0.1"\ntls = false\n'
 DAY = dt.timedelta(days=1)
 BEGIN = dt.datetime.fromtimestamp(EPOCH, dt.UTC)
 
@@ -35,9 +35,8 @@ def over_tls(folder: Path, text: str, days: int, **keys: Any) -> Config:
 
 async def looked(stand: Stand) -> None:
     """Scan until disk and certificates were looked at, and once more."""
-    while stand.machine.surroundings.free_mb is None:
-        await stand.scan()
-        await asyncio.sleep(0.005)
+    await stand.scan()
+    await stand.machine.surroundings.close()
     await stand.scan()
 
 
@@ -109,9 +108,35 @@ async def test_messages_that_are_not_delivered_are_an_alarm(tmp_path: Path) -> N
         assert stand.state("notification") == "unacknowledged"
 
 
+@pytest.mark.parametrize(("days", "state"), [(31, "normal"), (29, "unacknowledged")])
+async def test_the_certificate_of_the_opc_ua_server_is_watched_too(days: int, state: str, tmp_path: Path) -> None:
+    make_application(tmp_path / "opcua", hosts=["127.0.0.1"], days=100 + days, now=BEGIN - 100 * DAY)
+    server = '[northbound.opcua]\ncertificates = "opcua"\n'
+    async with standing(config_in(tmp_path, QUICK + server)) as stand:
+        assert "certificate" not in stand.machine.alarms.alarms, "nothing is served"
+    async with standing(config_in(tmp_path, QUICK + server + "port = 0\n"), at=1.0) as stand:
+        await looked(stand)
+        assert stand.state("certificate") == state
+
+
+async def test_a_broker_out_of_reach_is_an_alarm_once_it_was_so_for_the_stated_time(tmp_path: Path) -> None:
+    text = QUICK + BROKER + '[[alarm]]\nname = "northbound"\non_delay = 60.0\n'
+    async with standing(config_in(tmp_path, text)) as stand:
+        await stand.scan()
+        stand.machine.common.unreached = lambda: "it: 127.0.0.1:1883 cannot be reached: Connection refused"
+        await stand.scan()
+        await stand.scan(59.0)
+        assert stand.state("northbound") == "normal"
+        await stand.scan(1.0)
+        assert stand.state("northbound") == "unacknowledged"
+        stand.machine.common.unreached = lambda: ""
+        await stand.scan()
+        assert stand.state("northbound") == "returned unacknowledged"
+
+
 async def test_every_kind_of_alarm_can_be_had_and_each_is_looked_at_in_a_scan(tmp_path: Path) -> None:
     text = QUICK.replace("sensors = false", "sensors = true").replace("trend = false", "trend = 300")
-    text += '[[notify.to]]\nname = "a"\nwebhook = "https://example.com/x"\n'
+    text += '[[notify.to]]\nname = "a"\nwebhook = "https://example.com/x"\n' + BROKER
     config = over_tls(tmp_path, text, 100, model=two_modes())
     conditions = make_conditions(config, config.watched, complains=True)
     assert {condition.kind for condition in conditions.values()} == set(ALARM_KINDS)

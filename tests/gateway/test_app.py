@@ -54,7 +54,7 @@ def heating(bench: Bench, first: int, last: int, start: float = 25.0) -> None:
 
 async def go(config: Config, bench: Bench, reads: int, **keys: Any) -> dict[str, Any]:
     bench.stop_after = reads
-    return await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench, **keys), 60.0)
+    return await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench, **keys), 300.0)
 
 
 def table(config: Config, query: str) -> list[tuple[Any, ...]]:

@@ -181,7 +181,7 @@ async def asked(config: Config, command: str, **keys: Any) -> dict[str, Any]:
 
 
 async def until(true: Callable[[], bool]) -> None:
-    async with asyncio.timeout(10.0):
+    async with asyncio.timeout(120.0):
         while not true():
             await asyncio.sleep(0.002)
 

@@ -22,7 +22,7 @@ from gateway.store.score import scorecard
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording
 from tests.gateway.support import ROOT, TEMPERATURE, config_in, plant_file, two_modes
-from tests.plc.bench import Process, running, wait_until
+from tests.plc.bench import PATIENCE_S, Process, running, wait_until
 
 SPEED = 20.0
 
@@ -59,7 +59,7 @@ def config_for(folder: Path, plc: Process, **more: Any) -> Config:
     return config_in(folder, model=two_modes(), **{**given, **more})
 
 
-async def until(true: Any, seconds: float = 30.0) -> None:
+async def until(true: Any, seconds: float = PATIENCE_S) -> None:
     deadline = time.monotonic() + seconds
     while not true():
         assert time.monotonic() < deadline, "it never came true"
@@ -80,11 +80,12 @@ async def test_over_a_real_socket_through_an_outage_to_a_graceful_stop(tmp_path:
         )
         await until(lambda: status().get("writeback", {}).get("accepted", 0) > 60)
         await until(lambda: (status().get("writeback") or {}).get("last_validity") == 31)
-        plc.order("fault", fault={"kind": "silent", "duration": 1.0})
+        silence = plc.order("fault", fault={"kind": "silent"})["number"]  # until it is seen
         await until(lambda: status()["link"]["outage_count"] == 1)
+        plc.order("clear", number=silence)
         await until(lambda: status()["link"]["alive"] and status()["writeback"]["last_validity"] == 31)
         stop.set()
-        last = await asyncio.wait_for(gateway, 30.0)
+        last = await asyncio.wait_for(gateway, PATIENCE_S)
         said = plc.order("status")
         plc.stop()
     assert last["failures"] == 0
@@ -114,7 +115,7 @@ async def test_a_plc_that_dies_and_comes_back_is_read_again_and_its_counters_go_
         await until(lambda: status().get("writeback", {}).get("accepted", 0) > 10)
         before = status()["writeback"]["accepted"]
         first.popen.kill()
-        first.popen.wait(10.0)
+        first.popen.wait(PATIENCE_S)
         await until(lambda: not status()["link"]["alive"])
         assert status()["values"][TEMPERATURE]["quality"] != "GOOD"
     again = ["--trace", str(trace), "--speed", str(SPEED), "--port", str(first.port)]
@@ -122,7 +123,7 @@ async def test_a_plc_that_dies_and_comes_back_is_read_again_and_its_counters_go_
         await until(lambda: status()["link"]["alive"])
         await until(lambda: status()["writeback"]["accepted"] > before + 10)
         stop.set()
-        last = await asyncio.wait_for(gateway, 30.0)
+        last = await asyncio.wait_for(gateway, PATIENCE_S)
     assert last["failures"] == 0 and last["writeback"]["refused"] == 0
 
 
@@ -162,10 +163,8 @@ def test_a_gateway_that_is_killed_starts_again_with_an_intact_historian_and_whol
             with subprocess.Popen(command, cwd=ROOT) as gateway:
                 # Whatever comes of the waiting, the process ends here: `with` alone would wait for it for ever.
                 try:
-                    # A process begins: on a machine with other work that takes its time.
                     wait_until(
                         lambda: plc.order("status")["accepted"] > wanted or gateway.poll() is not None,  # noqa: B023
-                        patience_s=60.0,
                     )
                     wait_until(lambda: _stored_blocks(history_path) >= enough or gateway.poll() is not None)  # noqa: B023
                     assert gateway.poll() is None, "it has ended by itself"
@@ -196,7 +195,7 @@ def test_a_process_stops_gracefully_on_a_signal(tmp_path: Path, number: signal.S
             try:
                 wait_until(lambda: plc.order("status")["accepted"] > 10 or gateway.poll() is not None)
                 os.kill(gateway.pid, number)
-                assert gateway.wait(20.0) == 0
+                assert gateway.wait(PATIENCE_S) == 0
                 assert gateway.stderr is not None and gateway.stderr.read() == ""
             finally:
                 gateway.kill()

@@ -68,7 +68,7 @@ def together(folder: Path, keys: str = "", *others: Model, **overrides: Any) -> 
 
 async def go(config: Config, bench: Bench, reads: int) -> dict[str, Any]:
     bench.stop_after = reads
-    return await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 60.0)
+    return await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
 
 
 async def test_the_model_that_is_right_gets_the_weight_and_status_and_historian_say_so(tmp_path: Path) -> None:

@@ -133,6 +133,25 @@ def test_every_row_comes_once_and_in_order_while_rows_are_packed(tmp_path: Path,
             assert [tuple(v[name] for name in names) for _, _, v in rows] == kept_rows and kept_rows
 
 
+def test_the_newest_row_of_a_stream_is_its_own_where_another_machine_has_a_later_one(tmp_path: Path) -> None:
+    """By it rows are told to be history: an alarm must not be, because another machine has one a moment later."""
+    store = open_historian(tmp_path / "h.sqlite")
+    try:
+        for machine in ("one", "two", "one", "two"):
+            store.of(machine).put("alarms", [(EPOCH, "over limit A", "A", 1, "unacknowledged", 81.0, "")])
+            assert store.flush()
+        with reading(store.path) as connection:
+            for stream in row_streams(connection, ("one", "two")):
+                if stream.table == "alarms":
+                    found = rows_after(connection, stream, RowPosition(0, 0.0))
+                    assert len(found.rows) == 2 and found.newest == found.rows[-1].key
+                    after = found.rows[-1].position
+                    assert after is not None and not rows_after(connection, stream, after).rows
+                    assert not rows_after(connection, stream, rows_after(connection, stream, after).passed).rows
+    finally:
+        store.close()
+
+
 @pytest.mark.usefixtures("small_batches")
 def test_what_retention_took_first_is_counted_and_a_position_is_found_by_time(tmp_path: Path) -> None:
     rng, path = random.Random(1), tmp_path / "h.sqlite"

@@ -45,14 +45,14 @@ class Watch:
     def early(self) -> list[Scan]:
         return [scan for scan in self.seen if scan.early]
 
-    async def until(self, count: int, within: float = 2.0) -> None:
+    async def until(self, count: int, within: float = 20.0) -> None:
         async with asyncio.timeout(within):
             while len(self.seen) < count:
                 await asyncio.sleep(0.001)
 
     async def end(self) -> None:
         self._stop.set()
-        await asyncio.wait_for(self._task, 2.0)
+        await asyncio.wait_for(self._task, 20.0)
 
 
 @pytest.fixture

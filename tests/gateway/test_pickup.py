@@ -76,7 +76,7 @@ def running(config: Config, *, armed: bool = True) -> Plant:
 
 async def go(config: Config, plant: Plant) -> dict[str, Any]:
     plant.stop_after = READS
-    return await asyncio.wait_for(run(config, clock=plant.clock, stop=plant.stop, driver=plant), 60.0)
+    return await asyncio.wait_for(run(config, clock=plant.clock, stop=plant.stop, driver=plant), 300.0)
 
 
 def hash_word(model: Model) -> int:

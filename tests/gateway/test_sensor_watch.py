@@ -58,6 +58,35 @@ def test_a_frozen_sensor_without_a_twin_is_found_by_how_it_was_before() -> None:
     assert set(found) == {"sensor frozen"} and 2400 <= found["sensor frozen"] <= 2410
 
 
+@pytest.mark.parametrize("twins", [(A, B), ()])
+def test_a_gap_in_the_readings_does_not_mend_a_frozen_sensor(twins: tuple[str, ...]) -> None:
+    watch = SensorWatch((A, B), twins, None)
+    found: dict[int, float | None] = {}
+    for second, (a, b) in enumerate(well(4000)):
+        if 3000 <= second < 3100:
+            continue  # the link is lost
+        a = 22.0 if 600 <= second < 3500 else a
+        samples = {A: Sample(A, a, Quality.GOOD, float(second)), B: Sample(B, b, Quality.GOOD, float(second))}
+        scan = Scan(number=second, time=float(second), samples=samples, missed=0, duration=0.0)
+        found[second] = watch.take(scan)[f"sensor frozen {A}"]
+    assert found[599] == 0.0 and found[2999] == 1.0
+    after = [found[second] for second in range(3100, 3500)]
+    assert 0.0 not in after and after[0] is None, "it shows what it showed before"
+    assert found[3500] == 0.0 and found[3999] == 0.0
+
+
+def test_a_frozen_sensor_stays_found_while_its_twin_comes_back_to_where_it_stood() -> None:
+    watch, found = SensorWatch((A, B), (A, B), None), list[float | None]()
+    for second in range(600):
+        # Ten degrees up and down again in ten minutes, read every ten seconds: too few readings to count changes alone.
+        warm = 40.0 + 10.0 * (1.0 - abs(second / 300.0 - 1.0))
+        if second % 10 == 0:
+            samples = {A: Sample(A, 40.0, Quality.GOOD, second), B: Sample(B, warm, Quality.GOOD, second)}
+            scan = Scan(number=second, time=float(second), samples=samples, missed=0, duration=0.0)
+            found.append(watch.take(scan)[f"sensor frozen {A}"])
+    assert found[14] == 1.0 and set(found[14:]) == {1.0}
+
+
 def test_a_jumping_sensor_is_found_with_its_second_step_and_one_step_is_none() -> None:
     assert raised(lambda second, value: value + 30.0 * (second == 700)) == {"sensor jumping": 701}
     assert raised(lambda _, value: value - 6.0) == {}

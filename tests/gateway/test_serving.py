@@ -192,7 +192,7 @@ async def test_a_foreign_master_reads_from_the_gateway_what_it_has_read_of_a_plc
     running = asyncio.ensure_future(run(config, stop=stop))
     peer = AsyncModbusTcpClient("127.0.0.1", port=port, retries=0, timeout=2)
     try:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(120):
             while not await peer.connect():
                 await asyncio.sleep(0.02)
             while (reply := await peer.read_holding_registers(101, count=1, device_id=5)).isError():

@@ -57,7 +57,7 @@ def put_scan(historian: Historian, machine: str, number: int, offset: float) -> 
 
 
 def packed_until(path: Path, enough: Callable[[sqlite3.Connection], bool]) -> None:
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 120.0
     with closing(sqlite3.connect(path)) as connection:
         while not enough(connection):
             assert time.monotonic() < deadline

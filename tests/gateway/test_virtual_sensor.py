@@ -22,7 +22,7 @@ from gateway.settings.config import Config
 from gateway.status import findings
 from gateway.status.changes import topics
 from gateway.store import FollowedRow, RowStream
-from gateway.web.texts import all_words
+from gateway.texts import all_words
 from gateway.web.views import machine_view
 from tests.gateway.support import (
     CURRENT,

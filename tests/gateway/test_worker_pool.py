@@ -136,7 +136,7 @@ async def test_one_that_hangs_is_killed_and_begun_anew_and_the_other_is_asked_on
 ) -> None:
     monkeypatch.setattr(worker_pool, "HANG_SECONDS", 0.3)
     log = io.StringIO()
-    async with asyncio.timeout(30.0), pool_of(plant_of(tmp_path, *named("a", "hangs")), log) as pool:
+    async with asyncio.timeout(120.0), pool_of(plant_of(tmp_path, *named("a", "hangs")), log) as pool:
         while (answer := await pool.answer(asked("hangs")))["ok"] is False or not answer["status"]["former"]:
             assert (await pool.answer(asked("a")))["ok"]
             await asyncio.sleep(0.02)
@@ -157,7 +157,7 @@ async def test_one_that_hangs_is_killed_and_begun_anew_and_the_other_is_asked_on
 async def test_a_plant_that_may_not_begin_leaves_nothing_behind(tmp_path: Path, machine: str, reason: str) -> None:
     plant = plant_of(tmp_path, *named("a", machine))
     with pytest.raises(ConfigError, match=reason):
-        async with asyncio.timeout(30.0), pool_of(plant, io.StringIO()):
+        async with asyncio.timeout(120.0), pool_of(plant, io.StringIO()):
             pass
     assert [path.name for path in tmp_path.iterdir()] == ["plant.toml"]
 
@@ -177,7 +177,7 @@ def test_a_process_ends_with_its_supervisor_whatever_it_is_doing() -> None:
     try:
         assert b"begun" in ours.recv(100)
         ours.close()
-        assert process.wait(20.0) == channels.ORPHANED
+        assert process.wait(120.0) == channels.ORPHANED
     finally:
         process.kill()
         process.wait()

@@ -32,7 +32,7 @@ class InProcessWalk(Walk):
         return result.output
 
 
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(1200)
 def test_an_unknown_plc_is_commissioned_by_commands_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DECANTER_BY", "M. Rossi")

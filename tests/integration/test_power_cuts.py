@@ -30,7 +30,7 @@ def test_what_was_synced_is_there_and_what_was_not_may_be() -> None:
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (apt-get install gcc libc6-dev)")
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(1200)
 def test_cuts_lose_no_block_and_break_no_chain(tmp_path: Path) -> None:
     aftermath = worked(tmp_path, 4.0)
     assert len(aftermath.recording.blocks) > 30

@@ -4,22 +4,38 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.redundant import PERIOD, SWITCH_AFTER_S, TIMEOUT_S, compare, measure
+from benchmarks.redundant import PERIOD, SWITCH_AFTER_S, TIMEOUT_S, Outcome, compare, measure
 from sim.sha.trace import Event
+from tests.rig.stalls import STILL_S, TRIES
 
 COUNT = 6
 SLACK_S = 0.5
 """What a busy test machine may add; the benchmark states the times of a quiet one."""
+LONGEST_GAP_S = PERIOD + TIMEOUT_S + SWITCH_AFTER_S + SLACK_S
 
 
 def test_switch_overs_under_load_lose_no_event_double_none_and_repeat_no_block(tmp_path: Path) -> None:
-    outcome = measure(tmp_path, COUNT, "serial")
+    outcome = measured_in_time(tmp_path)
     assert (outcome.lost, outcome.doubled) == ((), ())
     assert outcome.events > 15 and outcome.judged > 500
-    assert outcome.wrong_good == 0
     assert outcome.repeated == 0 and outcome.refusals == {} and outcome.blocks > 50
     assert outcome.switch_overs >= COUNT and outcome.returns >= COUNT
-    assert outcome.gap_s < PERIOD + TIMEOUT_S + SWITCH_AFTER_S + SLACK_S
+    assert outcome.gap_s < LONGEST_GAP_S
+
+
+def measured_in_time(folder: Path) -> Outcome:
+    """The outcome of the switch-overs, made again where they took too long on a computer that stood still meanwhile.
+
+    What is real time no gateway can keep there; no wrong value is good, whatever the computer does.
+    """
+    for number in range(TRIES):
+        (at := folder / f"try{number}").mkdir()
+        outcome = measure(at, COUNT, "serial")
+        assert outcome.wrong_good == 0
+        in_time = outcome.gap_s < LONGEST_GAP_S and (outcome.lost, outcome.doubled) == ((), ())
+        if in_time or outcome.still_s < STILL_S:
+            break
+    return outcome
 
 
 def events(*pairs: tuple[float, str]) -> list[Event]:

@@ -14,6 +14,8 @@ from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import CANDIDATES
 from sim.learning.bins.learn import Learned, learn_bins
 from sim.learning.calibrate import HeldOutForecasts, score_forecasts
+from sim.learning.lsha import LshaSettings
+from sim.learning.lsha import learn as lsha
 from sim.learning.machines import MachineSpread, machine_corrections
 from sim.sha import Correction, Distribution, MachineCorrection, Model, Trace
 from sim.sha.events import DECANTER
@@ -155,3 +157,23 @@ def test_machines_that_are_alike_have_nothing_of_their_own(fleet: Fleet) -> None
     _, learned, held_out = fleet
     alike = replace(learned.spread, between=0.0, sigma=0.0)
     assert machine_corrections(learned.model, held_out["one"], alike) == {}
+
+
+def test_what_lsha_learns_of_several_machines_is_a_model_of_their_type_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(lsha, "bands", lambda *_, **__: HeldOutForecasts([], 0))
+    offsets = {"one": -6.0, "two": 0.0, "three": 6.0}
+    traces = [trace for seed, name in enumerate(offsets) for trace in of_machine(name, offsets[name], 10 + seed)]
+    settings = LshaSettings(default_flow="exponential", memory="context")
+    learned = lsha.learn_lsha(traces, DECANTER, "T", seed=0, settings=settings)
+    model = replace(learned.model, machines=machine_corrections(learned.model, traces, learned.spread))
+    assert learned.spread.between == pytest.approx(6.0, rel=0.3)
+    assert [round(model.machines[name].targets / 6.0) for name in offsets] == [-1, 0, 1]
+    for name in ("one", "three"):
+        days = of_machine(name, offsets[name], 60)
+        free = [
+            np.mean([errors(open_loop(each, day, "resync"), day, "T").at_samples.mae for day in days])
+            for each in (of_the_type(model, name), model)
+        ]
+        assert free[0] < 0.6 * free[1], f"{name}: {free}"

@@ -6,10 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from drivers.supervision import Supervisor
 from drivers.tag import DType, Quality, Tag
 from gateway.northbound import Sink, SinkFeed
-from gateway.store import Historian, RowPosition, open_historian, reading, row_streams, rows_after
+from gateway.store import Historian, RowPosition, open_historian, reading, row_streams, rows_after, to_trace
+from sim.sha import Trace
 from tests.gateway.support import EPOCH
 
 MACHINES = ("one", "two")
@@ -20,6 +23,9 @@ TAGS = {
     "Recipe": Tag("Recipe", "holding:3", dtype=DType.STRING, length=8),
 }
 TABLES = ("samples", "predictions", "forecasts", "events", "alarms")
+
+
+MAPS = Path(__file__).parents[2] / "config/traces"
 
 
 @dataclass
@@ -128,3 +134,14 @@ class Plant:
         for feed in self.feeds:
             feed.join()
         self.store.close()
+
+
+def assert_as_on_record(trace: Trace, plant: Plant) -> None:
+    """What was read of rows elsewhere is what the historian itself says, at each of its scans."""
+    own = to_trace(plant.store.path, machine=trace.machine)
+    assert set(trace.signals) >= {"T", "Run", "Load/A"} == set(own.signals) - {"Recipe"}
+    place = np.searchsorted(trace.times, own.times, side="right") - 1
+    for name in ("T", "Run", "Load/A"):
+        np.testing.assert_array_equal(trace.signals[name][place], own.signals[name])
+        np.testing.assert_array_equal(trace.bad[name][place], own.bad[name])
+    assert trace.bad["T"].any() and np.isfinite(trace.signals["T"]).sum() > 100

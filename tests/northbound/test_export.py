@@ -10,10 +10,12 @@ import pandas as pd
 import pytest
 
 from gateway.cli import historian_commands
+from gateway.lab.fleet.sources import sources_in
 from gateway.store import TABLE_COLUMNS, HistorianError, row_streams
+from sim.traces import load_map
 from tests.cli.support import decanter, only_object, refused
 from tests.gateway.support import EPOCH, MAP
-from tests.northbound.rig import MACHINES, TABLES, Plant
+from tests.northbound.rig import MACHINES, MAPS, TABLES, Plant, assert_as_on_record
 
 
 @pytest.fixture
@@ -51,6 +53,23 @@ def test_every_table_is_exported_whole_and_the_same_in_both_formats(plant: Plant
     forecasts = pd.read_parquet(file.with_name("forecasts.parquet"))
     assert forecasts["quantiles"].iloc[0].tolist() == [1.0, 2.0, 3.0]
     assert json.loads(pd.read_csv(file.with_name("forecasts.csv"))["quantiles"].iloc[0]) == [1.0, 2.0, 3.0]
+
+
+def test_a_fleet_is_read_from_what_was_exported_as_the_historian_has_it(plant: Plant, file: Path) -> None:
+    exported(file, "samples.parquet", "--since", "all")
+    column_map = load_map(MAPS / "decanter.toml")
+    fleet = sources_in(str(file.with_name("samples.parquet")), column_map, "")
+    assert [source.machine for source in fleet] == sorted(MACHINES)
+    for source in fleet:
+        (trace,) = source.traces(column_map)
+        assert_as_on_record(trace, plant)
+    exported(file, "events.parquet", "--table", "events", "--since", "all")
+    with pytest.raises(ValueError, match=r"events\.parquet: holds no samples"):
+        sources_in(str(file.with_name("events.parquet")), column_map, "")
+    file.with_name("no.parquet").write_text("text")
+    for name, words in (("no.parquet", "is no Parquet file"), ("nowhere.parquet", "no such file")):
+        with pytest.raises(ValueError, match=words):
+            sources_in(str(file.with_name(name)), column_map, "")
 
 
 def test_a_span_a_machine_and_a_tag_are_what_is_exported_and_shown(plant: Plant, file: Path) -> None:

@@ -14,6 +14,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from prometheus_client.parser import text_string_to_metric_families
 
 from drivers.settings import ConfigError
+from gateway.machine.alarms import read_journal
 from gateway.machine.reading import plant_clock
 from gateway.northbound import check_northbound, northbound
 from gateway.northbound.metrics import METRICS
@@ -21,7 +22,7 @@ from gateway.plant.app import run
 from gateway.settings import load_config
 from tests.cli.support import decanter, refused
 from tests.gateway.support import CURRENT, ROOT, RUNNING, TEMPERATURE, Bench, config_in, plant_file, two_modes
-from tests.rig.servers import free_port, program, running
+from tests.rig.servers import Line, free_port, program, running
 
 MOSQUITTO, PROMTOOL = program("mosquitto"), program("promtool")
 DASHBOARD = ROOT / "config/grafana/decanter.json"
@@ -69,7 +70,7 @@ async def test_a_gateway_is_scraped_and_an_alarm_is_acknowledged_from_outside(tm
         client.loop_start()
         gateway = asyncio.create_task(run(config, clock=clock, stop=bench.stop, driver=bench))
         try:
-            async with asyncio.timeout(30.0):
+            async with asyncio.timeout(120.0):
                 while len(states) < 2 or bench.reads < 60:
                     assert not gateway.done() or gateway.result() is None
                     await asyncio.sleep(0.05)
@@ -99,6 +100,52 @@ async def test_a_gateway_is_scraped_and_an_alarm_is_acknowledged_from_outside(tm
             [PROMTOOL, "check", "metrics"], input=text, capture_output=True, text=True, check=False
         )
         assert (checked.returncode, checked.stdout, checked.stderr) == (0, "", "")
+
+
+async def test_a_broker_that_is_gone_is_an_alarm_until_it_is_there_again(tmp_path: Path) -> None:
+    """In real time, sixty times as fast: the alarm's two minutes are two seconds."""
+    if MOSQUITTO is None:
+        pytest.skip("needs mosquitto (apt-get install mosquitto)")
+    port = free_port()
+    (tmp_path / "mosquitto.conf").write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
+    with running([MOSQUITTO, "-c", str(tmp_path / "mosquitto.conf")], port):
+        line = Line(port)
+        section = (
+            f"[[northbound.mqtt]]\nname = 'it'\nhost = '127.0.0.1'\nport = {line.port}\ntls = false\n"
+            "[[alarm]]\nname = 'northbound'\non_delay = 120.0\n"
+        )
+        config = config_in(tmp_path, section)
+        clock = plant_clock(60.0)
+        bench = Bench(config, clock)  # type: ignore[arg-type]
+        bench.plan[5] = {RUNNING: True, CURRENT: 150.0, TEMPERATURE: 60.0}
+
+        async def logged_as(state: str) -> None:
+            """A last line may be half written."""
+            while not any(
+                '"northbound"' in row and f'"{state}"' in row
+                for row in (tmp_path / "gateway.jsonl").read_text(encoding="utf-8").splitlines()
+            ):
+                await asyncio.sleep(0.05)
+
+        gateway = asyncio.create_task(run(config, clock=clock, stop=bench.stop, driver=bench))
+        try:
+            async with asyncio.timeout(30.0):
+                while bench.reads < 60:
+                    assert not gateway.done() or gateway.result() is None
+                    await asyncio.sleep(0.05)
+                line.cut()
+                await logged_as("unacknowledged")
+                line.mend()
+                await logged_as("returned unacknowledged")
+        finally:
+            line.cut()
+            bench.stop.set()
+            await gateway
+    (raised, over) = [row for row in read_journal(config.historian.path) if row.alarm == "northbound"]
+    log = (tmp_path / "gateway.jsonl").read_text(encoding="utf-8").splitlines()
+    gone = next(row for row in map(json.loads, log) if row.get("sink") == "it")
+    assert gone["event"].startswith("a system cannot be told") and raised.priority == 3
+    assert over.time > raised.time
 
 
 def test_the_dashboard_asks_for_metrics_that_there_are(tmp_path: Path) -> None:

@@ -118,6 +118,8 @@ class Host:
         names: dict[tuple[str, int], Any] = {}
         sequence, self.gaps = -1, 0
         for message in list(listener.messages):
+            if "/STATE/" in message.topic:
+                continue
             _, _, kind, _, *device = message.topic.split("/")
             payload = Payload.FromString(message.payload)
             machine = device[0] if device else ""
@@ -247,6 +249,85 @@ def test_a_gateway_that_is_gone_without_a_word_is_dead_to_the_host(
     until(lambda: listener.payloads("NDEATH"))
     ((topic, death),) = listener.payloads("NDEATH")
     assert topic == TOPIC.format("NDEATH") and death.metrics[0].long_value == (int(plant.now()) + 1) % 256
+
+
+STATE = "spBv1.0/STATE/scada-host"
+
+
+def state_of(online: bool, timestamp: int) -> bytes:
+    return json.dumps({"online": online, "timestamp": timestamp}).encode()
+
+
+def test_a_primary_host_that_is_offline_is_told_nothing_and_everything_in_its_order_once_it_is_back(
+    plant: Plant, broker: Broker, listener: Listener
+) -> None:
+    plant.scan(10)
+    feed = plant.feed(sparkplug(plant, broker, broker.tls, primary_host="scada-host"))
+    until(lambda: "'scada-host' is not online" in feed.reason)
+    assert not listener.payloads("NBIRTH") and not listener.payloads("DDATA")
+    for bad in (b"", b"online", b"[1]", b'{"online": 1, "timestamp": 5}', b'{"online": true}', b"\xff" * 3000):
+        listener.client.publish(STATE, bad, retain=True)
+    listener.client.publish(STATE, state_of(True, 100), qos=1, retain=True)
+    until(lambda: feed.delivered == plant.count, 60.0)
+    assert feed.reason == "" and len(listener.payloads("NBIRTH")) == 1
+    # The will of a session that was over before is no news.
+    listener.client.publish(STATE, state_of(False, 50), qos=1, retain=True)
+    plant.scan(5)
+    until(lambda: feed.delivered == plant.count)
+    assert not listener.payloads("NDEATH")
+    listener.client.publish(STATE, state_of(False, 200), qos=1, retain=True)
+    until(lambda: listener.payloads("NDEATH"))
+    until(lambda: "'scada-host'" in feed.reason)
+    before = feed.delivered
+    plant.scan(20)
+    listener.client.publish(STATE, state_of(True, 300), qos=1, retain=True)
+    until(lambda: feed.delivered == plant.count, 60.0)
+    assert feed.delivered > before
+    host = Host(listener)
+    times = [time for time, _, _ in host.values["one", "Measured/T"]]
+    rows = [row for one, _, row in plant.rows("samples") if (one, row["tag"]) == ("one", "T")]
+    assert times == [round(1000 * row["time"]) for row in rows] and host.gaps == 0
+    assert any(historical for _, _, historical in host.values["one", "Measured/T"][15:])
+    listener.client.publish(STATE, b"", qos=1, retain=True)
+
+
+def test_a_device_dies_with_its_machine_and_is_born_anew_with_other_tags(
+    plant: Plant, broker: Broker, listener: Listener
+) -> None:
+    tags, machines = dict.fromkeys(MACHINES, TAGS), list(MACHINES)
+    row = row_of(broker, broker.tls)
+    sink = SparkplugSink(row, "battery", tags=lambda: tags, now=plant.now, acknowledge=lambda *_: None)
+    plant.scan(10)
+    feed = plant.feed(sink, machines=lambda: machines)
+    until(lambda: feed.delivered == plant.count)
+    born = len(listener.payloads("DBIRTH"))
+    assert {topic.rpartition("/")[2] for topic, _ in listener.payloads("DBIRTH")} == set(MACHINES)
+    # As a reload takes it over: a tag of the one is gone, and so is the other.
+    tags["one"] = {name: tag for name, tag in TAGS.items() if name != "Run"}
+    until(lambda: len(listener.payloads("DBIRTH")) > born)
+    topic, again = listener.payloads("DBIRTH")[-1]
+    names = {metric.name for metric in again.metrics}
+    assert topic.endswith("/one") and "Measured/T" in names and "Measured/Run" not in names
+    machines.remove("two")
+    del tags["two"]
+    until(lambda: listener.payloads("DDEATH"))
+    ((topic, death),) = listener.payloads("DDEATH")
+    assert topic == f"{TOPIC.format('DDEATH')}/two" and not death.metrics
+    # A death takes its place in the sequence, and the node's next birth says nothing of the machine.
+    messages = [m for m in listener.messages if m.topic.split("/")[2] in ("DBIRTH", "DDATA", "DDEATH")]
+    numbers = [Payload.FromString(message.payload).seq for message in messages]
+    assert numbers == [(numbers[0] + place) % 256 for place in range(len(numbers))]
+    rebirth = Payload(timestamp=1)
+    rebirth.metrics.add(name="Node Control/Rebirth", datatype=11, boolean_value=True)
+    births = len(listener.payloads("DBIRTH"))
+    listener.client.publish(TOPIC.format("NCMD"), rebirth.SerializeToString())
+    until(lambda: len(listener.payloads("DBIRTH")) > births)
+    until(lambda: len(listener.payloads("NBIRTH")) == 2)
+    assert [topic.rpartition("/")[2] for topic, _ in listener.payloads("DBIRTH")[births:]] == ["one"]
+    machines.append("two")
+    tags["two"] = TAGS
+    plant.scan(3)
+    until(lambda: listener.payloads("DBIRTH")[-1][0].endswith("/two"))
 
 
 @pytest.mark.parametrize("version", ["5", "3.1.1"])

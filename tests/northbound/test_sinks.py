@@ -17,12 +17,14 @@ from urllib.request import Request, urlopen
 import psycopg
 import pytest
 
+from gateway.lab.fleet.sources import sources_in
 from gateway.northbound.influx import InfluxSink, line_of
 from gateway.northbound.postgres import PostgresSink
 from gateway.settings import InfluxRow, PostgresRow
 from gateway.store import FollowedRow, RowPosition, RowStream
+from sim.traces import load_map
 from tests.gateway.support import EPOCH
-from tests.northbound.rig import TABLES, Plant
+from tests.northbound.rig import MAPS, TABLES, Plant, assert_as_on_record
 from tests.rig.servers import Line, free_port, program, running, until
 
 INITDB, POSTGRES, INFLUXD = program("initdb"), program("postgres"), program("influxd")
@@ -115,7 +117,16 @@ def test_postgres_has_every_row_once_over_an_outage_and_a_kill(plant: Plant, dat
     assert found == sorted(wanted, key=lambda row: (row[0], row[1], row[2]))
     assert database.query("SELECT DISTINCT node, free_run FROM plant.predictions") == [("gateway", None)]
     assert database.query("SELECT DISTINCT quantiles FROM plant.forecasts") == [([1.0, 2.0, 3.0],)]
+    address = f"postgresql://postgres:unused@127.0.0.1:{database.port}/postgres"
+    fleet = sources_in(address, load_map(MAPS / "decanter.toml"), "plant")
+    assert [source.machine for source in fleet] == ["one", "two"] and len({each.content() for each in fleet}) == 2
+    for source in fleet:
+        (trace,) = source.traces(load_map(MAPS / "decanter.toml"))
+        assert_as_on_record(trace, plant)
+        assert "unused" not in trace.origin, "a password stays where it is"
     database.query("DROP SCHEMA plant CASCADE")
+    with pytest.raises(ValueError, match=r'/postgres: relation "plant\.samples" does not exist'):
+        sources_in(address, load_map(MAPS / "decanter.toml"), "plant")
 
 
 def test_what_postgres_will_not_have_is_counted_and_costs_itself(plant: Plant, database: Database) -> None:

@@ -57,7 +57,7 @@ class Served:
         return [(row.entry.kind, row.entry.who, dict(row.entry.detail)) for row in read(self.config.audit)]
 
 
-def eventually(true: Callable[[], Any], seconds: float = 60.0) -> Any:
+def eventually(true: Callable[[], Any], seconds: float = 300.0) -> Any:
     """What is true in the end. Raises AssertionError where it is not within so many seconds."""
     until = time.monotonic() + seconds
     while not (found := true()):
@@ -98,7 +98,7 @@ def served(
 
     worker = threading.Thread(target=thread, name="gateway")
     worker.start()
-    ready.wait(10.0)
+    ready.wait(60.0)
     try:
 
         def port() -> int:
@@ -113,7 +113,7 @@ def served(
         if loops and worker.is_alive():
             loop, stop = loops[0]
             loop.call_soon_threadsafe(stop.set)
-        worker.join(20.0)
+        worker.join(120.0)
         assert not worker.is_alive()
 
 
@@ -133,7 +133,7 @@ class Client:
 
     def raw(self, method: str, path: str, given: Any = None, **headers: str) -> tuple[int, dict[str, str], bytes]:
         """The status, headers and body of an answer."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20.0)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120.0)
         body = given if isinstance(given, bytes) else None if given is None else json.dumps(given).encode()
         sent = {"content-type": "application/json", "cookie": self.cookie, "x-csrf-token": self.token, **self.headers}
         sent |= {name.replace("_", "-"): value for name, value in headers.items()}

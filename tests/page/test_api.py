@@ -13,11 +13,13 @@ import pytest
 
 from gateway.certificates import make_all
 from gateway.machine.writing import places_of
+from gateway.store import read_manifest
 from gateway.web.access import AccountRole, change_password, remove_account
+from gateway.web.backing_up import BackupMaker, BackupRefused
 from sim.artefacts import promote
 from sim.artefacts.formats import save
 from sim.sha import Distribution, Flow
-from tests.gateway.support import TEMPERATURE, logged, two_modes
+from tests.gateway.support import TEMPERATURE, config_in, logged, two_modes
 from tests.page.served import PAGE, PASSWORD, PERIOD, Client, Served, eventually, served
 
 ACCOUNTS = {
@@ -196,6 +198,27 @@ def test_each_role_may_do_its_own_and_no_more(gateway: Served) -> None:
     assert {"page: arm", "armed", "disarmed", "page: reload", "page: refused", "page: logged in"} <= kinds
 
 
+def test_an_administrator_makes_a_backup_that_can_be_read_and_it_is_on_record(gateway: Served) -> None:
+    olga, enzo, ada = (as_(gateway, name) for name in ("olga", "enzo", "ada"))
+    assert olga.ask("POST", "/api/backup", {})[0] == enzo.ask("POST", "/api/backup", {})[0] == 403
+    status, made = ada.ask("POST", "/api/backup", {})
+    assert status == 200
+    folder = Path(made["folder"])
+    assert folder.parent == gateway.config.historian.path.absolute().with_name("backups")
+    manifest = read_manifest(folder)
+    assert len(manifest.files) == made["files"] and {"historian", "audit", "plant", "accounts"} <= {
+        file.role for file in manifest.files
+    }
+    ((_, who, detail),) = [row for row in gateway.audited() if row[0] == "page: backup"]
+    assert (who, detail["folder"]) == ("ada at 127.0.0.1", str(folder))
+
+
+def test_a_backup_is_refused_where_there_is_no_room_for_it(tmp_path: Path) -> None:
+    config = config_in(tmp_path, "[alarms]\ndisk_mb = 1e12\n")
+    with pytest.raises(BackupRefused, match=r"MB are left .* make room, or make it on another disk"):
+        BackupMaker(config).next_folder()
+
+
 def test_a_log_in_fails_and_locks_and_another_account_is_none_the_worse(gateway: Served) -> None:
     client = Client(gateway.port)
     wrong = [client.log_in("guest", "a wrong password") for _ in range(6)]
@@ -252,7 +275,7 @@ def test_every_answer_has_the_headers_that_keep_a_browser_to_our_own_page(gatewa
 
 def test_an_update_is_sent_within_300_ms_of_its_scan(gateway: Served) -> None:
 
-    connection = http.client.HTTPConnection("127.0.0.1", gateway.port, timeout=10.0)
+    connection = http.client.HTTPConnection("127.0.0.1", gateway.port, timeout=60.0)
     connection.request("GET", "/api/live")
     stream, late = connection.getresponse(), []
     assert stream.getheader("content-type") == "text/event-stream"
@@ -282,7 +305,7 @@ def test_over_tls_the_cookie_is_secure_and_browsers_stay_with_it(tmp_path: Path)
     text = PAGE.replace("port = 0", 'port = 0\ncertificates = "tls"')
     with served(tmp_path, text, {"olga": AccountRole.OPERATOR}) as gateway:
         context = ssl.create_default_context(cafile=str(tmp_path / "tls/ca.pem"))
-        connection = http.client.HTTPSConnection("127.0.0.1", gateway.port, timeout=10.0, context=context)
+        connection = http.client.HTTPSConnection("127.0.0.1", gateway.port, timeout=60.0, context=context)
         given = json.dumps({"name": "olga", "password": PASSWORD})
         connection.request("POST", "/api/session", given, {"content-type": "application/json"})
         answer = connection.getresponse()

@@ -34,7 +34,7 @@ def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    accounts = {"olga": AccountRole.OPERATOR, "guest": AccountRole.OPERATOR}
+    accounts = {"olga": AccountRole.OPERATOR, "guest": AccountRole.OPERATOR, "ada": AccountRole.ADMINISTRATOR}
     with served(tmp_path_factory.mktemp("page"), accounts=accounts) as running:
         yield running
 
@@ -131,6 +131,19 @@ def test_every_view_fits_a_phone_and_a_panel(page: Page, width: int) -> None:
         expect(page.locator("main h2, main .row, main .controls").first).to_be_visible()
         assert page.evaluate("document.documentElement.scrollWidth") <= width, view
     expect(page.locator("main")).to_contain_text("Threads and tasks")
+
+
+def test_an_administrator_makes_a_backup_on_a_phone_and_is_told_how_to_put_it_back(page: Page) -> None:
+    log_in(page, "ada")
+    page.set_viewport_size({"width": 320, "height": 700})
+    page.goto(f"{page.url.partition('#')[0]}#/box")
+    page.get_by_role("button", name="Make a backup").click()
+    page.get_by_role("dialog").get_by_role("button", name="Confirm").click()
+    dialog = page.get_by_role("dialog").filter(has_text="The backup is made")
+    expect(dialog).to_contain_text("decanter restore")
+    # A long path must not push what can be pressed out of the dialog.
+    assert dialog.evaluate("box => box.scrollWidth <= box.clientWidth")
+    expect(dialog.get_by_role("button", name="Confirm")).to_be_in_viewport(ratio=1.0)
 
 
 @pytest.mark.skipif(AXE is None, reason="AXE_CORE names no axe.min.js (axe-core is no part of this project)")

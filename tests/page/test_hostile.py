@@ -190,7 +190,7 @@ def test_a_port_that_is_taken_is_said_in_one_sentence_and_stops_no_scan(tmp_path
         async def main() -> dict[str, object]:
             clock = plant_clock(1.0)
             bench = Bench(config, clock, stop_after=15)  # type: ignore[arg-type]
-            return await asyncio.wait_for(run(config, clock=clock, driver=bench, stop=bench.stop), 20.0)
+            return await asyncio.wait_for(run(config, clock=clock, driver=bench, stop=bench.stop), 120.0)
 
         last = asyncio.run(main())
     assert last["scan"]["count"] >= 14  # type: ignore[index]

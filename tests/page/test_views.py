@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
+import gateway.texts
 import gateway.web
 from gateway.status import read_status
-from gateway.web import LANGUAGES, all_words, machine_view
-from gateway.web.texts import preferred
+from gateway.texts import LANGUAGES, all_words, preferred
+from gateway.web import machine_view
 from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import EPOCH, TEMPERATURE
 
@@ -114,8 +115,10 @@ def test_a_machine_is_as_bad_as_the_worst_of_it() -> None:
 
 def test_every_text_is_there_in_every_language_with_the_same_parts_and_is_used() -> None:
     home = Path(gateway.web.__file__).parent
-    table = tomllib.loads((home / "texts.toml").read_text(encoding="utf-8"))
-    used = "".join(file.read_text(encoding="utf-8") for file in (*home.rglob("*.js"), *home.rglob("*.py")))
+    texts_home = Path(gateway.texts.__file__).parent
+    table = tomllib.loads((texts_home / "texts.toml").read_text(encoding="utf-8"))
+    files = (*home.rglob("*.js"), *home.rglob("*.py"), *texts_home.rglob("*.py"))
+    used = "".join(file.read_text(encoding="utf-8") for file in files)
     used += (home / "templates/page.html.j2").read_text(encoding="utf-8")
     for section, keys in table.items():
         for key, texts in keys.items():

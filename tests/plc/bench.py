@@ -18,7 +18,8 @@ from sim.plc.__main__ import main
 
 ROOT = Path(__file__).parents[2]
 DECANTER = ROOT / "config/devices/decanter_plc.toml"
-PATIENCE_S = 20.0
+PATIENCE_S = 300.0
+"""For what only has to come at some time: on a busy machine all takes many times as long as on a quiet one."""
 HEARTBEAT, PERMIT, ACKNOWLEDGE, ACCEPTED, REFUSED, REFUSAL, USABLE = range(112, 119)
 BLOCK, BLOCK_WORDS = 400, 26
 

@@ -80,7 +80,7 @@ async def test_a_driver_without_an_eds_asks_the_device_for_its_own(path: Path) -
         await driver.open()
         tags = load_device(MAP).tags
         await asyncio.to_thread(plc.order, "force", tag="TCuscinettiRiduttore", value=42.5)
-        end = time.monotonic() + 2.0
+        end = time.monotonic() + 60.0
         while True:
             samples = {sample.tag: sample for sample in await driver.read(tags)}
             if samples["TCuscinettiRiduttore"].value == 42.5 or time.monotonic() > end:
@@ -105,7 +105,7 @@ async def test_a_node_whose_parameters_somebody_has_reset_is_configured_and_star
             assert reply["ok"]
             begun = time.monotonic()
             while driver.statistics()["starts"] < number + 2:
-                assert time.monotonic() - begun < 2.0
+                assert time.monotonic() - begun < 60.0
                 await asyncio.sleep(0.01)
             assert driver.connected
         await driver.close()

@@ -118,7 +118,7 @@ def test_a_machine_stops_alone_and_the_process_with_the_last(machines: tuple[Pro
     with client(north) as raw:
         assert current_of(raw, 1) >= 0
     assert process.order("stop")["ok"]
-    assert process.popen.wait(20) == 0
+    assert process.popen.wait(120) == 0
 
 
 @pytest.mark.parametrize(

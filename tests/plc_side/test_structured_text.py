@@ -158,7 +158,7 @@ async def test_the_numbers_that_it_gives_are_those_of_the_block_as_the_emulator_
     random, side = Random(3), Compiled(PLC)
     own = load_device(PLC).writeback
     await side.permit(True)
-    side.run(1)
+    side.run()
     for step in vectors(own, seed=5):
         words = [*step.words]
         if len(words) != len(layout.fields) or step.refused or step.permit is False:
@@ -186,7 +186,7 @@ async def test_an_unknown_number_is_said_to_be_unknown_and_keeps_its_last_value(
     side = Compiled(PLC)
     own = load_device(PLC).writeback
     await side.permit(True)
-    side.run(1)
+    side.run()
     steps = {step.name: step for step in vectors(own)}
     await side.write(0, present(steps["a whole new block is accepted"].words, (await side.account()).challenge))
     await side.account()
@@ -208,10 +208,10 @@ async def test_the_warning_is_the_plants_own_whenever_the_prediction_is_not_usab
     await side.account()
     assert side.block["PLimit"] > 0.5 and side.program["BearingWarning"] is True, "the prediction warns"
     await side.permit(False)
-    side.run(1)
+    side.run()
     assert side.program["BearingWarning"] is False, "without a permit it does not"
     side.program.values["ownlogic"] = True
-    side.run(1)
+    side.run()
     assert side.program["BearingWarning"] is True, "the plant's own logic always does"
     await side.permit(True)
     side.program.values["ownlogic"] = False

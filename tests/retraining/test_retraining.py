@@ -205,7 +205,10 @@ def test_a_better_model_is_proposed_with_its_report_and_nothing_is_promoted(
     assert held and trained and not held & trained
     assert all(content_hash(library.readings(content)) == content for content in held | trained)
     familiar = read_familiarity(home)
-    assert familiar is not None and familiar.curve is not None and familiar.curve.cycles == len(held)
+    assert familiar is not None and familiar.curve is not None and familiar.held_out
+    # The first cycles have no hour before them, which could be looked back over.
+    pointed = {row.content for row in library.cycles() if len(row.points)}
+    assert familiar.curve.cycles == len(held & pointed) >= len(held) - 3
 
 
 @pytest.mark.parametrize("killed", ["learned_model", "scores_along", "save", "replace_durably"])
@@ -266,6 +269,29 @@ def test_the_training_has_no_more_rows_than_it_may_and_takes_what_teaches_first(
     chosen = library.step(1, "sets")
     used = {name for pairs in (chosen["held_out"], chosen["training"]) for name, _ in pairs}
     assert {row.name for row in rows[-4:]} <= used
+
+
+def test_where_room_is_short_the_newest_cycles_that_teach_are_learned_from(
+    request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace
+) -> None:
+    """All cycles here are badly predicted: with room for six, those after the plant's change stay."""
+    run(replace(request_of, rows=6 * 120 + 60), library)
+    chosen = library.step(1, "sets")
+    held, trained = ({name for name, _ in chosen[part]} for part in ("held_out", "training"))
+    left = [row.name for row in library.cycles() if row.name not in held]
+    assert trained == set(left[-len(trained) :])
+
+
+def test_a_cycle_before_the_last_one_of_the_training_is_no_news(
+    request_of: RetrainingRequest, library: CycleLibrary, store: Path
+) -> None:
+    source = source_of(request_of, BEGIN)
+    cut_and_rate(request_of, library, source, silent)
+    rows = library.cycles()
+    learned = replace(source.model.provenance, contents=(rows[4].content,))
+    assert [row.name for row in new_cycles(library, replace(source.model, provenance=learned))] == [
+        row.name for row in rows[5:]
+    ]
 
 
 def _scores(new: float, horizon: float = 60.0, cycles: int = 10) -> list[dict[str, Any]]:
@@ -337,7 +363,14 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     monkeypatch.setattr(shadow, "scores_along", lambda *_, **__: _scores(1.5))
     data = only_object(decanter(*given, "--roll-back").stdout)
     assert data["rolled_back"] and current(store) == good
-    refused(decanter("model", "shadow", store, good, "--historian", historian), 2, "is no other version of this store")
+    # A candidate that is worse stays one, a better one runs by the stated policy.
+    kept = only_object(decanter(*given[:3], bad, *given[4:], "--promote").stdout)
+    assert not kept["promoted"] and current(store) == good
+    monkeypatch.setattr(shadow, "scores_along", lambda *_, **__: _scores(0.7))
+    data = only_object(decanter(*given[:3], bad, *given[4:], "--promote").stdout)
+    assert data["promoted"] == current(store) == bad
+    refused(decanter(*given[:-1], "--promote", "--roll-back"), 2, "--promote needs the VERSION that waits for it")
+    refused(decanter("model", "shadow", store, bad, "--historian", historian), 2, "is no other version of this store")
 
 
 def test_the_commands_show_cycles_and_family_and_make_a_version_again(

@@ -19,7 +19,7 @@ from tests.drivers.benches import Bench
 from tests.gateway.support import scan_of
 
 USABLE = Validity(31)
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 PERMITTED = {"WritePermit": True, "Challenge": 77.0}
 

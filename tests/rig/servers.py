@@ -99,6 +99,6 @@ def running(
         finally:
             process.send_signal(end)
             try:
-                process.wait(10.0)
+                process.wait(60.0)
             except subprocess.TimeoutExpired:
                 process.kill()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim import workers
 from sim.artefacts.formats.find import FoundModel
 from sim.sha.trace import Trace
 from sim.traces.load_report import FileReport, LoadReport
@@ -17,20 +18,19 @@ from sim.validation import campaign
 from sim.validation.campaign import (
     Runner,
     Unread,
-    cluster,
     jobs_of,
     outcomes_by_model,
-    parallel,
     run_here,
+    run_there,
     unread,
-    waited_for,
 )
 from sim.validation.discovery import Discovery
 from sim.validation.output_folder import results_json
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
 from sim.validation.trace_run import TraceRunSettings
-from tests.validation.killed import twice
+from sim.workers import cluster, parallel, waited_for
+from tests.validation.killed import divided, twice
 from tests.validation.small_plant import plant_model, plant_trace
 
 SETTINGS = TraceRunSettings(runs=300)
@@ -106,7 +106,7 @@ def dask() -> Iterator[Dask]:
     ) as process:
         assert process.stdout is not None
         yield Dask(process, process.stdout.readline().strip())
-        process.communicate(timeout=30)
+        process.communicate(timeout=200)
 
 
 def test_several_processes_give_the_very_same_results_in_the_same_order(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,16 +127,26 @@ def test_a_result_depends_on_its_model_and_trace_and_not_on_what_runs_beside_the
 
 def test_a_dask_cluster_gives_the_very_same_results(dask: Dask) -> None:
     dask.scale(2)
-    with cluster(dask.address) as run:
+    with run_there(dask.address) as run:
         found = results(run, [*GOOD, COLD])
     dask.scale(0)
     assert as_text(found) == as_text(results(run_here(1), [*GOOD, COLD]))
 
 
+def test_work_on_a_cluster_comes_as_it_is_done_and_what_cannot_be_done_is_lost_alone(dask: Dask) -> None:
+    dask.scale(2)
+    with cluster(dask.address) as run:
+        found = list(run(divided, [1, 0, 2, 4], lambda number, reason: f"{number}: {reason}", ordered=False))
+    dask.scale(0)
+    assert {each for each in found if isinstance(each, float)} == {8.0, 4.0, 2.0}
+    (lost,) = (each for each in found if isinstance(each, str))
+    assert lost.startswith("0: the cluster could not run it (ZeroDivisionError")
+
+
 def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
     dask: Dask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(campaign, "REACHABLE_WITHIN", 0.2)  # where there is nobody, waiting longer changes nothing
+    monkeypatch.setattr(workers, "REACHABLE_WITHIN", 0.2)  # where there is nobody, waiting longer changes nothing
     with (
         pytest.raises(ValueError, match=r"tcp://127\.0\.0\.1:1: no Dask scheduler answers"),
         cluster("tcp://127.0.0.1:1"),
@@ -144,7 +154,7 @@ def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
         pass
     with pytest.raises(ValueError, match="no Dask scheduler answers"), cluster("nonsense://x"):
         pass
-    monkeypatch.setattr(campaign, "REACHABLE_WITHIN", 1.0)
+    monkeypatch.setattr(workers, "REACHABLE_WITHIN", 1.0)
     with pytest.raises(ValueError, match="has no worker"), cluster(dask.address):
         pass
 

@@ -1,6 +1,6 @@
 """Putting a PLC's side of the write-back contract through the conformance suite, step by step."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -81,7 +81,17 @@ async def put_together(
     progress: Callable[[str, float], None] = lambda _name, _share: None,
 ) -> list[Result]:
     """As `put_through`, with one PLC's several blocks: each step is put to its `block`, and all of them are watched."""
-    results: list[Result] = []
+    return [result async for result in each_result(steps, sides, codes, names, progress)]
+
+
+async def each_result(
+    steps: Sequence[SuiteStep],
+    sides: Sequence[PlcSide],
+    codes: Mapping[str, int],
+    names: Sequence[str],
+    progress: Callable[[str, float], None] = lambda _name, _share: None,
+) -> AsyncGenerator[Result, None]:
+    """The results of `put_together`, each as soon as its step is done."""
     sent: dict[str, tuple[int, ...]] = {}
     before = [await side.account() for side in sides]
     for number, step in enumerate(steps):
@@ -104,16 +114,15 @@ async def put_together(
                 await side.write(step.offset, words)
             after = [await each.account() for each in sides]
         except Unable as reason:
-            results.append(Result(step.name, skipped=str(reason)))
+            yield Result(step.name, skipped=str(reason))
             before = [await each.account() for each in sides]
             continue
         wrong = [judge(step, before[step.block], after[step.block], codes)]
         wrong += [
             spilt(before[other], after[other], after[step.block]) for other in range(len(sides)) if other != step.block
         ]
-        results.append(Result(step.name, "; ".join(filter(None, wrong))))
+        yield Result(step.name, "; ".join(filter(None, wrong)))
         before = after
-    return results
 
 
 def spilt(before: Account, after: Account, own: Account) -> str:

@@ -3,62 +3,23 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from math import inf, nan, nextafter, sqrt
+from math import inf, nan, nextafter
 from pathlib import Path
 
 import numpy as np
 
+from gateway.lab.familiar import LEAST, features_of, free_run_error, strange_words
 from gateway.lab.retraining.library import CycleLibrary, CycleRow, Rating
 from gateway.store import newest_scan, oldest_scan, reading, to_trace
-from sim.effects import ROLES
-from sim.engine import open_loop
-from sim.familiarity import CyclePoints, FamiliarityReference, cycle_points
-from sim.forecast import factors_at
+from sim.familiarity import LONGEST, FamiliarityReference
 from sim.sha import Array, Bins, Model, Switch, Trace, content_hash, encode
 from sim.traces import split_cycles
 
 Progress = Callable[[str, float], None]
 SPAN = 2 * 86_400.0
 """Seconds of the historian that are in memory at a time."""
-LONGEST = 86_400.0
-"""A machine that is never stopped has a cycle a day."""
 BEFORE = 3600.0
 """What is read before a piece: features look back as far."""
-LEAST = 20
-"""Readings below which a cycle says nothing."""
-Z90 = 1.6448536269514722
-FEATURE_ROLES = ("feed", "ambient")
-
-
-@dataclass(frozen=True, slots=True)
-class FreeRunError:
-    """Root mean squares (degC) along a cycle: of the free run's error, of half its 90 % band, of the departure."""
-
-    error: float
-    allowed: float
-    moved: float
-
-
-def free_run_error(model: Model, cycle: Trace) -> FreeRunError | None:
-    """How far the free run from the cycle's first reading is off; None where it cannot be run or says nothing."""
-    try:
-        run = open_loop(model, cycle, "resync")
-    except ValueError:
-        return None
-    measured = cycle.signals[model.temperature]
-    known = np.isfinite(measured)
-    times, readings = cycle.times[known], measured[known]
-    places = np.searchsorted(run.times, times)
-    # The reading that it begins from says nothing.
-    inside = (places < run.times.size) & (times > run.times[0])
-    if np.count_nonzero(inside) < LEAST:
-        return None
-    places, readings, ages = places[inside], readings[inside], times[inside] - run.times[0]
-    factor = np.maximum(factors_at(model.calibration, ages), 1.0)
-    allowed = Z90 * factor * np.sqrt(run.variance[places] + model.sensor_sigma**2)
-    off, moved = readings - run.mean[places], readings - measured[known][0]
-    error, band, move = (sqrt(float(np.mean(values**2))) for values in (off, allowed, moved))
-    return FreeRunError(error, band, move)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,13 +115,6 @@ def cycle_of(source: CycleSource, row: CycleRow, library: CycleLibrary) -> Trace
     return trace if content_hash(trace) == row.content else None
 
 
-def features_of(model: Model, trace: Trace, begin: float = -inf, end: float = inf) -> CyclePoints:
-    """The features along an encoded trace, or along the part of it from `begin` to `end` (s UTC)."""
-    first, last = float(trace.times[0]), float(trace.times[-1])
-    others = {role: ROLES[role] for role in FEATURE_ROLES}
-    return cycle_points(trace, model.alphabet, model.temperature, others, begin=max(begin, first), end=min(end, last))
-
-
 def _rated(
     source: CycleSource,
     cycle: Trace,
@@ -182,7 +136,7 @@ def _rated(
     if off is not None and off.error > off.allowed:
         rating, words = "badly predicted", f"off by {off.error:.2g} where {off.allowed:.2g} is usual"
     elif strange is not None and strange.value > 1.0:
-        rating, words = "rare", strange.words
+        rating, words = "rare", strange_words(strange)
     elif reference is not None and any(reference.alike(points.values, other) for other in difficult):
         rating, words = "near a difficult one", "it is like a cycle that was badly predicted"
     return CycleRow(

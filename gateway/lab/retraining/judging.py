@@ -24,16 +24,24 @@ LEAST_PERIOD, MOST_FORECASTS = 60.0, 40
 
 
 def scores_along(
-    trace: Trace, present: Model, new: Model | None, *, seed: int, report: Callable[[str, float], None]
+    trace: Trace,
+    present: Model,
+    new: Model | None,
+    *,
+    seed: int,
+    report: Callable[[str, float], None],
+    most: int = MOST_FORECASTS,
 ) -> list[dict[str, Any]]:
     """A row for each horizon (s) and method along a trace: how many forecasts, CRPS and MAE (degC), coverage.
+
+    A trace gets `most` forecasts at most.
 
     Without a `new` model the present one is alone beside persistence. Methods are compared at the moments at which all
     of them have a forecast. Raises ValueError for a trace that a model cannot follow.
     """
     horizons = ForecastSection().horizons
     lasts = float(trace.times[-1] - trace.times[0])
-    section = ForecastSection(horizons=horizons, period=max(LEAST_PERIOD, lasts / MOST_FORECASTS), seed=seed)
+    section = ForecastSection(horizons=horizons, period=max(LEAST_PERIOD, lasts / most), seed=seed)
     rows = common(
         skill_rows(
             trace,

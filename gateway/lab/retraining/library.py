@@ -22,6 +22,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from sim.familiarity import COLUMNS
 from sim.sha import Array, Trace, content_hash
 
 Rating = Literal["badly predicted", "rare", "near a difficult one", "ordinary"]
@@ -247,6 +248,10 @@ def opened_library(
 
 def _row(values: dict[str, Any]) -> CycleRow:
     points = np.array(json.loads(values.pop("points")), dtype=float)
+    # A library of an earlier program has fewer columns: what it did not know then is not known.
+    points = points.reshape(len(points), -1) if points.size else np.empty((0, len(COLUMNS)))
+    lacking = max(len(COLUMNS) - points.shape[1], 0)
+    points = np.pad(points, ((0, 0), (0, lacking)), constant_values=np.nan)
     return CycleRow(points=points, **{**values, "kept": bool(values["kept"])})
 
 

@@ -1,9 +1,11 @@
-"""`decanter model shadow`: two versions side by side on live cycles, from the records; back to the better one.
+"""`decanter model shadow`: two versions side by side on live cycles, from the records; on or back to the better one.
 
 The historian has everything that either version would have read, so that the one that does not run is forecast with
 afterwards, exactly as the gateway would have: it costs the running gateway nothing, and cannot disturb it.
 """
 
+from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +13,9 @@ import click
 
 from gateway.console import emit, historian_machine_option, json_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
-from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
-from gateway.lab.retraining.judging import compared, scores_along
-from gateway.lab.retraining.library import opened_library
+from gateway.lab.retraining.cutting import CycleSource, Progress, cut_new, cycle_of
+from gateway.lab.retraining.judging import MOST_FORECASTS, HorizonComparison, compared, scores_along
+from gateway.lab.retraining.library import CycleLibrary, opened_library
 from gateway.lab.retraining.study import encoded
 from gateway.lab.retraining.training_record import created_of, read_record
 from gateway.store import machines, reading
@@ -25,13 +27,104 @@ LEAST, MOST = 8, 24
 """Live cycles that a paired test needs, and how many of the newest it takes."""
 
 
-@click.command("shadow", short_help="Compare two versions on live cycles; roll back where the promoted one is worse.")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SideBySide:
+    """The version that `runs` now, the one that was `judged` against what `stood`, and on how many live `cycles`.
+
+    `promoted` is the version that this has promoted, "" for none.
+    """
+
+    runs: str
+    judged: str
+    stood: str
+    cycles: int
+    promoted: str
+    sentence: str
+    comparisons: tuple[HorizonComparison, ...]
+
+
+def side_by_side(
+    store: Path,
+    historian: Path,
+    library: CycleLibrary,
+    *,
+    machine: str,
+    version: str | None = None,
+    roll_back: bool = False,
+    promotes: bool = False,
+    seed: int,
+    report: Progress,
+    most: int = MOST_FORECASTS,
+) -> SideBySide:
+    """Both versions on the cycles since the younger of them was made, and what the stated policy makes of it.
+
+    The current version is judged against `version` (default: the one that ran before). With `roll_back` that one is
+    promoted again where the current one is worse at some horizon. With `promotes` `version` is judged instead, and
+    promoted where it is better at some horizon and worse at none, as a retraining proposes. A cycle has `most`
+    forecasts at most. Raises ValueError where there is no such version.
+    """
+    running = current(store)
+    record = read_record(version_directory(store, running))
+    other = version or ("" if record is None else record.parent)
+    if other == running or other not in versions(store):
+        raise ValueError(
+            f"{store}: {other or 'the version before the current one'!r} is no other version of this store; name "
+            f"one of: {', '.join(name for name in versions(store) if name != running) or 'none yet'}"
+        )
+    judged, stood = (other, running) if promotes else (running, other)
+    new, old = load(store, judged), load(store, stood)
+    since = max(created_of(version_directory(store, name)) for name in (running, other))
+    present = load(store, running)
+    source = CycleSource(historian=historian, machine=machine, model=present, version=running, since=-inf)
+    known = read_familiarity(version_directory(store, running))
+    cut_new(library, source, None if known is None else known.reference, report)
+    seen = {*new.provenance.contents, *old.provenance.contents}
+    live = [
+        row
+        for row in library.cycles()
+        if row.begin >= since and not row.excluded and row.error is not None and row.content not in seen
+    ][-MOST:]
+    scores: list[dict[str, Any]] = []
+    for row in live:
+        trace = cycle_of(source, row, library)
+        if trace is not None:
+            scores += scores_along(encoded(trace, present), old, new, seed=seed, report=report, most=most)
+    comparisons = compared(LIVE, scores, seed=seed)
+    worse = [each for each in comparisons if each.told_apart == "worse"]
+    better = [each for each in comparisons if each.told_apart == "better"]
+    promoted = ""
+    if len(live) < LEAST:
+        sentence = f"{len(live)} cycles since both were made are too few to tell; it takes {LEAST}"
+    elif worse:
+        sentence = f"{judged} is worse than {stood} at {', '.join(f'{each.horizon:g} s' for each in worse)}"
+        promoted = stood if roll_back else ""
+    elif better:
+        sentence = f"{judged} is better than {stood} at {', '.join(f'{each.horizon:g} s' for each in better)}"
+        promoted = judged if promotes and not any(each.refuses for each in comparisons) else ""
+    else:
+        sentence = f"{judged} and {stood} are not told apart"
+    if promoted:
+        promote(store, promoted)
+        sentence += f"; {promoted} is promoted{' again' if roll_back else ''}"
+    return SideBySide(
+        runs=promoted or running,
+        judged=judged,
+        stood=stood,
+        cycles=len(live),
+        promoted=promoted,
+        sentence=sentence,
+        comparisons=tuple(comparisons),
+    )
+
+
+@click.command("shadow", short_help="Compare two versions on live cycles; promote the better one by a stated policy.")
 @click.argument("store", type=click.Path(path_type=Path, file_okay=False))
 @click.argument("version", required=False)
 @click.option("--historian", type=click.Path(path_type=Path), required=True, help="The gateway's historian.")
 @historian_machine_option
 @click.option("--library", "folder", type=click.Path(path_type=Path), help="Its cycles  [cycles beside the historian].")
 @click.option("--roll-back", is_flag=True, help="Promote VERSION again where the current one is worse than it.")
+@click.option("--promote", "promotes", is_flag=True, help="Promote the candidate VERSION where it is the better one.")
 @seed_option
 @json_option
 def shadow_command(
@@ -41,71 +134,49 @@ def shadow_command(
     machine: str | None,
     folder: Path | None,
     roll_back: bool,
+    promotes: bool,
     seed: int,
     as_json: bool,
 ) -> None:
     """Hold the current version of STORE against VERSION on the cycles since the younger of them was made.
 
     VERSION is a candidate that waits for its promotion, or the one that ran before, which is the default: then
-    --roll-back promotes it again if the current one is worse on live cycles by the paired test. Neither version has
-    been learned from these cycles.
+    --roll-back promotes it again if the current one is worse on live cycles by the paired test. With --promote a
+    candidate is promoted if it is better by that test at some horizon and worse at none. Neither version has been
+    learned from these cycles.
     """
+    if promotes and (roll_back or version is None):
+        raise click.UsageError("--promote needs the VERSION that waits for it, and excludes --roll-back")
     with sentences(), progress("comparing") as bar, interruptible(bar) as report:
-        running = current(store)
-        record = read_record(version_directory(store, running))
-        other = version or ("" if record is None else record.parent)
-        if other == running or other not in versions(store):
-            raise ValueError(
-                f"{store}: {other or 'the version before the current one'!r} is no other version of this store; name "
-                f"one of: {', '.join(name for name in versions(store) if name != running) or 'none yet'}"
-            )
-        present, rival = load(store, running), load(store, other)
-        since = max(created_of(version_directory(store, name)) for name in (running, other))
+        temperature = load(store).temperature
         with reading(historian) as connection:
             name = machine if machine is not None else next(iter(dict(machines(connection))))
-        source = CycleSource(historian=historian, machine=name, model=present, version=running, since=-float("inf"))
-        place = folder or historian.parent / "cycles" / "-".join(filter(None, (name, present.temperature)))
-        scores: list[dict[str, Any]] = []
-        with opened_library(place, machine=name, temperature=present.temperature) as library:
-            known = read_familiarity(version_directory(store, running))
-            cut_new(library, source, None if known is None else known.reference, report)
-            seen = {*present.provenance.contents, *rival.provenance.contents}
-            live = [
-                row
-                for row in library.cycles()
-                if row.begin >= since and not row.excluded and row.error is not None and row.content not in seen
-            ][-MOST:]
-            for row in live:
-                trace = cycle_of(source, row, library)
-                if trace is not None:
-                    # The current version is the one that is judged: the other stands as what ran before.
-                    scores += scores_along(encoded(trace, present), rival, present, seed=seed, report=report)
-        comparisons = compared(LIVE, scores, seed=seed)
-        worse = [each for each in comparisons if each.told_apart == "worse"]
-        better = [each for each in comparisons if each.told_apart == "better"]
-        if len(live) < LEAST:
-            sentence = f"{len(live)} cycles since both were made are too few to tell; it takes {LEAST}"
-        elif worse:
-            sentence = f"{running} is worse than {other} at {', '.join(f'{each.horizon:g} s' for each in worse)}"
-        elif better:
-            sentence = f"{running} is better than {other} at {', '.join(f'{each.horizon:g} s' for each in better)}"
-        else:
-            sentence = f"{running} and {other} are not told apart"
-        back = roll_back and bool(worse) and len(live) >= LEAST
-        if back:
-            promote(store, other)
-            sentence += f"; {other} is promoted again"
-    data = {"current": other if back else running, "compared": [running, other], "cycles": len(live)}
-    data |= {"rolled_back": back, "sentence": sentence, "comparisons": [each.as_plain() for each in comparisons]}
+        place = folder or historian.parent / "cycles" / "-".join(filter(None, (name, temperature)))
+        with opened_library(place, machine=name, temperature=temperature) as library:
+            found = side_by_side(
+                store,
+                historian,
+                library,
+                machine=name,
+                version=version,
+                roll_back=roll_back,
+                promotes=promotes,
+                seed=seed,
+                report=report,
+            )
+        unit = load(store).unit
+    data = {"current": found.runs, "compared": [found.judged, found.stood], "cycles": found.cycles}
+    data |= {"rolled_back": roll_back and bool(found.promoted), "promoted": found.promoted}
+    data |= {"sentence": found.sentence, "comparisons": [each.as_plain() for each in found.comparisons]}
 
     def show() -> None:
-        columns = ("horizon (s)", "cycles", running, other, "difference", "p", "told apart")
+        columns = ("horizon (s)", "cycles", found.judged, found.stood, "difference", "p", "told apart")
         rows = [
             [c.horizon, c.difference.n, c.crps["new"], c.crps["present"], c.difference.mean, c.p, c.told_apart or "no"]
-            for c in comparisons
+            for c in found.comparisons
         ]
         if rows:
-            table(f"CRPS on live cycles ({shown_unit(present.unit)})", columns, rows)
-        click.echo(sentence)
+            table(f"CRPS on live cycles ({shown_unit(unit)})", columns, rows)
+        click.echo(found.sentence)
 
     emit(data, show, as_json_line=as_json)

@@ -17,14 +17,22 @@ from typing import Any
 
 import numpy as np
 
-from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of, features_of, free_run_error
-from gateway.lab.retraining.judging import compared, scores_along, verdict_on
+from gateway.lab.familiar import (
+    ErrorPair,
+    error_pair,
+    familiarity,
+    familiarity_files,
+    features_of,
+    reference_of,
+    strange_words,
+)
+from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
+from gateway.lab.retraining.judging import MOST_FORECASTS, compared, scores_along, verdict_on
 from gateway.lab.retraining.library import RATINGS, CycleLibrary, CycleRow
 from gateway.lab.retraining.report import Retraining, report_files
 from gateway.lab.retraining.training_record import RECORD, TrainingRecord, code_hash, read_record, software
 from gateway.store import moment_of
 from sim.artefacts import (
-    FAMILIARITY_FILE,
     MANIFEST,
     MODEL_FILE,
     Familiarity,
@@ -40,14 +48,7 @@ from sim.artefacts import (
 from sim.artefacts.formats import save, write_model_directory
 from sim.checking.proof import verify
 from sim.discrepancy import diagnose
-from sim.familiarity import (
-    LEAST_CYCLES,
-    ClassFigures,
-    FamiliarityReference,
-    error_curve,
-    fit_reference,
-    measured_classes,
-)
+from sim.familiarity import ClassFigures, measured_classes
 from sim.files import replace_durably
 from sim.ranking import METHODS, Settings, StudyPlan, Task, Taught, tune
 from sim.sha import Alphabet, Model, Trace, content_hash, encode, joint_hash
@@ -70,7 +71,8 @@ class RetrainingRequest:
 
     `standard` are the traces that a new model must not be worse on, `former` those of earlier training that no library
     has; both encoded by nobody yet. `rows` is how many scans the training has at most, `trials` those of a search of
-    settings where performance has fallen. `yellow` and `red` are the classes of expected relative error.
+    settings where performance has fallen. `yellow` and `red` are the classes of expected relative error; `forecasts` is
+    by how many forecasts a cycle judges at most.
     """
 
     store: Path
@@ -86,6 +88,7 @@ class RetrainingRequest:
     diagnosis: bool
     yellow: float
     red: float
+    forecasts: int = MOST_FORECASTS
 
 
 def source_of(request: RetrainingRequest, last: float) -> CycleSource:
@@ -112,25 +115,27 @@ def cut_and_rate(request: RetrainingRequest, library: CycleLibrary, source: Cycl
     count = cut_new(library, source, None, report)
     cycles = [row for row in library.cycles() if not row.excluded]
     half = len(cycles) // 2
-    if half < LEAST_CYCLES:
+    reference = reference_of([row.points for row in cycles[:half]])
+    if reference is None:
         return count
-    reference = fit_reference([row.points for row in cycles[:half]])
     for row in cycles[half:]:
         strange = reference.strangeness(row.points, np.arange(len(row.points), dtype=float))
         if row.rating == "ordinary" and strange.value > 1.0:
             trace = cycle_of(source, row, library)
             if trace is not None:
                 library.keep(row.name, trace)
-            library.rate(row.name, "rare", strange.words, strange.value)
+            library.rate(row.name, "rare", strange_words(strange), strange.value)
         else:
             library.rate(row.name, row.rating, row.words, strange.value)
     return count
 
 
 def new_cycles(library: CycleLibrary, model: Model) -> list[CycleRow]:
-    """The cycles that the model has not been learned from, that nobody has excluded and that can be run."""
-    seen = set(model.provenance.contents)
-    return [row for row in library.cycles() if not row.excluded and row.error is not None and row.content not in seen]
+    """The cycles since the last one that the model was learned from, which nobody has excluded and which can be run."""
+    seen, rows = set(model.provenance.contents), library.cycles()
+    # One that was left out of that training is no news: it tells of the plant as it was then.
+    last = max((row.begin for row in rows if row.content in seen), default=-inf)
+    return [row for row in rows if row.begin > last and not row.excluded and row.error is not None]
 
 
 def due(library: CycleLibrary, model: Model, *, after: int, drifting: bool, age: float, every: float) -> str:
@@ -168,6 +173,7 @@ def retrain(
         "rows": request.rows,
         "trials": request.trials,
         "diagnosis": request.diagnosis,
+        "forecasts": request.forecasts,
         "standard": joint_hash(request.standard),
         "former": joint_hash(request.former),
         "code": code_hash(),
@@ -217,7 +223,7 @@ def retrain(
                 report(what, share)
 
             try:
-                rows = scores_along(trace, present, new, seed=request.seed, report=tell)
+                rows = scores_along(trace, present, new, seed=request.seed, report=tell, most=request.forecasts)
             except ValueError as error:
                 notes.append(f"{trace.name} cannot be judged: {error}")
                 rows = []
@@ -237,7 +243,7 @@ def retrain(
         library.done(study, "diagnosed", left)
 
     rows_by_name = {row.name: row for row in library.cycles()}
-    familiarity, classes = _familiarity(request, library, chosen, rows_by_name, new)
+    familiar, classes = _familiarity(request, library, chosen, rows_by_name, new)
     key = sha256(json.dumps([settings, chosen], sort_keys=True).encode()).hexdigest()
     record = _record(request, source, method, chosen, settings=learned["settings"], study=key)
     found = Retraining(
@@ -270,7 +276,7 @@ def retrain(
         made = next((name for name in versions(request.store) if _study_of(request.store, name) == record.study), None)
         if made is None:
             more = _written(folder / "model") | files | {RECORD: record.text()}
-            more |= {} if familiarity is None else {FAMILIARITY_FILE: familiarity.text()}
+            more |= familiarity_files(familiar)
             made = save(request.store, new, created=clock(), parent=source.version, more=more)
         found = replace(found, version=made)
     place = library.folder / REPORTS / f"{study:04d}"
@@ -292,8 +298,8 @@ def encoded(trace: Trace, model: Model) -> Trace:
 def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSource) -> dict[str, Any]:
     """Which cycles are held out and which are learned from, (name, content hash) each; all of them are kept by then.
 
-    Held out are new cycles evenly over ratings and time. The training takes what teaches first, and fills up with
-    ordinary cycles evenly over time until it has as many rows as it may have.
+    Held out are new cycles evenly over ratings and time. The training takes what teaches first, the newest before the
+    older, and fills up with ordinary cycles evenly over time until it has as many rows as it may have.
     """
     fresh = new_cycles(library, source.model)
     count = min(max(len(fresh) // 4, LEAST_HELD_OUT), HELD_OUT, len(fresh) // 2)
@@ -307,8 +313,9 @@ def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSour
     held = {ordered[place].name for place in places}
     seen = set(source.model.provenance.contents)
     rest = [row for row in library.cycles() if not row.excluded and row.error is not None and row.name not in held]
-    teaching = [row for row in rest if row.rating != "ordinary" or row.content in seen]
-    ordinary = [row for row in rest if row not in teaching]
+    # A plant that has changed is what its newest cycles say: where room is short the oldest are left out.
+    teaching = [row for row in reversed(rest) if row.rating != "ordinary" or row.content in seen]
+    ordinary = [row for row in rest if row.rating == "ordinary" and row.content not in seen]
     # Every cycle of an evenly halved order lies in the middle of the largest gap that is left.
     ordinary = [ordinary[place] for place in _spread(len(ordinary))]
     notes, sets = list[str](), {"training": list[tuple[str, str]](), "held_out": list[tuple[str, str]]()}
@@ -443,21 +450,16 @@ def _familiarity(
     """What is familiar to the new model, and its error on the cycles held out by the class that was expected."""
     known = [rows[name].points for name, _ in chosen["training"]]
     known += [features_of(new, encoded(trace, new)).values for trace in request.former]
-    if len(known) < LEAST_CYCLES:
+    reference = reference_of(known)
+    if reference is None:
         return None, []
-    reference: FamiliarityReference = fit_reference(known)
-    pairs: list[tuple[float, float]] = []
+    pairs: list[ErrorPair] = []
     for name, content in chosen["held_out"]:
-        off = free_run_error(new, encoded(library.readings(content), new))
-        if off is not None and off.moved > 0:
-            points = rows[name].points
-            strange = reference.strangeness(points, np.arange(len(points), dtype=float))
-            pairs.append((strange.value, off.error / off.moved))
-    if not pairs:
-        return Familiarity(reference, None), []
-    classes = measured_classes(pairs, request.yellow, request.red)
-    curve = error_curve([one for one, _ in pairs], [one for _, one in pairs])
-    return Familiarity(reference, curve), classes
+        pair = error_pair(reference, new, encoded(library.readings(content), new), rows[name].points)
+        if pair is not None:
+            pairs.append(pair)
+    found = familiarity(reference, pairs, held_out=True)
+    return found, measured_classes(pairs, request.yellow, request.red) if pairs else []
 
 
 def _regions(library: CycleLibrary, chosen: dict[str, Any]) -> tuple[dict[str, Any], ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from shlex import join
 from typing import Any
 
@@ -22,10 +23,14 @@ OTHER_WRITER = "another writer"
 LINK, DISK, CERTIFICATE, NOTIFICATION = "link", "disk", "certificate", "notification"
 """The alarms for a machine that is not read, a disk that is nearly full, a certificate that runs out, and messages that
 are not delivered."""
+NORTHBOUND = "northbound"
+"""The alarm for a broker or database that is out of reach."""
 CLOCK_SYNC = "clock not steered"
 """The alarm for a clock that no time server steers."""
 OVER_LIMIT, RISING = "over limit", "rising"
 DRIFTING = "sensor drifting"
+UNFAMILIAR = "unfamiliar"
+"""The alarm for a cycle whose like the model's training never had; it shares the bit of the anomaly."""
 SENSOR_FAULTS = tuple(name for name in ALARM_KINDS if name.startswith("sensor "))
 """The alarms for what may be wrong with a sensor."""
 FAULT = 0.5
@@ -39,6 +44,14 @@ def acknowledge_words(config: Config) -> dict[str, frozenset[str]]:
     of = {one.model.temperature: one.block_layout for one in config.followed}
     tags = {name: layout.acknowledge_bits if layout else ACKNOWLEDGE_BITS for name, layout in of.items()}
     return {tag: frozenset(name for name in tags if tags[name] == tag) for tag in tags.values()}
+
+
+def certificate_folders(config: Config) -> list[Path]:
+    """The folders of the certificates without which the machine is not read, or not seen by OPC UA."""
+    opcua = config.northbound.opcua
+    named = [link.settings.get("certificates") for link in config.links]
+    named += [opcua.certificates] if opcua.port is not None else []
+    return [Path(str(each)) for each in named if each]
 
 
 def suppressing_tags(conditions: Mapping[str, AlarmCondition]) -> frozenset[str]:
@@ -99,6 +112,7 @@ def _of_model(config: Config) -> list[AlarmCondition]:
     return [
         *_of_kind(config, "predicted over limit", a.p_limit, tag=tag, deadband=a.p_limit / 2),
         *_of_kind(config, "anomaly", a.anomaly, tag=tag, deadband=a.anomaly / 3),
+        *_of_kind(config, UNFAMILIAR, a.unfamiliar, tag=tag, deadband=a.unfamiliar / 10),
         *_of_kind(config, "review", 0.5, tag=tag),
         *_of_kind(config, "drift", a.drift_cycles - 0.5, tag=tag, off_delay=0.0, response=offer),
     ]
@@ -134,10 +148,12 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
             conditions += _of_kind(config, kind, FAULT, tag=tag, name=on_tag(kind, tag))
     for kind in (RECORDS, PARTS, CLOCK, CLOCK_SYNC, LINK, DISK):
         conditions += _of_kind(config, kind, 0.0 if kind == DISK else 0.5)
-    if any(link.settings.get("certificates") for link in config.links):
+    if certificate_folders(config):
         conditions += _of_kind(config, CERTIFICATE, -a.certificate_days)
     if config.notify.to:
         conditions += _of_kind(config, NOTIFICATION, 0.5)
+    if config.northbound.sinks:
+        conditions += _of_kind(config, NORTHBOUND, 0.5)
     if config.map.writeback is not None and config.writeback.mode != "off":
         conditions += _of_kind(config, OTHER_WRITER, 0.5)
     if complains:

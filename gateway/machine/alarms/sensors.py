@@ -63,9 +63,13 @@ def without_faulty(scan: Scan, faults: Mapping[str, SensorFault]) -> Scan:
 
 @dataclass(slots=True)
 class SensorHistory:
-    """What is remembered of one sensor. Times are plant seconds, numbers degC; the last `step` took the `span`."""
+    """What is remembered of one sensor. Times are plant seconds, numbers degC; the last `step` took the `span`.
+
+    `before` is the reading from before a gap, as long as the sensor has not been seen to move since (None: it has).
+    """
 
     value: float | None = None
+    before: float | None = None
     time: float = 0.0
     step: float | None = None
     span: float = 0.0
@@ -73,6 +77,7 @@ class SensorHistory:
     longest: float = 0.0
     twin_then: float | None = None
     twin_changes: int = 0
+    twin_moved: float = 0.0
     jumps: deque[float] = field(default_factory=deque)
     variance: float = 0.0
     noise_seconds: float = 0.0
@@ -137,7 +142,10 @@ class SensorWatch:
             elapsed[name] = 0.0 if first else scan.time - history.time
             if first:
                 self._histories[name] = history = SensorHistory(
-                    longest=history.longest, jumps=history.jumps, changed=scan.time
+                    longest=history.longest,
+                    jumps=history.jumps,
+                    changed=scan.time,
+                    before=history.value,
                 )
             twin = _number(scan.samples.get(self._twin(name))) if name in self.twins else None
             found[names["sensor jumping", name]] = _jumping(history, value, scan.time, elapsed[name])
@@ -228,25 +236,39 @@ def _noisy(history: SensorHistory, value: float, seconds: float) -> float | None
     return FAULT * sqrt(history.variance) / NOISE
 
 
-def _frozen(history: SensorHistory, value: float, now: float, twin: float | None, *, alone: bool) -> float:
-    """Compared by the bit: a sensor that lives has noise, a frozen one has none."""
+def _frozen(history: SensorHistory, value: float, now: float, twin: float | None, *, alone: bool) -> float | None:
+    """Compared by the bit: a sensor that lives has noise, a frozen one has none.
+
+    None: it shows after a gap what it showed before, by the bit. That is no reason to call a frozen one mended.
+    """
+    if value != history.before:
+        history.before = None
+    unmoved = 0.0 if history.before is None else None
     if history.value is None or value != history.value:
         if history.value is not None:
             history.longest = max(history.longest, now - history.changed)
-        history.changed, history.twin_then, history.twin_changes = now, twin, 0
-        return 0.0
+        history.changed, history.twin_then = now, twin
+        history.twin_changes, history.twin_moved = 0, 0.0
+        return unmoved
+    return 1.0 if _stands(history, now, twin, alone=alone) else unmoved
+
+
+def _stands(history: SensorHistory, now: float, twin: float | None, *, alone: bool) -> bool:
+    """Whether a reading that has not moved has stood for too long."""
     stood = now - history.changed
     if alone:
         # Of a sensor of which no change was seen yet nobody knows how often it should.
         usual = history.longest or float("inf")
-        return float(stood > max(FROZEN_ALONE_SECONDS, FROZEN_ALONE_TIMES * usual))
+        return stood > max(FROZEN_ALONE_SECONDS, FROZEN_ALONE_TIMES * usual)
     if twin is None:
-        return 0.0
+        return False
     if history.twin_then is None:
         history.twin_then = twin
     history.twin_changes += twin != history.twin_then
-    moved = abs(twin - history.twin_then) >= FROZEN_MOVE or history.twin_changes >= FROZEN_CHANGES
-    return float(stood > FROZEN_SECONDS and moved)
+    # The furthest that it was: it may come back to where it stood, and what stands still is frozen all the same.
+    history.twin_moved = max(history.twin_moved, abs(twin - history.twin_then))
+    moved = history.twin_moved >= FROZEN_MOVE or history.twin_changes >= FROZEN_CHANGES
+    return stood > FROZEN_SECONDS and moved
 
 
 def _ahead(history: SensorHistory, value: float | None, now: float, seconds: float) -> float | None:

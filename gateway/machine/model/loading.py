@@ -8,11 +8,13 @@ from gateway.machine.model.predict import Predictor
 from gateway.settings import Config
 from sim.artefacts import (
     MODEL_FILE,
+    Familiarity,
     current,
     forced,
     is_store,
     load,
     model_hash,
+    read_familiarity,
     read_model,
     version_directory,
 )
@@ -26,6 +28,7 @@ class LoadedModel:
     """A model, the SHA-256 of its content, and a sentence where it runs although it does not verify.
 
     `version` is the store's that it was, "" for a model that comes from no store; `written` when its file was (s UTC).
+    `familiarity` is what its training was like, None where that is not known.
     """
 
     model: Model
@@ -33,6 +36,7 @@ class LoadedModel:
     warning: str = ""
     version: str = ""
     written: float | None = None
+    familiarity: Familiarity | None = None
 
 
 def load_model(config: Config) -> LoadedModel | None:
@@ -77,6 +81,7 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
         model = _own(config, load(path, version) if version else read_model(path))
         home = version_directory(path, version) if version else path
         written = (home / MODEL_FILE if home.is_dir() else home).stat().st_mtime
+        familiarity = read_familiarity(home) if home.is_dir() else None
         predictor = Predictor(model, config.model.temperature)
         problem, warning = _unverified(config, model, path, key, version)
     except (OSError, ValueError) as error:
@@ -94,7 +99,7 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
     ]
     if problems:
         raise ConfigError([f"{config.path}: {problem}" for problem in problems])
-    return LoadedModel(model, model_hash(model), warning, version, written)
+    return LoadedModel(model, model_hash(model), warning, version=version, written=written, familiarity=familiarity)
 
 
 def _own(config: Config, model: Model) -> Model:

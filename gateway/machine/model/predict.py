@@ -1,11 +1,12 @@
 """From scans to what the model expects: events, belief, a prediction for every scan, the free run beside it."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import sqrt
 from typing import Any, Literal
 
 from drivers.tag import Quality
+from gateway.machine.model.familiar import FamiliarityRating
 from gateway.machine.model.virtual_sensor import PastBeliefs, VirtualReading
 from gateway.machine.reading import Scan
 from sim.engine import (
@@ -47,7 +48,8 @@ class ScanPrediction:
     since the end of not knowing) without being corrected by readings. `inputs_good`: everything that the model reads
     was good in this scan; `worst` is 0 good, 1 uncertain, 2 bad; `age` the seconds since the oldest input was read
     (inf: never). `known`: no channel of the alphabet is unknown. `reset`: knowledge was lost in this scan. `borrowed`:
-    no data have shown the location, its parameters are another's.
+    no data have shown the location, its parameters are another's. `familiarity` is how like the training the present
+    cycle is; it may have lowered the `zone`.
     """
 
     time: float
@@ -69,6 +71,14 @@ class ScanPrediction:
     free_sigma: float | None = None
     borrowed: bool = False
     virtual: VirtualReading | None = None
+    familiarity: FamiliarityRating | None = None
+
+    def with_familiarity(self, rating: FamiliarityRating) -> "ScanPrediction":
+        """This one with the rating of the present cycle: outside of the training the zone is no better than that's."""
+        zone = self.zone
+        if rating.outside and zone != "none" and rating.zone != "unknown":
+            zone = max(zone, rating.zone, key=ZONES.index)
+        return replace(self, familiarity=rating, zone=zone)
 
 
 class Predictor:

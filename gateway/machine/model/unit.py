@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.supervision import Supervisor
 from gateway.machine.model.ensemble import Ensemble
+from gateway.machine.model.familiar import CycleFamiliarity, FamiliarityRating
 from gateway.machine.model.guards import Guards
 from gateway.machine.model.loading import LoadedModel
 from gateway.machine.model.outlook import FinishedForecast, Outlook, limit_probability
@@ -84,6 +85,7 @@ class ModelUnit:
         )
         self.guards = Guards(self.loaded.model, config.forecast.horizons, config.alarms.drift)
         section = config.virtual_sensor
+        self.familiarity = CycleFamiliarity(self.loaded.familiarity, self.loaded.model, config.alarms.unfamiliar)
         self.virtual = VirtualSensor(section.minutes * 60.0, section.width, period)
         self.prediction: ScanPrediction | None = None
         self._found_out = False
@@ -114,9 +116,10 @@ class ModelUnit:
 
     def _take_over(self, promoted: ReadyModel, now: float) -> None:
         """The other models of an ensemble go on as they are; what their evidence was held against begins anew."""
-        former = self.outlook.ensemble
+        former, cycle = self.outlook.ensemble, self.familiarity
         before, self.loaded = self.loaded.version, promoted.loaded
         self.begin_anew(promoted.predictor)
+        self.familiarity.follow_on(cycle)
         if self.outlook.ensemble is not None and former is not None:
             self.outlook.ensemble.keep(former)
         version = self.loaded.version
@@ -135,6 +138,7 @@ class ModelUnit:
                 self.virtual.stopped = "state not known"
         self._found_out = wrong_since is not None
         before, prediction = self.prediction, self.predictor.step(scan)
+        prediction = prediction.with_familiarity(self._rating(scan, prediction))
         virtual = self._virtual_reading(scan, prediction)
         if virtual is not None:
             v = virtual
@@ -149,6 +153,15 @@ class ModelUnit:
             self._log.warning(message, time=scan.time, clamps=clamps)
         self._clamped = clamps > 0
         return prediction
+
+    def _rating(self, scan: Scan, p: ScanPrediction) -> FamiliarityRating:
+        """How familiar the present cycle is; that it begins or ceases to be is logged."""
+        before, rating = self.familiarity.rating, self.familiarity.take(scan, p.events)
+        if before.outside != rating.outside and rating.zone != "unknown":
+            thing = {"what": rating.thing.kind, "features": rating.thing.features, "values": rating.thing.values}
+            message = "the present cycle is unlike the training" if rating.outside else "the cycle is familiar again"
+            self._log.warning(message, strangeness=round(rating.strangeness or 0.0, 2), **thing)
+        return rating
 
     def _virtual_reading(self, scan: Scan, p: ScanPrediction) -> VirtualReading | None:
         """What stands for the sensor in this scan; None while it is good, and where the model never had a reading."""
@@ -205,6 +218,7 @@ class ModelUnit:
         return {
             "predicted over limit": limit,
             "anomaly": p.anomaly if trusted else None,
+            "unfamiliar": None if p.familiarity is None else p.familiarity.strangeness,
             "review": float(self.guards.flagged) if trusted else None,
             "drift": float(self.guards.drift.running),
             "inputs bad": float(p.worst),

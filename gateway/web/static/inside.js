@@ -112,7 +112,7 @@ export function boxView() {
         fact(say("box.process"), bytes(f.memory.process)), fact(say("box.load"), f.load.map((each) => number(each, 2)).join("  ")), fact(say("box.up"), duration(f.up))],
       fact(say("box.clock"), status.clock.complaint || say("box.clock_good"), h("small", {}, moment(status.time)),
         status.clock.synchronised === false && h("small", {}, say("box.clock_alone")))),
-      can("administrator") && h("button", { "data-act": "reload" }, say("person.reload"))),
+      can("administrator") && h("p", { class: "buttons" }, h("button", { "data-act": "reload" }, say("person.reload")), h("button", { "data-act": "backup" }, say("person.backup")))),
     h("section", { class: "card" }, h("h2", {}, say("box.records")), (historian.failure || historian.complaint) && h("p", { class: "error" }, historian.failure || historian.complaint),
       h("dl", { class: "facts" }, fact(say("box.records"), lost ? say("box.lost", { count: lost }) : say("box.kept")),
         fact(say("box.historian"), f ? bytes(f.records.historian) : "–", h("small", {}, historian.path)), f && fact(say("box.audit"), bytes(f.records.audit)))),

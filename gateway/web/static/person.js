@@ -1,5 +1,5 @@
 // Who is logged in, and what a person may change.
-import { ask, h, person, say, setPerson, start } from "./dom.js";
+import { ask, bytes, h, person, say, setPerson, start } from "./dom.js";
 
 export const personBox = () => h("div", { id: "person" }, person.name
   ? [h("span", { class: "who" }, h("b", {}, person.name), h("small", {}, say(`role.${person.role}`))),
@@ -80,6 +80,14 @@ export const acts = {
     dialog(`${say("model.promote")}: ${version}`, [["reason", say("person.reason"), line]], say("model.promote"), async ({ reason }) => {
       await ask("POST", "/api/promote", { machine, temperature, version, reason }).catch((error) => expired(error, changed));
     }, [h("p", { class: "quiet" }, say("model.proven"))]);
+  },
+  backup(_, changed) {
+    dialog(say("person.backup"), [], say("person.confirm"), async () => {
+      const made = await ask("POST", "/api/backup", {}).catch((error) => expired(error, changed));
+      // After the dialog that asked for it has closed.
+      setTimeout(() => dialog(say("person.backup_made"), [], say("person.confirm"), () => {},
+        [h("p", {}, h("code", {}, made.folder)), h("p", {}, say("person.backup_size", { files: made.files, size: bytes(made.bytes) })), h("p", { class: "quiet" }, say("person.restore"), " ", h("code", {}, `decanter restore ${made.folder} --overwrite`))]));
+    }, [h("p", { class: "quiet" }, say("person.backup_what"))]);
   },
   async reload(_, changed) {
     try {

@@ -122,6 +122,7 @@ function temperatureCard(name, machine, row) {
       p && fact(say("word.predicted"), present ? `${number(p.mean)} ${row.unit}` : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
       p && fact(say("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
       p && fact(say("word.confidence"), h("span", { class: `zone ${p.zone}` }, present ? p.zone : "–"), h("small", {}, present && zoneReason(machine, main))),
+      row.familiarity && fact(say("familiarity.title"), h("span", { class: `zone ${present ? row.familiarity.zone : ""}` }, present ? row.familiarity.word : "–"), present && h("small", {}, [row.familiarity.sentence, row.familiarity.detail].filter(Boolean).join(" · "))),
       forecast && fact(say("word.minutes_to_limit"), usable ? `${minutes("median")}` : "–", usable && h("small", {}, `${minutes("low")} – ${minutes("high")}`)),
       forecast && fact(say("word.p_limit"), forecast.horizons.map((horizon, place) => h("div", {}, `${say("word.in_minutes", { minutes: number(horizon / 60, 0) })}: ${usable ? `${number(100 * forecast.p_limit[place], 0)} %` : "–"}`))),
       forecast && fact(say("word.coverage"), coverageOf(name, row.tag)),

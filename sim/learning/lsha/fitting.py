@@ -6,7 +6,7 @@ of the readings, to see how far its forecasts of those parts are off.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from sim.learning import (
     FreeRuns,
     HeldOutForecasts,
     Indices,
+    MachineSpread,
     Memories,
     choose,
     cross_validate,
@@ -71,13 +72,14 @@ class LshaLocationFit:
 
 @dataclass(frozen=True, slots=True)
 class FittedHypothesis:
-    """The automaton with all parameters, the sensor's standard deviation, raw values of each law, the table, and the
-    memories of heat and of the sensor's error that were found."""
+    """The automaton with all parameters, the sensor's standard deviation, raw values of each law, the table, how far
+    the targets of the machines lie apart (levels have none), and the memories of heat and of the sensor's error."""
 
     sha: SHA
     sensor: float
     values: Mapping[str, tuple[float, ...]]
     locations: tuple[LshaLocationFit, ...]
+    spread: MachineSpread = field(default_factory=lambda: MachineSpread({}, 0.0, 0.0))
     memories: Memories | None = None
 
     @property
@@ -201,14 +203,15 @@ def fit_motion(
     place = hypothesis.place
     where = positions(teacher, place, size)
     shape, rated = flow_shape(flowing.hypothesis, teacher, where, modelled, kinds)
-    runs = sampled(placed(teacher.runs, place), budget)
+    whole = placed(teacher.runs, place)
+    runs = sampled(whole, budget)
     # The coarse structure's rates are a good start; with flows of their own in single locations there are rates that
     # it did not have, and the coarse scan has to find them.
     begin = flowing.rates_of(rated) if all(kind == flowing.hypothesis.kind for kind in kinds) else None
     fit = fit_free_run(runs, shape, begin=begin)
     order = sorted(set(where))
     groups = np.array([order.index(each) for each in where], dtype=np.intp)
-    noise = fit_noise(runs, shape, fit, groups, memories=memories)
+    noise = fit_noise(whole, shape, fit, groups, memories=memories)
     spread = machine_spread(runs, shape, fit, noise=noise, groups=groups, machines=teacher.machines)
     bare = _bare(
         name, teacher, shape=shape, hypothesis=hypothesis, modelled=modelled, unknown=drift_noise(teacher.runs)
@@ -250,7 +253,7 @@ def fit_motion(
             )
         )
     sha = replace(_sha(name, locations, hypothesis), effects=(*noise.effects, *spread.effects))
-    return FittedHypothesis(sha, noise.sensor, values, tuple(table), noise.memories)
+    return FittedHypothesis(sha, noise.sensor, values, tuple(table), spread=spread, memories=noise.memories)
 
 
 def _bare(

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.effects import of_feature
-from sim.learning import Coverage, LearningError, check_data, encoded, in_order, with_range
+from sim.learning import Coverage, LearningError, MachineSpread, check_data, encoded, in_order, with_range
 from sim.learning.lsha.fitting import LshaLocationFit, bands, fit, fitted_model, plan_of
 from sim.learning.lsha.flow_hypotheses import Contender, choose_flow, flowing_over
 from sim.learning.lsha.hypothesis import (
@@ -96,11 +96,13 @@ class LshaReport:
 
 @dataclass(frozen=True, slots=True)
 class LearnedLsha:
-    """A learned model, the raw parameter values of each location (for the histogram file) and how it came about."""
+    """A learned model, the raw parameter values of each location (for the histogram file), how it came about, and how
+    far the targets of the machines lie apart."""
 
     model: Model
     values: Mapping[str, tuple[float, ...]]
     report: LshaReport
+    spread: MachineSpread
 
 
 def learn_lsha(
@@ -243,9 +245,8 @@ def learn_lsha(
     )
     report_progress("done", 1.0)
     calibration = {row.horizon: row.factor for row in coverage}
-    return LearnedLsha(
-        replace(model, calibration=calibration, plain=forecasts.members, provenance=provenance), fitted.values, report
-    )
+    whole = replace(model, calibration=calibration, plain=forecasts.members, provenance=provenance)
+    return LearnedLsha(whole, fitted.values, report, fitted.spread)
 
 
 def _rows(teacher: Teacher, structure: Structure, hypothesis: HypothesisAutomaton) -> dict[int, RowOfWords]:

@@ -18,7 +18,7 @@ async def test_a_gateway_whose_tasks_are_all_cancelled_ends_and_keeps_its_record
     tasks = asyncio.all_tasks() - before
     for task in tasks:
         task.cancel()
-    await asyncio.wait_for(asyncio.wait(tasks), 10.0)
+    await asyncio.wait_for(asyncio.wait(tasks), 60.0)
     assert gateway.done()
     with reading(config.historian.path) as connection:
         assert newest_scan(connection) is not None

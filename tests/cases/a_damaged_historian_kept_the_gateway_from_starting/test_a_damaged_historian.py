@@ -100,7 +100,7 @@ async def hot(config: Config) -> dict[str, Any]:
     """The status after twelve scans with the temperature over the limit."""
     bench = Bench(config, JumpClock(EPOCH + 10_000.0), stop_after=12)
     bench.plan[0] = {TEMPERATURE: 85.0}
-    return await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 60.0)
+    return await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
 
 
 def table(path: Path, query: str) -> list[tuple[Any, ...]]:

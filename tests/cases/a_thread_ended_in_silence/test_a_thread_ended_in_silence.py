@@ -102,7 +102,7 @@ async def running(folder: Path, links: list[str], machines: list[Machine]) -> As
     stop = asyncio.Event()
     gateway = asyncio.create_task(run(load_config(path), stop=stop))
     try:
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(120.0):
             while not machines or machines[-1].counters.scans < 3:
                 assert not gateway.done(), gateway.result()
                 await asyncio.sleep(0.01)
@@ -217,7 +217,7 @@ async def test_a_part_that_dies_is_in_status_log_and_alarm_and_is_begun_anew(
         await await_at_open()
 
     monkeypatch.setattr(bench, "open", opened)
-    status = await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 60.0)
+    status = await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
     assert status["parts"][part]["restarts"] == 1 and "nobody has thought of it" in status["parts"][part]["failure"]
     said = [row for row in logged(tmp_path) if row["event"].startswith("a part of the gateway failed")]
     assert part in {row["part"] for row in said} and "Traceback" in said[0]["exception"]
@@ -245,7 +245,7 @@ async def test_what_a_driver_keeps_going_is_begun_anew_and_the_bus_is_heard_agai
         failing_once(monkeypatch, CanDriver, "_connect", OSError("no bus yet"))
     async with running(tmp_path, [link], machines) as machine:
         name = part if part == "news of the device" else f"device: {part}"
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(120.0):
             while not (report := machine.supervisor.report()).get(name, {}).get("restarts"):
                 await asyncio.sleep(0.01)
             while not report[name]["running"] or not machine.driver.statistics()["connects"]:
@@ -268,7 +268,7 @@ async def test_an_attempt_to_connect_that_fails_unforeseen_keeps_nobody_waiting(
     made = can_bench()
     one = await anext(made)
     try:
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(120.0):
             with pytest.raises(DriverError, match="nobody has thought of it"):
                 await one.driver.open()
             while not one.driver.statistics()["connects"]:
@@ -291,7 +291,7 @@ async def test_a_frame_that_cannot_be_taken_does_not_keep_the_others_waiting(mon
         pump = Pump(can.Bus(interface="virtual", channel="frames"), take, lambda reason: None)
         for number in range(5):
             other.send(can.Message(arbitration_id=number, is_extended_id=False))
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(120.0):
             await failed.wait()
             while len(taken) < 5:
                 await asyncio.sleep(0.01)
@@ -316,14 +316,14 @@ async def test_no_way_to_end_is_silent() -> None:
 
     rounds: list[int] = []
     carrier, kept = supervisor.thread("thread", thread, stop=stop), supervisor.task("task", task)
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(120.0):
         while supervisor.report()["thread"]["restarts"] != 3 or supervisor.report()["task"]["restarts"] != 2:
             await asyncio.sleep(0.01)
     assert carrier.is_alive() and not kept.done() and "nobody told it" in supervisor.complaint
     stop.set()
     kept.cancel()
     await asyncio.wait({kept})
-    carrier.join(5.0)
+    carrier.join(60.0)
     assert not carrier.is_alive()
     assert not any(part["running"] for part in supervisor.report().values())
 
@@ -338,7 +338,7 @@ async def test_a_control_socket_that_was_removed_is_made_anew(tmp_path: Path) ->
     control = Control(ControlScope({}, lambda _machine: {}), path, log)  # type: ignore[arg-type,return-value]
     serving = asyncio.create_task(control.serve())
     try:
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(120.0):
             while not path.is_socket():
                 await asyncio.sleep(0.01)
             path.unlink()

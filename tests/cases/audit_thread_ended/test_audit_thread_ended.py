@@ -24,8 +24,8 @@ def test_it_is_begun_anew_said_and_loses_no_row(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(module, "_insert", fails_once)
     audit = open_audit(tmp_path / "audit.sqlite", supervisor)
     audit.put(AuditEntry(EPOCH, "armed", "Ada", "first", {"until": EPOCH + 1.0}))
-    assert audit.record(AuditEntry(EPOCH, "write", "Ada", "second"), timeout=30.0) or audit.record(
-        AuditEntry(EPOCH, "write", "Ada", "third"), timeout=30.0
+    assert audit.record(AuditEntry(EPOCH, "write", "Ada", "second"), timeout=60.0) or audit.record(
+        AuditEntry(EPOCH, "write", "Ada", "third"), timeout=60.0
     )
     assert supervisor.report()["audit"]["restarts"] == 1 and "unforeseen" in supervisor.complaint
     assert audit.close()

@@ -99,7 +99,7 @@ async def test_a_disarming_whose_client_goes_away_is_carried_to_its_end() -> Non
     offer = asyncio.create_task(writer.offer(scan(), {}, USABLE))
     await wire.waiting.wait()
     inner = asyncio.ensure_future(writer.disarm(CLOCK.now(), "Bea", "enough", scan=scan()))
-    client = asyncio.create_task(asyncio.wait_for(asyncio.shield(inner), 10.0))
+    client = asyncio.create_task(asyncio.wait_for(asyncio.shield(inner), 60.0))
     await asyncio.sleep(0)
     client.cancel()
     wire.go.set()

@@ -26,7 +26,7 @@ async def test_at_most_so_many_jobs_run_as_there_are_turns_and_one_that_fails_gi
         with lock:
             together += 1
             most = max(most, together)
-        both.wait(10.0)  # two of them are under way at once, or nobody gets on
+        both.wait(60.0)  # two of them are under way at once, or nobody gets on
         with lock:
             together -= 1
         if number == 1:

@@ -54,7 +54,7 @@ async def go(config: Config, clock: JumpClock, reads: int, at: int = 0, backup: 
         done = await asyncio.to_thread(decanter, "backup", backup, "--config", config.path)
         assert done.exit_code == 0, done.output
         assert bench.reads < reads or bench.stop.is_set()
-    await asyncio.wait_for(running, 60.0)
+    await asyncio.wait_for(running, 300.0)
     return bench
 
 

@@ -82,7 +82,7 @@ async def test_a_run_says_what_it_is_and_each_change_and_several_may_watch_it(tm
             follow(seen, screen, seconds=0.1, stop=watched)
 
     async def heard(*words: str) -> None:
-        async with asyncio.timeout(60.0):
+        async with asyncio.timeout(120.0):
             while not all(
                 any(word in text for text in lines)
                 for word in words

@@ -45,7 +45,7 @@ def refuse(monkeypatch: pytest.MonkeyPatch, error: Exception, *, times: int = 10
 
 async def go(config: Config, bench: Bench, reads: int) -> dict[str, Any]:
     bench.stop_after = reads
-    return await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 60.0)
+    return await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
 
 
 @pytest.mark.parametrize(

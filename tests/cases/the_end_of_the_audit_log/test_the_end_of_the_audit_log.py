@@ -35,7 +35,7 @@ ARMED_BY_FILE: dict[str, Any] = {
 async def go(config: Config, clock: JumpClock, reads: int = 15) -> tuple[dict[str, Any], Bench]:
     bench = Bench(config, clock, armed=True)
     bench.stop_after = reads
-    status = await asyncio.wait_for(run(config, clock=clock, stop=bench.stop, driver=bench), 60.0)
+    status = await asyncio.wait_for(run(config, clock=clock, stop=bench.stop, driver=bench), 300.0)
     return status, bench
 
 

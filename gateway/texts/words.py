@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 LANGUAGES = ("en", "it", "de")
@@ -25,6 +26,7 @@ class Words:
         return text if self.language == "en" else text.replace(".", ",")
 
 
+@cache
 def all_words() -> dict[str, Words]:
     """The words of every language."""
     table = tomllib.loads((Path(__file__).parent / "texts.toml").read_text(encoding="utf-8"))

@@ -1,0 +1,96 @@
+"""What `decanter model fleet` costs as a fleet grows, and whether it finds the machine that is not like the others.
+
+Synthetic machines (`sim.plant`, production; bearings whose heat scatters by 5 % between machines) lie as CSV, one
+folder a machine; one of ten and more makes half as much heat again. Each fleet is studied by the command as a process
+of its own with one worker and with two: processor time and the greatest memory of it and its workers, wall time, and
+how the processor time of the machines alone grows with their number. What ten thousand machines would cost is that
+time for one, ten thousand times: on paper, as no such fleet was studied.
+"""
+
+import csv
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from time import monotonic
+
+import click
+import numpy as np
+
+from benchmarks.figures import Figure, give
+from sim.plant import production
+from sim.plant.decanter import DecanterPlant
+from sim.sha import Trace
+from sim.traces import write_trace
+
+ODD_FROM, ODD_HEAT, SCATTER = 10, 1.5, 0.05
+ON_PAPER = 10_000
+
+
+def machine(number: int, heat: float, days: int, seed: int) -> Trace:
+    """Production of a machine whose bearings make `heat` times what the plant's make."""
+    new = DecanterPlant()
+    plant = DecanterPlant(idle_heat=new.idle_heat * heat, heat_per_ampere=new.heat_per_ampere * heat)
+    return production(days, seed=seed + number, plant=plant)
+
+
+def write_fleet(folder: Path, size: int, days: int, seed: int) -> str:
+    """The machines' traces; the name of the odd one, if there is one."""
+    rng = np.random.default_rng(seed)
+    odd = f"m{int(rng.integers(size)):03d}" if size >= ODD_FROM else ""
+    for number in range(size):
+        name = f"m{number:03d}"
+        heat = float(np.exp(SCATTER * rng.standard_normal())) * (ODD_HEAT if name == odd else 1.0)
+        (own := folder / name).mkdir(parents=True)
+        write_trace(machine(number, heat, days, 1000 * seed), own / f"{name}.csv")
+    return odd
+
+
+def studied(folder: Path, out: Path, jobs: int) -> tuple[dict[str, object], float, float]:
+    """What the command says, the processor time of it and all its workers (s), and the wall time (s)."""
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), monotonic()
+    command = ["model", "fleet", str(folder), "--out", str(out), "--jobs", str(jobs), "--json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "gateway.cli.main", *command], capture_output=True, text=True, check=True
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return json.loads(done.stdout), spent, monotonic() - begin
+
+
+@click.command(help=__doc__)
+@click.option("--sizes", default="1,10,100", show_default=True, help="Machines of each fleet.")
+@click.option("--days", default=4, show_default=True, type=click.IntRange(1), help="Of record of each machine.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0))
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
+def main(sizes: str, days: int, seed: int, as_json: bool) -> None:
+    figures, growth = [], list[tuple[int, float]]()
+    for size in (int(each) for each in sizes.split(",")):
+        with tempfile.TemporaryDirectory(prefix="decanter-fleet-") as scratch:
+            folder = Path(scratch)
+            odd = write_fleet(folder / "machines", size, days, seed)
+            for jobs in (1, 2):
+                said, spent, wall = studied(folder / "machines", out := folder / f"out{jobs}", jobs)
+                with (out / "fleet.csv").open(encoding="utf-8") as file:
+                    rows = list(csv.DictReader(file))
+                name = f"{size} machines, {jobs} workers"
+                alone = sum(float(row["cpu_s"]) for row in rows)
+                figures.append(Figure(f"{name}: processor time", spent, "s", "of which the machines", alone))
+                figures.append(Figure("  wall time", wall, "s"))
+                figures.append(Figure("  most memory of a process", max(float(row["peak_mb"]) for row in rows), "MB"))
+                found = said["outstanding"]
+                figures.append(Figure("  stand out, of them false", len(found), "", "false", len(set(found) - {odd})))
+                if jobs == 1:
+                    growth.append((size, alone))
+    if len(growth) > 1:
+        (small, first), (large, last) = growth[0], growth[-1]
+        exponent = float(np.log(last / first) / np.log(large / small))
+        figures.append(Figure(f"exponent of the machines' processor time, {small} to {large}", exponent, ""))
+        figures.append(Figure(f"{ON_PAPER} machines, on paper, of one core", ON_PAPER * last / large / 3600.0, "h"))
+    give("a fleet, machine by machine", figures, as_json=as_json)
+
+
+if __name__ == "__main__":
+    main()

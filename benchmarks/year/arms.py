@@ -1,0 +1,188 @@
+"""Three ways to have a model over a year, each given the days one by one as they end, and nothing of those to come."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from pathlib import Path
+from typing import Protocol
+
+from benchmarks.retraining import write_historian
+from benchmarks.year.plant import DAY, TEMPERATURE, Day
+from gateway.lab.retraining.library import CycleLibrary, opened_library
+from gateway.lab.retraining.shadow import LEAST, side_by_side
+from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, due, retrain, source_of
+from sim.artefacts import current, load, promote
+from sim.artefacts.formats import save
+from sim.familiarity import RED, YELLOW
+from sim.learning.bins import learn_bins
+from sim.sha import DECANTER, Model, Trace
+
+AFTER, EVERY = 10, 60.0
+"""New cycles that are not ordinary, and days, after which a retraining is due (`--after`, `--every`)."""
+ROWS = 30_000
+"""Scans that a retraining learns from (`--rows`): about fifty cycles."""
+JUDGED = 8
+"""Forecasts by which a cycle judges a model, at most."""
+PROVING = 2
+"""Days that were simulated after a promotion until the former version is asked once more."""
+MACHINE = "decanter"
+
+
+@dataclass(frozen=True, slots=True)
+class Happening:
+    """What the loop did on the evening of a `day` of the year: a `kind`, a version, and why, in the product's words."""
+
+    day: float
+    kind: str
+    version: str
+    words: str
+
+
+class Arm(Protocol):
+    """A way to have a model: `model` is the one that forecasts next, `evening` takes the day that has ended."""
+
+    model: Model
+    happenings: list[Happening]
+    former: dict[float, Model]
+
+    def evening(self, day: Day) -> None:
+        """Take the day's readings."""
+
+
+def learned(traces: Sequence[Trace], seed: int) -> Model:
+    """The model of these days."""
+    bare = [replace(trace, events=()) for trace in traces]
+    return learn_bins(bare, DECANTER, TEMPERATURE, seed=seed, name=MACHINE).model
+
+
+class Once:
+    """The model that was learned at the beginning."""
+
+    def __init__(self, model: Model) -> None:
+        self.model, self.happenings, self.former = model, list[Happening](), dict[float, Model]()
+
+    def evening(self, day: Day) -> None:
+        """Nothing is learned."""
+
+
+class Daily:
+    """Learned anew each evening from all days so far."""
+
+    def __init__(self, model: Model, begin: Sequence[Trace], seed: int) -> None:
+        self.model, self.happenings, self.former = model, list[Happening](), dict[float, Model]()
+        self._traces, self._seed = list(begin), seed
+
+    def evening(self, day: Day) -> None:
+        """Learn from everything."""
+        self._traces.append(day.trace)
+        self.model = learned(self._traces, self._seed)
+
+
+class Loop:
+    """The product's own loop as a timer would call it each night, with the stated policy (`shadow --promote`).
+
+    A candidate that has enough live cycles is held against the running version; a promoted version against the one
+    before it, once, PROVING days after its promotion, and rolled back where it is worse; and a retraining begins where
+    one is due, from the `history` of the first model too (`--traces`). `former` is the model that ran before each
+    promotion, by its day: for the judge.
+    """
+
+    def __init__(self, model: Model, history: Sequence[Trace], folder: Path, seed: int, begin: float) -> None:
+        self.model, self.happenings, self.former = model, list[Happening](), dict[float, Model]()
+        self._store, self._historian, self._library = folder / "store", folder / "historian.sqlite", folder / "cycles"
+        self._seed, self._candidate, self._proving = seed, "", 0
+        self._history = [replace(trace, events=()) for trace in history]
+        promote(self._store, save(self._store, model, created=begin))
+
+    def evening(self, day: Day) -> None:
+        """What the commands would do in the night after the day."""
+        write_historian(self._historian, replace(day.trace, events=()))
+        now = float(day.trace.times[-1])
+        with opened_library(self._library, machine=MACHINE, temperature=TEMPERATURE) as library:
+            request = self._request()
+            cut_and_rate(request, library, source_of(request, now), _silent)
+            if self._candidate:
+                self._shadow(library, day)
+            elif self._proving:
+                self._proving -= 1
+                if not self._proving:
+                    self._prove(library, day)
+            if not self._candidate:
+                self._retrain(library, day, now)
+        self.model = load(self._store)
+
+    def _request(self) -> RetrainingRequest:
+        return RetrainingRequest(
+            store=self._store,
+            historian=self._historian,
+            machine=MACHINE,
+            since=None,
+            standard=(),
+            former=self._history,
+            method=None,
+            seed=self._seed,
+            rows=ROWS,
+            trials=0,
+            diagnosis=False,
+            yellow=YELLOW,
+            red=RED,
+            forecasts=JUDGED,
+        )
+
+    def _shadow(self, library: CycleLibrary, day: Day) -> None:
+        before, model = current(self._store), self.model
+        found = side_by_side(
+            self._store,
+            self._historian,
+            library,
+            machine=MACHINE,
+            version=self._candidate,
+            promotes=True,
+            seed=self._seed,
+            report=_silent,
+            most=JUDGED,
+        )
+        if found.cycles < LEAST:
+            return
+        self._note(day, "promotion" if found.promoted else "left", self._candidate, found.sentence)
+        if found.promoted and found.promoted != before:
+            self.former[day.number] = model
+            self._proving = PROVING
+        self._candidate = ""
+
+    def _prove(self, library: CycleLibrary, day: Day) -> None:
+        found = side_by_side(
+            self._store,
+            self._historian,
+            library,
+            machine=MACHINE,
+            roll_back=True,
+            seed=self._seed,
+            report=_silent,
+            most=JUDGED,
+        )
+        if found.promoted:
+            self._note(day, "roll-back", found.promoted, found.sentence)
+
+    def _retrain(self, library: CycleLibrary, day: Day, now: float) -> None:
+        request = self._request()
+        source = source_of(request, now)
+        finished = library.fact("finished")
+        age = inf if finished is None else now - finished["at"]
+        if not due(library, source.model, after=AFTER, drifting=False, age=age, every=EVERY * DAY):
+            return
+        try:
+            found = retrain(request, library, source, report=_silent, clock=lambda: now)
+        except ValueError as refusal:
+            # Too few new cycles: the timer comes again tomorrow.
+            self._note(day, "too early", "", str(refusal).split(": ", 1)[-1])
+            return
+        self._candidate = found.version
+        self._note(day, "proposal" if found.proposed else "no proposal", found.version, found.sentence)
+
+    def _note(self, day: Day, kind: str, version: str, words: str) -> None:
+        self.happenings.append(Happening(day.number, kind, version, words))
+
+
+def _silent(_what: str, _share: float) -> None:
+    """A report to nobody."""

@@ -1,0 +1,198 @@
+"""`decanter model fleet`: many machines of one type, each judged by itself, here or on a cluster."""
+
+from __future__ import annotations
+
+import csv
+import os
+from contextlib import nullcontext
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from drivers.named_files import writing
+from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.entry import Exit, fail, interruptible, sentences
+from gateway.lab.fleet.sources import sources_in
+from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, claimed, study
+from gateway.lab.show import spread_sentence
+from sim.sha import shown_unit
+from sim.traces import load_map
+from sim.workers import cluster, processes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TABLE, PICTURE = "fleet.csv", "fleet.png"
+MOST_NAMED = 40
+"""Machines that are named at the axis of the picture; of more only those that stand out are."""
+COSTS = ("cpu_s", "peak_mb")
+"""Columns that are in the file alone."""
+PLAIN, STRIKING, BAND = "#1f6fb4", "#b3261e", "#e4e8ec"
+
+
+@click.command("fleet", short_help="Learn a type's model from many machines; say which stands out.")
+@click.argument("place")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="The folder to write.")
+@map_option
+@click.option("--temperature", metavar="SIGNAL", help="The signal that is predicted.  [default: the map's]")
+@click.option("--schema", default="decanter", show_default=True, help="Of a database: the schema of its samples.")
+@click.option(
+    "--sample", type=click.IntRange(1), default=12, show_default=True, help="Machines that teach the type's model."
+)
+@click.option("--own", is_flag=True, help="Learn a model of each machine's own too.")
+@click.option("--diagnose", "diagnosis", is_flag=True, help="Diagnose each machine against its corrected type.")
+@click.option("--jobs", type=click.IntRange(1), help="Worker processes.  [default: one a core]")
+@click.option("--cluster", "address", help="Work on the Dask cluster whose scheduler is at this address (tcp://...).")
+@seed_option
+@json_option
+def fleet(
+    place: str,
+    out: Path,
+    map_name: str,
+    temperature: str | None,
+    schema: str,
+    sample: int,
+    own: bool,
+    diagnosis: bool,
+    jobs: int | None,
+    address: str | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Learn one model from machines of a type, each machine's own targets, and say which machine stands out.
+
+    PLACE is a folder or glob of traces (whose machine the map tells), a Parquet file of `samples` that `decanter
+    historian export` wrote, or a PostgreSQL address (postgresql://...) with the table that [[northbound.postgres]]
+    fills. Each machine's result is kept in --out as soon as it is there, and the same command goes on after a kill.
+    What is held out is the last quarter of each machine's record.
+    """
+    try:
+        with sentences(), progress("fleet") as bar, interruptible(bar) as report:
+            column_map = load_map(shipped("traces", map_name))
+            request = FleetRequest(
+                sources=sources_in(place, column_map, schema),
+                column_map=column_map,
+                temperature=temperature or column_map.temperature,
+                out=out,
+                sample=sample,
+                own=own,
+                diagnosis=diagnosis,
+                seed=seed,
+            )
+            count = jobs or len(os.sched_getaffinity(0))
+            with (
+                claimed(out),
+                nullcontext(processes(count)) if address is None else cluster(address) as workers,
+            ):
+                found = study(request, workers, (lambda _: None) if as_json else click.echo, report)
+                write_table(found, out / TABLE)
+                draw(found, out / PICTURE)
+    except KeyboardInterrupt:
+        what = f"what was done lies in {out / RESULTS}, and the same command goes on"
+        fail(f"stopped before the end; {what}", Exit.INTERRUPTED)
+    unit = shown_unit(found.model.unit)
+    failed = {name: result.failure for name, result in found.results.items() if result.failure}
+    data: dict[str, Any] = {
+        "model": str(out / MODEL),
+        "picture": str(out / PICTURE),
+        "unit": unit,
+        "spread": asdict(found.spread),
+        "outstanding": found.outstanding,
+        "failed": failed,
+        "machines": rows_of(found),
+    }
+
+    def show() -> None:
+        rows = [{name: row[name] for name in row if name not in COSTS} for row in rows_of(found)[:MOST_NAMED]]
+        title = f"{len(found.results)} machines: targets off the type's, held-out free-run errors, in {unit}"
+        table(title, list(rows[0]), [list(row.values()) for row in rows])
+        if len(found.results) > len(rows):
+            click.echo(f"the {len(found.results) - len(rows)} that lie nearest to the type are in {out / TABLE}")
+        if len(found.spread.offsets) <= MOST_NAMED:
+            click.echo(spread_sentence(found.spread, unit))
+        else:
+            apart, ahead = f"{found.spread.between:.3g} {unit}", f"{found.spread.sigma:.3g} {unit}"
+            click.echo(f"machines: {apart} between them, {ahead} for the next one")
+        for name, chance in found.outstanding.items():
+            offset = found.spread.offsets[name]
+            sentence = f"{name} stands out: its targets lie {offset:+.3g} {unit} off the type's (chance {chance:.1g})"
+            click.secho(sentence, fg="yellow")
+        if not found.outstanding:
+            click.echo("no machine stands out")
+        click.echo(f"model of the type, with each machine's own: {out / MODEL}\npicture: {out / PICTURE}")
+
+    emit(data, show, as_json_line=as_json)
+
+
+def rows_of(found: FleetFindings) -> list[dict[str, Any]]:
+    """A row a machine, the one furthest from the type first, those that failed last."""
+
+    def row(name: str) -> dict[str, Any]:
+        result = found.results[name]
+        errors: dict[str, float | None] = dict.fromkeys(("type", "corrected", "own"))
+        errors |= {what: round(error, 2) for what, error in result.held_out.items()}
+        return {
+            "machine": name,
+            "hours": round(result.hours, 1),
+            "targets": None if result.offset is None else round(result.offset, 2),
+            "+-": None if result.error is None else round(result.error, 2),
+            "stands out": name in found.outstanding,
+            **errors,
+            "verdict": result.verdict,
+            "effects": " ".join(result.effects),
+            "failure": result.failure,
+            "cpu_s": round(result.cpu_s, 2),
+            "peak_mb": round(result.peak_mb),
+        }
+
+    failed = [name for name, result in found.results.items() if result.offset is None]
+    judged = {name: abs(result.offset) for name, result in found.results.items() if result.offset is not None}
+    rows = [row(name) for name in [*sorted(judged, key=lambda name: -judged[name]), *failed]]
+    # What nothing is said of in any row is no column.
+    told = [key for key in rows[0] if any(each[key] not in (None, "") for each in rows)]
+    return [{key: each[key] for key in told} for each in rows]
+
+
+def write_table(found: FleetFindings, path: Path) -> None:
+    """All machines as CSV. Raises OSError."""
+    rows = rows_of(found)
+    with writing(path), path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def draw(found: FleetFindings, path: Path) -> None:
+    """The machines' targets with their errors, and the band in which nine of ten machines of the type are expected."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    spread = found.spread
+    names = sorted(spread.offsets, key=lambda name: spread.offsets[name])
+    figure: Figure = Figure(figsize=(10, 1.8 + min(0.22 * len(names), 9.0)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    place = np.arange(len(names))
+    offset, error = (np.array([each[name] for name in names]) for each in (spread.offsets, spread.errors))
+    if spread.sigma > 0:
+        mean = float(np.average(offset, weights=1.0 / (spread.between**2 + error**2)))
+        reach = 1.645 * spread.sigma
+        axes.axvspan(mean - reach, mean + reach, color=BAND, label="90 % of machines of this type", zorder=0)
+    for striking, colour, label in ((False, PLAIN, "machine, 90 % interval"), (True, STRIKING, "stands out")):
+        rows = np.array([(name in found.outstanding) == striking for name in names], dtype=bool)
+        if rows.any():
+            axes.errorbar(
+                offset[rows], place[rows], xerr=1.645 * error[rows], fmt="o", color=colour, ms=4, lw=1, label=label
+            )
+    named = [number for number, name in enumerate(names) if len(names) <= MOST_NAMED or name in found.outstanding]
+    axes.set_yticks(named, [names[number] for number in named])
+    axes.axvline(0.0, color="#555555", lw=0.8)
+    axes.set_xlabel(f"targets above the type's, {shown_unit(found.model.unit)}")
+    axes.set_title(f"{len(names)} machines of a type")
+    axes.grid(axis="x", alpha=0.3)
+    axes.legend(loc="lower right")
+    with writing(path):
+        figure.savefig(path, dpi=130)

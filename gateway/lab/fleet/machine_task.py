@@ -1,0 +1,130 @@
+"""What is done for one machine of a fleet: its own targets, and what the models are worth on what none of them saw."""
+
+import resource
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from gateway.lab.diagnose import check_traces, roles_of
+from gateway.lab.fleet.sources import MachineSource
+from sim.discrepancy import diagnose
+from sim.effects import of_machine
+from sim.engine import errors, open_loop
+from sim.learning import LearningError, believed, own_targets
+from sim.learning.bins import learn_bins
+from sim.sha import Alphabet, Model, Trace, encode
+from sim.traces import ColumnMap
+
+LAST = 4
+"""The last of so many parts of a machine's record is held out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetTask:
+    """A machine's `source`, the `model` of its type, and what is wanted: a model of its `own`, a diagnosis.
+
+    `between` (degC) is the spread of targets between machines that the type's training told.
+    """
+
+    source: MachineSource
+    column_map: ColumnMap
+    model: Model
+    between: float
+    own: bool
+    diagnosis: bool
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MachineResult:
+    """What came of a machine; `failure` says why nothing did.
+
+    `offset` and `error` (degC): how far its targets lie from its type's, and the standard error. `held_out` (degC): the
+    mean absolute free-run error on the last part of its record of the `type`, of the type `corrected` by what the
+    rest of its record told, and of a model of its `own`. `verdict` and `effects` are the diagnosis' of the corrected
+    type. `cpu_s` and `peak_mb` are what that took, in the process that did it.
+    """
+
+    machine: str
+    failure: str = ""
+    rows: int = 0
+    hours: float = 0.0
+    offset: float | None = None
+    error: float | None = None
+    held_out: dict[str, float] = field(default_factory=dict)
+    verdict: str = ""
+    effects: tuple[str, ...] = ()
+    cpu_s: float = 0.0
+    peak_mb: float = 0.0
+    own: Model | None = None
+
+
+def judged(task: FleetTask) -> MachineResult:
+    """The task done, or the sentence of what stood in its way."""
+    begin = time.process_time()
+    try:
+        result = _judged(task)
+    except (ValueError, OSError) as error:
+        result = MachineResult(machine=task.source.machine, failure=str(error))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return replace(result, cpu_s=time.process_time() - begin, peak_mb=peak)
+
+
+def encoded(source: MachineSource, column_map: ColumnMap, alphabet: Alphabet) -> list[Trace]:
+    """The traces of a machine with the events of an alphabet. Raises ValueError."""
+    traces = source.traces(column_map)
+    return [replace(trace, machine=source.machine, events=encode(trace, alphabet)) for trace in traces]
+
+
+def _judged(task: FleetTask) -> MachineResult:
+    name, model = task.source.machine, task.model
+    traces = encoded(task.source, task.column_map, model.alphabet)
+    check_traces(model, traces, f"machine {name}")
+    first, last = parted(traces, model.alphabet)
+    fit = own_targets(model, first)
+    machines = {name: believed(fit.correction.offset, fit.offset_error, task.between)} if task.between > 0 else {}
+    corrected = of_machine(replace(model, machines=machines), name) if machines else model
+    candidates, own = {"type": model, "corrected": corrected}, None
+    if task.own:
+        own = learn_bins(first, model.alphabet, model.temperature, seed=task.seed, name=name).model
+        candidates["own"] = own
+    found: dict[str, Any] = {}
+    if task.diagnosis:
+        diagnosis = diagnose(corrected, traces, seed=task.seed, roles=roles_of(task.column_map)).diagnosis
+        found = {"verdict": diagnosis.verdict, "effects": tuple(effect.name for effect in diagnosis.effects)}
+    return MachineResult(
+        machine=name,
+        rows=sum(trace.times.size for trace in traces),
+        hours=sum(float(np.ptp(trace.times)) for trace in traces) / 3600.0,
+        offset=fit.correction.offset,
+        error=fit.offset_error,
+        held_out={what: _error(each, last) for what, each in candidates.items()},
+        own=own,
+        **found,
+    )
+
+
+def parted(traces: Sequence[Trace], alphabet: Alphabet) -> tuple[list[Trace], list[Trace]]:
+    """What is learned from, and the last quarter: of the traces in their order, of each one's rows where they are few.
+
+    Raises LearningError where nothing would be left.
+    """
+    if len(traces) >= LAST:
+        count = len(traces) // LAST
+        return list(traces[:-count]), list(traces[-count:])
+    if any(trace.times.size < LAST for trace in traces):
+        raise LearningError(f"trace {traces[0].name!r} has too few rows to hold a part of them out")
+    halves = []
+    for trace in traces:
+        cut = float(trace.times[trace.times.size * (LAST - 1) // LAST])
+        pieces = (trace.between(-np.inf, cut), trace.between(cut, np.inf))
+        halves.append([replace(piece, events=encode(piece, alphabet)) for piece in pieces])
+    return [first for first, _ in halves], [last for _, last in halves]
+
+
+def _error(model: Model, traces: Sequence[Trace]) -> float:
+    runs = [errors(open_loop(model, trace, "resync"), trace, model.temperature) for trace in traces]
+    return float(np.mean([run.at_samples.mae for run in runs]))

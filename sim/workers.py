@@ -1,0 +1,194 @@
+"""Work for several processes, on this computer or on a Dask cluster: who does it, in which order, what a kill costs.
+
+What is done depends on the item alone, so that results do not depend on the number of workers or on where they run.
+"""
+
+import logging
+import re
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import CancelledError
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any, Protocol, TypeVar
+from warnings import catch_warnings, simplefilter
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+KILLED = "a worker process was killed, most often for want of memory; take fewer --jobs or --runs"
+ADDRESS = re.compile(r"(tcp|tls)://(\[[0-9a-fA-F:.%]+\]|[^\s:/\[\]]+):[0-9]{1,5}")
+"""What a Dask scheduler's address looks like."""
+REACHABLE_WITHIN = 10.0
+"""Seconds in which a cluster must answer and have a worker."""
+PATIENCE = 3
+"""So many times that long a cluster may be without any worker while work waits for it: a nanny starts a new one."""
+
+
+class Workers(Protocol):
+    """`function` of each item, wherever they are done; `lost` gives what stands for an item that could not be done.
+
+    `lost` gets the item and the reason. `ordered`: results come in the items' order, else each as soon as it is there.
+    """
+
+    def __call__(
+        self, function: Callable[[T], R], items: Sequence[T], lost: Callable[[T, str], R], *, ordered: bool = True
+    ) -> Iterator[R]: ...
+
+
+def processes(count: int) -> Workers:
+    """Work in this process where `count` is 1, else in so many of their own."""
+
+    def run(
+        function: Callable[[T], R], items: Sequence[T], lost: Callable[[T, str], R], *, ordered: bool = True
+    ) -> Iterator[R]:
+        if count == 1:
+            return map(function, items)
+        return parallel(function, items, count, lambda item: lost(item, KILLED), ordered=ordered)
+
+    return run
+
+
+def parallel(
+    function: Callable[[T], R],
+    items: Sequence[T],
+    workers: int,
+    lost: Callable[[T], R] | None = None,
+    *,
+    ordered: bool = True,
+) -> Iterator[R]:
+    """`map` over processes.
+
+    When a process is killed, the first item without a result is done again by itself and the rest goes on after it. If
+    it is killed then too, `lost` says what stands in its place; without `lost` that raises ValueError.
+    """
+    from joblib import Parallel, delayed
+
+    left, alone = dict(enumerate(items)), False
+    while left:
+        part = dict(list(left.items())[:1]) if alone else dict(left)
+        work = Parallel(n_jobs=workers, return_as="generator" if ordered else "generator_unordered")
+        try:
+            with _quietly_closed(work(delayed(_numbered)(function, *each) for each in part.items())) as results:
+                for number, result in results:
+                    yield result
+                    del left[number]
+            alone = False
+        except BrokenProcessPool:
+            if alone:
+                if lost is None:
+                    raise ValueError(KILLED) from None
+                (number,) = part
+                yield lost(left.pop(number))
+            alone = not alone
+
+
+def _numbered(function: Callable[[T], R], number: int, item: T) -> tuple[int, R]:
+    return number, function(item)
+
+
+@contextmanager
+def _quietly_closed(results: Generator[R, None, None]) -> Iterator[Generator[R, None, None]]:
+    """Where the caller stops early, joblib need not say what was left undone."""
+    try:
+        yield results
+    finally:
+        with catch_warnings():
+            simplefilter("ignore", UserWarning)
+            results.close()
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Workers]:
+    """The workers of the Dask scheduler at `address` (tcp://host:port), which must have this package too.
+
+    What a worker cannot do (it was killed, it lacks the package) is lost. Raises ValueError without the extra
+    `cluster`, where no scheduler answers within REACHABLE_WITHIN or it has no worker, and when the scheduler or all
+    workers go away for good.
+    """
+    try:
+        distributed = import_module("distributed")
+    except ImportError:
+        raise ValueError(
+            "--cluster needs Dask, which is not installed; install the extra: pip install 'decanter-gateway[cluster]'"
+        ) from None
+    # The address is looked at before a client is made: one that cannot be made waits 20 s and complains when it is
+    # collected.
+    if not ADDRESS.fullmatch(address):
+        raise ValueError(f"{address!r}: no Dask scheduler answers there, as it is no address; give tcp://HOST:PORT")
+    if address.startswith("tls") and distributed.Security().get_connection_args("client").get("ssl_context") is None:
+        raise ValueError(
+            f"{address}: a TLS connection needs its certificates in Dask's configuration (distributed.comm.tls); "
+            "see Dask's documentation on TLS"
+        )
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it would say becomes a sentence here
+    try:
+        client = distributed.Client(address, timeout=REACHABLE_WITHIN, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ValueError(
+            f"{address}: no Dask scheduler answers there ({_reason(error)}); give tcp://HOST:PORT"
+        ) from None
+
+    def run(
+        function: Callable[[T], R], items: Sequence[T], lost: Callable[[T, str], R], *, ordered: bool = True
+    ) -> Iterator[R]:
+        # Not pure: Dask takes a pure call with equal arguments for one that it has done already.
+        items_of = {client.submit(function, item, pure=False): item for item in items}
+        for future in items_of if ordered else _as_they_end(list(items_of), client):
+            error = waited_for(future, client, address)
+            if error is None:
+                yield future.result()
+            else:
+                reason = f"the cluster could not run it ({type(error).__name__}: {_reason(error)})"
+                yield lost(items_of[future], reason)
+
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=REACHABLE_WITHIN)
+        except TimeoutError:
+            raise ValueError(f"{address}: the Dask scheduler has no worker; start one: dask worker {address}") from None
+        yield run
+
+
+def _as_they_end(futures: Sequence[Any], client: Any) -> Iterator[Any]:
+    """The futures, those that are over first; where no worker is left, the next in turn for `waited_for` to judge."""
+    distributed, left = import_module("distributed"), dict.fromkeys(futures)
+    while left:
+        over = [future for future in left if future.done()]
+        if not over:
+            try:
+                with client.as_current():
+                    distributed.wait(list(left), timeout=REACHABLE_WITHIN, return_when="FIRST_COMPLETED")
+                continue
+            except TimeoutError:
+                if client.scheduler_info()["workers"]:
+                    continue
+            except (OSError, CancelledError):
+                pass
+            over = [next(iter(left))]
+        for future in over:
+            del left[future]
+            yield future
+
+
+def waited_for(future: Any, client: Any, address: str) -> BaseException | None:
+    """What went wrong with a future, once it is over. Raises ValueError when there is nobody left to do it."""
+    without = 0
+    try:
+        while without < PATIENCE:
+            try:
+                error: BaseException | None = future.exception(timeout=REACHABLE_WITHIN)
+            except TimeoutError:
+                without = 0 if client.scheduler_info()["workers"] else without + 1
+            else:
+                if future.cancelled():
+                    break
+                return error
+    except OSError:
+        without = 0
+    reason = "the cluster has no worker any more" if without else "the connection to the Dask scheduler was lost"
+    raise ValueError(f"{address}: {reason}; start it again, and the command")
+
+
+def _reason(error: BaseException) -> str:
+    return " ".join(str(error).split())[:300] or type(error).__name__

@@ -1,0 +1,89 @@
+"""The year's machinery on a few days: the plant changes as stated, and the loop acts by the product's own code."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.year.arms import Loop, Once
+from benchmarks.year.judge import HORIZONS, day_score
+from benchmarks.year.plant import BEARING, SENSOR, TEMPERATURE, Day, days_before, days_of, overheated, plant_on
+from gateway.lab.retraining import shadow, study
+from gateway.lab.retraining.judging import NEW, PRESENT
+from gateway.store import newest_scan, reading
+from sim.artefacts import current, versions
+from sim.ranking import METHODS, Taught
+from sim.sha import Trace
+from tests.retraining.test_retraining import BEGIN, heated, plant
+
+SEED = 3
+
+
+def test_the_plant_wears_and_changes_on_its_days() -> None:
+    assert plant_on(200.0).idle_heat > plant_on(0.0).idle_heat > plant_on(-20.0).idle_heat
+    assert plant_on(BEARING).idle_heat == plant_on(0.0).idle_heat
+    assert plant_on(SENSOR).sensor_lag > plant_on(SENSOR - 1.0).sensor_lag
+    first, again = days_before(1, seed=SEED)[0], days_before(1, seed=SEED)[0]
+    assert np.array_equal(first.signals[TEMPERATURE], again.signals[TEMPERATURE])
+    assert first.times[-1] < days_of(1, 1, seed=SEED)[0].trace.times[0]
+
+
+def test_the_limit_is_counted_once_until_it_is_left() -> None:
+    readings = np.repeat([50.0, 56.0, 54.0, 56.0, 50.0, 56.0], 6)
+    trace = Trace("heat", np.arange(36.0), {TEMPERATURE: readings})
+    assert overheated(trace) == pytest.approx([6.0, 30.0], abs=1.0)
+
+
+def test_a_day_is_judged_at_every_horizon() -> None:
+    day = days_of(1, 1, seed=SEED)[0]
+    morning = replace(day, trace=day.trace.between(day.trace.times[0], day.trace.times[0] + 5400.0))
+    score = day_score("once", heated(50.0), morning, seed=0)
+    assert len(score.mae) == len(HORIZONS) and all(0 < value < 30 for value in score.mae)
+    assert score.mae[0] < score.mae[-1] and all(0 <= value <= 1 for value in score.coverage)
+
+
+@pytest.mark.parametrize(("worth", "runs"), [(0.5, "new"), (1.5, "first")])
+def test_the_loop_promotes_what_is_better_on_live_cycles_and_nothing_else(
+    worth: float, runs: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Learning and forecasting are stubbed: on cycles held out the new model is better, on live ones so many times."""
+    asked: list[float] = []
+
+    def judged(factor: float) -> Any:
+        def judge(trace: Trace, *_: Any, **__: Any) -> list[dict[str, Any]]:
+            asked.append(float(trace.times[-1]))
+            present = 1.0 + 0.1 * np.random.default_rng(int(trace.times[0])).random()
+            rows = {PRESENT: present, NEW: factor * present}
+            return [
+                {"trace": trace.name, "horizon": 60.0, "method": name, "crps": crps, "coverage": 0.9}
+                for name, crps in rows.items()
+            ]
+
+        return judge
+
+    first, new = heated(50.0), heated(60.0)
+    learn = replace(METHODS["bins"], learn=lambda *_: Taught(new, {}))
+    monkeypatch.setitem(METHODS, "bins", learn)
+    monkeypatch.setattr(study, "report_files", lambda *_: {"retraining_report.txt": "drawn in another test"})
+    monkeypatch.setattr(study, "scores_along", judged(0.5))
+    monkeypatch.setattr(shadow, "scores_along", judged(worth))
+    days = [Day(0, float(number), plant(11, BEGIN + 86_400.0 * number)) for number in range(4)]
+    earlier = [plant(2, BEGIN - 86_400.0)]
+    loop, once = Loop(first, earlier, tmp_path, 0, BEGIN - 1.0), Once(first)
+    for day in days:
+        loop.evening(day)
+        once.evening(day)
+        assert all(moment <= day.trace.times[-1] for moment in asked), "nothing of the days to come"
+    with reading(tmp_path / "historian.sqlite") as connection:
+        assert newest_scan(connection) == pytest.approx(days[-1].trace.times[-1])
+    kinds = [each.kind for each in loop.happenings]
+    assert "proposal" in kinds and once.model == first
+    store = tmp_path / "store"
+    if runs == "new":
+        assert "promotion" in kinds and "left" not in kinds
+        assert current(store) == versions(store)[1] and loop.model.sha == new.sha
+        assert next(iter(loop.former.values())) == first, "the judge asks what ran before"
+    else:
+        assert "left" in kinds and "promotion" not in kinds and current(store) == versions(store)[0]
