@@ -23,7 +23,7 @@ from sim.plc.program.writeback import WRITER
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, read_recording
 from tests.rig.blocks import old_numbers, unaccounted
-from tests.rig.pair import FOLLOWING, MAP, Gateway, Plc, Rig, end, make_rig, restless_trace
+from tests.rig.pair import FOLLOWING, MAP, PATIENCE_S, Gateway, Plc, Rig, end, make_rig, restless_trace
 
 KILLS, SEED, PERIOD = 12, 56, 0.1
 VICTIMS = ("plc", "gateway", "both")
@@ -58,6 +58,13 @@ class Bench:
     seen: Rows = field(default_factory=dict)
     losses: list[dict[str, int]] = field(default_factory=list)
     ended_by_itself: list[str] = field(default_factory=list)
+
+    def busy(self, rows: int) -> None:
+        """Wait until more than so many scans and writes are on record: where kills were early there is little else."""
+        deadline = time.monotonic() + PATIENCE_S
+        while min((kept := committed(self.rig.historian))["scans"].total(), kept["writes"].total()) <= rows:
+            assert time.monotonic() < deadline, {table: found.total() for table, found in kept.items()}
+            time.sleep(0.2)
 
     def well(self) -> None:
         """Wait until good readings arrive and blocks are confirmed."""
@@ -125,6 +132,7 @@ def many_kills(folder: Path, count: int = KILLS, seed: int = SEED, mode: str = "
             kills[victim] += 1
             bench.kill(victim)
         bench.well()
+        bench.busy(14 * count)
         code, _ = bench.gateway.stop()
         bench.check()
         bench.plc.order("stop")
