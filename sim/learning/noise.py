@@ -21,7 +21,7 @@ from sim.effects import DisturbanceStep, disturbance_step
 from sim.engine import repeat_factor
 from sim.learning.data import resolution
 from sim.learning.free_run import RATES, FitShape, FreeRunFit, loads
-from sim.learning.runs import FreeRuns, Indices, stretches
+from sim.learning.runs import FreeRuns, Indices, sampled
 from sim.sha import FLOWS, RELAXING, Array, Effect, Flow, Mask, coefficients
 
 HORIZONS = (60.0, 300.0, 900.0)
@@ -29,9 +29,6 @@ CHUNK = 150
 """Knots of a chunk at most: the filter's loop has so many rounds, however long the runs are."""
 ORIGINS = 400
 """Pairs of readings by which each horizon is judged, at most."""
-LONGEST_STEP = 60.0
-"""Seconds between the readings that noise is told from, where there are so many: the shortest horizon. Over steps of
-many minutes what the flows do not describe adds up, and would be taken for noise of every second (record 0158)."""
 STEP = 1e-4
 """Of the logarithms, for the gradient by forward differences."""
 WORTH = 2.0
@@ -517,8 +514,7 @@ def fit_noise(
     """The noise of greatest composite likelihood, the means given by `fit`.
 
     `groups` (L,) numbers the locations that share one process noise. `floor` is the least sensor sigma (degC); the
-    sensor's own rounding, step/sqrt(12), is taken where that is more. About `budget` knots are looked at, close
-    together however long the time is (`stretches`): give all of the runs, not what was thinned for the means. Of
+    sensor's own rounding, step/sqrt(12), is taken where that is more. Rows are sampled to about `budget` knots. Of
     disturbances and errors of the sensor with one of the `memories` the likeliest is taken, if it is worth it on data
     held out.
     """
@@ -537,7 +533,7 @@ def fit_noises(
 ) -> list[NoiseLevels]:
     """The noise without a disturbance and, where one is worth it, the noise with it (`fit_noise`)."""
     memories = memories or Memories()
-    few = stretches(runs, budget, LONGEST_STEP)
+    few = sampled(runs, budget)
     steps = _steps(few, shape, fit, groups)
     floor = max(floor, resolution(runs.reading) / sqrt(12.0))
     (task,) = _tasks(steps, groups, shape, floor)

@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.learning.free_run import FitShape, FreeRunFit
 from sim.learning.noise import fit_noises
-from sim.learning.runs import free_runs
+from sim.learning.runs import free_runs, sampled
 from sim.sha import SHA, Flow, Location, PlainMember, Trace
 
 PERSISTENCE, TREND = "persistence", "damped trend"
@@ -27,7 +27,7 @@ def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember,
     The trend is left out where no memory of heat is worth it on data held out.
     """
     anywhere = SHA("plain", (Location("any", Flow("constant", {"noise": 0.0}), entry="none"),), (), "any")
-    runs = free_runs([replace(trace, events=()) for trace in traces], anywhere, temperature)
+    runs = sampled(free_runs([replace(trace, events=()) for trace in traces], anywhere, temperature), BUDGET)
     none, nothing = np.full(1, -1, dtype=np.intp), np.zeros(0)
     shape = FitShape(
         kinds=("constant",),

@@ -13,7 +13,7 @@ from sim.sha import SHA, UNKNOWN, Alphabet, Array, Mask, Switch, Trace, transiti
 Indices = NDArray[np.intp]
 
 WINDOWS = 20
-"""Stretches that are left of what is too long (`sampled`, `stretches`)."""
+"""Into which `sampled` cuts what is too long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,40 +258,18 @@ def thinned(runs: FreeRuns, budget: int) -> FreeRuns:
 
 
 def sampled(runs: FreeRuns, budget: int) -> FreeRuns:
-    """`thinned`, and where changes of location alone are too many, whole runs spread evenly over the whole time.
+    """`thinned`, and where changes of location alone are too many, windows spread evenly over the whole time.
 
-    Where single runs are so long that fewer than twenty would be left, there are twenty windows instead, each a run of
-    its own; what lies between them is left out.
+    There are twenty windows, each a run of its own; what lies between them is left out.
     """
     few = thinned(runs, budget)
     if len(few) <= 1.5 * budget:
         return few
-    # Whole runs, since a piece of one ends before a slow location has shown where it is heading: its target would then
-    # follow from its rate, and neither from the data.
-    numbers = np.unique(runs.run)
-    count = numbers.size * budget // len(few)
-    if count >= WINDOWS:
-        kept = numbers[np.linspace(0, numbers.size - 1, count).astype(np.intp)]
-        return thinned(runs.where(np.isin(runs.run, kept)), budget)
-    return _windows(few, budget)
-
-
-def stretches(runs: FreeRuns, budget: int, step: float) -> FreeRuns:
-    """About `budget` knots at most with readings `step` s apart, or as near as they were read: for what is told step by
-    step. Where the whole time is too long for that, twenty windows that span it, each a run of its own.
-    """
-    changes = int(np.count_nonzero(np.diff(runs.stay)))
-    fine = thinned(runs, max(budget, changes + int(runs.dt.sum() / step)))
-    return fine if len(fine) <= 1.5 * budget else _windows(fine, budget)
-
-
-def _windows(runs: FreeRuns, budget: int) -> FreeRuns:
-    """WINDOWS stretches of about `budget` knots in all, spread evenly over the knots, each a run of its own."""
-    count = WINDOWS * max(len(runs) // budget, 1)
-    window = np.arange(len(runs)) * count // len(runs)
+    count = WINDOWS * max(len(few) // budget, 1)
+    window = np.arange(len(few)) * count // len(few)
     kept = np.unique(np.linspace(0, int(window[-1]), WINDOWS).astype(np.intp))
     inside = np.isin(window, kept)
-    part = runs.where(inside)
+    part = few.where(inside)
     # A run may span several windows, and a window several runs: each pair of the two is a run of its own.
     mark = part.run * (int(window[-1]) + 1) + window[inside]
     return _trimmed(replace(part, run=np.cumsum(np.diff(mark, prepend=mark[:1]) != 0)))
