@@ -8,7 +8,7 @@ from typing import Protocol
 
 from benchmarks.retraining import write_historian
 from benchmarks.year.plant import DAY, TEMPERATURE, Day
-from gateway.lab.retraining.library import CycleLibrary, opened_library
+from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
 from gateway.lab.retraining.shadow import LEAST, side_by_side
 from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, due, retrain, source_of
 from sim.artefacts import current, load, promote

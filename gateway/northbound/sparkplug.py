@@ -115,7 +115,7 @@ def host_state(payload: bytes) -> HostState | None:
     try:
         plain = json.loads(payload[:MOST_STATE])
         online, timestamp = plain["online"], plain["timestamp"]
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         return None
     if not isinstance(online, bool) or isinstance(timestamp, bool) or not isinstance(timestamp, int):
         return None

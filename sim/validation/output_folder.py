@@ -112,7 +112,7 @@ def check_folder(path: Path, *, overwrite: bool) -> list[Path]:
 
 @contextmanager
 def held(path: Path) -> Iterator[None]:
-    """Makes the folder and keeps other campaigns out of it until the block ends, however it ends.
+    """Makes the folder and keeps other commands out of it until the block ends, however it ends.
 
     The lock is the system's, on the folder itself; a file system without locks gives none. Raises ValueError where
     another process holds the folder, and where there can be none.
@@ -126,10 +126,10 @@ def held(path: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            reason = "another campaign is writing there; give another folder, or wait for it"
+            reason = "another command is writing there; give another folder, or wait for it"
             raise ValueError(f"{path}: {reason}") from None
         except OSError:
-            pass  # no locks on this file system: better a campaign without one than none
+            pass  # no locks on this file system: better to work without one than not at all
         yield
     finally:
         os.close(handle)

@@ -17,6 +17,7 @@ from sim.learning.bins.candidates import CANDIDATES
 from sim.learning.bins.learn import learn_bins
 from sim.learning.calibrate import HeldOutForecasts
 from sim.traces import write_trace
+from sim.validation import held
 from tests.cli.support import ROOT, decanter, only_object, refused
 from tests.learning.test_machines import of_machine
 
@@ -98,6 +99,6 @@ def test_bad_places_are_one_sentence(plant: Path, tmp_path: Path) -> None:
     refused(decanter("model", "fleet", tmp_path, *out), 2, "no machine")
     refused(decanter("model", "fleet", "postgresql://127.0.0.1:1/x", *out), 2, "127.0.0.1:1/x", "onnection")
     refused(decanter("model", "fleet", tmp_path / "x.parquet", *out), 2, "x.parquet")
-    with study.claimed(plant / "out"):
+    with held(plant / "out"):
         where = ("--map", plant / "map.toml", "--out", plant / "out")
-        refused(decanter("model", "fleet", plant / "machines", *where), 2, "another study works there")
+        refused(decanter("model", "fleet", plant / "machines", *where), 2, "another command is writing there")

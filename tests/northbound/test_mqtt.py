@@ -265,7 +265,15 @@ def test_a_primary_host_that_is_offline_is_told_nothing_and_everything_in_its_or
     feed = plant.feed(sparkplug(plant, broker, broker.tls, primary_host="scada-host"))
     until(lambda: "'scada-host' is not online" in feed.reason)
     assert not listener.payloads("NBIRTH") and not listener.payloads("DDATA")
-    for bad in (b"", b"online", b"[1]", b'{"online": 1, "timestamp": 5}', b'{"online": true}', b"\xff" * 3000):
+    for bad in (
+        b"",
+        b"online",
+        b"[1]",
+        b'{"online": 1, "timestamp": 5}',
+        b'{"online": true}',
+        b"[" * 1000,
+        b"\xff" * 3000,
+    ):
         listener.client.publish(STATE, bad, retain=True)
     listener.client.publish(STATE, state_of(True, 100), qos=1, retain=True)
     until(lambda: feed.delivered == plant.count, 60.0)

@@ -12,8 +12,8 @@ import pytest
 from drivers.tag import Quality, Sample, Tag
 from gateway.lab.retraining import cutting, judging, shadow, study
 from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
+from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
 from gateway.lab.retraining.judging import NEW, PRESENT, compared, scores_along, verdict_on
-from gateway.lab.retraining.library import CycleLibrary, opened_library
 from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, encoded, joined, new_cycles, source_of, sparse
 from gateway.lab.retraining.training_record import read_record
 from gateway.machine.reading import Scan

@@ -108,7 +108,7 @@ def test_names_become_harmless_and_different_parts_of_a_path() -> None:
 def test_a_folder_is_held_by_one_campaign_and_free_again_whatever_ended_it(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with pytest.raises(RuntimeError), held(out):
-        with pytest.raises(ValueError, match="another campaign is writing there"), held(out):
+        with pytest.raises(ValueError, match="another command is writing there"), held(out):
             raise AssertionError("two campaigns in one folder")
         raise RuntimeError
     with held(out):

@@ -16,10 +16,11 @@ from drivers.named_files import writing
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.fleet.sources import sources_in
-from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, claimed, study
+from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.show import spread_sentence
 from sim.sha import shown_unit
 from sim.traces import load_map
+from sim.validation import held
 from sim.workers import cluster, processes
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def fleet(
             )
             count = jobs or len(os.sched_getaffinity(0))
             with (
-                claimed(out),
+                held(out),
                 nullcontext(processes(count)) if address is None else cluster(address) as workers,
             ):
                 found = study(request, workers, (lambda _: None) if as_json else click.echo, report)

@@ -73,6 +73,11 @@ def judged(task: FleetTask) -> MachineResult:
     return replace(result, cpu_s=time.process_time() - begin, peak_mb=peak)
 
 
+def not_done(task: FleetTask, reason: str) -> MachineResult:
+    """The result of a task that no worker could do."""
+    return MachineResult(machine=task.source.machine, failure=reason)
+
+
 def encoded(source: MachineSource, column_map: ColumnMap, alphabet: Alphabet) -> list[Trace]:
     """The traces of a machine with the events of an alphabet. Raises ValueError."""
     traces = source.traces(column_map)

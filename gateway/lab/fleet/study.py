@@ -8,10 +8,7 @@
 A kill at any moment costs the machines that were being worked on: the same command goes on with those that are left.
 """
 
-import fcntl
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -20,7 +17,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from gateway.lab.fleet.machine_task import FleetTask, MachineResult, judged
+from gateway.lab.fleet.machine_task import FleetTask, MachineResult, judged, not_done
 from gateway.lab.fleet.sources import MachineSource
 from gateway.lab.json_rows import append_row, read_rows
 from sim.artefacts import model_hash, read_model
@@ -64,21 +61,6 @@ class FleetFindings:
     outstanding: Mapping[str, float]
 
 
-@contextmanager
-def claimed(out: Path) -> Iterator[None]:
-    """The folder for one study at a time. Raises ValueError where another runs in it, OSError."""
-    out.mkdir(parents=True, exist_ok=True)
-    handle = os.open(out, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(f"{out}: another study works there; wait for it, or give another --out") from None
-        yield
-    finally:
-        os.close(handle)
-
-
 def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], progress: Progress) -> FleetFindings:
     """The whole study; what a former one has done of it is taken from the folder.
 
@@ -108,8 +90,7 @@ def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], 
         )
         for source in left
     ]
-    lost = lambda task, reason: MachineResult(machine=task.source.machine, failure=reason)  # noqa: E731
-    for result in workers(judged, tasks, lost, ordered=False):
+    for result in workers(judged, tasks, not_done, ordered=False):
         if result.own is not None:
             write_model_directory(request.out / MACHINES / quote(result.machine, safe=""), result.own)
         result = replace(result, own=None)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gateway.lab.familiar import LEAST, features_of, free_run_error, strange_words
-from gateway.lab.retraining.library import CycleLibrary, CycleRow, Rating
+from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, Rating
 from gateway.store import newest_scan, oldest_scan, reading, to_trace
 from sim.familiarity import LONGEST, FamiliarityReference
 from sim.sha import Array, Bins, Model, Switch, Trace, content_hash, encode

@@ -8,7 +8,7 @@ import click
 
 from gateway.console import emit, json_option, table
 from gateway.entry import sentences
-from gateway.lab.retraining.library import RATINGS, CycleRow, Rating, opened_library
+from gateway.lab.retraining.cycle_library import RATINGS, CycleRow, Rating, opened_library
 from gateway.lab.retraining.report import coverage_figure
 from sim.pictures import check_picture, save_picture
 

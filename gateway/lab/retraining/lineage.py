@@ -9,7 +9,7 @@ import click
 
 from gateway.console import emit, json_option, map_option, progress
 from gateway.entry import Exit, sentences
-from gateway.lab.retraining.library import opened_library
+from gateway.lab.retraining.cycle_library import opened_library
 from gateway.lab.retraining.study import learned_model
 from gateway.lab.retraining.training_record import code_hash, created_of, read_record, software
 from gateway.lab.traces.load import load

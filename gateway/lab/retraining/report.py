@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gateway.lab.retraining.cycle_library import RATINGS, CycleRow
 from gateway.lab.retraining.judging import NEW, PRESENT, HorizonComparison
-from gateway.lab.retraining.library import RATINGS, CycleRow
 from sim.familiarity import FEATURES, ClassFigures
 from sim.learning import PERSISTENCE
 from sim.pages import page_environment

@@ -12,7 +12,7 @@ import click
 
 from gateway.console import emit, historian_machine_option, json_option, map_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
-from gateway.lab.retraining.library import opened_library
+from gateway.lab.retraining.cycle_library import opened_library
 from gateway.lab.retraining.report import Retraining
 from gateway.lab.retraining.study import REPORTS, RetrainingRequest, cut_and_rate, due, retrain, source_of
 from gateway.lab.traces.load import load

@@ -14,8 +14,8 @@ import click
 from gateway.console import emit, historian_machine_option, json_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
 from gateway.lab.retraining.cutting import CycleSource, Progress, cut_new, cycle_of
+from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
 from gateway.lab.retraining.judging import MOST_FORECASTS, HorizonComparison, compared, scores_along
-from gateway.lab.retraining.library import CycleLibrary, opened_library
 from gateway.lab.retraining.study import encoded
 from gateway.lab.retraining.training_record import created_of, read_record
 from gateway.store import machines, reading

@@ -27,8 +27,8 @@ from gateway.lab.familiar import (
     strange_words,
 )
 from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
+from gateway.lab.retraining.cycle_library import RATINGS, CycleLibrary, CycleRow
 from gateway.lab.retraining.judging import MOST_FORECASTS, compared, scores_along, verdict_on
-from gateway.lab.retraining.library import RATINGS, CycleLibrary, CycleRow
 from gateway.lab.retraining.report import Retraining, report_files
 from gateway.lab.retraining.training_record import RECORD, TrainingRecord, code_hash, read_record, software
 from gateway.store import moment_of
