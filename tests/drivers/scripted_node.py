@@ -1,6 +1,7 @@
 """A CANopen node of the canopen library (LocalNode): it shares no code with the driver, nor with the software PLC."""
 
 import io
+import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -88,8 +89,13 @@ class ScriptedNode:
         self.network = self.node = None
         if network is None or node is None:
             return
+        names = {f"Cyclic send task for 0x{base + NODE:X}" for base in (0x180, 0x700)}
+        senders = [thread for thread in threading.enumerate() if thread.name in names]
         node.tpdo.stop()
         node.nmt.stop_heartbeat()
+        # python-can tells its senders to stop and does not wait for them: one would meet a closed socket.
+        for thread in senders:
+            thread.join(5.0)
         network.disconnect()
 
     def _rpdo(self, _: int, data: bytearray, __: float) -> None:
