@@ -118,6 +118,15 @@ def test_the_running_gateway_imports_neither_pandas_nor_matplotlib() -> None:
     assert modules_imported_by("import gateway.plant.app").isdisjoint({"pandas", "matplotlib"})
 
 
+def test_a_gateway_imports_nothing_that_draws_edits_files_or_sends_mail() -> None:
+    loaded = modules_imported_by("import gateway.plant.app, drivers.modbus.driver")
+    assert loaded.isdisjoint({"rich", "pygments", "tomlkit", "smtplib", "http"})
+
+
+def test_the_log_hides_rich_from_its_own_library_only() -> None:
+    assert "rich" in modules_imported_by("import gateway.plant.log, rich.console")
+
+
 def test_a_gateway_without_the_page_imports_nothing_of_it() -> None:
     loaded = modules_imported_by("import gateway.plant.app, sys; assert 'gateway.web' not in sys.modules")
     assert loaded.isdisjoint({"starlette", "uvicorn", "argon2", "h11", "anyio", "jinja2"})

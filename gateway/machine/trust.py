@@ -11,7 +11,6 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 from drivers.supervision import Supervisor
-from gateway.certificates import days_left
 from gateway.clock_sync import clock_error
 from gateway.store import HistorianView
 
@@ -125,7 +124,11 @@ class Surroundings:
         except OSError:
             self.free_mb = None
         self.clock_error = clock_error()
-        self.days = min((left for folder in self._folders for left in days_left(folder, now)), default=None)
+        if self._folders:
+            # Here: a gateway without certificates loads nothing that reads them.
+            from gateway.certificates import days_left
+
+            self.days = min((left for folder in self._folders for left in days_left(folder, now)), default=None)
 
     async def close(self) -> None:
         """Wait for a look that goes on."""

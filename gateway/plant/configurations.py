@@ -16,9 +16,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import tomlkit
-from tomlkit.exceptions import TOMLKitError
-
 from drivers.driver import capabilities
 from gateway.settings import Config
 from gateway.store import BackupError, Manifest, make_backup, read_manifest
@@ -112,6 +109,10 @@ def without_arming(plant: bytes) -> bytes:
 
     Raises BackupError for what is no TOML.
     """
+    # Here: a running gateway keeps its files and edits none.
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
     try:
         document: Any = tomlkit.parse(plant.decode())
     except (TOMLKitError, UnicodeDecodeError) as error:

@@ -21,7 +21,6 @@ from drivers.supervision import Supervisor
 from gateway.machine import Machine, PlantRecords
 from gateway.machine.model import LoadedModels, load_models
 from gateway.machine.reading import Clock, QualityRules, Scan, scans
-from gateway.notify import Notifier, attach_machine, make_senders
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
 from gateway.plant.service import ScanProgress
@@ -32,6 +31,8 @@ from gateway.status import ControlError, GatewayStatus
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
+
+    from gateway.notify import Notifier
 
 
 SWITCH_SECONDS = 0.0005
@@ -86,19 +87,13 @@ class Fleet:
             drivers[configs[0].machine] = driver
         # What can be refused is read first: a model that does not suit its machine leaves no records behind.
         models = {config.machine: load_models(config) for config in configs}
-        notify = configs[0].notify
-        try:
-            senders = make_senders(notify, load_secrets(notify))
-        except OSError as error:
-            raise ConfigError([f"{configs[0].path}: notify.smtp.ca: cannot be used ({error.strerror})"]) from None
+        make_notifier = _checked_notify(configs[0])
         self.records = (
             PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
             if open_records is None
             else open_records(self.supervisor)
         )
-        self.notifier = (
-            Notifier(notify.to, senders, now=clock.now, supervisor=self.supervisor, log=log) if notify.to else None
-        )
+        self.notifier = make_notifier and make_notifier(now=clock.now, supervisor=self.supervisor, log=log)
         alone = len(configs) == 1 and open_records is None
         opened = False
         try:
@@ -136,6 +131,8 @@ class Fleet:
             turns=self._turns,
         )
         if self.notifier is not None:
+            from gateway.notify import attach_machine
+
             attach_machine(self.notifier, machine)
         if config.serve.port is not None:
             self.images[config.serve.unit] = DeviceImage(config, self.clock.now)
@@ -396,6 +393,20 @@ async def _paused(stop: asyncio.Event, seconds: float) -> None:
     """Wait so long (real s), or until the stop."""
     with suppress(TimeoutError):
         await asyncio.wait_for(stop.wait(), seconds)
+
+
+def _checked_notify(config: Config) -> Callable[..., Notifier] | None:
+    """What makes the notifier, with all that can be refused read; None where nobody is told. Raises ConfigError."""
+    secrets = load_secrets(config.notify)
+    if not config.notify.to:
+        return None
+    # Here: a gateway that tells nobody loads neither mail nor HTTP.
+    from gateway.notify import Notifier, make_senders
+
+    try:
+        return partial(Notifier, config.notify.to, make_senders(config.notify, secrets))
+    except OSError as error:
+        raise ConfigError([f"{config.path}: notify.smtp.ca: cannot be used ({error.strerror})"]) from None
 
 
 class _Stop(asyncio.Event):

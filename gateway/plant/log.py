@@ -9,13 +9,29 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-import structlog
-from structlog.typing import FilteringBoundLogger, Processor
-
 from gateway.plant.folding import WINDOW_SECONDS, Folding
 from gateway.plant.log_file import LogFile
 from gateway.settings import LogSection
 from sim.strict_json import escaped, strict
+
+
+@contextmanager
+def _hidden(library: str) -> Iterator[None]:
+    """Within, an import of the library fails as if it were not installed, unless it is loaded already."""
+    if library in sys.modules:
+        yield
+        return
+    sys.modules[library] = None  # type: ignore[assignment]  # as the import system has it: ModuleNotFoundError
+    try:
+        yield
+    finally:
+        del sys.modules[library]
+
+
+# structlog loads rich, where it finds it, to draw tracebacks; those of this log are plain text before they are shown.
+with _hidden("rich"):
+    import structlog
+    from structlog.typing import FilteringBoundLogger, Processor
 
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 _STAMP = structlog.processors.TimeStamper(fmt="iso", utc=True)

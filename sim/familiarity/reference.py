@@ -17,7 +17,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from sim.familiarity.features import COLUMNS, FEATURES, HISTORY
 from sim.sha import Array
@@ -350,4 +349,7 @@ def _log_density(white: Array, centres: Array) -> Array:
     apart = (
         np.sum(white**2, axis=1)[:, None] - 2.0 * white @ centres.T + np.sum(centres**2, axis=1)[None, :]
     ) / width**2
-    return np.asarray(logsumexp(-0.5 * np.maximum(apart, 0.0), axis=1) - np.log(count))
+    exponents = -0.5 * np.maximum(apart, 0.0)
+    most = exponents.max(axis=1)
+    # Of all exponents the greatest is taken out, so that far from every centre the sum is not 0.
+    return np.asarray(most + np.log(np.exp(exponents - most[:, None]).sum(axis=1)) - np.log(count))
