@@ -8,7 +8,7 @@ code.
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from time import monotonic
@@ -58,6 +58,7 @@ class Supervisor:
     def __init__(self, say: Say | None = None) -> None:
         self.say = say
         self._workers: dict[str, Worker] = {}
+        self._has_failed = False
         self._included: dict[str, Supervisor] = {}
         self._hearers: dict[tuple[Supervisor, str], Say] = {}
 
@@ -195,13 +196,21 @@ class Supervisor:
         """What cannot be relied on now, by the part's name, and why."""
         if self.all_well:
             return {}
-        return {name: f"{name}: {part.failure}; begun anew" for name, part in self.parts().items() if not part.well}
+        return {name: _complaint(name, part) for name, part in self.parts().items() if not part.well}
 
     @property
     def all_well(self) -> bool:
         """What every scan asks, without a name for every part."""
-        own = all(worker.well for worker in tuple(self._workers.values()))
+        # Nearly always none has failed yet, and then nothing is to be looked through.
+        own = not self._has_failed or all(worker.well for worker in tuple(self._workers.values()))
         return own and all(other.all_well for other in tuple(self._included.values()))
+
+    def complaints_of(self, parts: Iterable[str]) -> list[str]:
+        """What cannot be relied on now of these parts of its own, in their order; none of what it has taken in."""
+        if not self._has_failed:
+            return []
+        known = {name: worker for name in parts if (worker := self._workers.get(name)) is not None}
+        return [_complaint(name, worker) for name, worker in known.items() if not worker.well]
 
     @property
     def complaint(self) -> str:
@@ -238,7 +247,7 @@ class Supervisor:
 
     def _failed(self, worker: Worker, error: BaseException) -> bool:
         """Note a failure; False if the part had been well for a while."""
-        reason, well = repr(error), worker.well
+        reason, well, self._has_failed = repr(error), worker.well, True
         same = reason == worker.failure and not well
         worker.running, worker.restarts = False, worker.restarts + 1
         worker.failure, worker.failed_at = reason, monotonic()
@@ -255,3 +264,7 @@ class Supervisor:
     def _pause(self, again: bool, before: float) -> float:
         """The seconds to wait before a part is begun anew."""
         return min(2 * before, LONGEST_PAUSE) if again else FIRST_PAUSE
+
+
+def _complaint(name: str, part: Worker) -> str:
+    return f"{name}: {part.failure}; begun anew"

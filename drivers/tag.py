@@ -8,7 +8,13 @@ Value = bool | int | float | str
 
 
 class Quality(IntEnum):
-    """OPC UA status codes (OPC 10000-4, 7.39 and OPC 10000-6, A.2); the two top bits give the severity."""
+    """OPC UA status codes (OPC 10000-4, 7.39 and OPC 10000-6, A.2); the two top bits give the severity.
+
+    `is_good` is true only for severity "good", which an uncertain value has not; what `is_bad` must not be used.
+    """
+
+    is_good: bool
+    is_bad: bool
 
     GOOD = 0x00000000
     UNCERTAIN = 0x40000000
@@ -29,15 +35,9 @@ class Quality(IntEnum):
     OUT_OF_SERVICE = 0x808D0000
     NO_DATA = 0x809B0000
 
-    @property
-    def is_good(self) -> bool:
-        """True only for severity "good"; an uncertain value is not good."""
-        return self >> 30 == 0
-
-    @property
-    def is_bad(self) -> bool:
-        """True for severity "bad": the value must not be used."""
-        return self >> 30 >= 2
+    def __init__(self, code: int) -> None:
+        # Worked out once: every stage of a scan asks it of every tag.
+        self.is_good, self.is_bad = code >> 30 == 0, code >> 30 >= 2
 
 
 class DType(StrEnum):

@@ -124,11 +124,13 @@ class SharedLink:
     ) -> WireReply:
         """Send one request once when it is the unit's turn, and note how it went. `again`: see `Wire.ask`."""
         settings = line.settings
-        health = self.health.setdefault(settings.unit, UnitHealth())
+        if (health := self.health.get(settings.unit)) is None:
+            health = self.health[settings.unit] = UnitHealth()
         self._spare(settings, health, urgent=urgent)
-        async with self._turns.turn(settings.unit, urgent=urgent, probe=self._doubted(health)):
-            # Another driver of the same unit may have asked it while this one waited.
-            self._spare(settings, health, urgent=urgent)
+        async with self._turns.turn(settings.unit, urgent=urgent, probe=self._doubted(health)) as turn:
+            if turn.waited:
+                # Another driver of the same unit may have asked it meanwhile.
+                self._spare(settings, health, urgent=urgent)
             if (rest := self._last_exchange + settings.limits.pause - _now()) > 0.0:
                 await asyncio.sleep(rest)
             wire = await self._wire()

@@ -2,8 +2,6 @@
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
 from drivers.modbus.plan import retry_delay
@@ -40,36 +38,51 @@ class Turns:
         self.outstanding = outstanding
         self._taken = self._probes = self._urgent_in_a_row = 0
         self._waiting: dict[int, deque[_Place]] = {}
+        self._places = 0
         # Its order is the rotation: whose turn was longest ago stands first.
         self._order: dict[int, None] = {}
         # Virtual time (s): of the turn granted last, and until when each unit has had its share.
         self._now = 0.0
         self._had: dict[int, float] = {}
 
-    @asynccontextmanager
-    async def turn(self, unit: int, *, urgent: bool, probe: bool) -> AsyncIterator[None]:
-        """Wait for a turn of the unit and hold it."""
-        loop = asyncio.get_running_loop()
-        place = _Place(unit, urgent, probe, loop.create_future())
+    def turn(self, unit: int, *, urgent: bool, probe: bool) -> "Turn":
+        """A turn of the unit, to be waited for and held by `async with`."""
+        return Turn(self, unit, urgent=urgent, probe=probe)
+
+    async def take(self, unit: int, *, urgent: bool, probe: bool) -> bool:
+        """Wait for a turn of the unit, which `give_back` ends; True if it had to be waited for."""
+        had = self._had.get(unit, 0.0)
+        if not self._places and self._taken < self.outstanding and not (probe and self._probes):
+            # Nobody else waits, as nearly always: what `_grant` would come to.
+            self._had[unit] = max(had, self._now)
+            self._note_granted(unit, urgent=urgent, probe=probe)
+            return False
+        place = _Place(unit, urgent, probe, asyncio.get_running_loop().create_future())
         self._order.setdefault(unit)
         queue = self._waiting.setdefault(unit, deque())
         if not queue:
-            self._had[unit] = max(self._had.get(unit, 0.0), self._now)
+            self._had[unit] = max(had, self._now)
         queue.append(place)
+        self._places += 1
         self._grant()
         try:
             await place.granted
-            begun = loop.time()
-            try:
-                yield
-            finally:
-                self._had[unit] += loop.time() - begun
-        finally:
-            if place.granted.done() and not place.granted.cancelled():
-                self._taken -= 1
-                self._probes -= place.probe
+        except asyncio.CancelledError:
+            if place.granted.cancelled():
+                queue.remove(place)
+                self._places -= 1
+                self._grant()
             else:
-                self._waiting[unit].remove(place)
+                self.give_back(unit, 0.0, probe=probe)
+            raise
+        return True
+
+    def give_back(self, unit: int, seconds: float, *, probe: bool) -> None:
+        """End a turn that was held for so long."""
+        self._had[unit] += seconds
+        self._taken -= 1
+        self._probes -= probe
+        if self._places:
             self._grant()
 
     @property
@@ -80,12 +93,17 @@ class Turns:
     def _grant(self) -> None:
         while self._taken < self.outstanding and (place := self._next()) is not None:
             self._waiting[place.unit].remove(place)
-            self._order[place.unit] = self._order.pop(place.unit)
-            self._taken += 1
-            self._now = max(self._now, self._had[place.unit])
-            self._probes += place.probe
-            self._urgent_in_a_row = self._urgent_in_a_row + 1 if place.urgent else 0
+            self._places -= 1
+            self._note_granted(place.unit, urgent=place.urgent, probe=place.probe)
             place.granted.set_result(None)
+
+    def _note_granted(self, unit: int, *, urgent: bool, probe: bool) -> None:
+        self._order.pop(unit, None)
+        self._order[unit] = None
+        self._taken += 1
+        self._now = max(self._now, self._had[unit])
+        self._probes += probe
+        self._urgent_in_a_row = self._urgent_in_a_row + 1 if urgent else 0
 
     def _next(self) -> _Place | None:
         """Whose unit has had least, of the urgent ones if there are any and their row is not too long."""
@@ -97,6 +115,28 @@ class Turns:
         ]
         preferred = self._urgent_in_a_row < URGENT_IN_A_ROW
         return next((place for place in eligible if place.urgent is preferred), eligible[0] if eligible else None)
+
+
+class Turn:
+    """A turn of a unit: waited for when it is entered, held until it is left. `waited`: it was not to be had at once.
+
+    A class, since a context manager made of a generator costs several times as much, three times a scan.
+    """
+
+    __slots__ = ("_begun", "_probe", "_turns", "_unit", "_urgent", "waited")
+
+    def __init__(self, turns: Turns, unit: int, *, urgent: bool, probe: bool) -> None:
+        self._turns, self._unit, self._urgent, self._probe = turns, unit, urgent, probe
+        self._begun, self.waited = 0.0, False
+
+    async def __aenter__(self) -> "Turn":
+        self.waited = await self._turns.take(self._unit, urgent=self._urgent, probe=self._probe)
+        self._begun = asyncio.get_running_loop().time()
+        return self
+
+    async def __aexit__(self, *_error: object) -> None:
+        held = asyncio.get_running_loop().time() - self._begun
+        self._turns.give_back(self._unit, held, probe=self._probe)
 
 
 @dataclass(slots=True)

@@ -41,7 +41,7 @@ class SteppedClock:
         """Plant time (s)."""
         return self.time
 
-    async def sleep_until(self, moment: float) -> None:
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
         """Be at that moment, after other tasks had their turn."""
         await asyncio.sleep(0)
         self.time = max(self.time, moment)

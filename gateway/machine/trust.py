@@ -44,8 +44,8 @@ class RecordsWatch:
     def look(self, now: float, others: str) -> None:
         """Look at the records at `now` (plant s); `others`: what audit log and log complain of."""
         before, historian = self.complaint, self._historian
-        failed = self._recording.complaints
-        recording = "; ".join(failed[part] for part in RECORDING if part in failed)
+        # Of the records' parts alone: the supervisor that has them may have those of every machine of the plant.
+        recording = "; ".join(self._recording.complaints_of(RECORDING))
         self.complaint = historian.complaint or others or recording
         own = self._machine.complaints
         self.failed_parts = "; ".join(own[part] for part in own if part not in RECORDING)

@@ -217,18 +217,32 @@ class Audit:
         ticket = self._submitted(entry)
         if ticket.cancelled():
             return None
-        waiting = asyncio.wrap_future(ticket)
-        # What fails after nobody waits any more is said by `failure`.
-        waiting.add_done_callback(lambda done: None if done.cancelled() else done.exception())
+        loop = asyncio.get_running_loop()
+        # One future and one timer, which only say that it is time to look at the ticket: a time-out must not cancel
+        # that before it was looked at whether the entry is stored.
+        looked_at = loop.create_future()
+
+        def look() -> None:
+            if not looked_at.done():
+                looked_at.set_result(None)
+
+        def decided(_ticket: "Future[AuditRow]") -> None:
+            with suppress(RuntimeError):  # the loop is closed: nobody waits any more
+                loop.call_soon_threadsafe(look)
+
+        ticket.add_done_callback(decided)
+        timer = loop.call_later(timeout, look)
         try:
-            # Not `wait_for`: a time-out must not cancel the ticket before it was looked at whether the entry is stored.
-            await asyncio.wait((waiting,), timeout=timeout)
-            return waiting.result() if waiting.done() else self._given_up(ticket, undo)
-        except sqlite3.Error:
-            return self._given_up(ticket, undo)
+            await looked_at
         except asyncio.CancelledError:
             self._given_up(ticket, undo, wanted=False)
             raise
+        finally:
+            timer.cancel()
+        # What fails after nobody waits any more is said by `failure`.
+        if ticket.done() and not ticket.cancelled() and ticket.exception() is None:
+            return ticket.result()
+        return self._given_up(ticket, undo)
 
     def submit(self, entries: Iterable[AuditEntry]) -> "list[Future[AuditRow]]":
         """Have entries committed now, all in one commit where no others of their subjects wait; a ticket for each.

@@ -33,7 +33,7 @@ class JumpClock:
     def now(self) -> float:
         return self.time
 
-    async def sleep_until(self, moment: float) -> None:
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
         await asyncio.sleep(0)
         self.time = max(self.time, moment)
 

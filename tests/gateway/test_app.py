@@ -65,7 +65,7 @@ def table(config: Config, query: str) -> list[tuple[Any, ...]]:
 class Patient(JumpClock):
     """Jumps only every now and then, so that forecasts made in a thread keep up with the plant's time."""
 
-    async def sleep_until(self, moment: float) -> None:
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
         await asyncio.sleep(0.002)
         self.time = max(self.time, moment)
 

@@ -108,7 +108,7 @@ def test_the_environment_says_whether_and_to_whom_anything_is_told(systemd: Syst
 class Patient(JumpClock):
     """Scans follow one another every two milliseconds."""
 
-    async def sleep_until(self, moment: float) -> None:
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
         await asyncio.sleep(0.002)
         self.time = max(self.time, moment)
 

@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,8 +18,11 @@ class Clock(Protocol):
         """Plant time in seconds since 1970 UTC; never goes back."""
         ...
 
-    async def sleep_until(self, moment: float) -> None:
-        """Return when `now()` has reached `moment`; at once if it has passed (after giving other tasks their turn)."""
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
+        """Return when `now()` has reached `moment`; at once if it has passed (after giving other tasks their turn).
+
+        `stop`, once it is set, may end the wait before.
+        """
         ...
 
 
@@ -40,11 +44,21 @@ class PlantClock:
         """Plant time in seconds since 1970 UTC; never goes back."""
         return self.epoch + (self.monotonic() - self.start) * self.speed
 
-    async def sleep_until(self, moment: float) -> None:
-        """Return when `now()` has reached `moment`; at once if it has passed (after giving other tasks their turn)."""
-        await asyncio.sleep(0)
-        while (left := moment - self.now()) > 0:
-            await asyncio.sleep(left / self.speed)
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
+        """Return when `now()` has reached `moment`, or `stop` is set; at once if it has passed (after giving other
+        tasks their turn)."""
+        if (left := moment - self.now()) <= 0:
+            await asyncio.sleep(0)
+        while left > 0:
+            if stop is None:
+                await asyncio.sleep(left / self.speed)
+            else:
+                # A deadline around the wait for the stop: no task of its own for either, at every scan.
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(left / self.speed):
+                        await stop.wait()
+                    return
+            left = moment - self.now()
 
     def wall_offset(self) -> float:
         """By how many seconds the wall clock has moved away from the epoch's time line since the start."""

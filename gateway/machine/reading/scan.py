@@ -100,10 +100,13 @@ async def scans(
 
 async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, stream: DeviceStream | None) -> str:
     """Wait for the moment, the stop or something urgent; "tick", "stop" or "news", whichever comes first."""
+    if stream is None:
+        await clock.sleep_until(moment, stop)
+        return "stop" if stop.is_set() else "tick"
     stopping = asyncio.ensure_future(stop.wait())
     tick: asyncio.Future[None] = asyncio.ensure_future(clock.sleep_until(moment))
-    news = None if stream is None else asyncio.ensure_future(stream.urgent_change())
-    waits: list[asyncio.Future[Any]] = [stopping, tick] if news is None else [stopping, tick, news]
+    news = asyncio.ensure_future(stream.urgent_change())
+    waits: list[asyncio.Future[Any]] = [stopping, tick, news]
     try:
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         # Several may be done: the stop goes before all, the tick before the news, since it reads everything anyway.
@@ -111,5 +114,4 @@ async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, stream: Dev
     finally:
         stopping.cancel()
         tick.cancel()
-        if news is not None:
-            news.cancel()
+        news.cancel()

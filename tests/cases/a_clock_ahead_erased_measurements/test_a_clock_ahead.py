@@ -20,7 +20,7 @@ DAY = 86_400.0
 class Slow(JumpClock):
     """Leaves the historian's thread the time to delete between two scans."""
 
-    async def sleep_until(self, moment: float) -> None:
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
         await asyncio.sleep(0.002)
         self.time = max(self.time, moment)
 

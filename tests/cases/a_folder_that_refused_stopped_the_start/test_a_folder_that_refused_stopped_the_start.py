@@ -28,7 +28,7 @@ SHADOW = {"writeback__mode": "shadow"}
 class Paced(JumpClock):
     """Leaves threads their turn between two scans."""
 
-    async def sleep_until(self, moment: float) -> None:
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
         await asyncio.sleep(0.005)
         self.time = max(self.time, moment)
 

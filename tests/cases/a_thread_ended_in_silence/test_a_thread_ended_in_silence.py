@@ -165,7 +165,7 @@ async def test_nothing_lasts_in_a_driver_that_it_does_not_say(bench: Callable[[]
 class Paced(JumpClock):
     """Leaves threads their turn between two scans."""
 
-    async def sleep_until(self, moment: float) -> None:
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
         await asyncio.sleep(0.005)
         self.time = max(self.time, moment)
 

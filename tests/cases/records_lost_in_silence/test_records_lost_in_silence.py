@@ -26,7 +26,7 @@ ARMED = {
 class Slow(JumpClock):
     """Leaves the historian's thread its turn between two scans."""
 
-    async def sleep_until(self, moment: float) -> None:
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
         await asyncio.sleep(0.01)
         self.time = max(self.time, moment)
 
