@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from math import inf, isfinite
 from pathlib import Path
 from types import MappingProxyType
@@ -20,7 +21,7 @@ from typing import Any
 
 import click
 
-from drivers.tag import Sample
+from drivers.tag import Quality, Sample
 from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.store.read_back import reading, samples, stored_rows
 from sim.plc.program.faults import FAULTS as KINDS
@@ -255,8 +256,14 @@ def judged_row(
     began, ended = span
     mine = [sample for sample in read if began <= sample.time < until]
     since, struck = _under_way(read, began), _under_way(mine, until)
+    late = _late_scans(read)
+
+    def unproven(moment: float) -> bool:
+        return any(abs(moment - scan) < PERIOD / 2 for scan in late)
+
     bad = [sample for sample in read if since <= sample.time < struck and not sample.quality.is_good]
-    lost = [moment for moment in unconfirmed if since <= moment < struck]
+    bad = [sample for sample in bad if sample.quality is not Quality.LAST_USABLE or not unproven(sample.time)]
+    lost = [moment for moment in unconfirmed if since <= moment < struck and not unproven(moment)]
     noticed = min([sample.time for sample in bad] + lost, default=None)
     last = max([sample.time for sample in bad], default=None)
     back = None if last is None else max(0.0, _all_good_after(mine, last) - ended)
@@ -271,6 +278,13 @@ def judged_row(
         sum(sample.quality.is_good for sample in mine),
         sum(began <= sample.time < until for sample in wrong),
     )
+
+
+def _late_scans(read: Iterable[Sample]) -> list[float]:
+    """When scans came so late that nothing proves whether the PLC's memory lived in between: what they read is rightly
+    not good, and that is the busy computer's part and not the fault's."""
+    times = sorted({sample.time for sample in read if sample.tag == TEMPERATURE})
+    return [after for before, after in pairwise(times) if after - before > (STALE_PERIODS - 0.5) * PERIOD]
 
 
 def _under_way(read: Sequence[Sample], moment: float) -> float:

@@ -18,10 +18,10 @@ frames, which count together or not at all; "" not at all."""
 class Capabilities:
     """One driver: the functions that do its work, and what its devices have.
 
-    `opens`, `surveys`, `plans`, `decodes`, `locates` and `shares` are `module:function`: what opens the driver, asks
-    its device by hand (`drivers.survey`), plans a scan beforehand, decodes a recording at once, says where a tag lies
-    (table, first address, count), and what tells the connection that settings lead to from another; "" where there is
-    no such thing.
+    `opens`, `surveys`, `plans`, `decodes`, `locates`, `shares` and `identifies` are `module:function`: what opens the
+    driver, asks its device by hand (`drivers.survey`), plans a scan beforehand, decodes a recording at once, says where
+    a tag lies (table, first address, count), what tells the connection that settings lead to from another, and what
+    tells the device at its end from another; "" where there is no such thing.
 
     `speaks`: the device speaks by itself, and a scan takes what it has said; else it is polled. `registers`: values lie
     in the tables of a Modbus device. `units`: several devices answer behind one connection. `nodes`: objects of a
@@ -39,6 +39,7 @@ class Capabilities:
     decodes: str = ""
     locates: str = ""
     shares: str = ""
+    identifies: str = ""
     speaks: bool = False
     registers: bool = False
     units: bool = False

@@ -181,6 +181,7 @@ DRIVERS: dict[str, Capabilities] = {
     ),
     "canopen": Capabilities(
         opens="drivers.canopen.driver:open_canopen",
+        identifies="drivers.canopen.options:node_at",
         surveys="drivers.canopen.survey:open_survey",
         speaks=True,
         nodes=True,
@@ -195,6 +196,7 @@ DRIVERS: dict[str, Capabilities] = {
         plans="drivers.modbus.preview:planned",
         locates="drivers.modbus.address:place_of_tag",
         shares="drivers.modbus.settings:place_at",
+        identifies="drivers.modbus.settings:device_at",
         registers=True,
         units=True,
         block="words",

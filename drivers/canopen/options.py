@@ -1,6 +1,6 @@
 """The settings of the driver `canopen`: what each key means, and the checked whole."""
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -82,3 +82,9 @@ class Options(Reconnecting):
 def read_options(settings: Mapping[str, Any]) -> Options:
     """The settings as options. Raises DriverError in one sentence for what cannot be used."""
     return check_settings("canopen", Options, settings)
+
+
+def node_at(settings: Mapping[str, Any]) -> Hashable:
+    """What tells the node from others (`Capabilities.identifies`). Raises DriverError."""
+    options = read_options(settings)
+    return ("canopen", options.interface, options.channel, options.node)

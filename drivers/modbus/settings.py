@@ -2,6 +2,8 @@
 
 import os
 from collections.abc import Hashable, Mapping
+from contextlib import suppress
+from ipaddress import ip_address
 from typing import Any, Literal
 
 from pydantic import Field, model_validator
@@ -127,9 +129,24 @@ def place_of(settings: ModbusSettings) -> Hashable:
     """What tells one connection from another."""
     if settings.serial:
         return ("modbus", os.path.realpath(settings.serial))
-    return ("modbus", settings.host.lower(), settings.port)
+    return ("modbus", _one_spelling(settings.host), settings.port)
+
+
+def _one_spelling(host: str) -> str:
+    """One text for all spellings of an address, and for this machine's own name; other names are not looked up."""
+    if host.lower() == "localhost":
+        return "127.0.0.1"
+    with suppress(ValueError):
+        return str(ip_address(host))
+    return host.lower()
 
 
 def place_at(settings: Mapping[str, Any]) -> Hashable:
     """`place_of` settings that are not checked yet (`Capabilities.shares`). Raises DriverError."""
     return place_of(read_settings(settings))
+
+
+def device_at(settings: Mapping[str, Any]) -> Hashable:
+    """What tells the device from others, also on its connection (`Capabilities.identifies`). Raises DriverError."""
+    checked = read_settings(settings)
+    return (place_of(checked), checked.unit)

@@ -60,7 +60,7 @@ def run(
         # After the configuration, so that what is wrong with it is said at once.
         from gateway.plant import keep_freed_memory, serve
 
-        if configs[0].plant.workers == 1:
+        if not configs[0].in_workers:
             for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
                 import_module(room)
             keep_freed_memory()

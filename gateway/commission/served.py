@@ -20,15 +20,16 @@ _COLUMNS = ("tag", "table", "address", "count", "dtype", "order", "scale", "offs
 @click.option(
     "--config", "path", type=click.Path(path_type=Path), help="The plant file.  [default: ./plant.toml, then ./config]"
 )
+@click.option("--machine", metavar="NAME", help="Which machine of a plant file that has several.")
 @json_option
-def served(path: Path | None, as_csv: bool, as_json: bool) -> None:
+def served(path: Path | None, machine: str | None, as_csv: bool, as_json: bool) -> None:
     """Where a peer of the gateway (a SCADA system, another PLC) finds each tag, its quality and its age.
 
     The gateway serves them where the plant file has a [serve] table with a port: Modbus TCP, functions 1 to 4, by PDU
     addresses from 0. Nothing is asked of the device or of a running gateway.
     """
     with sentences():
-        config = load_config(path or find_plant_file())
+        config = load_config(path or find_plant_file(), machine=machine)
         rows = [
             {
                 "tag": row.tag.name,

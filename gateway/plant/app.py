@@ -81,7 +81,13 @@ async def run(
         log_failure: Callable[[], str] = (lambda: "") if file is None else file.complaint
         fleet: Fleet | WorkerPool
         watched = status_path is not None or say is not None or configs[0].page.enabled
-        if configs[0].several and configs[0].plant.workers > 1 and isinstance(clock, PlantClock):
+        if configs[0].plant.workers > 1 and not configs[0].several:
+            log.warning(
+                "plant.workers has no effect: the file has no [[machine]] tables, and one machine is one process's",
+                path=str(configs[0].path),
+                workers=configs[0].plant.workers,
+            )
+        if configs[0].in_workers and isinstance(clock, PlantClock):
             fleet = WorkerPool(
                 configs,
                 clock=clock,

@@ -5,6 +5,7 @@ from gateway.settings.changes import changed_machines
 from gateway.settings.config import (
     LEAST_BLOCKS,
     MAX_ARMED_MINUTES,
+    PAGE_SUBJECT,
     Config,
     EnsembleSection,
     ForecastSection,
@@ -15,6 +16,7 @@ from gateway.settings.config import (
     WritebackSection,
     configs_from_json,
     configs_to_json,
+    is_common,
     load_config,
     load_plant,
 )
@@ -45,6 +47,7 @@ __all__ = [
     "FROM_SECRETS",
     "LEAST_BLOCKS",
     "MAX_ARMED_MINUTES",
+    "PAGE_SUBJECT",
     "AlarmKind",
     "Config",
     "DeviceLink",
@@ -71,6 +74,7 @@ __all__ = [
     "changed_machines",
     "configs_from_json",
     "configs_to_json",
+    "is_common",
     "load_config",
     "load_device",
     "load_northbound_secrets",

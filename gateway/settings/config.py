@@ -5,7 +5,7 @@ is common: a machine has it too, key for key, where its own table says nothing e
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -15,6 +15,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints, TypeAdapter, field_validator, model_validator
 
+from drivers.driver import capabilities, load_function
+from drivers.errors import DriverError
 from drivers.settings import ConfigError, Line, Section, checked, read_toml
 from gateway.settings.alarm_kinds import AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
@@ -271,6 +273,8 @@ class ServeSection(Section):
     most_clients: int = Field(8, ge=1, le=256, description="how many peers are served at a time, 1 to 256")
 
 
+PAGE_SUBJECT = "page"
+"""The subject of the page's rows in the audit log, beside those of the machines by their names."""
 MOST_WORKERS = 64
 
 
@@ -369,6 +373,11 @@ COMMON_KEYS = {
 """Keys of the whole gateway in sections that a machine may have."""
 
 
+def is_common(section: str, key: str) -> bool:
+    """Whether a key of the plant file is of the whole gateway, so that no machine has one of its own."""
+    return section in COMMON or key in COMMON_KEYS.get(section, ())
+
+
 @dataclass(frozen=True, slots=True)
 class Config:
     """The checked configuration of one machine; every path in it is complete.
@@ -407,6 +416,11 @@ class Config:
     def subject(self) -> str:
         """Whose armings the audit log's are: those of a gateway of one machine bear no name."""
         return self.machine if self.several else ""
+
+    @property
+    def in_workers(self) -> bool:
+        """Whether the machines run in worker processes; a file without [[machine]] tables has none to be split."""
+        return self.several and self.plant.workers > 1
 
     @property
     def followed(self) -> tuple["Config", ...]:
@@ -525,7 +539,7 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     rows = data.pop("machine", None)
     for key, value in (overrides or {}).items():
         section, _, name = key.partition(".")
-        if rows is not None and section not in COMMON and name not in COMMON_KEYS.get(section, ()):
+        if rows is not None and not is_common(section, name):
             raise ConfigError([f"{path}: {key}: is each machine's own, and the file has several; change it there"])
         table = data.setdefault(section, {})
         if isinstance(table, dict):
@@ -567,19 +581,32 @@ def configs_from_json(text: str) -> tuple[Config, ...]:
     return _plain_configs().validate_json(text)
 
 
+def _device_of(link: DeviceLink) -> Hashable:
+    """What tells a link's device from others, defaults and all; None where that cannot be told."""
+    driver = capabilities(link.map.driver)
+    if driver.identifies:
+        # Settings that are wrong lead nowhere: the driver says so when it is made.
+        with suppress(DriverError):
+            found: Hashable = load_function(driver.identifies)(link.settings)
+            return found
+    if driver.bus:
+        # Of a bus without nodes it is the messages that are a machine's, and the device file says which.
+        return (link.map.driver, link.settings.get("interface"), link.settings.get("channel"), link.map.path.resolve())
+    return None
+
+
 def _same_places(machines: Sequence[Config]) -> list[str]:
     """Machines that are one and the same device, or are served to peers as one."""
-    problems, known, served = [], dict[tuple[object, ...], str](), dict[int, str]()
+    problems, known, served = [], dict[Hashable, str](), dict[int, str]()
     for config in machines:
         for link in config.links:
-            place = tuple(link.settings.get(key) for key in ("host", "port", "serial", "unit"))
-            if place[0] is None and place[2] is None:
+            if (device := _device_of(link)) is None:
                 continue
-            other = known.setdefault(place, config.machine)
+            other = known.setdefault(device, config.machine)
             if other != config.machine:
                 problems.append(
                     f"{config.path}: machine {config.machine!r}: device: is at {link.place}, as machine {other!r} is; "
-                    "give each machine a host, port or unit of its own"
+                    "give each machine a device of its own (host, port, unit, node)"
                 )
         other = served.setdefault(config.serve.unit, config.machine)
         if config.serve.port is not None and other != config.machine:
@@ -624,6 +651,11 @@ def _machine_tables(rows: object, path: Path) -> dict[str, dict[str, Any]]:
         except ConfigError as error:
             problems += [problem.replace(": name", f": machine[{index}].name", 1) for problem in error.problems]
             continue
+        if name == PAGE_SUBJECT:
+            problems.append(
+                f"{path}: machine[{index}].name: {name!r} is what the audit log calls the gateway's own page; give "
+                "another name"
+            )
         if name in tables:
             problems.append(f"{path}: machine[{index}].name: {name!r} is already used; give each machine its own name")
         common = [section for section in COMMON if section in row]

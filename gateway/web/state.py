@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from gateway.settings import Config
+from gateway.settings import PAGE_SUBJECT, Config
 from gateway.status import GatewayStatus
 from gateway.store import Audit, AuditEntry
 from gateway.texts import Words
@@ -15,9 +15,6 @@ from gateway.web.calls import GatewayCalls
 from gateway.web.live import LiveStream
 from gateway.web.reader import HistorianReader
 from gateway.web.views import machine_view
-
-SUBJECT = "page"
-"""The subject of the page's rows in the audit log: however many there are, those of a machine do not wait for them."""
 
 
 class Unaccountable(RuntimeError):
@@ -59,10 +56,10 @@ class PageState:
 
     async def record(self, kind: str, who: str, reason: str = "", **detail: Any) -> None:
         """Have on the disk what is going to be done, by whom and from where. Raises Unaccountable."""
-        entry = AuditEntry(self.now(), kind, who, reason, detail).of(SUBJECT)
+        entry = AuditEntry(self.now(), kind, who, reason, detail).of(PAGE_SUBJECT)
         if await self.audit.stored(entry) is None:
             raise Unaccountable(f"it cannot be put on record: {self.audit.failure or 'the audit log does not answer'}")
 
     def note(self, kind: str, who: str, reason: str = "", **detail: Any) -> None:
         """Have something put on record that has happened already."""
-        self.audit.put(AuditEntry(self.now(), kind, who, reason, detail).of(SUBJECT))
+        self.audit.put(AuditEntry(self.now(), kind, who, reason, detail).of(PAGE_SUBJECT))

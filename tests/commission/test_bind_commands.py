@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gateway.commission.session.records import broken_at, read_records
-from gateway.settings.config import load_config
+from gateway.settings.config import load_config, load_plant
 from gateway.settings.devices import load_device
 from tests.commission.bench import answer, plc
 from tests.plc.bench import DECANTER
@@ -136,3 +136,76 @@ def test_links_of_other_kinds_get_their_own_table(tmp_path: Path) -> None:
     assert answer(tmp_path, "import", tmp_path / "list.csv", *where)["ok"]
     link = load_config(tmp_path / "plant.toml").links[0]
     assert link.settings["serial"] == "/dev/ttyUSB0" and link.settings["baud"] == 9600 and link.settings["unit"] == 5
+
+
+SEVERAL = """
+[device]
+file = "plc.toml"
+
+[model]
+temperature = "TCuscinettiRiduttore"   # of all
+
+[[machine]]
+name = "north"
+device = { host = "10.0.0.7" }
+
+[[machine]]
+name = "south"
+
+[machine.device]
+host = "10.0.0.8"   # behind the switch
+"""
+
+
+def several(folder: Path) -> Path:
+    (folder / "plc.toml").write_bytes(DECANTER.read_bytes())
+    (folder / "plant.toml").write_text(SEVERAL, encoding="utf-8")
+    return folder / "plant.toml"
+
+
+@pytest.mark.parametrize("machine", ["north", "south"])
+def test_of_several_machines_the_one_that_is_named_is_changed(tmp_path: Path, machine: str) -> None:
+    path = several(tmp_path)
+    before = {config.machine: config for config in load_plant(path)}
+    keep = ("--keep", "scan.period=2.5", "--keep", "historian.max_mb=64.0", "--keep", "serve.unit=9")
+    model = ("--keep", "temperature.TCuscinettiAlimentazione.limit=70.0")
+    place = ("--host", "10.0.0.9", "--unit", 4)
+    data = answer(tmp_path, "bind", "Coppia", "40201", "--config", path, "--machine", machine, *place, *keep, *model)
+    assert data["ok"] and len(data["backups"]) == 2, data
+    after = {config.machine: config for config in load_plant(path)}
+    changed, other = after.pop(machine), next(iter(after.values()))
+    assert changed.links[0].settings["host"] == "10.0.0.9" and changed.scan.period == 2.5 and changed.serve.unit == 9
+    assert [row.tag for row in changed.temperatures] == ["TCuscinettiRiduttore", "TCuscinettiAlimentazione"]
+    assert changed.historian.max_mb == other.historian.max_mb == 64.0
+    was = before[other.machine]
+    assert other.device == was.device and other.scan == was.scan and other.temperatures == was.temperatures
+    assert changed.map.by_name["Coppia"].address == "holding:200"
+    text = path.read_text(encoding="utf-8")
+    assert "# of all" in text and "# behind the switch" in text
+
+
+def test_of_several_machines_one_has_to_be_named(tmp_path: Path) -> None:
+    path = several(tmp_path)
+    for more, words in (((), "name one of them with --machine: north, south"), (("--machine", "w"), "no machine 'w'")):
+        result = plc(tmp_path, "bind", "Coppia", "40201", "--config", path, *more)
+        assert result.exit_code == 2 and words in result.stderr, result.stderr
+    assert path.read_text(encoding="utf-8") == SEVERAL
+
+
+def test_a_list_is_taken_into_the_device_file_of_the_machine_that_is_named(tmp_path: Path) -> None:
+    path = several(tmp_path)
+    path.write_text(f'{SEVERAL}file = "south.toml"\n', encoding="utf-8")
+    (tmp_path / "south.toml").write_bytes(DECANTER.read_bytes())
+    (tmp_path / "list.csv").write_text("Tag;Address;Type\nPressione;40301;REAL\n", encoding="utf-8")
+    data = answer(tmp_path, "import", tmp_path / "list.csv", "--config", path, "--machine", "south")
+    assert data["ok"] and data["files"] == [str(tmp_path / "south.toml")]
+    north, south = load_plant(path)
+    assert "Pressione" in south.map.by_name and "Pressione" not in north.map.by_name
+
+
+def test_links_that_all_machines_have_are_not_changed_for_one(tmp_path: Path) -> None:
+    path = several(tmp_path)
+    links = '[[device.links]]\nname = "net"\nfile = "plc.toml"\nhost = "10.0.0.1"\n'
+    path.write_text(f'{links}[[machine]]\nname = "north"\n', encoding="utf-8")
+    result = plc(tmp_path, "bind", "Coppia", "40201", "--config", path, "--host", "10.0.0.2")
+    assert result.exit_code == 2 and "device.links: is common to all machines" in result.stderr

@@ -110,6 +110,32 @@ def test_good_never_outlives_the_last_heartbeat_by_three_periods(pulse: list[int
             assert (n + 1 - proven) * period <= 3.0 * 1.06, "delivered as good until the next scan"
 
 
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.2, 6.0), st.floats(0.0, 0.9)), min_size=2, max_size=30), st.integers(0, 28))
+def test_a_memory_that_froze_is_good_for_three_periods_however_late_the_scans(
+    scans: list[tuple[float, float]], frozen_after: int
+) -> None:
+    """Frozen at the very moment after one reading left the device, with one last count that nobody has seen yet."""
+    age, now, count, frozen = DeviceAge(), 0.0, 1, None
+    for number, (pause, took) in enumerate(scans):
+        sent, now = now + pause, now + pause + took
+        count += frozen is None
+        pulse = Sample("Beat", count, Quality.GOOD, now, sent)
+        age, samples = judge(age, [T, BEAT], [Sample("T", 20.0, Quality.GOOD, now, sent), pulse], now, LIVING)
+        if samples["T"].quality.is_good and frozen is not None:
+            assert now - frozen <= 3.0 + 1e-5
+        if number == frozen_after:
+            count, frozen = count + 1, sent
+
+
+def test_a_living_device_is_good_again_with_the_second_scan_after_a_pause() -> None:
+    age, qualities = DeviceAge(), []
+    for count, now in enumerate((0.0, 1.0, 2.0, 9.0, 10.0), start=1):
+        age, samples = judge(age, [T, BEAT], [good("T", 20.0, now), good("Beat", count, now)], now, LIVING)
+        qualities.append(samples["T"].quality)
+    assert qualities == [Quality.UNCERTAIN, Quality.GOOD, Quality.GOOD, Quality.LAST_USABLE, Quality.GOOD]
+
+
 def test_a_change_faster_than_the_tag_allows_is_not_accurate_until_time_makes_it_believable() -> None:
     judged = walk([good("T", 20.0, 0.0), *(good("T", 32.0, float(n)) for n in range(1, 5))])
     assert [s.quality for s in judged] == [

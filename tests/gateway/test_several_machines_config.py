@@ -78,6 +78,7 @@ def test_a_file_of_one_machine_means_what_it_meant(tmp_path: Path) -> None:
         ('[[machine]]\nname = "a"\nclock = { speed = 2.0 }', "machine 'a': clock.speed: is common to all machines"),
         ('[[machine]]\nname = "a"\nwriteback = { audit = "x" }', "writeback.audit: is common to all machines"),
         ('[[machine]]\nname = "a"\n[[machine]]\nname = "a"', "machine[1].name: 'a' is already used"),
+        ('[[machine]]\nname = "page"', "machine[0].name: 'page' is what the audit log calls the gateway's own page"),
         ("[[machine]]\nscan = { period = 1.0 }", "machine[0].name: is missing"),
         ('[[machine]]\nname = "a b"', "machine[0].name: must match"),
         ("[machine]\nx = 3", "machine: must be [[machine]] tables"),
@@ -93,6 +94,35 @@ def test_a_file_of_one_machine_means_what_it_meant(tmp_path: Path) -> None:
 def test_what_is_wrong_is_said_once_with_the_machines_name(tmp_path: Path, text: str, sentence: str) -> None:
     (problem,) = problems(written(tmp_path, f"{COMMON}\n{text}\n"))
     assert sentence in problem and "; " in problem and "\n" not in problem
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ('host = "127.0.0.1"', 'host = "localhost"'),
+        ('host = "127.0.0.1"', 'host = "127.0.0.1", unit = 1'),
+        ("port = 502", "unit = 1"),
+        ('host = "::1"', 'host = "0:0:0:0:0:0:0:1"'),
+        ('host = "PLC7"', 'host = "plc7"'),
+    ],
+)
+def test_one_device_is_not_taken_twice_however_it_is_written(tmp_path: Path, one: str, other: str) -> None:
+    rows = "".join(f'[[machine]]\nname = "{name}"\ndevice = {{ {row} }}\n' for name, row in (("a", one), ("b", other)))
+    (problem,) = problems(written(tmp_path, COMMON + rows))
+    assert "machine 'b': device: is at" in problem and "as machine 'a' is" in problem
+
+
+@pytest.mark.parametrize(("node", "taken"), [(5, True), (6, False)])
+def test_one_node_of_a_bus_is_not_taken_twice(tmp_path: Path, node: int, taken: bool) -> None:
+    device = (MAP.parent / "decanter_canopen.toml").as_posix()
+    row = f'[[machine.device.links]]\nname = "bus"\nfile = "{device}"\nchannel = "can0"\nnode = '
+    text = f'[[machine]]\nname = "a"\n{row}5\n[[machine]]\nname = "b"\n{row}{node}\ninterface = "socketcan"\n'
+    path = written(tmp_path, text)
+    if taken:
+        (problem,) = problems(path)
+        assert "as machine 'a' is" in problem
+    else:
+        assert len(load_plant(path)) == 2
 
 
 def test_what_is_wrong_in_what_is_common_is_said_once(tmp_path: Path) -> None:

@@ -113,6 +113,17 @@ def test_a_block_that_meets_the_fault_after_its_scan_has_read_is_the_faults() ->
     assert (half_open.unconfirmed, half_open.detected_s, half_open.judged) == (1, 0.0, 5)
 
 
+def test_a_scan_that_came_too_late_to_prove_anything_is_the_computers_and_not_the_faults() -> None:
+    def row(*moments: float) -> Row:
+        read = [Sample("TCuscinettiRiduttore", 40.0, Quality.GOOD, moment) for moment in (9.8, 9.9, 10.7, 10.8, 10.9)]
+        read += [Sample("TFango", 40.0, Quality.LAST_USABLE, moment) for moment in moments]
+        return judged_row("split reply", (9.7, 10.5), 11.0, read=read, unconfirmed=moments, wrong=())
+
+    late, punctual = row(10.701), row(10.801)
+    assert (late.not_good, late.unconfirmed) == ({}, 0)
+    assert (punctual.not_good, punctual.unconfirmed) == ({"TFango": 1}, 1)
+
+
 def written(transaction: int, address: int, sequence: int, function: int = 16) -> RequestRow:
     """A write of 24 words as the PLC records it."""
     words = (1, sequence, *range(22))

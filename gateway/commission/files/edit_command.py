@@ -57,7 +57,7 @@ def edit_files(
 ) -> None:
     """Carry out a change of files as every command is: recorded, shown, with its exit code."""
     with sentences():
-        files = find_files(given.plant, given.device, given.link, given.settings)
+        files = find_files(given.plant, given.device, given.link, given.settings, given.machine)
         check_writable(given.records)
         paths = tuple(path for path in (files.plant, files.device) if path is not None)
         target = Target("", files.driver, {}, files=paths)

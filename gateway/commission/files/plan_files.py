@@ -13,7 +13,7 @@ from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
 from gateway.commission.files.toml_edit import Edit, commit, edited, put
 from gateway.commission.session import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
-from gateway.settings import ModelSection, load_config, load_device
+from gateway.settings import ModelSection, is_common, load_config, load_device, load_plant
 
 _PLANT = """\
 # The gateway's configuration. Relative paths are relative to this file. `decanter plc check` says what is wrong.
@@ -46,6 +46,7 @@ _SHORT_FORM = frozenset({"host", "port", "timeout"})
 class Files:
     """What is to be changed. `plant` is None where only a device file is given; `link` names one of the plant's.
 
+    `machine` is the one whose tables are meant in a plant file with [[machine]] tables, None in any other.
     `place` are settings that say where the device is, `settings` those of the device file, `driver` that of a new one.
     """
 
@@ -53,6 +54,7 @@ class Files:
     device: Path
     driver: str
     link: str | None
+    machine: str | None
     place: Mapping[str, Any]
     settings: Mapping[str, Any]
 
@@ -62,8 +64,12 @@ class Files:
         return tuple(path for path in (self.plant, self.device) if path is not None and path.exists())
 
 
-def find_files(plant: Path | None, device: Path | None, link: str | None, given: Mapping[str, Any]) -> Files:
+def find_files(
+    plant: Path | None, device: Path | None, link: str | None, given: Mapping[str, Any], machine: str | None = None
+) -> Files:
     """Which files are meant, and where each of the given settings belongs. Raises ConfigError or TargetError."""
+    if machine is not None and (plant is None or not plant.exists()):
+        raise TargetError("--machine names one of a plant file that is there: give that with --config")
     if plant is None and device is None:
         raise TargetError(
             "which file? Give the plant file (--config FILE) or the device file (--device FILE); it is made"
@@ -71,7 +77,9 @@ def find_files(plant: Path | None, device: Path | None, link: str | None, given:
     if plant is not None and plant.exists():
         if device is not None:
             raise TargetError(f"--config and --device exclude each other: {plant} names its device file itself")
-        row: Mapping[str, Any] = _row_of(plant, link)
+        tables = read_toml(plant)
+        machine = _machine_of(plant, tables, machine)
+        row: Mapping[str, Any] = _row_of(plant, _device_of(tables, machine), link)
         path = plant.parent / row["file"]
     else:
         row = {}
@@ -79,7 +87,7 @@ def find_files(plant: Path | None, device: Path | None, link: str | None, given:
     driver, all_settings = _driver_of(path, plant, link, given, row)
     place = {key: value for key, value in all_settings.items() if key in PLACE_KEYS}
     settings = {key: value for key, value in all_settings.items() if key not in PLACE_KEYS}
-    return Files(plant=plant, device=path, driver=driver, link=link, place=place, settings=settings)
+    return Files(plant=plant, device=path, driver=driver, link=link, machine=machine, place=place, settings=settings)
 
 
 def _driver_of(
@@ -111,9 +119,34 @@ def _driver_of(
     return target.driver, plain
 
 
-def _row_of(plant: Path, link: str | None) -> Mapping[str, Any]:
+def _machine_of(plant: Path, tables: Mapping[str, Any], machine: str | None) -> str | None:
+    """The machine of the file whose tables are meant, by default its only one; None for a file without their tables.
+
+    Raises ConfigError or TargetError.
+    """
+    rows = tables.get("machine")
+    if rows is None:
+        # A file of one machine calls it by its device file's name; whether that is so its configuration says.
+        return None if machine is None or load_config(plant, machine=machine) else machine
+    names = [str(row.get("name")) for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    if machine is None and len(names) != 1:
+        raise ConfigError([f"{plant}: has {len(names)} machines; name one of them with --machine: {', '.join(names)}"])
+    if machine is not None and machine not in names:
+        raise ConfigError([f"{plant}: has no machine {machine!r}; it has {', '.join(names)}"])
+    return names[0] if machine is None else machine
+
+
+def _device_of(tables: Mapping[str, Any], machine: str | None) -> Mapping[str, Any]:
+    """The [device] table of the file's only machine, or of the one of that name: its own over the common one."""
+    common: Mapping[str, Any] = tables.get("device", {})
+    if machine is None:
+        return common
+    own = next(row for row in tables["machine"] if row.get("name") == machine).get("device", {})
+    return {**common, **own}
+
+
+def _row_of(plant: Path, table: Mapping[str, Any], link: str | None) -> Mapping[str, Any]:
     """The table of a plant file that names a device `file`, of its first link or of the one called `link`."""
-    table = read_toml(plant).get("device", {})
     links = table.get("links")
     if links is None and isinstance(table.get("file"), str):
         return dict(table)
@@ -144,69 +177,102 @@ def plant_edit(files: Files, keep: Mapping[str, Any]) -> Edit | None:
     """The plant file with where the device is, and with the keys to `keep`; None without a plant file.
 
     A key is section.key, or temperature.TAG.key for that of a predicted temperature, which is added where it is new.
+    In a file with [[machine]] tables all but what is common is put into the table of the machine that is meant.
 
     Raises ConfigError.
     """
     if files.plant is None:
         return None
-    folder, new = files.plant.parent, not files.plant.exists()
+    new = not files.plant.exists()
 
     def changed(document: tomlkit.TOMLDocument) -> None:
-        table: Any = document["device"] if "device" in document else document.setdefault("device", tomlkit.table())
-        # Relative paths in a plant file are relative to it, and those on the command line to where one stands.
-        place = {
-            key: str(Path(value).absolute()) if new and key == "certificates" else value
-            for key, value in files.place.items()
-        }
-        device = files.device.absolute()
-        beside = device.is_relative_to(folder.absolute())
-        file = (device.relative_to(folder.absolute()) if beside else device).as_posix()
-        if not new:
-            rows = table.get("links")
-            row = table if rows is None else next(row for row in rows if files.link in (None, row.get("name")))
-            for key, value in place.items():
+        own: Any = document
+        if files.machine is not None:
+            own = next(row for row in document["machine"] if row["name"] == files.machine)
+        if new:
+            _begin_device(document, files)
+        elif files.place:
+            row = _device_row(document, own, files)
+            for key, value in files.place.items():
                 put(row, key, value)
-        elif capabilities(files.driver).networked and set(place) <= _SHORT_FORM:
-            table.update({"file": file, **place})
-        else:
-            rows = tomlkit.aot()
-            row = tomlkit.table()
-            row.update({"name": files.link or files.driver, "file": file, **place})
-            rows.append(row)
-            table["links"] = rows
         for dotted, value in keep.items():
             section, *tag, key = dotted.split(".")
             if tag:
-                put(_temperature_row(document, ".".join(tag)), key, value)
-                continue
-            if section not in document:
-                document[section] = tomlkit.table()
-            put(document[section], key, value)
+                put(_temperature_row(document, own, ".".join(tag)), key, value)
+            else:
+                put(_table(document if is_common(section, key) else own, section), key, value)
 
     return edited(files.plant, changed, _PLANT)
 
 
-def _temperature_row(document: tomlkit.TOMLDocument, tag: str) -> Any:
-    """The [[temperature]] table of a tag, made where there is none; a [model] becomes the first of them."""
-    if "temperature" not in document:
+def _begin_device(document: tomlkit.TOMLDocument, files: Files) -> None:
+    """The [device] table of a new plant file."""
+    folder, device = (files.plant or Path()).parent.absolute(), files.device.absolute()
+    file = (device.relative_to(folder) if device.is_relative_to(folder) else device).as_posix()
+    # Relative paths in a plant file are relative to it, and those on the command line to where one stands.
+    place = {key: str(Path(value).absolute()) if key == "certificates" else value for key, value in files.place.items()}
+    table = _table(document, "device")
+    if capabilities(files.driver).networked and set(place) <= _SHORT_FORM:
+        table.update({"file": file, **place})
+        return
+    row = tomlkit.table()
+    row.update({"name": files.link or files.driver, "file": file, **place})
+    rows = tomlkit.aot()
+    rows.append(row)
+    table["links"] = rows
+
+
+def _device_row(document: tomlkit.TOMLDocument, own: Any, files: Files) -> Any:
+    """The table that says where the device of a plant file that is there lies: its [device], or one of its links."""
+    table = _table(own, "device")
+    rows = table.get("links")
+    if rows is None and "links" in document.get("device", {}):
+        raise ConfigError(
+            [
+                f"{files.plant}: device.links: is common to all machines; give machine {files.machine!r} "
+                "[[machine.device.links]] tables of its own"
+            ]
+        )
+    return table if rows is None else next(row for row in rows if files.link in (None, row.get("name")))
+
+
+def _table(parent: Any, name: str) -> Any:
+    """The table of this name, made where it is not there."""
+    if name not in parent:
+        parent[name] = tomlkit.table()
+    return parent[name]
+
+
+def _temperature_row(document: tomlkit.TOMLDocument, own: Any, tag: str) -> Any:
+    """The [[temperature]] table of a tag, made where there is none; a [model] becomes the first of them.
+
+    A machine that has temperatures of its own has none of the common ones: it begins with what those say.
+    """
+    if "temperature" not in own:
         rows = tomlkit.aot()
-        model: Any = document.pop("model", None)
+        model: Any = own.pop("model", None)
+        if model is None and own is not document:
+            common: Any = document.get("temperature", ())
+            for row in common:
+                rows.append(_copied(row))
+            model = document.get("model") if not len(rows) else None
         if model is not None:
-            row = tomlkit.table()
-            row["tag"] = model.get("temperature", ModelSection().temperature)
-            if "path" in model:
-                row["model"] = model["path"]
-            rows.append(row)
-        document["temperature"] = rows
-    rows = document["temperature"]
+            named = {"tag": model.get("temperature", ModelSection().temperature), "model": model.get("path")}
+            rows.append(_copied({**named, "correction": model.get("correction")}))
+        own["temperature"] = rows
+    rows = own["temperature"]
     if not isinstance(rows, AoT):
         raise ConfigError(["temperature: is written as a plain list; write each as a [[temperature]] table"])
     if (found := next((row for row in rows if row.get("tag") == tag), None)) is not None:
         return found
-    row = tomlkit.table()
-    row["tag"] = tag
-    rows.append(row)
+    rows.append(_copied({"tag": tag}))
     return rows[-1]
+
+
+def _copied(row: Mapping[str, Any]) -> Any:
+    table = tomlkit.table()
+    table.update({key: value for key, value in row.items() if value is not None})
+    return table
 
 
 def save(device: Edit, plant: Edit | None) -> list[Path]:
@@ -217,7 +283,7 @@ def save(device: Edit, plant: Edit | None) -> list[Path]:
     backups = [commit(device, load_device)] if device.changed else []
     if plant is not None and plant.changed:
         so_far = f"{device.path} is written" if device.changed else "nothing was written"
-        backups.append(commit(plant, load_config, so_far=so_far))
+        backups.append(commit(plant, load_plant, so_far=so_far))
     return [path for path in backups if path is not None]
 
 

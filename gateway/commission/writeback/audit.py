@@ -1,6 +1,6 @@
 """`decanter plc audit`: the account of every write, refusal and arming, whether it is whole, by whose witness."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,8 @@ from gateway.commission.session import SharedOptions, at, audit_option, audit_pa
 from gateway.console import emit, table
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.writing import places_for
-from gateway.settings import load_plant
-from gateway.store import examine, numbered_files, read, trusted_key
+from gateway.settings import Config, load_plant
+from gateway.store import AuditRow, examine, numbered_files, read, trusted_key
 
 _PATH = click.Path(path_type=Path)
 
@@ -27,6 +27,7 @@ _PATH = click.Path(path_type=Path)
     type=_PATH,
     help="The plant file whose audit log it is.  [default: plant.toml, config/plant.toml]",
 )
+@click.option("--machine", metavar="NAME", help="Only rows of this machine, of a gateway with several.")
 @click.option("--public-key", type=_PATH, help="The gateway's public key; without it the key beside the log.")
 @click.option("--heads", type=_PATH, help="A file of signed heads.  [default: the plant file's, or beside the log]")
 @click.option("--historian", type=_PATH, help="A historian that holds a signed head.  [default: the plant file's]")
@@ -51,8 +52,8 @@ def audit(
     are checked by the gateway's key, which others must not be able to read, or the public key alone (--public-key).
     """
     with sentences():
-        config = load_plant(given.plant)[0] if given.plant is not None else None
-        places = places_for(audit_path(audit, given), config)
+        configs = load_plant(given.plant) if given.plant is not None else ()
+        places = places_for(audit_path(audit, given), configs[0] if configs else None)
         places = replace(
             places,
             heads=heads or places.heads,
@@ -60,13 +61,26 @@ def audit(
             logs=tuple(numbered_files(log)) if log is not None else places.logs,
         )
         verdict = examine(places, head=head, public=trusted_key(places, public_key))
-        rows = read(places.audit, kinds)[-last:] if last and not verdict.broken else []
+        rows = [] if verdict.broken else read(places.audit, kinds)
+        if given.machine is not None:
+            rows = _of_machine(rows, given.machine, configs)
+        rows = rows[-last:] if last else []
     plain = [{"id": row.id, **asdict(row.entry), "hash": row.hash} for row in rows]
     facts = {**asdict(verdict), "lost": verdict.lost and verdict.lost.head, "end": verdict.end}
     result = {"ok": not verdict.problem, "path": str(places.audit), **facts, "entries": plain}
     emit(result, lambda: _show_audit(result), as_json_line=given.as_json)
     if verdict.problem:
         fail(f"{places.audit}: {verdict.problem}", Exit.CHECK_FAILED)
+
+
+def _of_machine(rows: Sequence[AuditRow], machine: str, configs: Sequence[Config]) -> list[AuditRow]:
+    """The rows about one machine, also of one that is gone from the plant file. Raises ValueError for no machine."""
+    subjects = {config.machine: config.subject for config in configs}
+    found = [row for row in rows if (row.entry.subject or "") == subjects.get(machine, machine)]
+    if not found and machine not in subjects:
+        known = ", ".join(dict.fromkeys([*subjects, *filter(None, (row.entry.subject for row in rows))]))
+        raise ValueError(f"--machine {machine!r}: neither plant file nor audit log has it; they have {known or 'none'}")
+    return found
 
 
 def _show_audit(data: Mapping[str, Any]) -> None:

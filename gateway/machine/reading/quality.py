@@ -7,12 +7,12 @@ thus:
 - A read that fails in the link is never held as good: the last good value goes on as LAST_USABLE, and after
   DEAD_PERIODS without a new one as bad, without a value. What the device itself says to be bad is bad at once.
 - A device with a heartbeat must prove that its memory lives. Heartbeat 0: its program does not run, and nothing is
-  good. Otherwise a scan's readings are good while the last seen change of the heartbeat is less than STALE_PERIODS
-  old, LAST_USABLE after that, and bad after DEAD_PERIODS. Until a change from one living count to another is seen
-  they are UNCERTAIN: the first cycle after a restart may still show what the memory was cleared to.
-  The age counts from scan to scan: of an image that froze right after one, the last good reading is older by as much
-  as the scans between come late.
-  The limits are drawn half a period early, so that the jitter of a scan cannot add a scan to them.
+  good. Otherwise a scan's readings are good while its memory is known to have lived within STALE_PERIODS, LAST_USABLE
+  after that. It lived after the last reading of the former count, and no later moment is known: it may have frozen
+  right after that one, however late the next scan came. DEAD_PERIODS after the last seen change they are bad. Until a
+  change from one living count to another is seen they are UNCERTAIN: the first cycle after a restart may still show
+  what the memory was cleared to.
+- The other limits are drawn half a period early, so that the jitter of a scan cannot add a scan to them.
 - A change faster than the tag's `max_rate` since its last good reading (over one period at least) is
   SENSOR_NOT_ACCURATE; a lasting step is believed once the time that passed makes its rate believable.
 - Words in a wrong order make a believable number now and then: after one that was not (DATA_ENCODING_INVALID) a tag's
@@ -29,6 +29,8 @@ STALE_PERIODS = 3.0
 DEAD_PERIODS = 10.0
 _TOLERANCE = 0.5
 """Periods by which the limits are drawn early: a scan that jitters would otherwise be a whole period beyond them."""
+_ROUNDING = 1e-6
+"""Periods that the sum of times may be off by: on time the third scan after a reading is three periods later."""
 
 LINK_FAULTS = frozenset(
     {
@@ -68,15 +70,19 @@ class TagHistory:
 
 @dataclass(frozen=True, slots=True)
 class DeviceAge:
-    """What is remembered of a device: each tag's history, the heartbeat's last value and when it was seen to change.
+    """What is remembered of a device: each tag's history, and the heartbeat's last value with the moment (s) of the
+    last request for it, and when it was seen to change.
 
-    `garbled` are the last readings of which the driver said that their bytes are no measurement, by tag.
+    `alive` is the moment after which the device's memory is known to have lived. `garbled` are the last readings of
+    which the driver said that their bytes are no measurement, by tag.
     """
 
     tags: Mapping[str, TagHistory] = field(default_factory=dict)
     garbled: Mapping[str, Sample] = field(default_factory=dict)
     beat: int | None = None
+    beat_read: float = 0.0
     beat_changed: float | None = None
+    alive: float = 0.0
 
 
 def judge(
@@ -89,9 +95,12 @@ def judge(
     beat = by_name.get(rules.heartbeat or "")
     if beat is not None and beat.quality.is_good and isinstance(beat.value, int):
         count = int(beat.value)
-        moved = bool(age.beat) and count != age.beat and count != 0
-        changed = now if moved else None if count == 0 else age.beat_changed
-        age = DeviceAge(age.tags, age.garbled, count, changed)
+        if count == 0:
+            age = replace(age, beat_changed=None)
+        elif age.beat and count != age.beat:
+            age = replace(age, beat_changed=now, alive=age.beat_read)
+        # A device that speaks by itself may stamp its readings by a clock of its own: they were there by now.
+        age = replace(age, beat=count, beat_read=now if beat.sent is None else beat.sent)
     image = _image(age, now, rules) if rules.heartbeat else None
     histories, garbled = dict(age.tags), dict(age.garbled)
     judged: dict[str, Sample] = {}
@@ -113,7 +122,7 @@ def judge(
             elif sample.quality.is_good:
                 sample = replace(sample, quality=quality, reason=reason)
         judged[tag.name] = sample
-    return DeviceAge(histories, garbled, age.beat, age.beat_changed), judged
+    return replace(age, tags=histories, garbled=garbled), judged
 
 
 def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, str] | None:
@@ -122,11 +131,11 @@ def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, st
         return Quality.OUT_OF_SERVICE, "the device's program is not running (heartbeat 0)"
     if age.beat_changed is None:
         return Quality.UNCERTAIN, "the device's heartbeat has not been seen to change yet"
-    still = (now - age.beat_changed) / rules.beat_period + _TOLERANCE
-    reason = f"the device's heartbeat has not changed for {now - age.beat_changed:.1f} s"
-    if still > DEAD_PERIODS:
-        return Quality.DEVICE_FAILURE, reason
-    return (Quality.LAST_USABLE, reason) if still > STALE_PERIODS else None
+    if (now - age.beat_changed) / rules.beat_period + _TOLERANCE > DEAD_PERIODS:
+        return Quality.DEVICE_FAILURE, f"the device's heartbeat has not changed for {now - age.beat_changed:.1f} s"
+    if (now - age.alive) / rules.beat_period <= STALE_PERIODS + _ROUNDING:
+        return None
+    return Quality.LAST_USABLE, f"by the device's heartbeat what was read may be {now - age.alive:.1f} s old"
 
 
 def _on_its_own(tag: Tag, sample: Sample, histories: dict[str, TagHistory], now: float, period: float) -> Sample:
