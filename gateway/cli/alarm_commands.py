@@ -1,7 +1,7 @@
 """The commands of `decanter alarm`: asked of the running gateway, or read from its historian."""
 
 import getpass
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,7 +22,7 @@ from gateway.machine.alarms import (
     alarm_rates,
     read_journal,
 )
-from gateway.settings import ALARM_KINDS, load_plant
+from gateway.settings import ALARM_KINDS, OF_PLANT, alarm_subject, load_plant
 from gateway.status import ControlError, GatewayLine, connect
 from gateway.store import moment_of, newest_scan, reading
 
@@ -84,7 +84,7 @@ def list_alarms(path: Path, machine: str | None, every: bool, as_json: bool) -> 
         cells = [
             [
                 row["priority"],
-                *([row["machine"]] if len(found) > 1 else []),
+                *([alarm_subject(row["name"], row["tag"], row["machine"])] if len(found) > 1 else []),
                 ("first: " if row["first_up"] else "") + row["name"],
                 row["state"] + (f" until {_date(row['until'])}" if row["until"] else ""),
                 _date(row["since"]),
@@ -117,7 +117,7 @@ def show(name: str, path: Path, machine: str | None, as_json: bool) -> None:
         for row in rows:
             state, kind = AlarmState(row["state"]), ALARM_KINDS.get(row["kind"])
             lines = {
-                "alarm": f"{row['name']} ({row['machine']}), priority {row['priority']}",
+                "alarm": f"{name} ({alarm_subject(name, row['tag'], row['machine'])}), priority {row['priority']}",
                 "state": f"{LETTERS[state]} {state}: {MEANINGS[state]}",
                 "since": _date(row["since"]) + (f", by {row['by']}: {row['reason']}" if row["by"] else ""),
                 "until": _date(row["until"]) if row["until"] else "",
@@ -138,10 +138,12 @@ def show(name: str, path: Path, machine: str | None, as_json: bool) -> None:
 
 
 def _change(
-    change: Change, path: Path, machine: str | None, names: Iterable[str], *, as_json: bool, by: str, **keys: Any
+    change: Change, path: Path, machine: str | None, names: Sequence[str], *, as_json: bool, by: str, **keys: Any
 ) -> None:
     """Ask the running gateway for a change, and say what became of it."""
     with sentences():
+        if machine is None and set(names) <= OF_PLANT and names:
+            machine = load_plant(path)[0].machine  # which looks after the plant's: nobody has to know which one that is
         line = _gateway(path, machine)
         try:
             answer = line.ask(change.value, alarms=list(names), by=by or getpass.getuser(), **keys)
@@ -258,11 +260,11 @@ def journal(since: str, path: Path, machine: str | None, as_json: bool) -> None:
         rows = read_journal(historian, machine=machine, start=start)
 
     def show_rows() -> None:
-        several = len({row.machine for row in rows}) > 1
+        several = len({row.subject for row in rows}) > 1
         cells = [
             [
                 _date(row.time),
-                *([row.machine] if several else []),
+                *([row.subject] if several else []),
                 row.alarm,
                 row.state,
                 "–" if row.value is None else f"{row.value:g}",

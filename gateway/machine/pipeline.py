@@ -90,7 +90,7 @@ class Machine:
     computed for writing. `rng` draws the number that tells this start's blocks from another gateway's. `models` are
     those of its temperatures, where they have been read already. `records` and `supervisor` are those of the whole
     gateway, and so are the `turns` of its forecasts; without them the machine has its own. `log_failure` says why the
-    log's file cannot be written ("": it can), `notification_complaint` why messages about its alarms are not delivered.
+    log's file cannot be written ("": it can).
 
     Raises ConfigError, HistorianError or AuditError when something cannot be opened; nothing is left open then.
     """
@@ -154,7 +154,6 @@ class Machine:
             self.records = Records(store, Keeper(config.map.by_name, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):
                 driver.on_switch = self._note_switch_over
-            self.notification_complaint: Callable[[], str] = lambda: ""
             self.last: Scan | None = None
             self.phase: Phase = "starting"
             self._saved = self._cleaned = now
@@ -269,7 +268,7 @@ class Machine:
             findings[RECORDS] = float(bool(self.records_watch.complaint))
             findings[PARTS] = float(bool(self.records_watch.failed_parts))
             findings[CLOCK] = float(bool(self.clock_complaint))
-            findings[NOTIFICATION] = float(bool(self.notification_complaint()))
+            findings[NOTIFICATION] = float(bool(self.common.undelivered()))
             findings[NORTHBOUND] = float(bool(self.common.unreached()))
             findings[LINK] = float(not self.link.alive)
             self.surroundings.look(scan.time)

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 class PlantRecords:
     """Opened records. `trail` is None while nothing is computed for writing; `log_failure` says why the log's file
-    cannot be written ("": it can), `unreached` which of the systems that are told what is on record are out of reach.
+    cannot be written ("": it can), `unreached` which of the systems that are told what is on record are out of reach,
+    `undelivered` which recipients of messages about alarms, and why.
     Without a `historian` that of the configurations is opened.
 
     Raises HistorianError.
@@ -37,6 +38,7 @@ class PlantRecords:
         first = configs[0]
         self.supervisor, self.log_failure = supervisor, log_failure
         self.unreached: Callable[[], str] = lambda: ""
+        self.undelivered: Callable[[], str] = lambda: ""
         self.historian = historian or open_historian(
             first.historian.path,
             max_mb=first.historian.max_mb,

@@ -6,10 +6,15 @@ from datetime import UTC, datetime
 from hashlib import sha256
 from typing import Any
 
+from gateway.settings import alarm_subject
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmMessage:
-    """An alarm of a `machine` that was `raised` (s UTC); `state` is the one at that time."""
+    """An alarm that was `raised` (s UTC); `state` is the one at that time.
+
+    `machine` is the one that looks after it and at which it is acknowledged, also of an alarm of the whole plant.
+    """
 
     machine: str
     alarm: str
@@ -20,6 +25,11 @@ class AlarmMessage:
     first_up: bool
     response: str
     consequence: str
+
+    @property
+    def subject(self) -> str:
+        """Whose alarm it is: the plant's or the machine's."""
+        return alarm_subject(self.alarm, self.tag, self.machine)
 
     @property
     def key(self) -> str:
@@ -36,7 +46,7 @@ def subject_of(messages: Sequence[AlarmMessage]) -> str:
     """One line: the most urgent alarm, and how many more there are."""
     first = messages[0]
     more = f" and {len(messages) - 1} more" if len(messages) > 1 else ""
-    return f"alarm, priority {first.priority}: {first.alarm} ({first.machine}){more}"
+    return f"alarm, priority {first.priority}: {first.alarm} ({first.subject}){more}"
 
 
 def text_of(messages: Sequence[AlarmMessage], *, escalated_after: float) -> str:
@@ -47,7 +57,7 @@ def text_of(messages: Sequence[AlarmMessage], *, escalated_after: float) -> str:
     for message in messages:
         moment = datetime.fromtimestamp(message.raised, UTC)
         lines = [
-            f"{message.alarm} ({message.machine}), priority {message.priority}",
+            f"{message.alarm} ({message.subject}), priority {message.priority}",
             f"raised {moment:%Y-%m-%d %H:%M:%S} UTC" + (", first of all that stand" if message.first_up else ""),
             f"what to do: {message.response}" if message.response else "",
             f"otherwise: {message.consequence}" if message.consequence else "",

@@ -12,7 +12,7 @@ logged, and so is one that is older than a day.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -113,13 +113,23 @@ class Notifier:
         """The deliveries that wait for their time or for their recipient."""
         return len(self._waiting)
 
-    def attach(self, machine: str, historian: HistorianView, unseen: Iterable[tuple[AlarmCondition, Alarm]]) -> None:
-        """Begin with a machine: what its historian has to be sent yet, then what its `unseen` alarms ask for."""
+    def attach(
+        self,
+        machine: str,
+        historian: HistorianView,
+        unseen: Iterable[tuple[AlarmCondition, Alarm]],
+        *,
+        known: Collection[str],
+    ) -> None:
+        """Begin with a machine: what its historian has to be sent yet, then what its `unseen` alarms ask for.
+
+        Of an alarm that is not among those `known` any more nobody is told: it would never be acknowledged.
+        """
         saved = saved_state(historian, "messages", self._log)
         with self._wake:
             self._historians[machine] = historian
             if saved is not None and not any(self._machine_of(key) == machine for key in self._waiting):
-                self._restore(saved[1], self._now() - saved[0])
+                self._restore(saved[1], self._now() - saved[0], known)
         for condition, alarm in unseen:
             if alarm.raised is not None:
                 self._ask_for(machine, condition, alarm, self._now() - alarm.raised)
@@ -287,17 +297,18 @@ class Notifier:
             ]
             historian.save("messages", self._now(), {"waiting": waiting, "known": known})
 
-    def _restore(self, saved: Mapping[str, Any], ago: float) -> None:
+    def _restore(self, saved: Mapping[str, Any], ago: float, alarms: Collection[str]) -> None:
         now = self._clock()
         try:
             for row in saved["waiting"]:
                 message, recipient = AlarmMessage(**row["message"]), str(row["recipient"])
-                if recipient in self._lines:
+                if recipient in self._lines and message.alarm in alarms:
                     due = now + max(float(row["left"]) - max(ago, 0.0), 0.0)
                     self._waiting[message.key, recipient] = Delivery(message, recipient, due, now)
             for row in saved["known"]:
                 message = AlarmMessage(**row["message"])
-                self._known[message.key, str(row["recipient"])] = message
+                if message.alarm in alarms:
+                    self._known[message.key, str(row["recipient"])] = message
         except (KeyError, TypeError, ValueError) as error:
             self._log.warning("messages that were not delivered cannot be read and are not sent", reason=repr(error))
 
@@ -311,9 +322,8 @@ class Notifier:
 
 
 def attach_machine(notifier: Notifier, machine: Machine) -> None:
-    """Let the notifier hear of a machine's alarms, and the machine of the notifier's complaints."""
+    """Let the notifier hear of a machine's alarms."""
     name, board = machine.config.machine, machine.alarms
     unseen = [(board.conditions[each], board.alarms[each]) for each in board.waiting()]
-    notifier.attach(name, machine.historian, unseen)
+    notifier.attach(name, machine.historian, unseen, known=frozenset(board.conditions))
     board.listeners.append(lambda condition, before, after: notifier.take(name, condition, before, after))
-    machine.notification_complaint = lambda: notifier.complaint

@@ -94,6 +94,9 @@ class Fleet:
             else open_records(self.supervisor)
         )
         self.notifier = make_notifier and make_notifier(now=clock.now, supervisor=self.supervisor, log=log)
+        if (notifier := self.notifier) is not None:
+            elsewhere = self.records.undelivered  # what a worker process hears of the others' recipients
+            self.records.undelivered = lambda: notifier.complaint or elsewhere()
         alone = len(configs) == 1 and open_records is None
         opened = False
         try:

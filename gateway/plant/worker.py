@@ -142,7 +142,9 @@ class _Requests:
     def _plain_statuses(self) -> Message:
         plain: dict[str, Any] = strict({name: snapshot(one) for name, one in self._fleet.machines.items()})
         progress = {name: (one.completed, one.restarts) for name, one in self._fleet.progress().items()}
-        return {"statuses": plain, "progress": progress}
+        notifier = self._fleet.notifier
+        undelivered = "" if notifier is None else notifier.complaint
+        return {"statuses": plain, "progress": progress, "undelivered": undelivered}
 
     async def _examine(self, message: Message) -> Message:
         """What keeps machines from being begun as they are in these configurations; their models are kept for it."""

@@ -61,7 +61,8 @@ class WorkerLine:
 class PlantWorker:
     """One worker from process to process; `loaded` and `begun` are how its first one came up.
 
-    `former` says why the one before ended, `retired` that no other follows.
+    `former` says why the one before ended, `retired` that no other follows, `undelivered` which recipients of messages
+    its machines' alarms do not reach.
     """
 
     def __init__(self, number: int) -> None:
@@ -70,7 +71,7 @@ class PlantWorker:
         self.pictures: dict[str, dict[str, Any]] = {}
         self.progress: dict[str, ScanProgress] = {}
         self.seen = monotonic()
-        self.former = self.refusal = ""
+        self.former = self.refusal = self.undelivered = ""
         self.retired = self.is_opened = False
         self.is_ready, self.opening = asyncio.Event(), asyncio.Lock()
         self.audits = set[asyncio.Future[Any]]()
@@ -90,7 +91,7 @@ class PlantWorker:
     def ended(self, error: WorkerEnded) -> None:
         """The process has ended."""
         self.is_ready.clear()
-        self.progress = {}
+        self.progress, self.undelivered = {}, ""
         self.is_opened, self.former = False, str(error)
         if self._line is not None:
             self._line.ended(error)

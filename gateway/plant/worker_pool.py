@@ -260,6 +260,7 @@ class WorkerPool:
         while not worker.retired:
             reply = await line.ask("statuses", timeout=HANG_SECONDS)
             worker.see(reply["statuses"])
+            worker.undelivered = reply["undelivered"]
             worker.progress = {name: ScanProgress(*counts) for name, counts in reply["progress"].items()}
             for name in worker.pictures:
                 self.on_scan(name)
@@ -381,6 +382,7 @@ class WorkerPool:
             "audit": trail.audit.failure if trail else "",
             "log": self._log_failure(),
             "northbound": self.records.unreached(),
+            "undelivered": "; ".join(filter(None, (worker.undelivered for worker in self._workers.values()))),
             "lost": {
                 name: {"dropped": one.dropped, "refused": one.refused, "what": one.what, "at": one.at}
                 for name, one in lost.items()

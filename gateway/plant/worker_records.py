@@ -42,6 +42,7 @@ class RecordsHealth:
     audit: str = ""
     log: str = ""
     northbound: str = ""
+    undelivered: str = ""
     lost: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
@@ -192,6 +193,7 @@ class WorkerRecords(PlantRecords):
             historian=historian,
         )
         self.unreached = lambda: self.health.northbound
+        self.undelivered = lambda: self.health.undelivered
 
     def _on_heard(self) -> None:
         """What keeps the supervisor's audit log from being written is what keeps this one, and ends with it."""

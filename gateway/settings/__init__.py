@@ -1,6 +1,15 @@
 """What may stand in the plant file and in a device file, checked whole before anything starts."""
 
-from gateway.settings.alarm_kinds import ALARM_KINDS, AlarmKind, settings_of, suppressing
+from gateway.settings.alarm_kinds import (
+    ALARM_KINDS,
+    LEAST_URGENT,
+    OF_PLANT,
+    PLANT,
+    AlarmKind,
+    alarm_subject,
+    settings_of,
+    suppressing,
+)
 from gateway.settings.changes import changed_machines
 from gateway.settings.config import (
     LEAST_BLOCKS,
@@ -46,8 +55,11 @@ __all__ = [
     "BLOCK_FIELDS",
     "FROM_SECRETS",
     "LEAST_BLOCKS",
+    "LEAST_URGENT",
     "MAX_ARMED_MINUTES",
+    "OF_PLANT",
     "PAGE_SUBJECT",
+    "PLANT",
     "AlarmKind",
     "Config",
     "DeviceLink",
@@ -71,6 +83,7 @@ __all__ = [
     "SmtpSection",
     "WritebackLayout",
     "WritebackSection",
+    "alarm_subject",
     "changed_machines",
     "configs_from_json",
     "configs_to_json",

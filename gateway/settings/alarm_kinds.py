@@ -17,12 +17,12 @@ MOST_URGENT, LEAST_URGENT = 1, 4
 class AlarmKind:
     """One kind: its bit in the block's alarm word (None: none), and its defaults, which a plant file may change.
 
-    `subject` is what a machine has one of for each: the machine itself, a watched temperature, a predicted one.
+    `subject` is what there is one of for each: the plant, a machine, a watched temperature of it, a predicted one.
     `namur` is the category of NAMUR NE 107 for what is wrong with a sensor: failure, out of specification or
     maintenance required. Delays are plant seconds. `{tag}`, `{limit}` and `{unit}` in `response` stand for the alarm's.
     """
 
-    subject: Literal["machine", "watched", "predicted"]
+    subject: Literal["plant", "machine", "watched", "predicted"]
     watches: str
     response: str
     consequence: str
@@ -156,14 +156,14 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         consequence="times in the records are wrong",
     ),
     "clock not steered": AlarmKind(
-        subject="machine", priority=4, on_delay=3600.0,
+        subject="plant", priority=4, on_delay=3600.0,
         watches="whether a time server steers this computer's clock, by the kernel's own account",
         response="no time server steers the clock: see timedatectl, and have NTP set up; where there shall be none, "
         "switch this alarm off",
         consequence="the clock drifts by seconds a day, and times of this gateway and of others cannot be compared",
     ),
     "disk": AlarmKind(
-        subject="machine",
+        subject="plant",
         watches="the room that is left where the records lie, against `alarms.disk_mb`",
         response="the disk is nearly full: make room, or lower historian.max_mb",
         consequence="the oldest measurements go, and in the end nothing is on record",
@@ -177,19 +177,33 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         "the OPC UA server refuse it and see nothing",
     ),
     "notification": AlarmKind(
-        subject="machine", priority=3,
+        subject="plant", priority=3,
         watches="whether messages about alarms are delivered",
         response="messages about alarms are not delivered: see the log for the recipient, then mail server or web hook",
         consequence="nobody who is away from the page hears of an alarm",
     ),
     "northbound": AlarmKind(
-        subject="machine", priority=3, on_delay=300.0,
+        subject="plant", priority=3, on_delay=300.0,
         watches="whether the brokers and databases that are told what is on record can be reached",
         response="a broker or database is out of reach: see the log for which one and why, then network and server",
         consequence="other systems show old values, and what is older than northbound.backlog_hours never comes there",
     ),
 }  # fmt: skip
 """Every kind by its name, in the order in which they are shown."""
+
+PLANT = "plant"
+"""What an alarm of the whole plant names in place of a tag, where there are several machines."""
+OF_PLANT = frozenset(name for name, kind in ALARM_KINDS.items() if kind.subject == "plant")
+"""The kinds that a plant has once, whatever its machines: its first machine looks after them."""
+
+
+def alarm_subject(alarm: str, tag: str, machine: str) -> str:
+    """Whose an alarm is that names a tag: PLANT for one of a plant of several machines, else the machine.
+
+    Rows on record from before a plant had such an alarm once name the machine, and are its.
+    """
+    return PLANT if alarm in OF_PLANT and tag == PLANT else machine
+
 
 Priority = Annotated[int, Field(ge=MOST_URGENT, le=LEAST_URGENT)]
 
@@ -252,11 +266,12 @@ def alarm_problems(
 ) -> list[str]:
     """What no single key of the rows shows: tags that are not there, or of which there is no such alarm."""
     known, problems = set(tags), []
-    of = {"watched": list(watched), "predicted": list(predicted), "machine": list[str]()}
+    of = {"watched": list(watched), "predicted": list(predicted), "machine": list[str](), "plant": list[str]()}
     for place, row in enumerate(rows):
         subjects = of[ALARM_KINDS[row.name].subject]
         if row.tag is not None and row.tag not in subjects:
-            right = f"give one of {', '.join(subjects)}" if subjects else "leave the key out: it is the machine's"
+            whose = ALARM_KINDS[row.name].subject
+            right = f"give one of {', '.join(subjects)}" if subjects else f"leave the key out: it is the {whose}'s"
             problems.append(f"alarm[{place}].tag: there is no alarm {row.name!r} of {row.tag!r}; {right}")
         if row.suppressed_by is not None and (tag := suppressing(row.suppressed_by)[0]) not in known:
             problems.append(f"alarm[{place}].suppressed_by: {tag!r} is not a tag of {file}; give one of its names")

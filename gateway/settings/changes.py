@@ -40,6 +40,8 @@ def _differences(before: Config, after: Config) -> Iterator[str]:
         old, new = getattr(before, field.name), getattr(after, field.name)
         if field.compare and old != new and isinstance(old, BaseModel) and isinstance(new, BaseModel):
             yield from _of_section(field.name, old.model_dump(mode="json"), new.model_dump(mode="json"))
+        elif field.name == "leads" and old != new:
+            yield f"the alarms of the plant: {'looks' if new else 'no longer looks'} after them"
         elif field.name == "alarm" and old != new:
             yield "alarm: its tables differ"
         elif field.name == "temperatures" and old != new:

@@ -18,7 +18,7 @@ from pydantic import Field, StringConstraints, TypeAdapter, field_validator, mod
 from drivers.driver import capabilities, load_function
 from drivers.errors import DriverError
 from drivers.settings import ConfigError, Line, Section, checked, read_toml
-from gateway.settings.alarm_kinds import AlarmRow, alarm_problems
+from gateway.settings.alarm_kinds import OF_PLANT, AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
 from gateway.settings.northbound import NorthboundSection
@@ -382,9 +382,9 @@ def is_common(section: str, key: str) -> bool:
 class Config:
     """The checked configuration of one machine; every path in it is complete.
 
-    `machine` is its name, `several` whether its file has [[machine]] tables; `temperatures` are those that are
-    predicted, `model` is the first one's. `stamp` is the file's time of change (s): two configurations that differ in
-    nothing else are equal.
+    `machine` is its name, `several` whether its file has [[machine]] tables, `leads` whether it is the first of them,
+    which looks after the alarms of the whole plant; `temperatures` are those that are predicted, `model` is the first
+    one's. `stamp` is the file's time of change (s): two configurations that differ in nothing else are equal.
     """
 
     path: Path
@@ -394,6 +394,7 @@ class Config:
     scan: ScanSection
     model: ModelSection
     several: bool
+    leads: bool
     temperatures: tuple[TemperatureSection, ...]
     writeback: WritebackSection
     alarms: AlarmSection
@@ -547,13 +548,14 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     if rows is None:
         return (_machine_config(path, data, str(path)),)
     tables = _machine_tables(rows, path)
-    machines, problems = [], list[str]()
+    machines, problems = list[Config](), list[str]()
     for name, table in tables.items():
         try:
-            machines.append(_machine_config(path, _over_common(data, table), f"{path}: machine {name!r}", name))
+            place = f"{path}: machine {name!r}"
+            machines.append(_machine_config(path, _over_common(data, table), place, name, leads=not machines))
         except ConfigError as error:
             problems += error.problems
-    problems = problems or _same_places(machines)
+    problems = problems or [*_same_places(machines), *_plant_alarms(machines)]
     if problems:
         # What is wrong at the top is wrong for several machines: it is said once, and of none of them.
         bare = [re.sub(r": machine '[^']*'", "", problem, count=1) for problem in problems]
@@ -617,6 +619,18 @@ def _same_places(machines: Sequence[Config]) -> list[str]:
     return problems
 
 
+def _plant_alarms(machines: Sequence[Config]) -> list[str]:
+    """What machines say by themselves of alarms that the plant has once."""
+    common = [row for row in machines[0].alarm if row.name in OF_PLANT]
+    return [
+        f"{config.path}: machine {config.machine!r}: alarm: {row.name!r} is the plant's, which has it once; write it "
+        "at the top of the file"
+        for config in machines[1:]
+        for row in config.alarm
+        if row.name in OF_PLANT and row not in common
+    ]
+
+
 def _over_common(data: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
     """A machine's whole table: its own over what is common; temperatures are named in one way only, its own if any."""
     common = dict(data)
@@ -677,7 +691,7 @@ def _keys(row: Mapping[str, Any], section: str) -> Mapping[str, Any]:
     return table if isinstance(table, dict) else {}
 
 
-def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str = "") -> Config:
+def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str = "", *, leads: bool = True) -> Config:
     """The configuration of one machine from its whole table; `place` begins each sentence. Raises ConfigError."""
     content = checked(_PlantFile, data, place)
     home = path.parent
@@ -696,6 +710,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         stamp=path.stat().st_mtime,
         machine=name or links[0].map.name,
         several=bool(name),
+        leads=leads,
         device=content.device,
         scan=content.scan,
         model=ModelSection(path=first.model, temperature=first.tag, correction=first.correction),

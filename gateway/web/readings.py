@@ -13,6 +13,7 @@ import numpy as np
 
 from drivers.tag import Quality
 from gateway.machine.alarms import alarm_rates, read_journal
+from gateway.settings import alarm_subject
 from gateway.store import machines, newest_scan, reading, samples, scorecard, stored_rows, trend, warning_score
 from sim.sha import Array
 from sim.strict_json import strict
@@ -90,12 +91,18 @@ def forecasts_for(
 
 
 def alarm_rows(path: Path, *, machine: str, most: int) -> dict[str, Any]:
-    """The newest changes of alarms, the newest first. Raises HistorianError."""
+    """The newest changes of alarms, the newest first; `of_plant` those that are not the machine's own.
+
+    Raises HistorianError.
+    """
     names = ("time", "condition", "tag", "priority", "state", "value", "acknowledged_by")
     with reading(path) as connection:
         rows = stored_rows(connection, "alarms", names, machine=machine)
     newest = sorted(rows, key=lambda row: row[0])[: -most - 1 : -1]
-    return {"rows": [dict(zip(names, row, strict=True)) for row in newest]}
+    plain = [dict(zip(names, row, strict=True)) for row in newest]
+    return {
+        "rows": [row | {"of_plant": alarm_subject(row["condition"], row["tag"], machine) != machine} for row in plain]
+    }
 
 
 def rates_of_alarms(path: Path, *, days: float) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from dataclasses import asdict, fields
 from math import isfinite
 from typing import Any
 
+from gateway.settings import alarm_subject
 from gateway.status import (
     AlarmStatus,
     FamiliarityStatus,
@@ -30,12 +31,13 @@ PUT_ASIDE = ("shelved", "suppressed by design", "out of service")
 
 def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) -> dict[str, Any]:
     """A machine as plain values: `status` whole, `temperatures` with a sentence each, its level and what is wrong."""
-    own = {field.name: getattr(status, field.name) for field in fields(TemperatureStatus)}
-    temperatures = [_temperature(words, labels, status, one) for one in (TemperatureStatus(**own), *status.further)]
-    alarms = [_alarm(labels, alarm) for alarm in status.alarm_summary]
+    first = TemperatureStatus(**{field.name: getattr(status, field.name) for field in fields(TemperatureStatus)})
+    temperatures = [_temperature(words, labels, status, one) for one in (first, *status.further)]
+    alarms = [_alarm(words, labels, status.machine, alarm) for alarm in status.alarm_summary]
+    own = [alarm for alarm in alarms if not alarm["of_plant"]]
     return {
         "label": labels.get(status.machine, status.machine),
-        "level": max((row["level"] for row in (*temperatures, *alarms)), key=LEVELS.index),
+        "level": max((row["level"] for row in (*temperatures, *own)), key=LEVELS.index),
         "health": health_of(status).value,
         "findings": [asdict(finding) for finding in findings(status)],
         "temperatures": temperatures,
@@ -44,11 +46,17 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
     }
 
 
-def _alarm(labels: Mapping[str, str], alarm: AlarmStatus) -> dict[str, Any]:
-    """An alarm that is not normal; one that was acknowledged or is over asks for attention, one put aside for none."""
+def _alarm(words: Words, labels: Mapping[str, str], machine: str, alarm: AlarmStatus) -> dict[str, Any]:
+    """An alarm that is not normal; one that was acknowledged or is over asks for attention, one put aside for none.
+
+    `of` is whose it is in the plant's words, `of_plant` whether the whole plant's, which says nothing of the machine.
+    """
+    of_plant = alarm_subject(alarm.name, alarm.tag, machine) != machine
+    of = words.say("nav.plant") if of_plant else labels.get(machine, machine)
+    label = of if of_plant else labels.get(alarm.tag, alarm.tag)
     urgent = alarm.active and alarm.state == "unacknowledged" and alarm.priority == 1
     level = "alarm" if urgent else "normal" if alarm.state in PUT_ASIDE else "attention"
-    return {**asdict(alarm), "label": labels.get(alarm.tag, alarm.tag), "level": level}
+    return {**asdict(alarm), "label": label, "level": level, "of": of, "of_plant": of_plant}
 
 
 def _temperature(

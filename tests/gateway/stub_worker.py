@@ -1,6 +1,7 @@
 """A worker process of the tests: it says what a worker says, has no machine, and does what its machines' names say.
 
 `refuses`: it may not begin. `falls`: it ends before it has begun. `hangs`: it answers twice, and then not any more.
+`unheard`: its messages about alarms reach nobody.
 """
 
 import json
@@ -34,7 +35,8 @@ def main() -> None:
             time.sleep(60.0)
         answered += 1
         status = {"machine": names[0], "answered": answered, "former": begin["former"]}
-        silent = {"statuses": {}, "progress": dict.fromkeys(names, (answered, 0))}
+        unheard = "shift: nobody answers" if "unheard" in names else ""
+        silent = {"statuses": {}, "progress": dict.fromkeys(names, (answered, 0)), "undelivered": unheard}
         content = silent if message["ask"] == "statuses" else {"answer": {"ok": True, "status": status}}
         channel.reply(message["id"], content)
     channel.reply(message["id"], {"statuses": {}})

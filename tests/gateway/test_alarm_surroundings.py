@@ -103,7 +103,7 @@ async def test_messages_that_are_not_delivered_are_an_alarm(tmp_path: Path) -> N
     text = QUICK + '[[notify.to]]\nname = "shift"\nwebhook = "https://example.com/x"\n'
     async with standing(config_in(tmp_path, text)) as stand:
         await stand.scan()
-        stand.machine.notification_complaint = lambda: "shift: the web hook cannot be reached"
+        stand.machine.common.undelivered = lambda: "shift: the web hook cannot be reached"
         await stand.scan()
         assert stand.state("notification") == "unacknowledged"
 

@@ -212,7 +212,7 @@ def telling(hand: Hand, kept: Kept | None = None, unseen: Sequence[tuple[AlarmCo
     log: Any = Silent()
     notifier = Notifier(rows, senders, now=hand.now, supervisor=Supervisor(), log=log, clock=hand.clock)
     store: Any = kept or Kept()
-    notifier.attach("decanter", store, unseen)
+    notifier.attach("decanter", store, unseen, known=("rising", "link", HOT.name))
     try:
         yield notifier
     finally:

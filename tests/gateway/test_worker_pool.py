@@ -21,7 +21,7 @@ from gateway.plant import channel as channels
 from gateway.plant import open_log, worker_pool
 from gateway.plant.split import split_over
 from gateway.plant.worker_pool import WorkerPool
-from gateway.plant.worker_records import RecordsHealth, SentAudit, SentHistorian
+from gateway.plant.worker_records import RecordsHealth, SentAudit, SentHistorian, WorkerRecords
 from gateway.settings import Config, configs_from_json, configs_to_json, load_plant
 from gateway.store import AuditEntry, LostRows
 from tests.gateway.support import EPOCH, MAP, ROOT
@@ -149,6 +149,22 @@ async def test_one_that_hangs_is_killed_and_begun_anew_and_the_other_is_asked_on
         while (now := pool.progress())["a"].completed <= before["a"].completed or now["hangs"] == before["hangs"]:
             await asyncio.sleep(0.02)
     assert "a part of the gateway failed and is begun anew" in log.getvalue() and "Traceback" not in log.getvalue()
+
+
+async def test_messages_that_one_process_cannot_deliver_are_known_where_the_plants_alarms_are(tmp_path: Path) -> None:
+    async with asyncio.timeout(120.0), pool_of(plant_of(tmp_path, *named("a", "unheard")), io.StringIO()) as pool:
+        while not (told := pool._health(["a"])["undelivered"]):
+            await asyncio.sleep(0.02)
+        assert told == "shift: nobody answers"
+    line: Any = Line(rows={"health": {**vars(RecordsHealth()), "undelivered": told}})
+    silent: Any = None
+    first = plant_of(tmp_path, *named("a", "b"))[:1]
+    records = WorkerRecords(first, line, clock=plant_clock(), log=silent, supervisor=Supervisor())
+    assert records.undelivered() == ""
+    records.historian.of("a").put("scans", [(EPOCH, 0.1, 0)])
+    assert records.historian.flush()
+    assert records.undelivered() == told
+    assert records.close()
 
 
 @pytest.mark.parametrize(

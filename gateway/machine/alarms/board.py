@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from drivers.errors import OneLineError, did_you_mean
 from gateway.machine.alarms.conditions import DRIFTING, OVER_LIMIT, on_tag
@@ -28,6 +28,7 @@ from gateway.machine.alarms.states import (
     word,
 )
 from gateway.machine.reading import Scan
+from gateway.settings import LEAST_URGENT
 from gateway.store import HistorianView, saved_state
 
 if TYPE_CHECKING:
@@ -57,7 +58,8 @@ class AlarmBoard:
     """All alarms of a machine, in two stages of a scan: `on_measured` before the model, `on_predictions` after it.
 
     What changes is on record and in the log at once: an alarm waits for nothing that comes later in the scan. The
-    alarms go on as they were when the gateway last ran; what cannot be read begins as normal, and is logged. `words`
+    alarms go on as they were when the gateway last ran; what cannot be read begins as normal, and is logged, and what
+    the machine has no longer is normal on record from now on: nothing would ever clear it. `words`
     are the PLC's words of acknowledge bits, by tag, each with the temperatures whose alarms it acknowledges; the rise
     of the tag `acknowledge_all` from 0 acknowledges all. `listeners` are told of every change of a state.
     """
@@ -82,6 +84,8 @@ class AlarmBoard:
         self.listeners: list[AlarmListener] = []
         self.alarms = {name: new_alarm(condition, now) for name, condition in conditions.items()}
         saved = saved_state(historian, "alarms", log) or (now, {})
+        if gone := {name: plain for name, plain in saved[1].items() if name not in conditions}:
+            self._end_for_good(gone, now)
         for name, plain in saved[1].items():
             if name in conditions:
                 try:
@@ -94,11 +98,24 @@ class AlarmBoard:
                     # was set back meanwhile prolongs no shelving.
                     alarm = replace(alarm, until=min(alarm.until, now + max(alarm.until - saved[0], 0.0)))
                 self.alarms[name] = alarm
+        if gone:
+            self._save_alarms(now)
         if sensors is not None and (state := saved_state(historian, "sensors", log)) is not None:
             try:
                 sensors.restore(state[1])
             except (KeyError, TypeError, ValueError) as error:
                 log.warning("what was known of the sensors cannot be read and begins anew", reason=repr(error))
+
+    def _end_for_good(self, gone: Mapping[str, Any], now: float) -> None:
+        """Put on record that alarms are normal which the machine had when it last ran, and has no longer."""
+        reason = "the machine has no such alarm any more"
+        for name, plain in gone.items():
+            state = plain.get("state") if isinstance(plain, dict) else None
+            if state in {each.value for each in AlarmState} - {AlarmState.NORMAL.value}:
+                tag, priority = str(plain.get("tag", "")), int(plain.get("priority", LEAST_URGENT))
+                self._historian.put("alarms", [(now, name, tag, priority, AlarmState.NORMAL.value, None, GATEWAY)])
+                self._historian.put("audit", [(now, f"alarm {name}: ended", GATEWAY, reason)])
+                self._log.warning("alarm", condition=name, state=AlarmState.NORMAL.value, reason=reason)
 
     def word(self, temperature: str) -> int:
         """The alarm word of the block of a temperature."""

@@ -9,7 +9,7 @@ from typing import Any
 from drivers.device_file import ACKNOWLEDGE_BITS
 from gateway.machine.alarms.states import AlarmCondition
 from gateway.machine.reading import STALE_PERIODS
-from gateway.settings import ALARM_KINDS, Config, settings_of, suppressing
+from gateway.settings import ALARM_KINDS, OF_PLANT, PLANT, Config, settings_of, suppressing
 
 DEVICE = "device"
 """The alarm for what the device itself says is wrong with it."""
@@ -47,10 +47,11 @@ def acknowledge_words(config: Config) -> dict[str, frozenset[str]]:
 
 
 def certificate_folders(config: Config) -> list[Path]:
-    """The folders of the certificates without which the machine is not read, or not seen by OPC UA."""
+    """The folders of the certificates without which the machine is not read; of the first one's those of the OPC UA
+    server too, which the plant has once."""
     opcua = config.northbound.opcua
     named = [link.settings.get("certificates") for link in config.links]
-    named += [opcua.certificates] if opcua.port is not None else []
+    named += [opcua.certificates] if opcua.port is not None and config.leads else []
     return [Path(str(each)) for each in named if each]
 
 
@@ -74,11 +75,13 @@ def _of_kind(
 ) -> list[AlarmCondition]:
     """The alarm of a kind as the table has it, with what the plant file says of it; none where it is switched off.
 
-    It is of the machine where there is no `tag`; `about` is what it names then, the machine by default.
+    It is of the machine where there is no `tag`; `about` is what it names then, the machine by default. One of the
+    plant is the first machine's to look after, and names the plant where there are several.
     """
     row, own = ALARM_KINDS[kind], settings_of(config.alarm, kind, tag)
-    if not own.pop("enabled", True):
+    if not own.pop("enabled", True) or (kind in OF_PLANT and not config.leads):
         return []
+    about = PLANT if kind in OF_PLANT and config.several else about
     unit = config.map.by_name[tag].unit if tag else ""
     plain: dict[str, Any] = {
         "name": kind,

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
+from gateway.settings import alarm_subject
 from gateway.store import machines, reading, stored_rows
 
 
@@ -12,7 +13,8 @@ from gateway.store import machines, reading, stored_rows
 class JournalRow:
     """An alarm of a `machine` came into a `state` at a `time` (s UTC); `value` is what its condition looked at then.
 
-    `by` is who did it ("": the plant), `reason` why.
+    `by` is who did it ("": the plant), `reason` why. `subject` is the machine, or the plant whose alarm that one looks
+    after.
     """
 
     time: float
@@ -24,6 +26,11 @@ class JournalRow:
     value: float | None
     by: str
     reason: str
+
+    @property
+    def subject(self) -> str:
+        """Whose alarm it is: the plant's or the machine's."""
+        return alarm_subject(self.alarm, self.tag, self.machine)
 
 
 def read_journal(path: Path, *, machine: str | None = None, start: float = -inf, end: float = inf) -> list[JournalRow]:

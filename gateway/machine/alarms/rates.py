@@ -82,7 +82,7 @@ def alarm_rates(rows: Iterable[JournalRow], start: float, end: float) -> AlarmRa
         raise ValueError("rates need a time: the end must be after the start")
     known = sorted((row for row in rows if row.time <= end), key=lambda row: row.time)
     several = len({row.machine for row in known}) > 1
-    names = [f"{row.machine}: {row.alarm}" if several else row.alarm for row in known]
+    names = [f"{row.subject}: {row.alarm}" if several else row.alarm for row in known]
     fresh = [
         (name, row)
         for name, row in zip(names, known, strict=True)

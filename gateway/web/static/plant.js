@@ -38,7 +38,7 @@ export function badge(writeback) {
 
 export function plantView() {
   const rows = state.order.flatMap((name) => {
-    const machine = state.machines[name], worst = machine.alarms[0];
+    const machine = state.machines[name], worst = machine.alarms.find((alarm) => !alarm.of_plant);
     return machine.temperatures.map((row, place) => {
       const level = place === 0 ? machine.level : row.level;
       return h("a", { class: `row ${level} ${row.valid}`, href: `#/machine/${encodeURIComponent(name)}`, "data-key": `${name} ${row.tag}`, "data-machine": name, "data-tag": row.tag },
@@ -52,7 +52,16 @@ export function plantView() {
           : h("span", { class: "quiet" }, say("alarm.none"))));
     });
   });
-  return h("section", { class: "plant", "aria-label": say("nav.plant") }, rows);
+  return h("section", { class: "plant", "aria-label": say("nav.plant") }, plantAlarms(), rows);
+}
+
+// What stands of the whole plant is no machine's: a line of its own above them, and none without such an alarm.
+function plantAlarms() {
+  const own = state.order.flatMap((name) => state.machines[name].alarms.filter((alarm) => alarm.of_plant));
+  if (!own.length) return null;
+  return h("a", { class: "row whole", href: "#/alarms", "data-key": "plant" },
+    h("span", { class: "what" }, h("b", {}, say("nav.plant"))),
+    h("span", { class: "worst" }, own.map((alarm) => h("span", { class: `chip ${alarm.level}` }, `${alarm.name} · ${say(`alarm.${stateKey(alarm.state)}`)}`))));
 }
 
 export const stateKey = (text) => text.replaceAll(" ", "_");
@@ -73,7 +82,7 @@ export function machineView(name, cut) {
       h("span", { class: status.link.alive ? "" : "bad" }, say(status.link.alive ? "word.link_good" : "word.link_lost")),
       h("span", { class: "quiet" }, say("word.outages", { count: status.link.outage_count }))),
     cards,
-    machine.alarms.length > 0 && h("section", { class: "card" }, h("h3", {}, say("nav.alarms")), alarmTable([name])),
+    machine.alarms.some((alarm) => !alarm.of_plant) && h("section", { class: "card" }, h("h3", {}, say("nav.alarms")), alarmTable([name], false)),
     h("div", { class: "columns" },
       h("section", { class: "card" }, h("h3", {}, say("word.events")), eventList(status)),
       h("section", { class: "card wide" }, h("h3", {}, say("word.inputs")), inputs(status, extra, cut))),

@@ -7,16 +7,16 @@ import { sign, stateKey } from "./plant.js";
 const ROLES = ["operator", "engineer", "administrator"];
 export const can = (role) => ROLES.indexOf(person.role) >= ROLES.indexOf(role);
 
-// The alarms of some machines that are not normal, the most urgent first.
-export function alarmTable(names) {
-  const rows = names.flatMap((name) => state.machines[name].alarms.map((alarm) => ({ name, machine: state.machines[name], ...alarm, alarm: alarm.name })));
+// The alarms of some machines that are not normal, the most urgent first; the plant's too, which one of them looks after.
+export function alarmTable(names, ofPlant = true) {
+  const rows = names.flatMap((name) => state.machines[name].alarms.filter((alarm) => ofPlant || !alarm.of_plant).map((alarm) => ({ name, machine: state.machines[name], ...alarm, alarm: alarm.name })));
   rows.sort((a, b) => a.priority - b.priority || b.since - a.since);
   if (!rows.length) return h("p", { class: "quiet" }, say("alarm.none"));
   return h("ul", { class: "alarms" }, rows.map((row) => {
     const alarm = row.alarm, possible = row.possible?.length ? row.possible : row.state.includes("unacknowledged") ? ["acknowledge"] : [];
-    return h("li", { class: `entry ${row.level}`, "data-key": `${row.machine.label} ${alarm}`, "data-alarm": alarm },
+    return h("li", { class: `entry ${row.level}`, "data-key": `${row.of} ${alarm}`, "data-alarm": alarm },
       sign(row.level),
-      h("div", { class: "alarmtext" }, h("b", {}, `${row.machine.label}: ${alarm}`), h("span", { class: "response" }, row.response),
+      h("div", { class: "alarmtext" }, h("b", {}, `${row.of}: ${alarm}`), h("span", { class: "response" }, row.response),
         h("small", {}, `${say("alarm.priority")} ${row.priority} · ${say(`alarm.${stateKey(row.state)}`)} · ${say("word.since")} ${moment(row.since)} (${duration((row.machine.status.time - row.since) / row.machine.status.speed)})`,
           row.acknowledged_by && ` · ${say("alarm.acknowledged_by")} ${row.acknowledged_by}`,
           row.until && ` · ${say("alarm.until", { until: moment(row.until), by: row.by, reason: row.reason })}`)),
@@ -51,7 +51,7 @@ export function alarmsView() {
     !history.rows ? h("p", { class: "quiet" }, say("word.loading")) : !history.rows.length ? h("p", { class: "quiet" }, say("word.nothing"))
       : h("div", { class: "scroll", tabindex: "0" }, h("table", {},
         h("thead", {}, h("tr", {}, [say("word.time"), say("word.machine"), say("alarm.alarm"), say("word.state"), say("word.value"), say("alarm.acknowledged_by")].map((text) => h("th", { scope: "col" }, text)))),
-        h("tbody", {}, history.rows.map((row) => h("tr", {}, h("td", {}, moment(row.time)), h("td", {}, state.machines[row.name]?.label ?? row.name), h("th", { scope: "row" }, row.condition),
+        h("tbody", {}, history.rows.map((row) => h("tr", {}, h("td", {}, moment(row.time)), h("td", {}, row.of_plant ? say("nav.plant") : state.machines[row.name]?.label ?? row.name), h("th", { scope: "row" }, row.condition),
           h("td", {}, say(`alarm.${stateKey(row.state)}`)), h("td", { class: "number" }, shown(row.value)), h("td", {}, row.acknowledged_by)))))));
 }
 

@@ -1,0 +1,143 @@
+"""Alarms that a plant has once: its first machine looks after them, and nothing of the others is left standing."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+
+from drivers.settings import ConfigError
+from drivers.supervision import Supervisor
+from gateway.machine.alarms import alarm_rates, make_conditions, read_journal
+from gateway.notify import Notifier, attach_machine
+from gateway.notify.messages import AlarmMessage, subject_of
+from gateway.settings import OF_PLANT, Config, changed_machines, load_plant
+from gateway.status import read_status
+from gateway.texts import all_words
+from gateway.web import machine_view
+from tests.gateway.status_picture import picture
+from tests.gateway.support import EPOCH, MAP
+from tests.gateway.test_alarm_desk import Stand, standing
+
+TOP = """
+[alarms]
+off_delay = 0
+sensors = false
+trend = false
+[[northbound.mqtt]]
+name = "it"
+host = "127.0.0.1"
+tls = false
+[[alarm]]
+name = "northbound"
+on_delay = 0
+[notify]
+[[notify.to]]
+name = "shift"
+webhook = "https://example.com/x"
+"""
+
+
+def plant_of(folder: Path, *names: str, own: str = "", top: str = TOP) -> tuple[Config, ...]:
+    """A plant of machines of these names; `own` is what the table of the last one has beside its place."""
+    rows = [f'[[machine]]\nname = "{name}"\ndevice = {{ port = {1500 + place} }}' for place, name in enumerate(names)]
+    path = folder / "plant.toml"
+    common = f'[device]\nfile = "{MAP}"\n[historian]\npath = "h.sqlite"\n[log]\npath = "log.jsonl"\n{top}'
+    path.write_text("\n".join([common, *rows, own]) + "\n", encoding="utf-8")
+    return load_plant(path)
+
+
+async def out_of_reach(stand: Stand, why: str = "it cannot be reached") -> None:
+    stand.machine.common.unreached = lambda: why
+    await stand.scan()
+
+
+def test_the_first_machine_has_them_and_they_name_the_plant(tmp_path: Path) -> None:
+    first, second = (make_conditions(config, config.watched) for config in plant_of(tmp_path, "a", "b"))
+    assert {name for name in first if name in OF_PLANT} == OF_PLANT and not OF_PLANT & set(second)
+    assert {first[name].tag for name in OF_PLANT} == {"plant"}
+    assert set(first) - OF_PLANT == set(second)
+
+
+def test_a_machine_says_nothing_of_its_own_about_them(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"machine 'b': alarm: 'disk' is the plant's.*at the top of the file"):
+        plant_of(tmp_path, "a", "b", own='[[machine.alarm]]\nname = "disk"\npriority = 1')
+    with pytest.raises(ConfigError, match=r"alarm\[1\].tag: there is no alarm 'disk' of 'x'.*it is the plant's"):
+        plant_of(tmp_path, "a", top=TOP + '[[alarm]]\nname = "disk"\ntag = "x"\n')
+
+
+def test_a_reload_that_brings_another_first_machine_says_so(tmp_path: Path) -> None:
+    before = {config.machine: config for config in plant_of(tmp_path, "a", "b")}
+    after = {name: replace(before[name], leads=name == "b") for name in ("b", "a")}
+    changed = changed_machines(before, after)
+    assert changed == {
+        "b": ("the alarms of the plant: looks after them",),
+        "a": ("the alarms of the plant: no longer looks after them",),
+    }
+
+
+async def test_what_each_machine_had_is_put_to_an_end_on_record_and_no_message_follows(tmp_path: Path) -> None:
+    """The records of a release that raised it for every machine: of the second one nothing is left standing."""
+    _, second = plant_of(tmp_path, "a", "b")
+    async with standing(replace(second, leads=True, several=False)) as former:
+        await out_of_reach(former)
+        assert former.state("northbound") == "unacknowledged"
+        message = {
+            "message": {
+                "machine": "b", "alarm": "northbound", "tag": "b", "priority": 3, "state": "unacknowledged",
+                "raised": EPOCH, "first_up": False, "response": "", "consequence": "",
+            },
+            "recipient": "shift", "left": 600.0,
+        }  # fmt: skip
+        former.machine.historian.save("messages", EPOCH, {"waiting": [message], "known": [message]})
+    rows = read_journal(second.historian.path)
+    assert list(alarm_rates(rows, EPOCH - 1, EPOCH + 90_000).stale) == ["northbound"]
+
+    async with standing(second, at=60.0) as now:
+        assert "northbound" not in now.machine.alarms.alarms
+        notifier = _attached(now)
+        assert notifier.waiting == 0
+        notifier.close()
+        await now.scan()
+    rows = read_journal(second.historian.path)
+    assert [(row.alarm, row.state, row.by) for row in rows][1:] == [("northbound", "normal", "the gateway")]
+    assert not alarm_rates(rows, EPOCH - 1, EPOCH + 90_000).standing
+    async with standing(second, at=120.0) as again:
+        await again.scan()
+    assert len(read_journal(second.historian.path)) == len(rows), "once, and not at every start"
+
+
+def _attached(stand: Stand) -> Notifier:
+    """A notifier that hears of the machine's alarms, and may have nothing to say."""
+    machine = stand.machine
+    rows = machine.config.notify.to
+    notifier = Notifier(
+        rows,
+        {row.name: lambda messages, now: pytest.fail(f"sent {messages}") for row in rows},
+        now=stand.clock.now,
+        supervisor=Supervisor(),
+        log=machine.log,
+    )
+    attach_machine(notifier, machine)
+    return notifier
+
+
+async def test_it_is_the_plants_in_journal_messages_and_on_the_page(tmp_path: Path) -> None:
+    first, _ = plant_of(tmp_path, "a", "b")
+    async with standing(first) as stand:
+        await out_of_reach(stand)
+        alarm = next(asdict(one) for one in (await stand.ask("alarms"))["alarms"] if one.name == "northbound")
+        assert (alarm["tag"], alarm["state"]) == ("plant", "unacknowledged")
+    (row,) = [row for row in read_journal(first.historian.path) if row.alarm == "northbound"]
+    assert (row.subject, row.machine) == ("plant", "a")
+    told = AlarmMessage(
+        machine="a", alarm="northbound", tag="plant", priority=3, state="unacknowledged", raised=EPOCH,
+        first_up=False, response="", consequence="",
+    )  # fmt: skip
+    assert subject_of([told]) == "alarm, priority 3: northbound (plant)"
+    assert subject_of([replace(told, tag="a")]) == "alarm, priority 3: northbound (a)"
+    for language, word in (("en", "Plant"), ("it", "Impianto"), ("de", "Anlage")):
+        plain = picture(alarm_summary=[{**alarm, "since": EPOCH}])
+        shown = machine_view(all_words()[language], {}, read_status(plain))
+        assert (shown["alarms"][0]["of"], shown["alarms"][0]["of_plant"]) == (word, True)
+        without = machine_view(all_words()[language], {}, read_status(picture()))
+        assert shown["level"] == without["level"], "it says nothing of the machine"
