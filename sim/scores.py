@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from math import log, log10, pi, sqrt
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
+
+from sim.special import beta_quantile, chi_square_tail
 
 Array = NDArray[np.float64]
 MOST_SURPRISING = 99.0
@@ -36,18 +37,20 @@ def clopper_pearson(successes: float, runs: int, level: float = 0.95) -> Estimat
     if runs <= 0 or not 0 <= successes <= runs or not 0 < level < 1:
         raise ValueError(f"no binomial interval for {successes} of {runs} at level {level}")
     tail = (1.0 - level) / 2.0
-    low = 0.0 if successes == 0 else float(scipy.special.betaincinv(successes, runs - successes + 1, tail))
-    high = 1.0 if successes == runs else float(scipy.special.betaincinv(successes + 1, runs - successes, 1.0 - tail))
+    low = 0.0 if successes == 0 else beta_quantile(successes, runs - successes + 1.0, tail)
+    high = 1.0 if successes == runs else 1.0 - beta_quantile(runs - successes, successes + 1.0, tail)
     return Estimate(successes / runs, low, high, runs)
 
 
 def crps_gaussian(mean: ArrayLike, sigma: ArrayLike, outcome: ArrayLike) -> Array:
     """CRPS of N(mean, sigma^2), closed form (Gneiting & Raftery 2007, eq. 21); |outcome - mean| where sigma is 0."""
+    from scipy.special import ndtr  # here and below: a running gateway scores otherwise, and loads none of scipy
+
     error = np.asarray(outcome, dtype=float) - np.asarray(mean, dtype=float)
     spread = np.broadcast_to(np.asarray(sigma, dtype=float), error.shape)
     z = error / np.where(spread > 0, spread, 1.0)
     density = np.exp(-0.5 * z * z) / sqrt(2.0 * pi)
-    score = spread * (z * (2.0 * scipy.special.ndtr(z) - 1.0) + 2.0 * density - 1.0 / sqrt(pi))
+    score = spread * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * density - 1.0 / sqrt(pi))
     return np.asarray(np.where(spread > 0, score, np.abs(error)))
 
 
@@ -101,9 +104,9 @@ def brier(probability: ArrayLike, happened: ArrayLike) -> float:
 
 def pit_gaussian(mean: ArrayLike, sigma: ArrayLike, outcome: ArrayLike) -> Array:
     """Probability integral transform of `outcome` under N(mean, sigma^2): uniform on (0, 1) when that is right."""
-    return np.asarray(
-        scipy.special.ndtr((np.asarray(outcome, dtype=float) - np.asarray(mean, dtype=float)) / np.asarray(sigma))
-    )
+    from scipy.special import ndtr
+
+    return np.asarray(ndtr((np.asarray(outcome, dtype=float) - np.asarray(mean, dtype=float)) / np.asarray(sigma)))
 
 
 def pit_sample(samples: ArrayLike, outcome: ArrayLike) -> Array:
@@ -115,7 +118,7 @@ def pit_sample(samples: ArrayLike, outcome: ArrayLike) -> Array:
 
 def chi_square_p(squares: float, degrees: int) -> float:
     """P(a chi-square variable with `degrees` degrees of freedom exceeds `squares`)."""
-    return float(scipy.special.gammaincc(degrees / 2.0, squares / 2.0))
+    return chi_square_tail(squares, degrees)
 
 
 def surprise(squares: float, degrees: int) -> float:

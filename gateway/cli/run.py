@@ -6,7 +6,6 @@ import sys
 import threading
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
-from importlib import import_module
 from math import isfinite
 from pathlib import Path
 
@@ -61,8 +60,6 @@ def run(
         from gateway.plant import keep_freed_memory, serve
 
         if not configs[0].in_workers:
-            for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
-                import_module(room)
             keep_freed_memory()
         if stdin:
             threading.Thread(target=_stop_at_end, name="stdin", daemon=True).start()

@@ -14,7 +14,6 @@ import sys
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from ctypes import CDLL
 from functools import partial
-from importlib import import_module
 from random import SystemRandom
 from typing import Any
 
@@ -55,8 +54,6 @@ async def _work(sock: socket.socket) -> None:
     begin = channel.ask("begin")
     configs, clock = configs_from_json(begin["configs"]), PlantClock(*begin["clock"])
     if any(row.model for config in configs for row in config.temperatures):
-        for room in ("scipy.special", "scipy.linalg"):  # now, so that no scan waits for an import
-            import_module(room)
         keep_freed_memory()
     log = handed_logger(lambda event: channel.tell("log", event=event), configs[0].log.level)
 

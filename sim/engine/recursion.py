@@ -1,7 +1,6 @@
 """The recursion x[k] = a[k] * x[k-1] + b[k], over millions of steps at compiled speed."""
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from sim.sha import Array
@@ -43,6 +42,8 @@ def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
     n, d = b.shape
     if d == 1:
         return linear_recursion(phi[:, 0, 0], b[:, 0], float(x0[0]))[:, None]
+    from scipy.linalg.lapack import dtbtrs  # here and below: a running gateway solves none, and loads none of scipy
+
     x = np.empty((n, d))
     piece = max(_PIECE // (2 * d * d), 1)
     for first in range(0, n, piece):
@@ -56,7 +57,7 @@ def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
             for j in range(d):
                 bands[d + i - j, j : (count - 1) * d : d] = -factors[1:, i, j]
         right[0] += factors[0] @ x0
-        solution, _ = scipy.linalg.lapack.dtbtrs(bands, right.reshape(-1), uplo="L", diag="U")
+        solution, _ = dtbtrs(bands, right.reshape(-1), uplo="L", diag="U")
         x[first : first + piece] = np.asarray(solution, dtype=float).reshape(count, d)
         x0 = x[first + count - 1]
     return x
@@ -69,9 +70,11 @@ def _solve(a: Array, b: Array, x0: Array | float) -> Array:
     """x of the shape of `b`, (n,) or (n, p), by the factors `a` (n,), after `x0`."""
     if b.size == 0:
         return np.empty(b.shape)
+    from scipy.linalg.lapack import dtbtrs
+
     bands = np.ones((2, a.size), order="F")
     np.negative(a[1:], out=bands[1, :-1])
     right = np.array(b, dtype=float, order="F")
     right[0] += a[0] * x0
-    x, _ = scipy.linalg.lapack.dtbtrs(bands, right, uplo="L", diag="U", overwrite_b=True)
+    x, _ = dtbtrs(bands, right, uplo="L", diag="U", overwrite_b=True)
     return np.asarray(x, dtype=float).reshape(b.shape, order="F")

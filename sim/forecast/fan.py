@@ -9,9 +9,9 @@ widens fan and runs.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil, inf, isfinite, sqrt
+from statistics import NormalDist
 
 import numpy as np
-import scipy
 
 from sim.effects import VaryingLaw, kind_of
 from sim.engine import (
@@ -251,7 +251,7 @@ def _known_future(
     """The stays (seconds from now, location index) that `events` lead through, and the exact quantiles (L, H)."""
     index = {location.name: row for row, location in enumerate(tracker.model.sha.locations)}
     stays = [(0.0, index[belief.location])]
-    spread = np.asarray(scipy.special.ndtri(levels))
+    spread = np.array([NormalDist().inv_cdf(level) for level in levels])
     # The belief itself is carried forward, event by event and horizon by horizon: with the events known it stays a
     # Gaussian, and its quantiles are exact where runs would only sample them.
     columns, coming, ahead = [], sorted(events, key=lambda event: event.time), belief

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from math import exp, gamma, inf, isfinite
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from sim.sha.automaton import Distribution
 from sim.sha.trace import Array
+from sim.special import log_normal_cdf, normal_quantile_of_log
 
 Params = Mapping[str, float]
 
@@ -33,18 +33,18 @@ class Law:
 def _log_survival_normal(p: Params, t: Array) -> Array:
     if p["sigma"] == 0:
         return np.where(t < p["mu"], 0.0, -np.inf)
-    # P(T > t) = Phi(-(t - mu) / sigma). log_ndtr keeps it far out, where 1 - Phi is 0 in floating point and a stay that
-    # has lasted longer than it should would have no law left; ndtri_exp is its inverse, for the same reason.
-    return scipy.special.log_ndtr(-(t - p["mu"]) / p["sigma"])
+    # P(T > t) = Phi(-(t - mu) / sigma). By its logarithm it is kept far out, where 1 - Phi is 0 in floating point and a
+    # stay that has lasted longer than it should would have no law left.
+    return log_normal_cdf(-(t - p["mu"]) / p["sigma"])
 
 
 def _exceeded_normal(p: Params, s: Array) -> Array:
-    return p["mu"] - p["sigma"] * scipy.special.ndtri_exp(s) if p["sigma"] else np.full_like(s, p["mu"])
+    return p["mu"] - p["sigma"] * normal_quantile_of_log(s) if p["sigma"] else np.full_like(s, p["mu"])
 
 
 def _log_survival_lognormal(p: Params, t: Array) -> Array:
     with np.errstate(divide="ignore"):  # the logarithm of 0 s is -inf, where the survival is 1: as it should be
-        return scipy.special.log_ndtr(-(np.log(np.maximum(t, 0.0)) - p["mu"]) / p["sigma"])
+        return log_normal_cdf(-(np.log(np.maximum(t, 0.0)) - p["mu"]) / p["sigma"])
 
 
 LAWS: dict[str, Law] = {
@@ -78,7 +78,7 @@ LAWS: dict[str, Law] = {
         mean=lambda p: exp(p["mu"] + p["sigma"] ** 2 / 2),
         variance=lambda p: (exp(p["sigma"] ** 2) - 1) * exp(2 * p["mu"] + p["sigma"] ** 2),
         log_survival=_log_survival_lognormal,
-        exceeded=lambda p, s: np.exp(p["mu"] - p["sigma"] * scipy.special.ndtri_exp(s)),
+        exceeded=lambda p, s: np.exp(p["mu"] - p["sigma"] * normal_quantile_of_log(s)),
     ),
 }
 
@@ -126,6 +126,6 @@ def draw(law: Distribution, runs: int, rng: np.random.Generator) -> Array:
 def draw_remaining(law: Distribution, age: ArrayLike, runs: int, rng: np.random.Generator) -> Array:
     """`runs` draws of the time still to stay, given that `age` seconds have passed: law of T - age given T > age."""
     kind = LAWS[law.kind]
-    ages = np.broadcast_to(np.asarray(age, dtype=float), (runs,))
+    ages = np.asarray(age, dtype=float)
     survived = kind.log_survival(law.params, ages)
     return np.asarray(np.maximum(kind.exceeded(law.params, survived - rng.exponential(size=runs)) - ages, 0.0))

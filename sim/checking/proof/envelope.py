@@ -7,9 +7,6 @@ from itertools import pairwise
 from math import inf, isfinite
 from typing import Literal
 
-import numpy as np
-import scipy
-
 from sim.checking.proof.drift import DriftBound
 from sim.checking.proof.forcing import Forcing, drift_of, forcing_of
 from sim.checking.proof.structure import Move
@@ -27,6 +24,7 @@ from sim.sha import (
     drawn_temperature,
     mode_parameter,
 )
+from sim.special import log_normal_cdf
 
 Range = tuple[float, float]
 Sojourn = Literal["any", "law"] | Range
@@ -123,7 +121,7 @@ def quantiles(law: Distribution, z: float) -> Range:
     """The law's quantiles at the normal probabilities of -z and +z: mu -+ z sigma for a normal law."""
     # By the logarithm of the probability: beyond z = 8.3 the probability itself is 1 in floats, its quantile infinite.
     kind = LAWS[law.kind]
-    low, high = (float(kind.exceeded(law.params, np.asarray(scipy.special.log_ndtr(sign * z)))) for sign in (1.0, -1.0))
+    low, high = (float(kind.exceeded(law.params, log_normal_cdf(sign * z))) for sign in (1.0, -1.0))
     return low, high
 
 
