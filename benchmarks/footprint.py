@@ -17,11 +17,14 @@ squares). One software PLC serves them all; what it takes of a core is said, sin
 With `--beside FOLDER` it is two gateways at the same time, this checkout's and that one's, each with a software PLC of
 its own: what else the machine has to do slows both alike.
 
+With `--imports` it is where the memory of one gateway goes, by what is imported (benchmarks/import_memory.py).
+
 For orientation only: the ThingsBoard gateway 3.8.5 took 69 % of a core and 72 MB for 50 devices with 10 tags each, read
 every 100 ms, one request a tag, 485 of 500 polls/s. That is another setting (50 devices, no model, nothing written
 back, no history, another day), so nothing here is a comparison with it.
 """
 
+import json
 import subprocess
 import sys
 import tempfile
@@ -53,6 +56,8 @@ from sim.plc.record.recording import PlcRecording, read_recording
 
 FORECAST_S = 10.0
 """Seconds between two forecasts of a machine, where machines are counted."""
+LEAST_MB = 0.5
+"""Libraries that take less are counted together."""
 
 
 @contextmanager
@@ -181,6 +186,35 @@ def beside(
     ]
 
 
+def by_import(seconds: float, period: float, model_folder: Path | None, forecast: float | None) -> list[Figure]:
+    """What the gateway's libraries take of its memory, the largest first.
+
+    Raises BenchmarkError when it does not get to work.
+    """
+    with tempfile.TemporaryDirectory(prefix="decanter-footprint-") as name:
+        folder = Path(name)
+        model, out = learned_model(model_folder or folder), folder / "imports.json"
+        program = (str(ROOT / "benchmarks/import_memory.py"), str(ROOT), str(out))
+        with (
+            software_plc(folder) as plc,
+            gateway(folder, plc, model, period, forecast=forecast, program=program) as process,
+        ):
+            until_usable(plc, process)
+            time.sleep(seconds)
+            peak = peak_megabytes(process.pid)
+        grown: dict[str, float] = json.loads(out.read_text(encoding="utf-8"))
+    began, loaded = grown.pop("began"), sorted(grown.items(), key=lambda row: -row[1])
+    shown = [(library, size) for library, size in loaded if library and size >= LEAST_MB]
+    rest = sum(size for library, size in loaded if library) - sum(size for _, size in shown)
+    return [
+        Figure("the interpreter", began, "MB"),
+        *(Figure(library, size, "MB") for library, size in shown),
+        Figure("other libraries", rest, "MB"),
+        Figure("what is made of it: settings, model, records, forecasts", grown[""], "MB"),
+        Figure("peak resident size of the gateway", peak, "MB"),
+    ]
+
+
 def _accepted(plc: Plc) -> int:
     return sum(int(one["accepted"]) for one in plc.statuses())
 
@@ -205,6 +239,7 @@ def _numbers(_context: click.Context, _parameter: click.Parameter, text: str | N
     "--beside", "source", type=click.Path(path_type=Path, exists=True), help="Another checkout, measured too."
 )
 @click.option("--machines", callback=_numbers, help="Numbers of machines in one gateway: 1,2,5.")
+@click.option("--imports", "imported", is_flag=True, help="What each library takes of the memory.")
 @click.option("--model-folder", type=click.Path(path_type=Path), help="Where the learned model is kept.")
 def main(
     *,
@@ -215,11 +250,14 @@ def main(
     forecast: float | None,
     source: Path | None,
     machines: tuple[int, ...],
+    imported: bool,
     model_folder: Path | None,
 ) -> None:
     seconds = seconds or (4.0 if quick else 30.0)
     if machines:
         figures = growth(machines, seconds, period, model_folder)
+    elif imported:
+        figures = by_import(seconds, period, model_folder, forecast)
     elif source is not None:
         figures = beside(source, seconds, period, model_folder, forecast)
     else:

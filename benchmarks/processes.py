@@ -125,14 +125,16 @@ def gateway(
     *,
     forecast: float | None = None,
     source: Path = ROOT,
+    program: Sequence[str] = ("-m", "gateway.cli.main"),
 ) -> Iterator["subprocess.Popen[bytes]"]:
     """`decanter run`, armed, with historian, log and model, scanning every `period` seconds of plant time.
 
-    It reads all machines of the PLC; `forecast`: see `plant_file`; `source` is the checkout whose code runs.
+    It reads all machines of the PLC; `forecast`: see `plant_file`; `source` is the checkout whose code runs, and
+    `program` what Python is given to run `decanter`.
     """
     ports = {name: int(one["port"]) for name, one in plc.ready.get("machines", {}).items()}
     plant = plant_file(folder, model, period, speed, forecast=forecast, ports=ports)
-    command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(plant)]
+    command = [sys.executable, *program, "run", "--config", str(plant)]
     command += [] if ports else ["--port", str(plc.port)]
     with subprocess.Popen([*command, "--quiet"], stdin=subprocess.DEVNULL, cwd=source) as process:
         try:

@@ -13,9 +13,9 @@ def linear_recursion(a: ArrayLike, b: ArrayLike, x0: ArrayLike) -> Array:
     (a parameter and its perturbations, say). `x0` is a number or (p,). Returns x with the broadcast shape, (n,) or
     (n, p). Raises ValueError on other shapes.
 
-    It is the forward substitution of a unit lower bidiagonal system (LAPACK's dtbtrs). The operations are those of the
-    plain loop, in its order, and no product of many factors is formed: decays of exactly 0, or a million factors far
-    below 1, lose nothing.
+    A short one is the plain loop, a longer one the forward substitution of a unit lower bidiagonal system (LAPACK's
+    dtbtrs). The operations are those of the plain loop, in its order, and no product of many factors is formed: decays
+    of exactly 0, or a million factors far below 1, lose nothing.
     """
     factors, terms = np.broadcast_arrays(np.asarray(a, dtype=float), np.asarray(b, dtype=float))
     if factors.ndim not in (1, 2):
@@ -42,9 +42,13 @@ def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
     n, d = b.shape
     if d == 1:
         return linear_recursion(phi[:, 0, 0], b[:, 0], float(x0[0]))[:, None]
-    from scipy.linalg.lapack import dtbtrs  # here and below: a running gateway solves none, and loads none of scipy
-
     x = np.empty((n, d))
+    if n <= _SHORT:
+        for row in range(n):
+            x[row] = x0 = phi[row] @ x0 + b[row]
+        return x
+    from scipy.linalg.lapack import dtbtrs
+
     piece = max(_PIECE // (2 * d * d), 1)
     for first in range(0, n, piece):
         factors, right = phi[first : first + piece], b[first : first + piece].copy()
@@ -64,17 +68,28 @@ def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
 
 
 _PIECE = 1 << 18
+_SHORT = 256
+"""Steps of a recursion that is done as a loop. A running gateway has no longer ones, in the check of a model at its
+start, and so it does without scipy, whose linear algebra is loaded only for the others."""
 
 
 def _solve(a: Array, b: Array, x0: Array | float) -> Array:
     """x of the shape of `b`, (n,) or (n, p), by the factors `a` (n,), after `x0`."""
-    if b.size == 0:
-        return np.empty(b.shape)
+    if len(b) <= _SHORT:
+        x = np.empty(b.shape)
+        if b.ndim == 1:
+            value = float(x0)
+            for row, (factor, term) in enumerate(zip(a.tolist(), b.tolist(), strict=True)):
+                x[row] = value = factor * value + term
+        else:
+            for row, factor in enumerate(a.tolist()):
+                x[row] = x0 = factor * x0 + b[row]
+        return x
     from scipy.linalg.lapack import dtbtrs
 
     bands = np.ones((2, a.size), order="F")
     np.negative(a[1:], out=bands[1, :-1])
     right = np.array(b, dtype=float, order="F")
     right[0] += a[0] * x0
-    x, _ = dtbtrs(bands, right, uplo="L", diag="U", overwrite_b=True)
-    return np.asarray(x, dtype=float).reshape(b.shape, order="F")
+    solution, _ = dtbtrs(bands, right, uplo="L", diag="U", overwrite_b=True)
+    return np.asarray(solution, dtype=float).reshape(b.shape, order="F")

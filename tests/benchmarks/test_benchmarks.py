@@ -64,6 +64,16 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
     assert figures["peak resident size of the gateway"]["value"] > figures["peak resident size of the gateway"]["other"]
 
 
+def test_memory_by_import_is_all_of_a_running_gateways_which_loads_nothing_that_it_does_not_need(
+    model_folder: Path,
+) -> None:
+    options = ("--imports", "--seconds", "1.5", "--forecast", "0.3", "--model-folder", str(model_folder))
+    figures = by_name(said("footprint", *options)["figures"])
+    peak = figures.pop("peak resident size of the gateway")["value"]
+    assert sum(one["value"] for one in figures.values()) == pytest.approx(peak, rel=0.1)
+    assert {"numpy", "pydantic", "cryptography"} <= figures.keys()
+
+
 def test_several_machines_are_one_plant_file_and_a_number_of_none_is_refused(
     tmp_path: Path, model_folder: Path
 ) -> None:

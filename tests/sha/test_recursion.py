@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.engine.recursion import linear_recursion
+from sim.engine.recursion import linear_recursion, matrix_recursion
 from sim.sha.trace import Array
 
 
@@ -48,6 +48,18 @@ def test_the_columns_of_a_batch_are_independent_recursions() -> None:
     assert batch.shape == (500, 3)
     for p in range(3):
         np.testing.assert_allclose(batch[:, p], plain(a[:, p], b[:, p], x0[p]), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [1, 256, 257, 600])
+def test_a_loop_and_a_banded_system_are_one_recursion(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    phi, b, x0 = 0.4 * rng.random((rows, 3, 3)), rng.normal(size=(rows, 3)), np.array([1.0, 20.0, -5.0])
+    expected, x = np.empty((rows, 3)), x0
+    for row in range(rows):
+        expected[row] = x = phi[row] @ x + b[row]
+    np.testing.assert_allclose(matrix_recursion(phi, b, x0), expected, rtol=1e-12, atol=1e-12)
+    line = linear_recursion(phi[:, 0, 0], b[:, 0], 1.0)
+    np.testing.assert_allclose(line, plain(phi[:, 0, 0], b[:, 0], 1.0), rtol=1e-12, atol=1e-12)
 
 
 def test_coefficients_broadcast_over_the_batch() -> None:
