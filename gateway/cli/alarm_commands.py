@@ -2,6 +2,7 @@
 
 import getpass
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import click
 
-from gateway.cli.plant_file import config_option, machine_option
+from gateway.cli.plant_file import config_option, control_socket, machine_option
 from gateway.console import emit, json_option, table
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.alarms import (
@@ -33,20 +34,26 @@ _by_option = click.option("--by", default="", envvar="DECANTER_BY", help="Who do
 _reason_option = click.option("--reason", required=True, help="Why, for the audit log and the journal.")
 
 
-def _gateway(path: Path, machine: str | None = None) -> GatewayLine:
-    """The running gateway of a plant file, to be closed; leaves with a sentence where none runs."""
-    socket = load_plant(path)[0].control_socket
+def _gateway(socket: Path, path: Path, machine: str | None = None) -> GatewayLine:
+    """The gateway that runs with a plant file, at its socket, to be closed; leaves with a sentence where none runs."""
     if (line := connect(socket, PATIENCE_S, machine=machine)) is None:
         fail(f"no gateway runs with {path} (nothing answers at {socket})", Exit.CANNOT_CONNECT)
     return line
 
 
+def _machines(socket: Path, path: Path) -> list[str]:
+    """The names of the running gateway's machines, in its order: the file may have changed meanwhile."""
+    with closing(_gateway(socket, path)) as line:
+        return list(line.ask("plant")["statuses"])
+
+
 def _asked(path: Path, machine: str | None) -> dict[str, list[dict[str, Any]]]:
     """The alarms by machine, of the one named or of all."""
-    names = [machine] if machine is not None else [config.machine for config in load_plant(path)]
+    socket = control_socket(path, None)
+    names = [machine] if machine is not None else _machines(socket, path)
     found: dict[str, list[dict[str, Any]]] = {}
     for name in names:
-        line = _gateway(path, name)
+        line = _gateway(socket, path, name)
         try:
             found[name] = line.ask("alarms")["alarms"]
         except ControlError as error:
@@ -142,9 +149,10 @@ def _change(
 ) -> None:
     """Ask the running gateway for a change, and say what became of it."""
     with sentences():
+        socket = control_socket(path, None)
         if machine is None and set(names) <= OF_PLANT and names:
-            machine = load_plant(path)[0].machine  # which looks after the plant's: nobody has to know which one that is
-        line = _gateway(path, machine)
+            machine = _machines(socket, path)[0]  # which looks after the plant's: nobody has to know which one that is
+        line = _gateway(socket, path, machine)
         try:
             answer = line.ask(change.value, alarms=list(names), by=by or getpass.getuser(), **keys)
         except ControlError as error:

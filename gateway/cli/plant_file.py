@@ -7,7 +7,8 @@ import click
 
 from gateway.console import find_plant_file
 from gateway.entry import fail
-from gateway.settings import Config, load_plant
+from gateway.settings import Config, gateway_places, load_plant
+from gateway.status import connect
 
 
 def config_option(command: Any) -> Any:
@@ -35,6 +36,31 @@ def config_option(command: Any) -> Any:
 machine_option = click.option(
     "--machine", metavar="NAME", help="One machine of several.  [default: the only one, else all]"
 )
+
+
+socket_option = click.option(
+    "--socket",
+    "socket",
+    type=click.Path(path_type=Path),
+    help="The running gateway's control socket.  [default: as the plant file says]",
+)
+
+
+def control_socket(path: Path, given: Path | None) -> Path:
+    """Where the running gateway can be asked: at the socket that is named, or where the plant file says.
+
+    A file that cannot be used any more is no obstacle, as the gateway runs by what it was: that is said on standard
+    error. Raises ConfigError for such a file where no gateway is found.
+    """
+    if given is not None:
+        return given
+    places = gateway_places(path)
+    if places.problem is not None:
+        if (line := connect(places.socket)) is None:
+            raise places.problem
+        line.close()
+        click.echo(f"{places.problem}; the gateway that runs at {places.socket} is asked all the same", err=True)
+    return places.socket
 
 
 def load(path: Path, host: str | None, port: int | None, speed: float | None) -> tuple[Config, ...]:

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import click
 
-from gateway.cli.plant_file import config_option
+from gateway.cli.plant_file import config_option, control_socket, socket_option
 from gateway.console import emit, json_option
 from gateway.entry import Exit, fail, sentences
-from gateway.settings import load_plant
 from gateway.status import ControlError, connect
 
 PATIENCE_S = 60.0
@@ -17,17 +16,23 @@ PATIENCE_S = 60.0
 @click.command(short_help="Let a running gateway read its plant file anew.")
 @config_option
 @click.option("--dry-run", is_flag=True, help="Only say what would change.")
+@socket_option
 @json_option
-def reload(path: Path, dry_run: bool, as_json: bool) -> None:
+def reload(path: Path, dry_run: bool, socket: Path | None, as_json: bool) -> None:
     """Let the running gateway read its plant file anew; machines that it does not touch lose no scan.
 
     A file that cannot be used is refused, and so is a change of what all machines have in common; the former
     configuration goes on then.
     """
     with sentences():
-        socket = load_plant(path)[0].control_socket
-        if (line := connect(socket, PATIENCE_S)) is None:
-            fail(f"no gateway runs with {path} (nothing answers at {socket})", Exit.CANNOT_CONNECT)
+        place = control_socket(path, socket)
+        if (line := connect(place, PATIENCE_S)) is None:
+            fail(
+                f"no gateway runs with {path} (nothing answers at {place}); where historian.path or control.path were "
+                "changed in the file, the gateway is still at its former socket (--socket), and only a restart takes "
+                "over such a change: stop it and start it anew",
+                Exit.CANNOT_CONNECT,
+            )
         try:
             answer = line.ask("reload", dry_run=dry_run)
         except ControlError as error:

@@ -11,11 +11,10 @@ from typing import Any, NoReturn
 import click
 from rich.console import Console
 
-from gateway.cli.plant_file import config_option, machine_option
+from gateway.cli.plant_file import config_option, control_socket, machine_option, socket_option
 from gateway.console import emit, json_option
 from gateway.entry import Exit, fail, sentences
 from gateway.panel import follow, panel
-from gateway.settings import load_plant
 from gateway.status import GatewayStatus, GatewayWatch, Health, Sighting, findings, health_of
 from sim.strict_json import strict
 
@@ -48,13 +47,14 @@ _EXIT_LINES = "\n\n".join(f"{code:d}  {word}: {when}" for word, (code, when) in 
     show_default=True,
     help="Seconds between two looks.",
 )
-def top(path: Path, machine: str | None, every: float) -> None:
+@socket_option
+def top(path: Path, machine: str | None, every: float, socket: Path | None) -> None:
     """Watch a running gateway until Ctrl-C: value, age, quality, state, prediction, alarms, records, arming.
 
     On a terminal a panel, elsewhere three lines and then one for each change. An old number is never shown as a
     present one: without an answer the panel says so, and for how long. Several may watch one gateway.
     """
-    with sentences(), closing(_watch(path, machine)) as watch:
+    with sentences(), closing(_watch(path, machine, socket)) as watch:
         sighting = watch.look(ANSWER_S)
         if sighting.gone:
             fail(_absent(sighting, path), EXITS[Health.ABSENT][0])
@@ -69,10 +69,11 @@ def top(path: Path, machine: str | None, every: float) -> None:
 )
 @config_option
 @machine_option
+@socket_option
 @json_option
-def status(path: Path, machine: str | None, as_json: bool) -> None:
+def status(path: Path, machine: str | None, socket: Path | None, as_json: bool) -> None:
     """Show once how a running gateway is, by an exit code too."""
-    with sentences(), closing(_watch(path, machine)) as watch:
+    with sentences(), closing(_watch(path, machine, socket)) as watch:
         sighting = watch.look(ANSWER_S)
         if sighting.silence or not sighting.machines:
             word = Health.ABSENT if sighting.gone else Health.SILENT
@@ -90,8 +91,8 @@ def status(path: Path, machine: str | None, as_json: bool) -> None:
     raise SystemExit(EXITS[word][0])
 
 
-def _watch(path: Path, machine: str | None) -> GatewayWatch:
-    return GatewayWatch(load_plant(path)[0].control_socket, machine=machine)
+def _watch(path: Path, machine: str | None, socket: Path | None) -> GatewayWatch:
+    return GatewayWatch(control_socket(path, socket), machine=machine)
 
 
 def _answer(status: GatewayStatus) -> dict[str, Any]:

@@ -45,10 +45,10 @@ from gateway.machine.plant_records import PlantRecords
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
 from gateway.machine.trust import ClockCheck, RecordsWatch, Surroundings
-from gateway.machine.writing import Arming, ArmingError, WritebackStage
+from gateway.machine.writing import Arming, ArmingError, WritebackStage, end_by_mode
 from gateway.settings import Config, WritebackLayout
 from gateway.status import Phase
-from gateway.store import saved_state
+from gateway.store import AuditError, saved_state
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -183,6 +183,17 @@ class Machine:
             )
         return FollowedTemperature(config, store, model)
 
+    def _end_arming(self) -> None:
+        """Have an arming end with the mode 'off', on record."""
+        config = self.config
+        try:
+            row = end_by_mode(config, lambda: self.common.open_trail(config).audit, self.clock.now())
+        except (ArmingError, AuditError, OSError) as error:
+            self.log.error("an arming may come back when the mode is another one; disarm", reason=str(error))
+            return
+        if row is not None:
+            self.log.warning("the arming is over, as writeback.mode is 'off'", by=row.entry.who)
+
     def _open_writing(self, rng: Random) -> WritebackStage | None:
         """The stage of the blocks, one for each temperature of which the device takes one."""
         config = self.config
@@ -191,6 +202,8 @@ class Machine:
             # A lone block of which the file does not say whose it is is the first temperature's.
             if (layout := one.config.block_layout) is not None and layout not in layouts.values():
                 layouts[one.tag] = layout
+        if config.writeback.mode == "off":
+            self._end_arming()
         if config.writeback.mode == "off" or not layouts:
             return None
         writing = WritebackStage(

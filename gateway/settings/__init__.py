@@ -49,6 +49,7 @@ from gateway.settings.notify import (
     SmtpSection,
     load_secrets,
 )
+from gateway.settings.places import GatewayPlaces, gateway_places
 
 __all__ = [
     "ALARM_KINDS",
@@ -66,6 +67,7 @@ __all__ = [
     "DeviceMap",
     "EnsembleSection",
     "ForecastSection",
+    "GatewayPlaces",
     "HistorianSection",
     "InfluxRow",
     "LogSection",
@@ -87,6 +89,7 @@ __all__ = [
     "changed_machines",
     "configs_from_json",
     "configs_to_json",
+    "gateway_places",
     "is_common",
     "load_config",
     "load_device",

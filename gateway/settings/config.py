@@ -700,7 +700,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
     problems = _problems(content, rows, links, home)
     if problems:
         raise ConfigError([f"{place}: {problem}" for problem in problems])
-    historian = content.historian.model_copy(update={"path": _historian_file(content.historian, home)})
+    historian = content.historian.model_copy(update={"path": historian_file(content.historian, home)})
     log = content.log.model_copy(update={"path": content.log.path and home / content.log.path})
     members = tuple(home / member for member in content.ensemble.members)
     temperatures = tuple(row.model_copy(update={"model": row.model and home / row.model}) for row in rows)
@@ -772,7 +772,7 @@ def _northbound(section: NorthboundSection, home: Path) -> NorthboundSection:
     return section.model_copy(update={"secrets": section.secrets and home / section.secrets, "opcua": opcua, **rows})
 
 
-def _historian_file(section: HistorianSection, home: Path) -> Path:
+def historian_file(section: HistorianSection, home: Path) -> Path:
     """The database file: the one named, or the default beside the plant file.
 
     Of a plant file that names none and has its records where the default once was, those (record 0109).

@@ -157,7 +157,8 @@ def test_a_gateway_that_runs_is_armed_and_disarmed_through_its_socket(
 ) -> None:
     plant = tmp_path / "plant.toml"
     plant.write_text(
-        f'[device]\nfile = "{DECANTER}"\nport = {plc[0].port}\n[scan]\nperiod = 0.1\n[writeback]\nmode = "shadow"\n'
+        f'[device]\nfile = "{DECANTER}"\nport = {plc[0].port}\nheartbeat_period = 1.0\n'
+        '[scan]\nperiod = 0.1\n[writeback]\nmode = "shadow"\n'
         '[historian]\npath = "h.sqlite"\n[log]\npath = "gateway.jsonl"\n'
     )
     config = ["--config", str(plant)]

@@ -235,6 +235,43 @@ async def test_a_gateway_that_starts_finds_the_commands_arming_and_a_restart_goe
     assert (await go(config, late, 30))["writeback"]["mode"] == "shadow" and not late.written
 
 
+async def test_a_mode_that_was_off_in_between_does_not_bring_an_arming_back(tmp_path: Path) -> None:
+    config = config_in(tmp_path, SHADOW, model=two_modes())
+    arm_in_log(config.audit, signed("Ada", "walk", 60, EPOCH), EPOCH)
+    first = bench_of(config)
+    first.clock.time += 1.0
+    assert (await go(config, first, 30))["writeback"]["armed_by"] == "Ada"
+    off = config_in(tmp_path, model=two_modes())
+    assert (await go(off, bench_of(off, first.clock), 5))["writeback"]["mode"] == "off"
+    again = bench_of(config, first.clock)
+    assert (await go(config, again, 30))["writeback"]["mode"] == "shadow" and not again.written
+    last = [row.entry for row in read(config.audit)][-1]
+    assert (last.kind, last.who, last.reason) == (EXPIRED, "Ada", "writeback.mode was set to 'off'")
+    arm_in_log(config.audit, signed("Ada", "walk", 60, first.clock.now()), first.clock.now())
+    signed_anew = bench_of(config, first.clock)
+    assert (await go(config, signed_anew, 30))["writeback"]["mode"] == "armed" and signed_anew.written
+
+
+async def test_a_reload_that_sets_the_mode_off_ends_the_arming(tmp_path: Path) -> None:
+    config = config_in(tmp_path, SHADOW, model=two_modes())
+    modes = []
+
+    async def meanwhile(bench: Bench) -> None:
+        await until(lambda: bench.reads > 5)
+        await asked(config, "arm", by="Ada", reason="loop", minutes=60)
+        await until(lambda: len(bench.written) > 5)
+        for text in ("", SHADOW):
+            plant_file(tmp_path, text, model=two_modes())
+            assert (await asked(config, "reload"))["applied"]
+            modes.append((await asked(config, "status"))["status"]["writeback"]["mode"])
+        assert bench.written[-1]["validity"] == 0
+        bench.stop.set()
+
+    await go(config, bench_of(config), 1_000_000, meanwhile)
+    assert modes == ["off", "shadow"]
+    assert [row.entry.kind for row in read(config.audit) if row.entry.kind in (ARMED, EXPIRED)] == [ARMED, EXPIRED]
+
+
 async def test_what_was_disarmed_by_hand_stays_so_over_a_restart_until_it_is_signed_anew(tmp_path: Path) -> None:
     text = '[writeback]\nmode = "armed"\narmed_by = "Ada"\nreason = "run"\nminutes = 60\n'
     config = config_in(tmp_path, text, model=two_modes())

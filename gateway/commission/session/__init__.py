@@ -14,7 +14,7 @@ from gateway.commission.session.records import (
 )
 from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
 from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
-from gateway.commission.session.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
+from gateway.commission.session.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, gateway_of, make_target
 
 __all__ = [
     "CONNECT_S",
@@ -34,6 +34,7 @@ __all__ = [
     "check_writable",
     "device_of",
     "failed",
+    "gateway_of",
     "link_options",
     "login",
     "make_target",

@@ -31,6 +31,8 @@ def audit_path(audit: Path | None, given: SharedOptions, target: Target | None =
         return audit
     if target is not None and target.config is not None:
         return target.config.audit
+    if target is not None and target.places is not None:
+        return target.places.audit
     if target is None and given.plant is not None:
         return load_plant(given.plant)[0].audit
     return given.records.with_name(AUDIT)

@@ -11,7 +11,9 @@ from gateway.status import ControlError, GatewayLine, connect
 
 def running_gateway(target: Target) -> GatewayLine | None:
     """The gateway that runs with the target's plant file; None without a plant file, and where none runs."""
-    return None if target.config is None else connect(target.config.control_socket, machine=target.config.machine)
+    if target.config is None:
+        return None if target.places is None else connect(target.places.socket, machine=target.machine or None)
+    return connect(target.config.control_socket, machine=target.config.machine)
 
 
 def running_for(target: Target) -> str:

@@ -12,7 +12,7 @@ from drivers.driver import LINKS, Driver, capabilities, link_of, open_driver
 from drivers.errors import OneLineError
 from drivers.tag import Tag
 from drivers.tap import Medium
-from gateway.settings import Config, DeviceMap, load_config, load_device
+from gateway.settings import Config, DeviceMap, GatewayPlaces, gateway_places, load_config, load_device
 
 OPTION_OF: dict[str, str] = {"certificates": "--tls"}
 """Where a setting is given by an option of another name."""
@@ -30,7 +30,8 @@ class TargetError(OneLineError, ValueError):
 class Target:
     """One device over one link. `settings` are the driver's, `map` its tags and `config` the plant file, where given.
 
-    `files` are those that it was made of.
+    `files` are those that it was made of. `places` stand in for a plant file that cannot be used, and `machine` is the
+    one that was named with it: no device is known then.
     """
 
     kind: str
@@ -39,6 +40,8 @@ class Target:
     map: DeviceMap | None = None
     config: Config | None = None
     files: tuple[Path, ...] = ()
+    places: GatewayPlaces | None = None
+    machine: str = ""
 
     @property
     def place(self) -> str:
@@ -143,6 +146,19 @@ def make_target(
     if link is None and "channel" in settings:
         raise TargetError("--channel is a CAN bus: say --link canopen or --link can")
     return _complete(Target(link or link_of(DEFAULT_DRIVER, settings), "", settings))
+
+
+def gateway_of(plant: Path, machine: str | None = None, socket: Path | None = None) -> Target | None:
+    """The gateway of a plant file that cannot be used any more, or at a `socket`; None where neither is so.
+
+    For what must not depend on the file: no device is known.
+    """
+    places = gateway_places(plant)
+    if socket is not None:
+        places = replace(places, socket=socket)
+    elif places.problem is None:
+        return None
+    return Target(kind="", driver="", settings={}, files=(plant,), places=places, machine=machine or "")
 
 
 def _complete(target: Target) -> Target:

@@ -12,15 +12,18 @@ from gateway.commission.session import (
     CommandResult,
     SharedOptions,
     Site,
+    Target,
     at,
     audit_option,
     audit_path,
+    gateway_of,
     link_options,
     login,
     perform,
     running_gateway,
 )
 from gateway.commission.writeback.block_writer import gateway_runs, layouts_of, open_block_writers
+from gateway.entry import sentences
 from gateway.machine.writing import (
     ArmingError,
     arm_in_log,
@@ -81,8 +84,13 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
     else:
         # On record first: what another command sends after this finds no arming, and the block is the last word.
         config = site.target.config
-        stamp = config.path.stat().st_mtime if config is not None else None
-        row = disarm_in_log(audit_path, by, reason, time.time(), stamp, subject=site.target.subject)
+        plant = config is not None or site.target.places is not None
+        stamp = site.target.files[0].stat().st_mtime if plant and site.target.files[0].exists() else None
+        rows = [
+            disarm_in_log(audit_path, by, reason, time.time(), stamp, subject=subject)
+            for subject in _subjects(site.target, audit_path)
+        ]
+        row = next(filter(None, rows), None)
         try:
             countersign(places_for(audit_path, config), time.time())
         except ArmingError as error:
@@ -104,6 +112,20 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
     return CommandResult({**data, "audit": str(audit_path), "head": head(audit_path) if audit_path.exists() else ""})
 
 
+def _subjects(target: Target, audit_path: Path) -> list[str]:
+    """Whose armings in the audit log are taken back, where no gateway runs. Raises ConfigError or ArmingError."""
+    places = target.places
+    if places is None:
+        return [target.subject]
+    if not audit_path.exists():
+        raise places.problem or ArmingError(f"nothing answers at {places.socket}")
+    if places.several and not target.machine:
+        why = f", as the plant file cannot be used: {places.problem}" if places.problem else ""
+        raise ArmingError(f"which machine? Name it with --machine NAME{why}")
+    # Of a file that cannot be used nobody knows whether its machine has a name there: too much is taken back at most.
+    return [target.machine] if places.several else list(dict.fromkeys(("", target.machine)))
+
+
 def _ask_gateway(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
     """The running gateway's answer; None where none runs. Raises ArmingError for one that cannot be asked."""
     line = running_gateway(site.target)
@@ -112,7 +134,9 @@ def _ask_gateway(site: Site, command: str, **keys: Any) -> dict[str, Any] | None
             return line.ask(command, **keys)
         finally:
             line.close()
-    if site.target.config is not None and gateway_runs(site.target.config.historian.path):
+    config, places = site.target.config, site.target.places
+    historian = config.historian.path if config is not None else places.historian if places is not None else None
+    if historian is not None and gateway_runs(historian):
         raise ArmingError("a gateway runs with this plant file, and its control socket does not answer; stop it first")
     return None
 
@@ -152,15 +176,30 @@ def _show_armed(data: Mapping[str, Any]) -> None:
 
 @click.command(short_help="Take the arming back.")
 @click.option("--reason", default="by command", show_default=True, help="Why, for the audit log.")
+@click.option(
+    "--socket",
+    type=click.Path(path_type=Path),
+    help="The running gateway's control socket.  [default: as the plant file says]",
+)
 @audit_option
 @link_options
-def disarm(given: SharedOptions, reason: str, audit: Path | None) -> None:
-    """Take the arming back: at once, with a block of validity 0 if one can be written."""
+def disarm(given: SharedOptions, reason: str, socket: Path | None, audit: Path | None) -> None:
+    """Take the arming back: at once, with a block of validity 0 if one can be written.
+
+    It needs no plant file that can be used: the running gateway is asked at the socket that is named, or where as much
+    of the file as can be read, or the default, has it; where none runs the audit log is.
+    """
 
     async def work(site: Site) -> CommandResult:
         return await end_arming(site, audit_path(audit, given, site.target), given.by or login(), reason)
 
-    perform(given, "disarm", {"reason": reason}, work, _show_disarmed)
+    target = None
+    with sentences():
+        if given.plant is not None and given.device is None:
+            target = gateway_of(given.plant, given.machine, socket)
+    if target is not None and target.places is not None and target.places.problem is not None:
+        click.echo(f"{target.places.problem}; it is disarmed all the same", err=True)
+    perform(given, "disarm", {"reason": reason}, work, _show_disarmed, target=target)
 
 
 def _show_disarmed(data: Mapping[str, Any]) -> None:

@@ -122,10 +122,7 @@ def disarm_in_log(
     Gives the arming that was in force, None where there was none; the row is written all the same. Raises ArmingError
     or AuditError.
     """
-    # Confirmed or not: to take it back at the PLC needs no key.
-    row = next(iter(given_words(path, subject=subject)), None)
-    if row is not None and (row.entry.kind != ARMED or over(path, row, now, uptime())):
-        row = None
+    row = _standing(path, now, subject)
     audit = open_audit(path)
     try:
         entry = AuditEntry(now, DISARMED, by, reason, {} if stamp is None else {"stamp": stamp})
@@ -135,6 +132,28 @@ def disarm_in_log(
     finally:
         audit.close()
     return row
+
+
+def end_by_mode(config: Config, audit: Callable[[], Audit], now: float) -> AuditRow | None:
+    """End an arming that stands in the log of a machine whose mode is 'off', and give it; None where none stands.
+
+    A mode that is another one later does not bring it back: a person arms again. `audit` opens the log. Raises
+    ArmingError, AuditError.
+    """
+    row = _standing(config.audit, now, config.subject) if config.audit.exists() else None
+    if row is not None:
+        log = audit()
+        entry = AuditEntry(now, EXPIRED, row.entry.who, "writeback.mode was set to 'off'")
+        if not log.record(entry.of(config.subject)):
+            why = log.failure or "the disk does not answer"
+            raise ArmingError(f"the arming by {row.entry.who} stands, as the audit log does not take its end: {why}")
+    return row
+
+
+def _standing(path: Path, now: float, subject: str) -> AuditRow | None:
+    """The arming in force of a subject, confirmed or not: to take it back needs no key. Raises AuditError."""
+    row = next(iter(given_words(path, subject=subject)), None)
+    return None if row is None or row.entry.kind != ARMED or over(path, row, now, uptime()) else row
 
 
 # ---------------------------------------------------------------- what a start makes of it
