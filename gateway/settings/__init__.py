@@ -7,6 +7,7 @@ from gateway.settings.alarm_kinds import (
     PLANT,
     AlarmKind,
     alarm_subject,
+    kind_of,
     settings_of,
     suppressing,
 )
@@ -91,6 +92,7 @@ __all__ = [
     "configs_to_json",
     "gateway_places",
     "is_common",
+    "kind_of",
     "load_config",
     "load_device",
     "load_northbound_secrets",

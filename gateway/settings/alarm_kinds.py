@@ -205,6 +205,11 @@ def alarm_subject(alarm: str, tag: str, machine: str) -> str:
     return PLANT if alarm in OF_PLANT and tag == PLANT else machine
 
 
+def kind_of(alarm: str) -> str:
+    """The kind of an alarm by its name, which may have a tag behind it; "" for one that is in no table."""
+    return max((kind for kind in ALARM_KINDS if f"{alarm} ".startswith(f"{kind} ")), key=len, default="")
+
+
 Priority = Annotated[int, Field(ge=MOST_URGENT, le=LEAST_URGENT)]
 
 

@@ -5,7 +5,7 @@ Times are plant seconds UTC, ages and periods plant seconds; a key that ends in 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
@@ -207,6 +207,7 @@ class GatewayStatus:
     """Everything worth showing of one `machine` at `time`; `further` are its temperatures beside the first one.
 
     `place` is where its device is, `temperature` the tag that is predicted, `limit` (in `unit`) its alarm limit,
+    `watched` the limits of the temperatures that have one and are not predicted, by their tags,
     `speed` plant seconds per real second. `alarms` is every alarm's state by name, `alarm_summary` those that are not
     normal. `prediction`, `forecast`, `model` and `guards` are None without a model, or before the first.
     `writeback` has `mode`, and where blocks are computed `armed_by`, `armed_until`, the writer's counters, and
@@ -242,6 +243,7 @@ class GatewayStatus:
     complaints: Sequence[str]
     failures: int
     last_failure: str
+    watched: Mapping[str, float] = field(default_factory=dict)
 
 
 _READER = TypeAdapter(GatewayStatus)

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.tag import Quality
 from gateway.machine.alarms import alarm_rates, read_journal
-from gateway.settings import alarm_subject
+from gateway.settings import alarm_subject, kind_of
 from gateway.store import machines, newest_scan, reading, samples, scorecard, stored_rows, trend, warning_score
 from sim.sha import Array
 from sim.strict_json import strict
@@ -91,7 +91,7 @@ def forecasts_for(
 
 
 def alarm_rows(path: Path, *, machine: str, most: int) -> dict[str, Any]:
-    """The newest changes of alarms, the newest first; `of_plant` those that are not the machine's own.
+    """The newest changes of alarms, the newest first, with their kinds; `of_plant` are those not of the machine alone.
 
     Raises HistorianError.
     """
@@ -100,9 +100,10 @@ def alarm_rows(path: Path, *, machine: str, most: int) -> dict[str, Any]:
         rows = stored_rows(connection, "alarms", names, machine=machine)
     newest = sorted(rows, key=lambda row: row[0])[: -most - 1 : -1]
     plain = [dict(zip(names, row, strict=True)) for row in newest]
-    return {
-        "rows": [row | {"of_plant": alarm_subject(row["condition"], row["tag"], machine) != machine} for row in plain]
-    }
+    for row in plain:
+        row["kind"] = kind_of(row["condition"])
+        row["of_plant"] = alarm_subject(row["condition"], row["tag"], machine) != machine
+    return {"rows": plain}
 
 
 def rates_of_alarms(path: Path, *, days: float) -> dict[str, Any]:

@@ -30,9 +30,13 @@ PUT_ASIDE = ("shelved", "suppressed by design", "out of service")
 
 
 def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) -> dict[str, Any]:
-    """A machine as plain values: `status` whole, `temperatures` with a sentence each, its level and what is wrong."""
+    """A machine as plain values: `status` whole, `temperatures` with a sentence each, its level and what is wrong.
+
+    Those that are only watched come after those that are predicted; `labels` are words for people by tags.
+    """
     first = TemperatureStatus(**{field.name: getattr(status, field.name) for field in fields(TemperatureStatus)})
-    temperatures = [_temperature(words, labels, status, one) for one in (first, *status.further)]
+    watched = (_only_watched(status, tag, limit) for tag, limit in status.watched.items())
+    temperatures = [_temperature(words, labels, status, one) for one in (first, *status.further, *watched)]
     alarms = [_alarm(words, labels, status.machine, alarm) for alarm in status.alarm_summary]
     own = [alarm for alarm in alarms if not alarm["of_plant"]]
     return {
@@ -41,9 +45,25 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
         "health": health_of(status).value,
         "findings": [asdict(finding) for finding in findings(status)],
         "temperatures": temperatures,
+        "labels": {name: labels[name] for name in status.values if name in labels},
         "alarms": alarms,
         "status": status,
     }
+
+
+def _only_watched(status: GatewayStatus, tag: str, limit: float) -> TemperatureStatus:
+    """A temperature that has a limit and is not predicted."""
+    unit = status.values[tag].unit if tag in status.values else status.unit
+    return TemperatureStatus(
+        temperature=tag,
+        unit=unit,
+        limit=limit,
+        prediction=None,
+        forecast=None,
+        model=None,
+        guards=None,
+        writeback={"mode": "off"},
+    )
 
 
 def _alarm(words: Words, labels: Mapping[str, str], machine: str, alarm: AlarmStatus) -> dict[str, Any]:
@@ -73,6 +93,7 @@ def _temperature(
     row: dict[str, Any] = {
         "tag": one.temperature,
         "label": label,
+        "predicted": one.temperature not in status.watched,
         "unit": unit,
         "limit": one.limit,
         "value": value,

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from gateway.texts import LANGUAGES
 from gateway.web.access import AccountRole
 from tests.gateway.support import TEMPERATURE
-from tests.page.served import PASSWORD, Served, served
+from tests.page.served import PAGE, PASSWORD, Served, served
 
 playwright = pytest.importorskip("playwright.sync_api")
 from playwright.sync_api import Browser, Page, expect  # noqa: E402 - only where it is there
@@ -18,6 +19,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 AXE = os.environ.get("AXE_CORE")
 VIEWS = ("plant", "machine/decanter", "alarms", "trends", "scorecard", "model", "communication", "box")
 WAIT_MS = 30_000
+LONG = "Dekanterzentrifuge-Schlammentwaesserung-Halle-3-Linie-B"
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +135,36 @@ def test_every_view_fits_a_phone_and_a_panel(page: Page, width: int) -> None:
     expect(page.locator("main")).to_contain_text("Threads and tasks")
 
 
+def test_long_names_fit_a_phone_in_every_language_and_what_is_only_watched_has_a_row(
+    browser: Browser, tmp_path: Path
+) -> None:
+    other = "TCuscinettiAlimentazione"
+    words = f'labels = {{ decanter = "{LONG}", {other} = "{LONG} unten", {TEMPERATURE} = "gearbox bearing" }}'
+    text = PAGE.replace(f'labels = {{ {TEMPERATURE} = "gearbox bearing" }}', words)
+    text = text.replace("limit = 47.0", f'limit = 47.0\ntags = ["{TEMPERATURE}", "{other}"]')
+    with served(tmp_path, text) as gateway:
+        page = browser.new_page(viewport={"width": 320, "height": 700})
+        page.set_default_timeout(WAIT_MS)
+        try:
+            for language in LANGUAGES:
+                for view in VIEWS:
+                    page.goto(f"http://127.0.0.1:{gateway.port}/?lang={language}#/{view}")
+                    page.reload()
+                    expect(page.locator("main h2, main .row, main .controls").first).to_be_visible()
+                    assert page.evaluate("document.documentElement.scrollWidth") <= 320, (language, view)
+            page.goto(f"http://127.0.0.1:{gateway.port}/?lang=en#/plant")
+            gateway.put(other, 50.0)
+            row = page.locator(f'.row[data-tag="{other}"]')
+            expect(row.locator(".sentence")).to_contain_text("above its limit of 47")
+            expect(row.locator(".chip")).to_contain_text(f"{LONG} unten: over its limit")
+            expect(page.locator(f'.row[data-tag="{TEMPERATURE}"]')).not_to_contain_class("alarm")
+            page.goto(f"http://127.0.0.1:{gateway.port}/?lang=en#/trends")
+            page.locator(".tags summary").click()
+            expect(page.locator(".tags")).to_contain_text(f"{LONG} unten (°C){other}")
+        finally:
+            page.close()
+
+
 def test_an_administrator_makes_a_backup_on_a_phone_and_is_told_how_to_put_it_back(page: Page) -> None:
     log_in(page, "ada")
     page.set_viewport_size({"width": 320, "height": 700})
@@ -176,5 +208,10 @@ def test_a_stream_that_is_cut_leaves_the_last_state_and_its_age_in_large_letters
         expect(page.locator(".row .validity")).to_have_text("not valid")
         size = page.locator("#cut span").evaluate("node => parseFloat(getComputedStyle(node).fontSize)")
         assert size >= 25.0
+        page.goto(f"{page.url.partition('#')[0]}#/machine/decanter")
+        expect(page.locator(".linkline")).to_contain_text("not known")
+        expect(page.locator(".temperature .fact").first).to_contain_text("was 45.0 °C")
+        expect(page.locator(".well, .findings").first).to_contain_text("ago: ")
+        expect(page.locator("main")).not_to_contain_text("GOOD")
     finally:
         page.close()

@@ -10,7 +10,9 @@ import pytest
 
 import gateway.texts
 import gateway.web
+from gateway.settings import ALARM_KINDS, kind_of
 from gateway.status import read_status
+from gateway.status.health import CHECKS
 from gateway.texts import LANGUAGES, all_words, preferred
 from gateway.web import machine_view
 from tests.gateway.status_picture import alarm, picture, tag
@@ -129,6 +131,35 @@ def test_every_text_is_there_in_every_language_with_the_same_parts_and_is_used()
             }
             assert len({frozenset(each) for each in parts.values()}) == 1, f"{section}.{key}"
             assert re.search(rf"{section}\.(?:{key}\b|\$\{{|\{{)", used), f"{section}.{key} is used nowhere"
+
+
+def test_every_kind_of_alarm_and_every_check_has_its_words() -> None:
+    texts = WORDS["en"].texts
+    for section, names in (("kind", ALARM_KINDS), ("check", CHECKS)):
+        keys = {f"{section}.{re.sub('[ -]', '_', name)}" for name in names}
+        assert keys == {key for key in texts if key.startswith(f"{section}.")}
+    kinds = {"over limit T 1": "over limit", "clock not steered": "clock not steered", "clock": "clock", "clocks": ""}
+    assert {name: kind_of(name) for name in kinds} == kinds
+
+
+def test_a_temperature_that_is_only_watched_has_a_row_without_a_forecast() -> None:
+    other = {"watched": {"Feed": 70.0}, "values__Feed": tag(45.0)}
+    for language, said in (("en", "no model"), ("it", "nessun modello"), ("de", "kein Modell")):
+        shown = machine_view(WORDS[language], {"Feed": "feed bearing"}, read_status(picture(**other)))
+        predicted, watched = shown["temperatures"]
+        assert (predicted["predicted"], watched["predicted"]) == (True, False)
+        assert (watched["tag"], watched["label"], watched["value"], watched["limit"]) == (
+            "Feed",
+            "feed bearing",
+            45.0,
+            70.0,
+        )
+        assert said in watched["sentence"] and (watched["level"], watched["valid"]) == ("normal", "none")
+        assert shown["labels"] == {"Feed": "feed bearing"}
+    hot = machine_view(WORDS["en"], {}, read_status(picture(**other | {"values__Feed": tag(71.0)})))
+    assert (hot["temperatures"][1]["level"], hot["level"]) == ("alarm", "alarm")
+    gone = machine_view(WORDS["en"], {}, read_status(picture(**other | {"values__Feed": tag(45.0, "TIMEOUT")})))
+    assert (gone["temperatures"][1]["value"], gone["temperatures"][1]["level"]) == (None, "unknown")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 // What is inside: the model, the links, the computer.
 import { ask, bytes, clock, duration, h, moment, number, s, say, shown } from "./dom.js";
 import { isCut, state } from "./live.js";
-import { badge } from "./plant.js";
+import { badge, linkWord } from "./plant.js";
 import { can } from "./records.js";
 import { strip } from "./draw.js";
 
@@ -22,9 +22,9 @@ export function modelView() {
       ask("GET", "/api/model", { machine: name }).then((found) => models.set(name, { key, ...found }), (error) => models.set(name, { key, error: error.message }));
     }
     const known = models.get(name);
-    return temperatures.map((row, place) => h("section", { class: "card", "data-key": `${name} ${row.tag}` }, h("h2", {}, `${label}: ${row.label}`),
+    return temperatures.map((row) => h("section", { class: "card", "data-key": `${name} ${row.tag}` }, h("h2", {}, `${label}: ${row.label}`),
       known.error ? h("p", { class: "error" }, known.error) : !known.temperatures ? h("p", { class: "quiet" }, say("word.loading"))
-        : [versionList(known.temperatures[row.tag], name, row.tag), modelCard(known.temperatures[row.tag], (place ? status.further[place - 1] : status).prediction)]));
+        : [versionList(known.temperatures[row.tag], name, row.tag), modelCard(known.temperatures[row.tag], [status, ...status.further].find((one) => one.temperature === row.tag)?.prediction)]));
   }));
 }
 
@@ -84,7 +84,7 @@ export function communicationView() {
     const { status, label } = state.machines[name];
     const outages = [...status.link.outages].reverse().slice(0, 10);
     return h("section", { class: "card", "data-key": name }, h("h2", {}, label),
-      h("div", { class: "linkline" }, h("span", {}, say("word.link_hour")), strip(status), h("span", { class: status.link.alive ? "" : "bad" }, say(status.link.alive ? "word.link_good" : "word.link_lost"))),
+      h("div", { class: "linkline" }, h("span", {}, say("word.link_hour")), strip(status), linkWord(status, isCut(name))),
       status.link.reason && h("p", { class: "error" }, status.link.reason),
       h("dl", { class: "facts" }, fact(say("link.scans"), status.scan.count), fact(say("link.missed"), status.scan.missed), fact(say("link.period"), `${number(status.scan.period, 1)} s`), fact(say("word.writeback"), badge(status.writeback))),
       grid([say("word.link"), say("link.place"), say("link.active"), say("link.connected"), say("word.reason")], status.links.map((link) => [link.name, link.place, shown(link.active), shown(link.connected), link.reason || ""])),

@@ -2,10 +2,13 @@
 import { clock, duration, h, number, say, shown, unit } from "./dom.js";
 import { age, isCut, state } from "./live.js";
 import { fanChart, sparkline, strip } from "./draw.js";
-import { alarmTable, can } from "./records.js";
+import { alarmTable, alarmTitle, can } from "./records.js";
 import { coverageOf } from "./scores.js";
 
 const SIGNS = { normal: "", attention: "!", unknown: "?", alarm: "!!" };
+
+// The least first, as the gateway has them.
+const worstLevel = (rows) => Object.keys(SIGNS).findLast((level) => rows.some((row) => row.level === level));
 
 export const sign = (level) =>
   h("span", { class: `sign ${level}`, title: say(`level.${level}`) }, h("span", { "aria-hidden": "true" }, SIGNS[level]), h("span", { class: "hidden" }, say(`level.${level}`)));
@@ -22,9 +25,11 @@ function sentence(row, machine) {
   return [say("live.before", { age: duration(age(machine)), sentence: row.sentence }), say("validity.none")];
 }
 
+// What there is to say of a temperature that has a limit and no model.
+const WATCHED = { forecast: null, prediction: null };
 const forecastOf = (machine, tag) => {
   const status = machine.status;
-  return status.temperature === tag ? status : status.further.find((one) => one.temperature === tag) || status;
+  return status.temperature === tag ? status : status.further.find((one) => one.temperature === tag) || WATCHED;
 };
 
 export function badge(writeback) {
@@ -38,18 +43,20 @@ export function badge(writeback) {
 
 export function plantView() {
   const rows = state.order.flatMap((name) => {
-    const machine = state.machines[name], worst = machine.alarms.find((alarm) => !alarm.of_plant);
+    const machine = state.machines[name], tags = machine.temperatures.map((row) => row.tag);
     return machine.temperatures.map((row, place) => {
-      const level = place === 0 ? machine.level : row.level;
+      // An alarm stands in the row of its temperature; the machine's own ones stand in its first row.
+      const own = machine.alarms.filter((alarm) => !alarm.of_plant && (alarm.tag === row.tag || (place === 0 && !tags.includes(alarm.tag))));
+      const worst = own[0], level = worstLevel([row, ...own]);
       return h("a", { class: `row ${level} ${row.valid}`, href: `#/machine/${encodeURIComponent(name)}`, "data-key": `${name} ${row.tag}`, "data-machine": name, "data-tag": row.tag },
         sign(level),
         h("span", { class: "what" }, h("b", {}, machine.label), h("span", {}, row.label)),
         h("span", { class: "big" }, value(row, name)),
         h("span", { class: "sentence" }, sentence(row, name)[0], h("small", { class: "validity" }, sentence(row, name)[1])),
         h("span", { class: "picture" }, sparkline(name, row, forecastOf(machine, row.tag).forecast, machine.status.speed)),
-        h("span", { class: "worst" }, place === 0 && worst
-          ? h("span", { class: `chip ${worst.level}` }, `${worst.name} · ${say(`alarm.${stateKey(worst.state)}`)}`)
-          : h("span", { class: "quiet" }, say("alarm.none"))));
+        h("span", { class: "worst" }, worst
+          ? h("span", { class: `chip ${worst.level}` }, `${alarmTitle(worst, machine.labels)} · ${say(`alarm.${stateKey(worst.state)}`)}`)
+          : machine.alarms.every((alarm) => alarm.of_plant) && h("span", { class: "quiet" }, say("alarm.none"))));
     });
   });
   return h("section", { class: "plant", "aria-label": say("nav.plant") }, plantAlarms(), rows);
@@ -61,10 +68,10 @@ function plantAlarms() {
   if (!own.length) return null;
   return h("a", { class: "row whole", href: "#/alarms", "data-key": "plant" },
     h("span", { class: "what" }, h("b", {}, say("nav.plant"))),
-    h("span", { class: "worst" }, own.map((alarm) => h("span", { class: `chip ${alarm.level}` }, `${alarm.name} · ${say(`alarm.${stateKey(alarm.state)}`)}`))));
+    h("span", { class: "worst" }, own.map((alarm) => h("span", { class: `chip ${alarm.level}` }, `${alarmTitle(alarm, {})} · ${say(`alarm.${stateKey(alarm.state)}`)}`))));
 }
 
-export const stateKey = (text) => text.replaceAll(" ", "_");
+export const stateKey = (text) => text.replaceAll(/[ -]/g, "_");
 
 // ---------------------------------------------------------------- one machine
 
@@ -77,15 +84,14 @@ export function machineView(name, cut) {
     h("div", { class: "head" },
       h("h2", {}, machine.label), badge(status.writeback),
       can("engineer") && status.writeback.mode !== "off" && h("button", { "data-act": status.writeback.mode === "armed" ? "disarm" : "arm", "data-machine": name }, say(status.writeback.mode === "armed" ? "person.disarm" : "person.arm"))),
-    findings(machine),
-    h("div", { class: "linkline" }, h("span", {}, say("word.link_hour")), strip(status),
-      h("span", { class: status.link.alive ? "" : "bad" }, say(status.link.alive ? "word.link_good" : "word.link_lost")),
+    findings(machine, cut, extra),
+    h("div", { class: "linkline" }, h("span", {}, say("word.link_hour")), strip(status), linkWord(status, cut),
       h("span", { class: "quiet" }, say("word.outages", { count: status.link.outage_count }))),
     cards,
     machine.alarms.some((alarm) => !alarm.of_plant) && h("section", { class: "card" }, h("h3", {}, say("nav.alarms")), alarmTable([name], false)),
     h("div", { class: "columns" },
       h("section", { class: "card" }, h("h3", {}, say("word.events")), eventList(status)),
-      h("section", { class: "card wide" }, h("h3", {}, say("word.inputs")), inputs(status, extra, cut))),
+      h("section", { class: "card wide" }, h("h3", {}, say("word.inputs")), inputs(status, machine.labels, extra, cut))),
   );
   return [parts, () => machine.temperatures.forEach((row) => {
     const place = document.querySelector(`[data-chart="${CSS.escape(`${name} ${row.tag}`)}"]`);
@@ -93,9 +99,15 @@ export function machineView(name, cut) {
   })];
 }
 
-function findings(machine) {
-  if (!machine.findings.length) return h("p", { class: "well" }, say("word.all_well"));
-  return h("ul", { class: "findings" }, machine.findings.map((each) => h("li", {}, h("b", {}, each.check), ": ", each.sentence)));
+// Whether the link is good now, of which nothing is known once the stream is cut.
+export const linkWord = (status, cut) => cut
+  ? h("span", { class: "quiet" }, say("word.unknown"))
+  : h("span", { class: status.link.alive ? "" : "bad" }, say(status.link.alive ? "word.link_good" : "word.link_lost"));
+
+function findings(machine, cut, extra) {
+  if (!machine.findings.length) return h("p", { class: "well" }, cut ? say("live.before", { age: duration(extra), sentence: say("word.all_well") }) : say("word.all_well"));
+  return h("ul", { class: "findings" }, machine.findings.map((each) =>
+    h("li", {}, h("b", {}, say(`check.${stateKey(each.check)}`)), ": ", cut ? say("live.before", { age: duration(extra), sentence: each.sentence }) : each.sentence)));
 }
 
 // How long the plant has been in its state: since the event that brought it there, if that is among the newest.
@@ -126,11 +138,11 @@ function temperatureCard(name, machine, row) {
     h("p", { class: "lead" }, sign(row.level), sentence(row, name)[0]),
     h("p", { class: `validity ${row.valid}` }, `${say("word.validity")}: ${sentence(row, name)[1]}`),
     h("dl", { class: "facts" },
-      fact(say("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${row.quality} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
+      fact(say("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${isCut(name) ? say("word.unknown") : row.quality} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
       fact(say("word.limit"), `${number(row.limit)} ${row.unit}`),
       p && fact(say("word.predicted"), present ? `${number(p.mean)} ${row.unit}` : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
       p && fact(say("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
-      p && fact(say("word.confidence"), h("span", { class: `zone ${p.zone}` }, present ? p.zone : "–"), h("small", {}, present && zoneReason(machine, main))),
+      p && fact(say("word.confidence"), h("span", { class: `zone ${p.zone}` }, present ? say(`zone.${p.zone}`) : "–"), h("small", {}, present && zoneReason(machine, main))),
       row.familiarity && fact(say("familiarity.title"), h("span", { class: `zone ${present ? row.familiarity.zone : ""}` }, present ? row.familiarity.word : "–"), present && h("small", {}, [row.familiarity.sentence, row.familiarity.detail].filter(Boolean).join(" · "))),
       forecast && fact(say("word.minutes_to_limit"), usable ? `${minutes("median")}` : "–", usable && h("small", {}, `${minutes("low")} – ${minutes("high")}`)),
       forecast && fact(say("word.p_limit"), forecast.horizons.map((horizon, place) => h("div", {}, `${say("word.in_minutes", { minutes: number(horizon / 60, 0) })}: ${usable ? `${number(100 * forecast.p_limit[place], 0)} %` : "–"}`))),
@@ -147,14 +159,17 @@ function eventList(status) {
     h("li", {}, h("time", {}, clock(time)), h("b", {}, symbol), h("span", {}, where))));
 }
 
-function inputs(status, extra, cut) {
+// A tag in the plant's words where there are any, its own name beside them.
+const tagHead = (labels, name) => h("th", { scope: "row" }, labels[name] ? [labels[name], h("small", {}, name)] : name);
+
+function inputs(status, labels, extra, cut) {
   const rank = (tag) => (tag.quality === "GOOD" ? 1 : 0);
   const rows = Object.entries(status.values).sort(([, a], [, b]) => rank(a) - rank(b));
   return h("div", { class: "scroll", tabindex: "0" }, h("table", {},
     h("thead", {}, h("tr", {}, ["tag", "value", "age", "quality", "reason"].map((key) => h("th", { scope: "col", class: key === "value" || key === "age" ? "number" : null }, say(`word.${key}`))))),
     h("tbody", {}, rows.map(([name, tag]) => h("tr", { class: tag.quality === "GOOD" ? "" : "bad" },
-      h("th", { scope: "row" }, name),
+      tagHead(labels, name),
       h("td", { class: "number" }, cut ? h("span", { class: "old" }, say("live.was", { value: `${shown(tag.value)} ${unit(tag.unit)}` })) : `${shown(tag.value)} ${unit(tag.unit)}`),
       h("td", { class: "number" }, duration(tag.age / status.speed + extra)),
-      h("td", {}, tag.quality), h("td", {}, tag.reason))))));
+      h("td", {}, cut ? say("word.unknown") : tag.quality), h("td", {}, tag.reason))))));
 }

@@ -7,6 +7,13 @@ import { sign, stateKey } from "./plant.js";
 const ROLES = ["operator", "engineer", "administrator"];
 export const can = (role) => ROLES.indexOf(person.role) >= ROLES.indexOf(role);
 
+// An alarm in the reader's language, with what it watches in the plant's words; its own name where nobody knows its kind.
+export function alarmTitle({ kind, name, tag, of_plant }, labels) {
+  if (!kind) return name;
+  const what = name === kind || of_plant ? "" : (labels[tag] ?? tag);
+  return what ? `${what}: ${say(`kind.${stateKey(kind)}`)}` : say(`kind.${stateKey(kind)}`);
+}
+
 // The alarms of some machines that are not normal, the most urgent first; the plant's too, which one of them looks after.
 export function alarmTable(names, ofPlant = true) {
   const rows = names.flatMap((name) => state.machines[name].alarms.filter((alarm) => ofPlant || !alarm.of_plant).map((alarm) => ({ name, machine: state.machines[name], ...alarm, alarm: alarm.name })));
@@ -16,7 +23,7 @@ export function alarmTable(names, ofPlant = true) {
     const alarm = row.alarm, possible = row.possible?.length ? row.possible : row.state.includes("unacknowledged") ? ["acknowledge"] : [];
     return h("li", { class: `entry ${row.level}`, "data-key": `${row.of} ${alarm}`, "data-alarm": alarm },
       sign(row.level),
-      h("div", { class: "alarmtext" }, h("b", {}, `${row.of}: ${alarm}`), h("span", { class: "response" }, row.response),
+      h("div", { class: "alarmtext" }, h("b", { title: alarm }, `${row.of}: ${alarmTitle({ ...row, name: alarm }, row.machine.labels)}`), h("span", { class: "response" }, row.response),
         h("small", {}, `${say("alarm.priority")} ${row.priority} · ${say(`alarm.${stateKey(row.state)}`)} · ${say("word.since")} ${moment(row.since)} (${duration((row.machine.status.time - row.since) / row.machine.status.speed)})`,
           row.acknowledged_by && ` · ${say("alarm.acknowledged_by")} ${row.acknowledged_by}`,
           row.until && ` · ${say("alarm.until", { until: moment(row.until), by: row.by, reason: row.reason })}`)),
@@ -51,12 +58,12 @@ export function alarmsView() {
     !history.rows ? h("p", { class: "quiet" }, say("word.loading")) : !history.rows.length ? h("p", { class: "quiet" }, say("word.nothing"))
       : h("div", { class: "scroll", tabindex: "0" }, h("table", {},
         h("thead", {}, h("tr", {}, [say("word.time"), say("word.machine"), say("alarm.alarm"), say("word.state"), say("word.value"), say("alarm.acknowledged_by")].map((text) => h("th", { scope: "col" }, text)))),
-        h("tbody", {}, history.rows.map((row) => h("tr", {}, h("td", {}, moment(row.time)), h("td", {}, row.of_plant ? say("nav.plant") : state.machines[row.name]?.label ?? row.name), h("th", { scope: "row" }, row.condition),
+        h("tbody", {}, history.rows.map((row) => h("tr", {}, h("td", {}, moment(row.time)), h("td", {}, row.of_plant ? say("nav.plant") : state.machines[row.name]?.label ?? row.name), h("th", { scope: "row", title: row.condition }, alarmTitle({ ...row, name: row.condition }, state.machines[row.name]?.labels ?? {})),
           h("td", {}, say(`alarm.${stateKey(row.state)}`)), h("td", { class: "number" }, shown(row.value)), h("td", {}, row.acknowledged_by)))))));
 }
 
 export function scorecardView() {
-  return h("section", { class: "view" }, state.order.flatMap((name) => state.machines[name].temperatures.map((row) => {
+  return h("section", { class: "view" }, state.order.flatMap((name) => state.machines[name].temperatures.filter((row) => row.predicted).map((row) => {
     const { weeks, error } = scoreOf(name, row.tag);
     return h("section", { class: "card" }, h("h2", {}, `${state.machines[name].label}: ${row.label}`),
       error ? h("p", { class: "quiet" }, error) : !weeks ? h("p", { class: "quiet" }, say("word.loading"))

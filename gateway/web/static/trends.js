@@ -11,7 +11,7 @@ const look = { machine: null, tags: [], span: 3600, range: null, past: [], horiz
 
 export function trendsView([wanted]) {
   const machine = look.machine && state.machines[look.machine] ? look.machine : (look.machine = wanted && state.machines[wanted] ? wanted : state.order[0]);
-  const { status } = state.machines[machine];
+  const { status, labels } = state.machines[machine];
   const names = Object.keys(status.values).filter((name) => typeof status.values[name].value !== "string");
   look.tags = look.tags.filter((tag) => names.includes(tag));
   if (!look.tags.length) look.tags = [status.temperature];
@@ -24,7 +24,8 @@ export function trendsView([wanted]) {
       horizons.length > 0 && h("label", {}, h("span", {}, say("trend.forecasts")), h("select", { id: "trend-horizon" }, h("option", { value: "" }, "–"),
         horizons.map((each) => h("option", { value: each, selected: String(each) === look.horizon }, say("trend.said_before", { minutes: number(each / 60, 0) })))))),
     h("details", { class: "tags", open: innerWidth > 700 }, h("summary", {}, say("trend.signals")), names.map((name) =>
-      h("label", {}, h("input", { type: "checkbox", value: name, "data-tag": name, checked: look.tags.includes(name) }), `${name} ${status.values[name].unit && `(${unit(status.values[name].unit)})`}`))),
+      h("label", {}, h("input", { type: "checkbox", value: name, "data-tag": name, checked: look.tags.includes(name) }),
+        h("span", {}, labels[name] ?? name, status.values[name].unit && ` (${unit(status.values[name].unit)})`, labels[name] && h("small", {}, name))))),
     h("p", { class: look.error ? "error" : "quiet" }, look.error || `${say("trend.hint")} ${look.data ? say("trend.resolution", { width: look.data.width ? duration(look.data.width) : say("trend.readings") }) : ""}`),
     h("div", { class: "chart", id: "trend", "data-keep": "", "data-key": "trend" }));
   return [parts, () => fetchOnce(machine, status)];
@@ -66,7 +67,8 @@ function fetchOnce(machine, status) {
   Promise.all(asks).then((all) => {
     if (look.asked !== key) return;
     look.error = "";
-    look.data = { width: all[0].width, start, end, tags: [...look.tags], trends: all.slice(0, look.tags.length), said: said ? all.at(-1) : null };
+    const { labels } = state.machines[machine];
+    look.data = { width: all[0].width, start, end, tags: look.tags.map((tag) => (labels[tag] ? `${labels[tag]} (${tag})` : tag)), trends: all.slice(0, look.tags.length), said: said ? all.at(-1) : null };
     draw(document.getElementById("trend") ?? place);
   }, (error) => (look.error = error.message));
 }
