@@ -21,7 +21,7 @@ from sim.effects import DisturbanceStep, disturbance_step
 from sim.engine import repeat_factor
 from sim.learning.data import resolution
 from sim.learning.free_run import RATES, FitShape, FreeRunFit, loads
-from sim.learning.runs import FreeRuns, Indices, sampled
+from sim.learning.runs import FreeRuns, Indices, sampled, stretches
 from sim.sha import FLOWS, RELAXING, Array, Effect, Flow, Mask, coefficients
 
 HORIZONS = (60.0, 300.0, 900.0)
@@ -29,6 +29,12 @@ CHUNK = 150
 """Knots of a chunk at most: the filter's loop has so many rounds, however long the runs are."""
 ORIGINS = 400
 """Pairs of readings by which each horizon is judged, at most."""
+LONG_STEP = 150.0
+"""s between the readings that are looked at, on average, from which on a record is long: the horizon of 300 s has less
+than two of them, and that of 60 s none. What the flows do not describe adds up over such a step, and would be taken for
+noise of every second (record 0173)."""
+CLOSE_STEP = 60.0
+"""s between the readings from which the noise of a long record is told: the shortest horizon."""
 STEP = 1e-4
 """Of the logarithms, for the gradient by forward differences."""
 WORTH = 2.0
@@ -508,17 +514,19 @@ def fit_noise(
     groups: Indices,
     *,
     budget: int = 2500,
+    whole: FreeRuns | None = None,
     floor: float = 1e-3,
     memories: Memories | None = None,
 ) -> NoiseLevels:
     """The noise of greatest composite likelihood, the means given by `fit`.
 
     `groups` (L,) numbers the locations that share one process noise. `floor` is the least sensor sigma (degC); the
-    sensor's own rounding, step/sqrt(12), is taken where that is more. Rows are sampled to about `budget` knots. Of
-    disturbances and errors of the sensor with one of the `memories` the likeliest is taken, if it is worth it on data
-    held out.
+    sensor's own rounding, step/sqrt(12), is taken where that is more. Rows are sampled to about `budget` knots; where
+    those are LONG_STEP apart, so many knots of `whole` are taken that are close together: the runs before they were
+    thinned for the means (default: `runs`). Of disturbances and errors of the sensor with one of the `memories` the
+    likeliest is taken, if it is worth it on data held out.
     """
-    return fit_noises(runs, shape, fit, groups, budget=budget, floor=floor, memories=memories)[-1]
+    return fit_noises(runs, shape, fit, groups, budget=budget, whole=whole, floor=floor, memories=memories)[-1]
 
 
 def fit_noises(
@@ -528,12 +536,15 @@ def fit_noises(
     groups: Indices,
     *,
     budget: int,
+    whole: FreeRuns | None = None,
     floor: float = 1e-3,
     memories: Memories | None = None,
 ) -> list[NoiseLevels]:
     """The noise without a disturbance and, where one is worth it, the noise with it (`fit_noise`)."""
     memories = memories or Memories()
     few = sampled(runs, budget)
+    if few.dt.sum() > LONG_STEP * len(few):
+        few = stretches(runs if whole is None else whole, budget, CLOSE_STEP)
     steps = _steps(few, shape, fit, groups)
     floor = max(floor, resolution(runs.reading) / sqrt(12.0))
     (task,) = _tasks(steps, groups, shape, floor)

@@ -27,7 +27,8 @@ def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember,
     The trend is left out where no memory of heat is worth it on data held out.
     """
     anywhere = SHA("plain", (Location("any", Flow("constant", {"noise": 0.0}), entry="none"),), (), "any")
-    runs = sampled(free_runs([replace(trace, events=()) for trace in traces], anywhere, temperature), BUDGET)
+    whole = free_runs([replace(trace, events=()) for trace in traces], anywhere, temperature)
+    runs = sampled(whole, BUDGET)
     none, nothing = np.full(1, -1, dtype=np.intp), np.zeros(0)
     shape = FitShape(
         kinds=("constant",),
@@ -50,7 +51,7 @@ def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember,
         start=nothing,
     )
     group = np.zeros(1, dtype=np.intp)
-    noises = fit_noises(runs, shape, fit, group, budget=BUDGET)
+    noises = fit_noises(runs, shape, fit, group, budget=BUDGET, whole=whole)
     return tuple(
         PlainMember(
             name,

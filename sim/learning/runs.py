@@ -13,7 +13,7 @@ from sim.sha import SHA, UNKNOWN, Alphabet, Array, Mask, Switch, Trace, transiti
 Indices = NDArray[np.intp]
 
 WINDOWS = 20
-"""Into which `sampled` cuts what is too long."""
+"""Into which what is too long is cut (`sampled`, `stretches`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,13 +263,26 @@ def sampled(runs: FreeRuns, budget: int) -> FreeRuns:
     There are twenty windows, each a run of its own; what lies between them is left out.
     """
     few = thinned(runs, budget)
-    if len(few) <= 1.5 * budget:
-        return few
-    count = WINDOWS * max(len(few) // budget, 1)
-    window = np.arange(len(few)) * count // len(few)
+    return few if len(few) <= 1.5 * budget else _windows(few, budget)
+
+
+def stretches(runs: FreeRuns, budget: int, step: float) -> FreeRuns:
+    """About `budget` knots whose readings are `step` s apart, or as near as they were read: for what is told from one
+    reading to the next. Where the whole time is too long for that, twenty windows spread evenly over it, each a run of
+    its own.
+    """
+    changes = int(np.count_nonzero(np.diff(runs.stay)))
+    fine = thinned(runs, max(budget, changes + int(runs.dt.sum() / step)))
+    return fine if len(fine) <= 1.5 * budget else _windows(fine, budget)
+
+
+def _windows(runs: FreeRuns, budget: int) -> FreeRuns:
+    """WINDOWS parts of about `budget` knots in all, spread evenly over the knots, each a run of its own."""
+    count = WINDOWS * max(len(runs) // budget, 1)
+    window = np.arange(len(runs)) * count // len(runs)
     kept = np.unique(np.linspace(0, int(window[-1]), WINDOWS).astype(np.intp))
     inside = np.isin(window, kept)
-    part = few.where(inside)
+    part = runs.where(inside)
     # A run may span several windows, and a window several runs: each pair of the two is a run of its own.
     mark = part.run * (int(window[-1]) + 1) + window[inside]
     return _trimmed(replace(part, run=np.cumsum(np.diff(mark, prepend=mark[:1]) != 0)))

@@ -263,7 +263,7 @@ def _fit(
     few = sampled(runs, budget)
     # Means first, then the noise about them; a location whose target came out too vague counts as not seen after all.
     fit = fit_free_run(few, shape, begin=begin)
-    noise = fit_noise(few, shape, fit, process_groups(base.alphabet), memories=memories)
+    noise = fit_noise(few, shape, fit, process_groups(base.alphabet), whole=runs, memories=memories)
     measured = well_seen(sha, shape, fit, base)
     if spread is None:
         machines = machines_of(traces, temperature)

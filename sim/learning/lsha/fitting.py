@@ -203,14 +203,15 @@ def fit_motion(
     place = hypothesis.place
     where = positions(teacher, place, size)
     shape, rated = flow_shape(flowing.hypothesis, teacher, where, modelled, kinds)
-    runs = sampled(placed(teacher.runs, place), budget)
+    whole = placed(teacher.runs, place)
+    runs = sampled(whole, budget)
     # The coarse structure's rates are a good start; with flows of their own in single locations there are rates that
     # it did not have, and the coarse scan has to find them.
     begin = flowing.rates_of(rated) if all(kind == flowing.hypothesis.kind for kind in kinds) else None
     fit = fit_free_run(runs, shape, begin=begin)
     order = sorted(set(where))
     groups = np.array([order.index(each) for each in where], dtype=np.intp)
-    noise = fit_noise(runs, shape, fit, groups, memories=memories)
+    noise = fit_noise(runs, shape, fit, groups, whole=whole, memories=memories)
     spread = machine_spread(runs, shape, fit, noise=noise, groups=groups, machines=teacher.machines)
     bare = _bare(
         name, teacher, shape=shape, hypothesis=hypothesis, modelled=modelled, unknown=drift_noise(teacher.runs)
