@@ -1,9 +1,10 @@
 """How right the model is in place of a bad sensor (record 0151): error and coverage of the 90 % band by the time since.
 
 A model is learned as at a plant, and follows held-out days as the gateway does. From one moment after the other the
-sensor is bad for two hours: the model goes on without it, and what it says is held against what the sensor would have
-read. Held out are days of production of the simulated plant, and each measured trace of cars, pump and bearings
-(`--data`, ../shared/data by default; what is not there is left out) with a model of the others.
+sensor is bad for two hours: the model goes on without it, alone and with what the bearing beside it tells (record
+0174), and what they say is held against what the sensor would have read. Held out are days of production of the
+simulated plant, whose two bearings share friction and disturbances, and each measured trace of cars, pump and bearings
+(`--data`, ../shared/data by default; what is not there is left out) with a model of the others and no twin.
 """
 
 import asyncio
@@ -19,7 +20,8 @@ from benchmarks.figures import Figure, give
 from drivers.tag import Quality, Sample
 from gateway.machine.model.along import recorded_scans
 from gateway.machine.model.outlook import Outlook
-from gateway.machine.model.predict import Predictor
+from gateway.machine.model.predict import Z90, Predictor
+from gateway.machine.model.twin import TwinBearing, combined
 from gateway.machine.reading import Scan
 from gateway.settings import ForecastSection
 from sim.learning.bins import learn_bins
@@ -28,7 +30,7 @@ from sim.sha import Model, Trace
 from sim.traces import load_map, load_traces
 
 MAPS = Path(__file__).parents[1] / "config" / "traces"
-TEMPERATURE = "TCuscinettiRiduttore"
+TEMPERATURE, TWIN = "TCuscinettiRiduttore", "TCuscinettiAlimentazione"
 MEASURED = {"carobd": "carobd", "skab": "skab", "femto": "femto_bearing"}
 """Column maps, and the folders of their data."""
 FORECASTS = ForecastSection(runs=50, period=300.0)
@@ -46,20 +48,30 @@ def without(scan: Scan, tag: str) -> Scan:
 
 
 async def failures(
-    model: Model, trace: Trace, *, period: float, every: float, section: ForecastSection = FORECASTS
-) -> list[FailureRow]:
-    """A row for each of AFTER and a failure every `every` seconds.
+    model: Model,
+    trace: Trace,
+    *,
+    period: float,
+    every: float,
+    section: ForecastSection = FORECASTS,
+    twin: TwinBearing | None = None,
+) -> tuple[list[FailureRow], list[FailureRow]]:
+    """A row for each of AFTER and a failure every `every` seconds: of the model alone, and with the `twin`'s help.
 
-    Forecasts are made along the trace as the gateway does, since the band is widened by what comes true of them.
+    Forecasts are made along the trace as the gateway does, since the band is widened by what comes true of them. Where
+    the twin tells nothing the model stands alone in both.
     """
     tag = model.temperature
     rows: list[FailureRow] = []
+    helped: list[FailureRow] = []
     scans = list(recorded_scans(trace, period, model.alphabet))
     good = Predictor(model, tag)
     outlook = Outlook(good, section, inf, period)
     begin = scans[0].time + every / 2
     for number, scan in enumerate(scans):
         p = good.step(scan)
+        if twin is not None:
+            twin.take(scan.time, scan.good(tag), scan.good(twin.twin))
         outlook.settle(p.time, p.measured)
         if p.reset:
             outlook.void()
@@ -82,8 +94,14 @@ async def failures(
                 break  # the state of the plant is not known: the gateway gives up
             if seconds >= due[0] and read is not None and said.mean is not None and said.high is not None:
                 half = (said.high - said.mean) * outlook.widening(seconds)
-                rows.append((due.pop(0), read, p.measured, said.mean - half, said.mean + half))
-    return rows
+                after, mean = due.pop(0), said.mean
+                rows.append((after, read, p.measured, mean - half, mean + half))
+                told = None if twin is None else twin.estimate(later.time, scan.time, later.good(twin.twin))
+                if told is not None:
+                    both = combined(mean, half / Z90, told)
+                    mean, half = both.mean, Z90 * both.sigma
+                helped.append((after, read, p.measured, mean - half, mean + half))
+    return rows, helped
 
 
 def table_of(name: str, rows: Sequence[FailureRow]) -> list[Figure]:
@@ -121,7 +139,11 @@ def main(days: int, history: int, seed: int, data: Path, as_json: bool) -> None:
     past = [production(history, seed=2 * seed + 1)]
     model = learn_bins(past, column_map.alphabet, TEMPERATURE, name="history", seed=seed).model
     held_out = production(days, seed=2 * seed + 102)
-    figures = table_of("production", asyncio.run(failures(model, held_out, period=10.0, every=1800.0)))
+    twin = TwinBearing(TWIN)
+    for scan in recorded_scans(past[0], 10.0, model.alphabet):
+        twin.take(scan.time, scan.good(TEMPERATURE), scan.good(TWIN))
+    alone, helped = asyncio.run(failures(model, held_out, period=10.0, every=1800.0, twin=twin))
+    figures = table_of("production", alone) + table_of("production, with the twin", helped)
     for name, folder in MEASURED.items():
         column_map = load_map(MAPS / f"{name}.toml")
         traces = load_traces(str(data / folder), column_map)[0] if (data / folder).is_dir() else []
@@ -132,7 +154,8 @@ def main(days: int, history: int, seed: int, data: Path, as_json: bool) -> None:
                 middle = float(trace.times[0] + trace.times[-1]) / 2
                 others, trace = [trace.between(trace.times[0], middle)], trace.between(middle, trace.times[-1])
             own = learn_bins(others, column_map.alphabet, column_map.temperature, name=name, seed=seed).model
-            rows += asyncio.run(failures(own, trace, period=1.0 if name == "carobd" else 10.0, every=600.0))
+            alone, _ = asyncio.run(failures(own, trace, period=1.0 if name == "carobd" else 10.0, every=600.0))
+            rows += alone
         figures += table_of(f"{name} (measured)", rows)
     give("the model in place of a bad sensor", figures, as_json=as_json)
 

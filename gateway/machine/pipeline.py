@@ -40,7 +40,7 @@ from gateway.machine.alarms import (
     without_faulty,
 )
 from gateway.machine.followed import FollowedTemperature
-from gateway.machine.model import LoadedModel, LoadedModels, ModelUnit, ScanPrediction, load_models
+from gateway.machine.model import LoadedModel, LoadedModels, ModelUnit, ScanPrediction, load_models, recorded_scans
 from gateway.machine.plant_records import PlantRecords
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
@@ -48,13 +48,15 @@ from gateway.machine.trust import ClockCheck, RecordsWatch, Surroundings
 from gateway.machine.writing import Arming, ArmingError, WritebackStage, end_by_mode
 from gateway.settings import Config, WritebackLayout
 from gateway.status import Phase
-from gateway.store import AuditError, saved_state
+from gateway.store import AuditError, HistorianError, saved_state, to_trace
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
 
 SAVE_SECONDS = 10.0
+PAST_SECONDS = 3600.0
+"""What is read back from the historian at a start: as far as the points of a cycle look back (record 0174)."""
 ORDERS = ("WritePermit", ACKNOWLEDGE_BITS)
 """The tags by which the PLC gives orders to the gateway; a further block may have acknowledge bits of its own."""
 RECENT_EVENTS = 20
@@ -161,10 +163,31 @@ class Machine:
                 if one.model is not None:
                     one.model.restore(now)
                 one.note_run(now)
+            self._read_back(now)
             opened = True
         finally:
             if not opened:
                 self.close()
+
+    def _read_back(self, now: float) -> None:
+        """Let models and sensors follow the last hour on record; what cannot be read is logged and left out."""
+        models = [one.model for one in self.followed if one.model is not None]
+        if not models or self.clock_check.complaint(now, offset=0.0, plc=None):
+            return
+        begun, tags = now - PAST_SECONDS, {*self.inputs, *self.config.watched}
+        newest = self.historian.newest()
+        if newest is None or not begun < newest <= now:
+            return
+        try:
+            trace = to_trace(self.historian.path, start=begun, end=now, machine=self.config.machine, tags=tags)
+        except HistorianError as error:
+            self.log.warning("the last hour cannot be read back; the model begins without it", reason=str(error))
+            return
+        period = max(self.config.scan.period, 1.0)
+        scans = [scan for scan in recorded_scans(trace, period, models[0].loaded.model.alphabet) if scan.time <= now]
+        self.alarms.follow_past(scans)
+        for model in models:
+            model.follow_past(scans)
 
     def _open_followed(
         self, config: Config, loaded: LoadedModel | None, members: tuple[LoadedModel, ...]

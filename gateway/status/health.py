@@ -100,7 +100,8 @@ def virtual_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStat
     if v.mean is None or v.low is None or v.high is None:
         return f"{one.temperature}: sensor bad for {lasting} ({v.reason}); not known by the model either: {v.stopped}"
     said = f"{v.mean:.1f} {shown_unit(one.unit)} ({v.low:.1f} to {v.high:.1f})"
-    return f"{one.temperature}: sensor bad ({v.reason}); by the model {said}, for {lasting}"
+    whom = f"the model and {v.twin}" if v.twin else "the model"
+    return f"{one.temperature}: sensor bad ({v.reason}); by {whom} {said}, for {lasting}"
 
 
 def _virtual(status: GatewayStatus) -> str:

@@ -65,6 +65,7 @@ class VirtualStatus:
     low: float | None
     high: float | None
     stopped: str = ""
+    twin: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

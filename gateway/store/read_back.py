@@ -7,7 +7,7 @@ of one `temperature` of it (None: the machine's first). A file of layout 1 or 2 
 import json
 import re
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -408,12 +408,18 @@ def samples(
 
 
 def to_trace(
-    path: Path, title: str = "historian", start: float = -1e18, end: float = 1e18, *, machine: str | None = None
+    path: Path,
+    title: str = "historian",
+    start: float = -1e18,
+    end: float = 1e18,
+    *,
+    machine: str | None = None,
+    tags: Container[str] | None = None,
 ) -> Trace:
     """The measurements as a trace with one row a scan, not encoded: what the gateway's own encoder was given.
 
     A reading that was not stored because it equalled the one before it is there again; one that was not good is NaN
-    and marked in `bad`. Strings are left out. Raises HistorianError.
+    and marked in `bad`. Strings are left out, and so is what is none of the `tags` (None: all). Raises HistorianError.
     """
     with reading(path) as connection:
         whose = selected(connection, machine)
@@ -428,6 +434,8 @@ def to_trace(
         reach = connection.execute(query, own).fetchone()[0] or 3600.0
         reader = _SampleReader(connection, whose)
         for tag, name in whose.tags(connection):
+            if tags is not None and name not in tags:
+                continue
             rows = [row for row in reader.rows(tag, start - reach, end) if not isinstance(row[1], str)]
             if not rows:
                 continue

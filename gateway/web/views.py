@@ -112,7 +112,8 @@ def _temperature(
         else:
             mean, low, high = (words.number(x, 0 if v.high - v.low >= 2.0 else 1) for x in (v.mean, v.low, v.high))
             value_of_model = f"{mean}\u00a0{unit}"
-            sentence = words.say("sentence.virtual", what=what, age=age, value=value_of_model, low=low, high=high)
+            key = "sentence.virtual_twin" if v.twin else "sentence.virtual"
+            sentence = words.say(key, what=what, age=age, value=value_of_model, low=low, high=high)
             own = {"level": "attention", "sentence": sentence, "validity": words.say("validity.virtual")}
             own["valid"] = "doubtful"
         return {**row, "value": None, **own}

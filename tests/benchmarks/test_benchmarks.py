@@ -247,7 +247,7 @@ async def test_a_model_that_is_right_holds_where_its_sensor_is_bad_and_the_last_
     *others, on = slow.sha.locations
     on = replace(on, flow=Flow("exponential", {"k": 0.0005, "noise": 0.01}))
     model = replace(slow, sha=replace(slow.sha, locations=(*others, on)))
-    rows = await virtual_sensor.failures(model, Trace("heating", EPOCH + times, signals), period=20.0, every=600.0)
+    rows, _ = await virtual_sensor.failures(model, Trace("heating", EPOCH + times, signals), period=20.0, every=600.0)
     assert {row[0] for row in rows} == set(virtual_sensor.AFTER)
     for figure in virtual_sensor.table_of("plant", rows):
         if figure.name.endswith("mean error"):

@@ -37,8 +37,8 @@ from tests.gateway.support import (
     scan_of,
     two_modes,
 )
+from tests.gateway.test_twin_bearing import TWIN, taught
 
-TWIN = "TCuscinettiAlimentazione"
 SETTINGS = '[writeback]\nmode = "shadow"\n[forecast]\nhorizons = [10.0]\nruns = 20\n'
 
 
@@ -221,6 +221,48 @@ async def test_a_restart_neither_prolongs_it_nor_has_it_begin_again(tmp_path: Pa
     async with plant_in(config, 55) as third:
         await third.run(1, None)
         assert third.prediction.virtual.stopped == "state not known"
+
+
+async def test_a_sensor_that_froze_before_a_restart_is_found_after_it_back_to_when_it_froze(tmp_path: Path) -> None:
+    text = f'{SETTINGS}[alarms]\ntags = ["{TEMPERATURE}", "{TWIN}"]\n'
+    config = config_in(tmp_path, text, model=two_modes())
+    async with plant_in(config) as plant:
+        await plant.run(60)
+        stuck = plant.truth
+        await plant.run(80, stuck)
+        reached = plant.truth
+    async with plant_in(config, 142) as again:
+        again.truth = reached
+        await again.run(55, stuck)
+        p = again.prediction
+        assert again.state(f"sensor frozen {TEMPERATURE}") == "unacknowledged"
+        assert p.virtual.reason == "sensor frozen" and p.virtual.since <= EPOCH + 61
+        assert abs(p.mean - again.truth) < 2.0 < abs(stuck - again.truth)
+
+
+async def test_a_twin_that_is_measured_narrows_the_band_and_is_named(tmp_path: Path) -> None:
+    text = f'{SETTINGS}[alarms]\ntags = ["{TEMPERATURE}", "{TWIN}"]\n'
+    widths = []
+    for name, teacher in (("alone", None), ("helped", taught(slope=1.0, apart=0.0003))):
+        (folder := tmp_path / name).mkdir()
+        async with plant_in(config_in(folder, text, model=two_modes())) as plant:
+            model = plant.machine.followed[0].model
+            assert model is not None and model.twin is not None
+            if teacher is not None:
+                model.twin.restore(teacher.to_plain())
+            await plant.run(70)
+            await plant.run(300, None)
+            p = plant.prediction
+            assert abs(p.mean - plant.truth) < 0.3
+            widths.append(p.high - p.low)
+            assert p.virtual.twin == ("" if teacher is None else TWIN)
+            (finding,) = (each for each in findings(snapshot(plant.machine)) if each.check == "sensors")
+            assert (f"by the model and {TWIN} " in finding.sentence) == (teacher is not None)
+            assert ("the bearing beside it" in plant.row()["sentence"]) == (teacher is not None)
+            # Without the twin's reading it is the model alone again.
+            await plant.run(1, None, **{TWIN: None})
+            assert plant.prediction.virtual.twin == ""
+    assert widths[1] < 0.7 * widths[0]
 
 
 def test_northbound_a_prediction_without_its_sensor_is_uncertain() -> None:

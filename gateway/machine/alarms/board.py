@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -153,6 +153,18 @@ class AlarmBoard:
             bad = any(scan.good(name) is None for name in self.watched)
             findings = {"inputs bad": float(bad), **findings}
         self._step(findings, scan.time, dict(self.alarms))
+
+    def follow_past(self, scans: Iterable[Scan]) -> None:
+        """Let the sensors have a past that was read before a start: no alarm changes by it.
+
+        How the twins differed is kept over a start, and has been learned from these readings already.
+        """
+        if self._sensors is None:
+            return
+        kept = self._sensors.to_plain()
+        for scan in scans:
+            self._sensors.take(scan)
+        self._sensors.restore(kept)
 
     def faulty_sensors(self, now: float) -> dict[str, SensorFault]:
         """The sensors, by their tags, whose readings are not to be believed, by the alarms that stand.

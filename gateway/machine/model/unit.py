@@ -15,7 +15,8 @@ from gateway.machine.model.guards import Guards
 from gateway.machine.model.loading import LoadedModel
 from gateway.machine.model.outlook import FinishedForecast, Outlook, limit_probability
 from gateway.machine.model.pickup import Pickup, ReadyModel
-from gateway.machine.model.predict import Predictor, ScanPrediction
+from gateway.machine.model.predict import Z90, Predictor, ScanPrediction
+from gateway.machine.model.twin import TwinBearing, combined
 from gateway.machine.model.virtual_sensor import VirtualReading, VirtualSensor
 from gateway.machine.reading import Scan
 from gateway.settings import Config
@@ -51,6 +52,9 @@ class ModelUnit:
         self.config, self.loaded, self.members = config, loaded, members
         self._historian, self._log, self._supervisor = historian, log, supervisor or Supervisor()
         self._turns = turns
+        tag, twins = config.model.temperature, config.twins
+        # What it learned is of two sensors and not of a model: it outlives both a promotion and a failure.
+        self.twin = TwinBearing(next(each for each in twins if each != tag)) if tag in twins else None
         self.pickup = Pickup(config, loaded, self._supervisor)
         self.begin_anew()
         for model in (loaded, *members):
@@ -134,6 +138,8 @@ class ModelUnit:
         """
         if wrong_since is not None and not self._found_out:
             self.outlook.void()  # the forecast began from a wrong temperature, too
+            if self.twin is not None:
+                self.twin.forget_readings(wrong_since)
             if not self.predictor.forget_readings(wrong_since):
                 self.virtual.stopped = "state not known"
         self._found_out = wrong_since is not None
@@ -167,19 +173,28 @@ class ModelUnit:
         """What stands for the sensor in this scan; None while it is good, and where the model never had a reading."""
         tag, belief = self.config.model.temperature, self.predictor.belief
         sample = scan.samples.get(tag)
+        if self.twin is not None:
+            self.twin.take(scan.time, scan.good(tag), scan.good(self.twin.twin))
         if sample is not None and sample.quality.is_good:
             self.virtual.stopped = ""
             return None
         if belief is None or belief.read_at is None or p.mean is None or p.high is None:
             return None
         others = (scan.samples.get(name) for name in self.predictor.inputs if name != tag)
+        mean, half, helped = p.mean, (p.high - p.mean) * self.outlook.widening(scan.time - belief.read_at), ""
+        if self.twin is not None:
+            told = self.twin.estimate(scan.time, belief.read_at, scan.good(self.twin.twin))
+            if told is not None:
+                both = combined(mean, half / Z90, told)
+                mean, half, helped = both.mean, Z90 * both.sigma, self.twin.twin
         return self.virtual.take(
             scan.time,
             belief.read_at,
             "no such reading" if sample is None else sample.reason or sample.quality.name,
             known=p.known and not p.reset and all(each is not None and each.quality.is_good for each in others),
-            mean=p.mean,
-            half_width=(p.high - p.mean) * self.outlook.widening(scan.time - belief.read_at),
+            mean=mean,
+            half_width=half,
+            twin=helped,
         )
 
     def _note_virtual(self, before: VirtualReading | None, now: VirtualReading | None, time: float) -> None:
@@ -299,6 +314,8 @@ class ModelUnit:
             "reviews": self.guards.snapshot(),
         }
         self._historian.save("bands", now, bands)
+        if self.twin is not None:
+            self._historian.save("twin", now, self.twin.to_plain())
         if self.outlook.ensemble is not None:
             self._historian.save("ensemble", now, self.outlook.ensemble.snapshot())
 
@@ -309,6 +326,8 @@ class ModelUnit:
             if belief is not None and belief[1]["model"] == self.loaded.hash and self.predictor.restore(belief[1], now):
                 self.virtual.stopped = belief[1].get("stopped", "")
                 self._log.info("goes on from the saved belief", age=now - belief[0])
+            if self.twin is not None and (twin := saved_state(self._historian, "twin", self._log)) is not None:
+                self.twin.restore(twin[1])
             if bands is not None and bands[1]["model"] == self.loaded.hash:
                 self.outlook.restore(bands[1]["horizons"])
                 self.guards.restore(bands[1].get("reviews", {}))
@@ -319,6 +338,19 @@ class ModelUnit:
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             self._log.warning("the saved state cannot be used; the model begins anew", reason=repr(error))
             self.begin_anew()
+
+    def follow_past(self, scans: Sequence[Scan]) -> None:
+        """Follow what was read before a start, after `restore`: cycle and bearings have a past from then on.
+
+        So has the belief, where a sensor turns out to have been wrong by then; the belief itself stays.
+        """
+        alone = Predictor(self.loaded.model, self.config.model.temperature)
+        for scan in scans:
+            self.familiarity.take(scan, alone.step(scan).events)
+            if self.twin is not None:
+                self.twin.take(scan.time, scan.good(alone.temperature), scan.good(self.twin.twin))
+        if self.predictor.belief is not None:
+            self.predictor.past = alone.past
 
     async def close(self) -> None:
         """Wait for the forecast and the look at the store that go on; what they give is dropped."""

@@ -26,8 +26,9 @@ kept beliefs are apart, and the inputs beside them at least, since a device that
 class VirtualReading:
     """What the model says where its sensor is bad for a `reason`: `mean` and the 90 % band `low`..`high` (degC).
 
-    `since` is when the last reading was taken that counted (plant s), `reason` what is wrong with the sensor. The
-    numbers are None once it has `stopped`, until the sensor is good again.
+    `since` is when the last reading was taken that counted (plant s), `reason` what is wrong with the sensor, `twin`
+    the tag of the bearing beside it where that has helped ("": it has not). The numbers are None once it has
+    `stopped`, until the sensor is good again.
     """
 
     since: float
@@ -36,6 +37,7 @@ class VirtualReading:
     low: float | None = None
     high: float | None = None
     stopped: Stopped = ""
+    twin: str = ""
 
 
 class VirtualSensor:
@@ -50,12 +52,21 @@ class VirtualSensor:
         self.stopped: Stopped = ""
 
     def take(
-        self, now: float, since: float, reason: str, *, known: bool, mean: float, half_width: float
+        self,
+        now: float,
+        since: float,
+        reason: str,
+        *,
+        known: bool,
+        mean: float,
+        half_width: float,
+        twin: str = "",
     ) -> VirtualReading | None:
         """What stands at `now` for a sensor that is bad for a `reason`; None while it is only late.
 
         `since` is when the model was last corrected, `known` whether location and inputs are: without them it is not
-        the sensor that fails, and nothing is said. `mean` and `half_width` (degC) are what the model believes.
+        the sensor that fails, and nothing is said. `mean` and `half_width` (degC) are what is believed, perhaps with
+        the help of a `twin`.
         """
         if not self.stopped and now - since <= self._least:
             return None
@@ -69,7 +80,7 @@ class VirtualSensor:
                 self.stopped = "too wide"
         if self.stopped:
             return VirtualReading(since=since, reason=reason, stopped=self.stopped)
-        return VirtualReading(since, reason, mean, mean - half_width, mean + half_width)
+        return VirtualReading(since, reason, mean, mean - half_width, mean + half_width, twin=twin)
 
 
 @dataclass(frozen=True, slots=True)
