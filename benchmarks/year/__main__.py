@@ -1,7 +1,8 @@
 """A year at the plant: a model learned once, the product's loop, a model learned daily from everything.
 
     python -m benchmarks.year --picture out/year.png
-    python -m benchmarks.year --months 3 --days 1        # shorter
+    python -m benchmarks.year --months 3 --days 1                     # shorter
+    python -m benchmarks.year --days 8 --arms once,loop --keep out/year   # goes on where it was ended
 
 Seasons, wear, a changed sensor, a new product, a swapped bearing and three operators (`plant`); of each month `--days`
 are simulated, evenly over it. Each day is forecast by the three models as they were on the evening before; then each
@@ -10,7 +11,8 @@ are cut from a historian, rated, retrained from, a candidate followed on live cy
 rolled back where it is worse. What came true is known to the judge alone (`judge`). A promotion is wrong where the CRPS
 of the promoted model at 900 s, over the following days, is larger than that which the model before it would have had.
 
-Figures by month and arm are printed, what the loop did and why, and the processor time of each arm.
+Figures by month and arm are printed, what the loop did and why, and the processor time of each arm. With `--keep` a
+year that was ended goes on after its last whole day, and an arm that is through is not run again.
 """
 
 import json
@@ -27,6 +29,7 @@ from joblib import Parallel, delayed
 from benchmarks.figures import Figure, give
 from benchmarks.year.arms import Arm, Daily, Happening, Loop, Once, learned
 from benchmarks.year.judge import HORIZONS, DayScore, day_score
+from benchmarks.year.kept_days import KeptDays
 from benchmarks.year.picture import draw_year
 from benchmarks.year.plant import BEGIN, MONTHS, days_before, days_of
 from gateway.console import table
@@ -63,39 +66,41 @@ class Year:
     seconds: float
 
 
-def lived(arm: str, months: int, days: int, before: int, seed: int) -> Year:
-    """A year with one arm; the same plant for all of them."""
-    begin = process_time()
+def lived(arm: str, months: int, days: int, before: int, seed: int, folder: Path) -> Year:
+    """A year with one arm, which goes on where it was ended in `folder`; the same plant for all of them."""
+    kept = KeptDays(folder / arm, {"months": months, "days": days, "before": before, "seed": seed})
     history = days_before(before, seed=seed)
-    first = learned(history, seed)
-    plant_seconds = process_time()
     year = days_of(months, days, seed=seed)
-    begin += process_time() - plant_seconds
-    with tempfile.TemporaryDirectory(prefix="year-") as folder:
-        made: Arm
-        if arm == "once":
-            made = Once(first)
-        elif arm == "daily":
-            made = Daily(first, history, seed)
-        else:
-            made = Loop(first, history, Path(folder), seed, BEGIN)
-        scores: list[DayScore] = []
-        judging = 0.0
-        for day in year:
-            mark = process_time()
-            scores.append(day_score(arm, made.model, day, seed=seed))
-            judging += process_time() - mark
-            made.evening(day)
-            # A year takes minutes: what has come of it so far is said as it comes.
-            score = scores[-1]
-            so_far = f"{arm}: day {day.number:.0f}, MAE {', '.join(f'{value:.2f}' for value in score.mae)} degC, "
-            so_far += f"coverage {score.coverage[-1]:.2f}, {score.overheated} overheatings, {score.false} false alarms"
-            done = [each for each in made.happenings if each.day == day.number]
-            click.echo("\n".join([so_far, *(f"  {each.kind}: {each.words}" for each in done)]), err=True)
-    seconds = process_time() - begin - judging
+    begin = process_time()
+    first = learned(history, seed)
+    made: Arm
+    if arm == "once":
+        made = Once(first)
+    elif arm == "daily":
+        made = Daily(first, history, seed)
+    else:
+        made = Loop(first, history, kept.work, seed, BEGIN)
+    if kept.scores:
+        made.go_on(kept.state, year[: len(kept.scores)])
+    else:
+        kept.seconds = process_time() - begin
+    for day in year[len(kept.scores) :]:
+        score = day_score(arm, made.model, day, seed=seed)
+        begin = process_time()
+        made.evening(day)
+        kept.seconds += process_time() - begin
+        done = [each for each in made.happenings if each.day == day.number]
+        kept.scores.append(score)
+        kept.happenings += done
+        kept.state = made.to_plain()
+        kept.keep()
+        # A year takes long: what has come of it so far is said as it comes.
+        so_far = f"{arm}: day {day.number:.0f}, MAE {', '.join(f'{value:.2f}' for value in score.mae)} degC, "
+        so_far += f"coverage {score.coverage[-1]:.2f}, {score.overheated} overheatings, {score.false} false alarms"
+        click.echo("\n".join([so_far, *(f"  {each.kind}: {each.words}" for each in done)]), err=True)
     promotions = []
-    for promoted_on, model in made.former.items():
-        following = [(day, score) for day, score in zip(year, scores, strict=True) if day.number > promoted_on][
+    for promoted_on, model in made.former().items():
+        following = [(day, score) for day, score in zip(year, kept.scores, strict=True) if day.number > promoted_on][
             :FOLLOWED
         ]
         if following:
@@ -106,10 +111,10 @@ def lived(arm: str, months: int, days: int, before: int, seed: int) -> Year:
             )
     return Year(
         arm=arm,
-        scores=tuple(scores),
-        happenings=tuple(made.happenings),
+        scores=tuple(kept.scores),
+        happenings=tuple(kept.happenings),
         promotions=tuple(promotions),
-        seconds=seconds,
+        seconds=kept.seconds,
     )
 
 
@@ -179,7 +184,7 @@ def show_months(years: Sequence[Year]) -> None:
 @click.option("--arms", default=",".join(ARMS), show_default=True, help="Which, by commas.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Arms at a time.")
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw the year (.png, .pdf, .svg).")
-@click.option("--keep", type=click.Path(path_type=Path), help="Write what came of it here, as JSON.")
+@click.option("--keep", type=click.Path(path_type=Path, file_okay=False), help="Folder in which a year goes on.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True)
 def main(
@@ -199,9 +204,13 @@ def main(
         raise click.UsageError(f"--arms: {unknown[0]!r} is none of {', '.join(ARMS)}")
     if picture is not None:
         check_picture(picture)
-    years: list[Year] = Parallel(n_jobs=jobs)(delayed(lived)(name, months, days, before, seed) for name in names)
+    with tempfile.TemporaryDirectory(prefix="year-") as scratch:
+        work = delayed(lived)
+        run = Parallel(n_jobs=jobs)
+        years: list[Year] = run(work(name, months, days, before, seed, keep or Path(scratch)) for name in names)
     if keep is not None:
-        keep.write_text(json.dumps([asdict(year) for year in years], indent=1) + "\n", encoding="utf-8")
+        text = json.dumps([asdict(year) for year in years], indent=1) + "\n"
+        (keep / "year.json").write_text(text, encoding="utf-8")
     if picture is not None:
         save_picture(draw_year(years), picture, picture.suffix[1:].lower())
     if not as_json:

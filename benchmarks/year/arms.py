@@ -1,17 +1,17 @@
 """Three ways to have a model over a year, each given the days one by one as they end, and nothing of those to come."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from benchmarks.retraining import write_historian
 from benchmarks.year.plant import DAY, TEMPERATURE, Day
 from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
 from gateway.lab.retraining.shadow import LEAST, side_by_side
 from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, due, retrain, source_of
-from sim.artefacts import current, load, promote
+from sim.artefacts import current, is_store, load, promote
 from sim.artefacts.formats import save
 from sim.familiarity import RED, YELLOW
 from sim.learning.bins import learn_bins
@@ -43,10 +43,18 @@ class Arm(Protocol):
 
     model: Model
     happenings: list[Happening]
-    former: dict[float, Model]
 
     def evening(self, day: Day) -> None:
         """Take the day's readings."""
+
+    def to_plain(self) -> dict[str, Any]:
+        """What is not in its folder and must be known to go on after this evening, as JSON can carry it."""
+
+    def go_on(self, saved: Mapping[str, Any], past: Sequence[Day]) -> None:
+        """Go on from what `to_plain` gave on the evening of the last of the `past` days."""
+
+    def former(self) -> dict[float, Model]:
+        """The model that ran before each promotion, by its day: for the judge."""
 
 
 def learned(traces: Sequence[Trace], seed: int) -> Model:
@@ -59,17 +67,28 @@ class Once:
     """The model that was learned at the beginning."""
 
     def __init__(self, model: Model) -> None:
-        self.model, self.happenings, self.former = model, list[Happening](), dict[float, Model]()
+        self.model, self.happenings = model, list[Happening]()
 
     def evening(self, day: Day) -> None:
         """Nothing is learned."""
+
+    def to_plain(self) -> dict[str, Any]:
+        """Nothing."""
+        return {}
+
+    def go_on(self, saved: Mapping[str, Any], past: Sequence[Day]) -> None:
+        """As before."""
+
+    def former(self) -> dict[float, Model]:
+        """Nothing is promoted."""
+        return {}
 
 
 class Daily:
     """Learned anew each evening from all days so far."""
 
     def __init__(self, model: Model, begin: Sequence[Trace], seed: int) -> None:
-        self.model, self.happenings, self.former = model, list[Happening](), dict[float, Model]()
+        self.model, self.happenings = model, list[Happening]()
         self._traces, self._seed = list(begin), seed
 
     def evening(self, day: Day) -> None:
@@ -77,22 +96,36 @@ class Daily:
         self._traces.append(day.trace)
         self.model = learned(self._traces, self._seed)
 
+    def to_plain(self) -> dict[str, Any]:
+        """Nothing: the last evening's model is learned again."""
+        return {}
+
+    def go_on(self, saved: Mapping[str, Any], past: Sequence[Day]) -> None:
+        """Learn from all days so far."""
+        self._traces += [day.trace for day in past]
+        self.model = learned(self._traces, self._seed)
+
+    def former(self) -> dict[float, Model]:
+        """Nothing is promoted."""
+        return {}
+
 
 class Loop:
     """The product's own loop as a timer would call it each night, with the stated policy (`shadow --promote`).
 
     A candidate that has enough live cycles is held against the running version; a promoted version against the one
     before it, once, PROVING days after its promotion, and rolled back where it is worse; and a retraining begins where
-    one is due, from the `history` of the first model too (`--traces`). `former` is the model that ran before each
-    promotion, by its day: for the judge.
+    one is due, from the `history` of the first model too (`--traces`). Store, historian and library lie in `folder`.
     """
 
     def __init__(self, model: Model, history: Sequence[Trace], folder: Path, seed: int, begin: float) -> None:
-        self.model, self.happenings, self.former = model, list[Happening](), dict[float, Model]()
+        self.model, self.happenings = model, list[Happening]()
+        self._before = dict[float, str]()
         self._store, self._historian, self._library = folder / "store", folder / "historian.sqlite", folder / "cycles"
         self._seed, self._candidate, self._proving = seed, "", 0
         self._history = [replace(trace, events=()) for trace in history]
-        promote(self._store, save(self._store, model, created=begin))
+        if not is_store(self._store):
+            promote(self._store, save(self._store, model, created=begin))
 
     def evening(self, day: Day) -> None:
         """What the commands would do in the night after the day."""
@@ -110,6 +143,20 @@ class Loop:
             if not self._candidate:
                 self._retrain(library, day, now)
         self.model = load(self._store)
+
+    def to_plain(self) -> dict[str, Any]:
+        """The candidate, how long a promotion is still to be proven, and the versions before the promotions."""
+        return {"candidate": self._candidate, "proving": self._proving, "before": list(self._before.items())}
+
+    def go_on(self, saved: Mapping[str, Any], past: Sequence[Day]) -> None:
+        """Run what the store has promoted."""
+        self._candidate, self._proving = saved["candidate"], saved["proving"]
+        self._before = dict(saved["before"])
+        self.model = load(self._store)
+
+    def former(self) -> dict[float, Model]:
+        """Each version that was followed by a promotion."""
+        return {day: load(self._store, version) for day, version in self._before.items()}
 
     def _request(self) -> RetrainingRequest:
         return RetrainingRequest(
@@ -130,7 +177,7 @@ class Loop:
         )
 
     def _shadow(self, library: CycleLibrary, day: Day) -> None:
-        before, model = current(self._store), self.model
+        before = current(self._store)
         found = side_by_side(
             self._store,
             self._historian,
@@ -146,7 +193,7 @@ class Loop:
             return
         self._note(day, "promotion" if found.promoted else "left", self._candidate, found.sentence)
         if found.promoted and found.promoted != before:
-            self.former[day.number] = model
+            self._before[day.number] = before
             self._proving = PROVING
         self._candidate = ""
 

@@ -4,11 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 
-from benchmarks.year.arms import Loop, Once
-from benchmarks.year.judge import HORIZONS, day_score
+from benchmarks.year.arms import Happening, Loop, Once
+from benchmarks.year.judge import HORIZONS, DayScore, day_score
+from benchmarks.year.kept_days import KeptDays
 from benchmarks.year.plant import BEARING, SENSOR, TEMPERATURE, Day, days_before, days_of, overheated, plant_on
 from gateway.lab.retraining import shadow, study
 from gateway.lab.retraining.judging import NEW, PRESENT
@@ -84,6 +86,39 @@ def test_the_loop_promotes_what_is_better_on_live_cycles_and_nothing_else(
     if runs == "new":
         assert "promotion" in kinds and "left" not in kinds
         assert current(store) == versions(store)[1] and loop.model.sha == new.sha
-        assert next(iter(loop.former.values())) == first, "the judge asks what ran before"
+        assert next(iter(loop.former().values())).sha == first.sha, "the judge asks what ran before"
     else:
         assert "left" in kinds and "promotion" not in kinds and current(store) == versions(store)[0]
+
+
+def test_a_year_that_was_ended_goes_on_after_its_last_whole_day(tmp_path: Path) -> None:
+    settings = {"months": 1, "seed": 0}
+    folder = tmp_path / "loop"
+    figures = {"mae": (0.1,), "crps": (0.2,), "coverage": (0.9,), "overheated": 1, "leads": (60.0,)}
+    score = DayScore(arm="loop", month=0, day=3.0, false=0, alarms=1, **figures)  # type: ignore[arg-type]
+    kept = KeptDays(folder, settings)
+    (kept.work / "store").write_text("one", encoding="utf-8")
+    kept.scores.append(score)
+    kept.happenings.append(Happening(3.0, "promotion", "0002", "better"))
+    kept.state, kept.seconds = {"candidate": "0002"}, 12.5
+    kept.keep()
+    # Killed in the next evening, at any of its moments: what the arm has written since then does not count.
+    (kept.work / "store").write_text("two", encoding="utf-8")
+    for ended in ("in the evening", "while it copied", "between two renamings"):
+        if ended == "while it copied":
+            (folder / "new").mkdir()
+        if ended == "between two renamings":
+            (folder / "kept").rename(folder / "before")
+        again = KeptDays(folder, settings)
+        assert (again.scores, again.happenings, again.state, again.seconds) == (
+            [score],
+            kept.happenings,
+            {"candidate": "0002"},
+            12.5,
+        ), ended
+        assert (again.work / "store").read_text(encoding="utf-8") == "one", ended
+    again.scores.append(replace(score, day=18.0))
+    again.keep()
+    assert [each.day for each in KeptDays(folder, settings).scores] == [3.0, 18.0]
+    with pytest.raises(click.ClickException, match="give another --keep"):
+        KeptDays(folder, settings | {"seed": 1})
