@@ -16,7 +16,7 @@ import numpy as np
 from sim.effects import dead_time, sensor_offsets
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.kernel import move
-from sim.engine.particles import PathRuns, Steps, draw_states, drawn_temperatures, merge
+from sim.engine.particles import PathRuns, bridges, draw_states, drawn_temperatures, merge
 from sim.engine.plant import Indices, Plant
 from sim.engine.simulation_augmented import root
 from sim.engine.tables import tables
@@ -61,13 +61,15 @@ def acting_paths(plant: Plant, belief: Belief, known: Sequence[tuple[float, int]
 
 def augmented_path_runs(
     tracker: Tracker, plant: Plant, belief: Belief, paths: Paths, *, grid: Array, rng: np.random.Generator
-) -> tuple[Steps, PathRuns]:
-    """The steps along `paths` and the runs, both of what the sensor reads; `grid` (G,) as in `particles.lay_out`.
+) -> PathRuns:
+    """The runs along `paths`, of what the sensor reads; `grid` (G,) as in `particles.lay_out`.
 
     The random numbers come in this order: states and m of the belief, m of the stays, signals by name, X where it is
     drawn, then each row's noise. A seed's forecast depends on it.
     """
-    stay, begin, dt, first, marks = merge(paths, grid)
+    ends, first, marks = merge(paths, grid)
+    stay, begin = np.cumsum(first, axis=0, dtype=np.intp), np.vstack([np.zeros(ends.shape[1]), ends[:-1]])
+    dt = ends - begin
     sha, shape = plant.sha, dt.shape
     hidden = belief.hidden or Hidden((), ())
     s, m0 = draw_states(hidden, shape[1], rng)
@@ -104,7 +106,7 @@ def augmented_path_runs(
         signals={name: column.reshape(-1) for name, column in signals.items()},
         since=tuple(since),
     )
-    drawn = drawn_temperatures(tracker, location, first, rng)
+    drawn = drawn_temperatures(tracker, paths, first, rng)
     about = np.full(dt.size, float(s[:, 0].mean())) if plant.radiation is not None else None
     table = tables(plant, segments, about)
 
@@ -127,23 +129,10 @@ def augmented_path_runs(
         s[:, 0] = held
         end[row] = s[:, plant.sensed] + after[row]
 
-    zero = np.zeros(shape)
     # Behind a lag the path is smooth: nothing happens between the ends of a step that the ends do not show.
-    variance = zero if plant.lags else table.closed.noise[:, plant.sensed, plant.sensed].reshape(shape)
-    steps = Steps(
-        location=location,
-        begin=begin,
-        dt=dt,
-        age=age,
-        target=zero,
-        decay=table.closed.phi[:, 0, 0].reshape(shape),
-        pull=zero,
-        variance=variance,
-        noise=zero,
-        drawn=drawn,
-        marks=marks,
-    )
-    return steps, PathRuns(start, end, clamps)
+    variance = np.zeros(shape) if plant.lags else table.closed.noise[:, plant.sensed, plant.sensed].reshape(shape)
+    bridge = bridges(table.closed.phi[:, 0, 0].reshape(shape), variance)
+    return PathRuns(ends, start, end, bridge, marks, clamps)
 
 
 def _signals(

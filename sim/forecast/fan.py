@@ -15,9 +15,9 @@ import numpy as np
 
 from sim.effects import VaryingLaw, kind_of
 from sim.engine import (
+    BLOCK_ROWS,
     Belief,
     PathRuns,
-    Steps,
     Tracker,
     acting_paths,
     acting_stays,
@@ -132,7 +132,7 @@ def forecast(
             paths = acting_paths(tracker.plant, belief, known, drawn)
         else:
             paths = known_paths(known, belief.age, runs)
-        steps, done = augmented_path_runs(tracker, tracker.plant, belief, paths, grid=grid, rng=rng)
+        done = augmented_path_runs(tracker, tracker.plant, belief, paths, grid=grid, rng=rng)
     else:
         inputs = input_moments(tracker.model, belief.signals)
         if events is None:
@@ -142,20 +142,24 @@ def forecast(
         else:
             stays, exact = _known_future(tracker, belief, events, horizons=ahead, levels=levels, inputs=inputs)
             paths = known_paths(stays, belief.age, runs)
-        steps, x0 = lay_out(tracker, belief, paths, grid=grid, inputs=inputs, rng=rng)
-        done = run(tracker.model.sha, steps, x0)
+        layout, x0 = lay_out(tracker, belief, paths, grid=grid, inputs=inputs, rng=rng)
+        done = run(tracker.model.sha, layout, x0)
+        del layout  # half of what a forecast holds, which the chance of the limit does not ask for
 
-    rows, columns = steps.marks[at], np.arange(runs)
+    rows, columns = done.marks[at], np.arange(runs)
     if exact is None:
         # The fan is of readings, so each run's end gets a reading's noise; the exact quantiles have it in their
         # variance.
         read = done.end[rows, columns] + tracker.model.sensor_sigma * rng.standard_normal(rows.shape)
         exact = np.quantile(read, levels, axis=1)
-    counts = [np.bincount(places, minlength=len(names)).tolist() for places in steps.location[rows, columns]]
+    # Before the row of a grid's point are the points before it, and the run's jumps.
+    counts = [
+        np.bincount(places, minlength=len(names)).tolist() for places in paths.location[rows - at[:, None], columns]
+    ]
     locations = tuple(
         {name: float(count) / runs for name, count in zip(names, row, strict=True) if count} for row in counts
     )
-    reached = _reached(belief, steps, done, limit=limit, grid=grid, horizons=ahead, factors=factors)
+    reached = _reached(belief, done, limit=limit, grid=grid, horizons=ahead, factors=factors)
     return Forecast(
         time=belief.time,
         horizons=ahead,
@@ -192,9 +196,7 @@ def _points(tracker: Tracker, horizon: float) -> int:
     return int(min(max(ceil(horizon * fastest / 0.1), LEAST_GRID), MOST_GRID))
 
 
-def _reached(
-    belief: Belief, steps: Steps, done: PathRuns, *, limit: float, grid: Array, horizons: Array, factors: Array
-) -> Array:
+def _reached(belief: Belief, done: PathRuns, *, limit: float, grid: Array, horizons: Array, factors: Array) -> Array:
     """(G + 1,) the chance of having reached the limit by now and by each of the grid's points.
 
     Runs are widened about their median as the fan is: their distance from it, at each of their steps' ends, is
@@ -204,24 +206,31 @@ def _reached(
         return np.ones(grid.size + 1)
     if limit == inf:
         return np.zeros(grid.size + 1)  # nobody asked for one
-    columns = np.arange(done.end.shape[1])
-    start, end, widening = done.start, done.end, np.ones(())
-    if np.any(factors != 1.0):
-        clock = np.concatenate([[0.0], grid])
-        median = np.concatenate([[np.median(start[0])], np.median(end[steps.marks, columns], axis=1)])
-        # A step begins where the one before it ends: what is looked up there holds for both.
-        ends = np.vstack([steps.begin[1:], steps.begin[-1] + steps.dt[-1]])
-        widening, middle = np.interp(ends, horizons, factors), np.interp(ends, clock, median)
-        first, from_middle = np.empty_like(ends), np.empty_like(ends)
-        first[0], from_middle[0] = factors[0], median[0]
-        first[1:], from_middle[1:] = widening[:-1], middle[:-1]
-        start = widened_runs(start, first, from_middle)
-        end = widened_runs(end, widening, middle)
-    # A run that is below the limit at both ends of a step may have touched it in between: `survival` takes that chance
-    # from the bridge, so that what is said of the limit does not depend on how fine the grid is.
-    alive = survival(start, end, steps, limit, widening)
-    at_start = float(np.mean(start[0] >= limit))
-    return np.concatenate([[at_start], 1.0 - alive[steps.marks, columns].mean(axis=1)])
+    columns, alive = np.arange(done.end.shape[1]), np.empty(done.end.shape)
+    widened = bool(np.any(factors != 1.0))
+    clock = np.concatenate([[0.0], grid])
+    median = np.concatenate([[np.median(done.start[0])], np.median(done.end[done.marks, columns], axis=1)])
+    # What holds at the ends of the steps before the next ones: the chance so far, and how runs are widened there.
+    so_far: Array = np.ones(columns.size)
+    factor, middle = np.full((1, columns.size), factors[0]), np.full((1, columns.size), median[0])
+    at_start = float(
+        np.mean((widened_runs(done.start[0], factor[0], middle[0]) if widened else done.start[0]) >= limit)
+    )
+    for top in range(0, len(alive), BLOCK_ROWS):
+        rows = slice(top, top + BLOCK_ROWS)
+        start, end, widening = done.start[rows], done.end[rows], np.ones(())
+        if widened:
+            # A step begins where the one before it ends: what is looked up there holds for both.
+            factor = np.vstack([factor[-1], np.interp(done.ends[rows], horizons, factors)])
+            middle = np.vstack([middle[-1], np.interp(done.ends[rows], clock, median)])
+            widening = factor[1:]
+            start = widened_runs(start, factor[:-1], middle[:-1])
+            end = widened_runs(end, widening, middle[1:])
+        # A run that is below the limit at both ends of a step may have touched it in between: `survival` takes that
+        # chance from the bridge, so that what is said of the limit does not depend on how fine the grid is.
+        alive[rows] = survival(start, end, done.bridge[rows], limit, widening, so_far)
+        so_far = alive[rows][-1]
+    return np.concatenate([[at_start], 1.0 - alive[done.marks, columns].mean(axis=1)])
 
 
 def _minutes(clock: Array, reached: Array) -> tuple[float, float, float]:

@@ -5,29 +5,17 @@ import pytest
 from scipy.special import ndtr
 
 from sim.engine.belief import compile_model, start
-from sim.engine.particles import Steps, lay_out, survival
+from sim.engine.particles import bridges, lay_out, survival
 from sim.forecast.fan import forecast
 from sim.sha.semi_markov import Paths
-from sim.sha.trace import Event
+from sim.sha.trace import Array, Event
 from tests.sha.plants import exponential_stays, two_states
 
 
-def one_step(decay: float, variance: float, runs: int) -> Steps:
-    """A single step with the given coefficients; the rest is not looked at."""
+def one_step(decay: float, variance: float, runs: int) -> Array:
+    """The bridge of a single step with the given coefficients."""
     ones = np.ones((1, runs))
-    return Steps(
-        location=np.zeros((1, runs), dtype=np.intp),
-        begin=0 * ones,
-        dt=ones,
-        age=0 * ones,
-        target=0 * ones,
-        decay=decay * ones,
-        pull=(1 - decay) * ones,
-        variance=variance * ones,
-        noise=0 * ones,
-        drawn=None,
-        marks=np.zeros((1, runs), dtype=np.intp),
-    )
+    return bridges(decay * ones, variance * ones)
 
 
 @pytest.mark.parametrize("spent", [0.05, 0.4, 0.9])
@@ -65,14 +53,15 @@ def test_steps_are_cut_at_jumps_and_at_the_grid_each_run_on_its_own_clock() -> N
     entered = np.array([[0.0, 0.0], [5.0, 20.0], [25.0, np.inf]])
     paths = Paths(np.array([[0, 0], [1, 1], [0, 0]]), entered, age=7.0)
     grid = np.array([10.0, 20.0, 30.0])
-    steps, x0 = lay_out(
+    layout, x0 = lay_out(
         tracker, start(tracker, 0.0, 30.0), paths, grid=grid, inputs=np.zeros((2, 2)), rng=np.random.default_rng(1)
     )
+    ((_, steps),) = layout.blocks()
     assert (steps.begin + steps.dt).T.tolist() == [[5.0, 10.0, 20.0, 25.0, 30.0], [10.0, 20.0, 20.0, 30.0, 30.0]]
     # At one instant the jump comes first: the second run is in its new place when the grid's 20 s are told.
     assert steps.location.T.tolist() == [[0, 1, 1, 1, 0], [0, 0, 1, 1, 1]]
     assert steps.age.T.tolist() == [[7.0, 0.0, 5.0, 15.0, 0.0], [7.0, 17.0, 0.0, 0.0, 10.0]]
-    assert steps.marks.T.tolist() == [[1, 2, 4], [0, 2, 3]]
+    assert layout.marks.T.tolist() == [[1, 2, 4], [0, 2, 3]]
     assert steps.dt.sum(axis=0).tolist() == [30.0, 30.0]
     assert np.array_equal(steps.target[1:4, 0], np.full(3, steps.target[1, 0]))
     assert x0.shape == (2,)
