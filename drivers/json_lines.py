@@ -20,8 +20,8 @@ class NoObject(OneLineError, ValueError):
     """A line that holds no JSON object; the sentence goes into the reply."""
 
 
-def parsed(line: str | bytes) -> dict[str, Any]:
-    """The object that a line holds. Raises NoObject."""
+def parsed(line: str | bytes, example: str = '{"command": "status"}') -> dict[str, Any]:
+    """The object that a line holds; `example` is one that would be right. Raises NoObject."""
     try:
         text = line.decode() if isinstance(line, bytes) else line
     except UnicodeDecodeError as error:
@@ -35,8 +35,7 @@ def parsed(line: str | bytes) -> dict[str, Any]:
     if problem := unusable(content):
         raise NoObject(f"the request cannot be used: {problem}")
     if not isinstance(content, dict):
-        example = '{"command": "status"}'
-        raise NoObject(f"{ill}{text.strip()[:60]!r} is no JSON object; give one a line, such as {example}")
+        raise NoObject(f"{ill}{text.strip()[:60]!r} is no JSON object; give one, such as {example}")
     return content
 
 

@@ -9,10 +9,15 @@ if TYPE_CHECKING:
 
 REASON = {"type": "object", "properties": {"reason": {"type": "string"}}, "required": ["reason"]}
 REFUSALS = {
+    "400": "The body is no JSON object in UTF-8.",
     "401": "Nobody is logged in.",
     "403": "The account's role does not suffice, or the request comes from another page.",
     "404": "There is no such machine, tag or row.",
+    "408": "The body has not come in time.",
     "409": "The gateway refuses it.",
+    "413": "The body is too long.",
+    "414": "The query is too long.",
+    "415": "The body is of another type than application/json.",
     "422": "The request is not as described.",
     "429": "Too many wrong passwords, or too many at a time.",
     "503": "The gateway cannot answer now.",

@@ -19,7 +19,7 @@ def test_an_object_is_read_from_text_and_from_bytes_and_written_as_one_line() ->
 
 @pytest.mark.parametrize("line", ["[1]", "7", "", "{", "no json", b"\xff\n", "[" * 100_000])
 def test_what_is_no_object_is_refused_in_one_sentence(line: str | bytes) -> None:
-    with pytest.raises(NoObject, match="is no JSON object; give one a line") as caught:
+    with pytest.raises(NoObject, match="is no JSON object; give one, such as") as caught:
         json_lines.parsed(line)
     assert len(str(caught.value)) < 200
 
