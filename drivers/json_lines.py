@@ -25,7 +25,7 @@ def parsed(line: str | bytes, example: str = '{"command": "status"}') -> dict[st
     try:
         text = line.decode() if isinstance(line, bytes) else line
     except UnicodeDecodeError as error:
-        sentence = f"the request is not UTF-8 (byte {error.start}) and is no JSON object; give one a line"
+        sentence = f"the request is not UTF-8 (byte {error.start}) and is no JSON object; give one, such as {example}"
         raise NoObject(sentence) from None
     # Lists nested without end exhaust the decoder's stack.
     try:
