@@ -6,7 +6,8 @@ The one owner of that for all floors above the drivers. It needs neither numpy n
 import json
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
+from functools import lru_cache
 from math import isfinite
 from typing import Any
 
@@ -38,6 +39,8 @@ def escaped(value: Any) -> Any:
 
     Texts in lists and mappings too, keys among them.
     """
+    if value is None or type(value) in (int, float, bool):
+        return value
     if isinstance(value, str):
         if value.isprintable():
             return value
@@ -47,6 +50,30 @@ def escaped(value: Any) -> Any:
     return [escaped(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
+def uncopied(value: Any) -> Any:
+    """A dataclass as `dataclasses.asdict` gives it, but with what it holds itself and no copies: to be written at once.
+
+    Those in its lists, tuples and mappings too.
+    """
+    if value is None or type(value) in (str, float, int, bool):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: uncopied(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, tuple):
+        return tuple(uncopied(inner) for inner in value)
+    if isinstance(value, list):
+        return [uncopied(inner) for inner in value]
+    if isinstance(value, Mapping):
+        return {key: uncopied(inner) for key, inner in value.items()}
+    return value
+
+
 def json_text(value: object, *, indent: int | None = None, sort_keys: bool = False) -> str:
     """The value as strict JSON, without a line break at its end; on one line unless an indent is given."""
-    return json.dumps(strict(value), indent=indent, sort_keys=sort_keys, ensure_ascii=False, allow_nan=False)
+    return _encoder(indent, sort_keys=sort_keys).encode(strict(value))
+
+
+@lru_cache(maxsize=16)
+def _encoder(indent: int | None, *, sort_keys: bool) -> json.JSONEncoder:
+    """What `json.dumps` makes anew at each call: a row of the audit log is a text at every scan."""
+    return json.JSONEncoder(indent=indent, sort_keys=sort_keys, ensure_ascii=False, allow_nan=False)

@@ -222,9 +222,9 @@ class ModbusDriver:
             except DriverError as error:
                 raise WriteUnverified(f"the device confirmed the write, but reading back failed: {error}") from error
         wrong = []
-        for span in block.spans:
+        for span in block.spans if words != stored else ():
             part = slice(span.start - block.start, span.stop - block.start)
-            if tuple(words[part]) != tuple(stored[part]):
+            if words[part] != stored[part]:
                 wrong.append(f"{span.tag.name}: wrote {list(words[part])}, reads back {list(stored[part])}")
         if wrong:
             raise WriteUnverified("the device confirmed the write, but " + "; ".join(wrong))
@@ -352,24 +352,20 @@ class ModbusDriver:
         if isinstance(outcome, Failure):
             return {id(span.tag): self._no(span.tag, outcome.quality, outcome.reason) for span in block.spans}
         samples: dict[int, Sample] = {}
-        start, words, received, sent, decoded = (
-            block.start,
-            outcome.words,
-            outcome.received,
-            outcome.sent,
-            self._decoded,
-        )
+        start, words, received, sent = block.start, outcome.words, outcome.received, outcome.sent
+        decoded, readers = self._decoded, self._readers
         for span in block.spans:
-            tag, key = span.tag, id(span.tag)
-            own = words[span.start - start : span.start - start + span.count]
+            tag, first = span.tag, span.start - start
+            key, own = id(tag), words[first : first + span.count]
             # What a tag's words mean depends on nothing else, and from scan to scan most of them are the same.
             before, reading = decoded.get(key, _NOTHING)
             if own != before:
-                if (read := self._readers.get(key)) is None:
-                    read = self._readers[key] = reader(tag)
+                if (read := readers.get(key)) is None:
+                    read = readers[key] = reader(tag)
                 reading = read(own)
                 decoded[key] = (own, reading)
-            samples[key] = Sample(tag.name, reading[0], reading[1], received, sent=sent, reason=reading[2])
+            value, quality, reason = reading
+            samples[key] = Sample(tag.name, value, quality, received, sent, reason=reason)
         return samples
 
     def _no(self, tag: Tag, quality: Quality, reason: str) -> Sample:

@@ -134,14 +134,18 @@ class NumberedWire(asyncio.Protocol):
         self._since_answer[request.dev_id] += 1
         transport.write(frame)
         self._tell(frame, sent=True)
-        try:
-            async with asyncio.timeout(deadline):
-                return await reply
-        except TimeoutError:
+
+        def too_late() -> None:
             others = self.foreign - foreign
             dropped = f" ({others} with another transaction id dropped)" if others else ""
-            raise ReplyTimeout(f"{question.asked}: no reply within {deadline:.3g} s{dropped}") from None
+            if not reply.done():
+                reply.set_exception(ReplyTimeout(f"{question.asked}: no reply within {deadline:.3g} s{dropped}"))
+
+        timer = loop.call_later(deadline, too_late)
+        try:
+            return await reply
         finally:
+            timer.cancel()
             question.reply = None  # and the question stays: its id is not used again, and its late reply is known
 
     def _live(self) -> asyncio.Transport:

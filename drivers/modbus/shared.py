@@ -131,9 +131,9 @@ class SharedLink:
             if turn.waited:
                 # Another driver of the same unit may have asked it meanwhile.
                 self._spare(settings, health, urgent=urgent)
-            if (rest := self._last_exchange + settings.limits.pause - _now()) > 0.0:
+            if settings.limits.pause and (rest := self._last_exchange + settings.limits.pause - _now()) > 0.0:
                 await asyncio.sleep(rest)
-            wire = await self._wire()
+            wire = self.link.connection or await self._wire()
             started = _now()
             if not again:
                 health.asked_at = started
@@ -181,15 +181,18 @@ class SharedLink:
 
     def _spare(self, settings: ModbusSettings, health: UnitHealth, *, urgent: bool) -> None:
         """Raise LinkDown for a unit that is not to be asked now; to a silent one nothing is written."""
-        unit, now = settings.unit, _now()
+        unit = settings.unit
         if self.suspects(unit):
             raise LinkDown(
                 f"the last connection to {self.settings.place} ended with a question to unit {unit}; it is asked again "
                 "after another unit",
                 fault=LinkFault.SILENT,
             )
-        rest = 0.0
-        if len(self.health) > 1 and not urgent and self._answered_at > health.doubted_since:
+        several = len(self.health) > 1
+        if health.silent_since is None and not several:
+            return
+        rest, now = 0.0, _now()
+        if several and not urgent and self._answered_at > health.doubted_since:
             rest = health.debt.rest(now, self._share, settings.longest_read)
         if health.silent_since is None:
             if rest > 0.0:

@@ -260,7 +260,8 @@ class Wire:
             self.foreign += 1
             return
         # The same question, asked earlier, is answered as well where it was asked again.
-        if question != request and not (self._again and replace(question, transaction=request.transaction) == request):
+        same = question is request or question == request
+        if not same and not (self._again and replace(question, transaction=request.transaction) == request):
             self.foreign += 1
             return
         self._received, self._request = self._clock(), None

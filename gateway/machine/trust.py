@@ -49,11 +49,12 @@ class RecordsWatch:
         self.complaint = historian.complaint or others or recording
         own = self._machine.complaints
         self.failed_parts = "; ".join(own[part] for part in own if part not in RECORDING)
-        counts = {"dropped": historian.dropped, "refused": historian.refused}
-        if self.complaint and self.complaint != before:
-            self._log.error("the records cannot be relied on", reason=self.complaint, **counts)
-        elif before and not self.complaint:
-            self._log.info("the records can be relied on again", before=before, **counts)
+        if self.complaint != before:
+            counts = {"dropped": historian.dropped, "refused": historian.refused}
+            if self.complaint:
+                self._log.error("the records cannot be relied on", reason=self.complaint, **counts)
+            else:
+                self._log.info("the records can be relied on again", before=before, **counts)
         if not historian.stuck:
             self._stuck_since = None
         elif self._stuck_since is None:

@@ -105,11 +105,7 @@ class AuditEntry:
 
         What would be stored as another text than it is could be taken for another subject: it is refused.
         """
-        if not subject:
-            return self
-        if not subject.isprintable() or len(subject) > LONGEST_SUBJECT:
-            raise ValueError(f"{subject!r} is no subject; give printable text of {LONGEST_SUBJECT} characters at most")
-        return replace(self, detail={**self.detail, SUBJECT: subject})
+        return replace(self, detail=detail_about(subject, self.detail)) if subject else self
 
     @property
     def subject(self) -> str | None:
@@ -118,6 +114,15 @@ class AuditEntry:
             return ""
         subject = self.detail[SUBJECT]
         return subject if isinstance(subject, str) and subject else None
+
+
+def detail_about(subject: str, detail: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The detail of an entry about a subject ("": the first, as it is). Raises ValueError for one that is no name."""
+    if not subject:
+        return detail
+    if not subject.isprintable() or len(subject) > LONGEST_SUBJECT:
+        raise ValueError(f"{subject!r} is no subject; give printable text of {LONGEST_SUBJECT} characters at most")
+    return {**detail, SUBJECT: subject}
 
 
 AuditColumns = tuple[float, str, str, str, str]
@@ -580,7 +585,7 @@ def _columns(entry: AuditEntry) -> AuditColumns:
 
 def _storable(text: str) -> str:
     # A lone surrogate, as JSON can carry it, is text to Python and none to SQLite.
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _hash(before: bytes, *plain: object) -> bytes:

@@ -75,14 +75,15 @@ def follow(rule: ReviewRule, review: Review, time: float, z: float, worth: float
         return review
     out, fade = abs(z) > SIGMAS, exp(-worth / rule.memory)
     run = review.run + worth if out else 0.0
-    after = replace(
-        review,
+    after = Review(
         counted=review.counted * fade + worth,
         outside=review.outside * fade + worth * out,
         run=run,
         longest=max(review.longest, run),
         readings=review.readings + 1,
         beyond=review.beyond + out,
+        flagged=review.flagged,
+        since=review.since,
     )
     seen = share(rule, after)
     if not after.flagged and (seen > RAISE or run >= rule.run):

@@ -285,7 +285,7 @@ def step(condition: AlarmCondition, alarm: Alarm, value: float | None, now: floa
     begun = now if alarm.pending is None else alarm.pending
     delay = condition.on_delay if wanted is Change.RAISE else condition.off_delay
     if now - begun < delay:
-        return replace(alarm, pending=begun)
+        return alarm if alarm.pending is not None else replace(alarm, pending=begun)
     return moved(alarm, wanted, now, latching=condition.latches)
 
 
@@ -313,7 +313,7 @@ def acknowledge(
 
 def word(conditions: Mapping[str, AlarmCondition], alarms: Mapping[str, Alarm], temperature: str = "") -> int:
     """The alarm word of the block of a `temperature`: the bits of the alarms that are active and belong to it."""
-    active = (conditions[name] for name, alarm in alarms.items() if alarm.active)
+    active = (conditions[name] for name, alarm in alarms.items() if alarm.state in ACTIVE)
     return sum(
         {1 << condition.bit for condition in active if condition.bit is not None
          and condition.temperature in ("", temperature)}

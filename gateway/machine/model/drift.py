@@ -96,8 +96,12 @@ def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction)
         factor = float(np.interp(p.time - drift.begun, rule.horizons, rule.factors)) if rule.horizons else 1.0
         allowed = Z90 * factor * p.free_sigma
     # Squares are summed, so that a cycle is judged by its root mean square against that of its band.
-    return replace(
-        drift,
+    return CycleDrift(
+        running=drift.running,
+        error=drift.error,
+        limit=drift.limit,
+        begun=drift.begun,
+        symbol=drift.symbol,
         readings=drift.readings + 1,
         missed=drift.missed + (p.measured - p.free_run) ** 2,
         allowed=drift.allowed + allowed**2,

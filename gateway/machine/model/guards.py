@@ -1,13 +1,13 @@
 """The guards of the model while it runs: 3-sigma reviews of its predictions, its drift, how often it left its range."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any
 
 from gateway.machine.model.drift import CycleDrift, follow_cycle, restored, rule_of
 from gateway.machine.model.predict import Z90, Predictor, ScanPrediction
 from sim.forecast import FORECASTS, ONE_STEP, Calibration, Forecast, Review, follow, follow_forecasts, share
 from sim.sha import Model
+from sim.strict_json import uncopied
 
 INNOVATIONS, DRIFT = "one step", "drift"
 
@@ -85,7 +85,7 @@ class Guards:
 
     def snapshot(self) -> dict[str, Any]:
         """The reviews and the drift as JSON can carry them."""
-        return {name: asdict(review) for name, review in self.reviews.items()} | {DRIFT: asdict(self.drift)}
+        return {name: uncopied(review) for name, review in self.reviews.items()} | {DRIFT: uncopied(self.drift)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a snapshot, for what is still looked at. Raises TypeError for what `snapshot` did not write."""

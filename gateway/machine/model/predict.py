@@ -1,7 +1,7 @@
 """From scans to what the model expects: events, belief, a prediction for every scan, the free run beside it."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any, Literal
 
@@ -24,6 +24,7 @@ from sim.engine import (
     with_machine_offset,
 )
 from sim.sha import UNKNOWN, Encoder, EncoderState, Event, Model, Switch
+from sim.strict_json import uncopied
 
 Z90 = 1.6448536269514722
 """Half the width of a 90 % band in standard deviations."""
@@ -252,8 +253,8 @@ class Predictor:
         if self.belief is None:
             return None
         # One that waits to be begun anew is not kept: a restart of the gateway begins it anew as well.
-        free = None if self.free is None or self._restart else asdict(self.free)
-        return {"encoder": asdict(self.encoder.state), "belief": asdict(self.belief), "free": free}
+        free = None if self.free is None or self._restart else uncopied(self.free)
+        return {"encoder": uncopied(self.encoder.state), "belief": uncopied(self.belief), "free": free}
 
     def restore(self, saved: Mapping[str, Any], now: float) -> bool:
         """Go on from a snapshot, if it is not older than the alphabet's gap and not of the future; says whether it did.

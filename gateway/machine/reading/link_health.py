@@ -58,7 +58,8 @@ class LinkHealth:
 
     def take(self, scan: Scan) -> None:
         """Take in whether the scan had a good reading; a change of that is logged."""
-        good = any(sample.quality.is_good for sample in scan.samples.values())
+        qualities = [sample.quality for sample in scan.samples.values()]
+        good = any(quality.is_good for quality in qualities)
         if good and not self.alive:
             if self.outages and self.outages[-1].recovered is None:
                 self.outages[-1].recovered = scan.time
@@ -71,7 +72,8 @@ class LinkHealth:
         elif not good and without_measured(self.reason) != without_measured(before):
             # A device that connects and gives nothing has no outage to begin with: it is said at once, and by change.
             self.log.warning("no good reading", time=scan.time, reason=self.reason)
-        for name, sample in scan.samples.items():
+        doubted = self.garbled or Quality.DATA_ENCODING_INVALID in qualities
+        for name, sample in scan.samples.items() if doubted else ():
             # Said once, until the tag is good again: a wrong order stays so until somebody corrects it.
             if sample.quality is Quality.DATA_ENCODING_INVALID and name not in self.garbled:
                 self.garbled.add(name)

@@ -22,6 +22,7 @@ thus:
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from drivers.tag import Quality, Sample, Tag
 
@@ -60,8 +61,7 @@ class QualityRules:
         return max(self.period, self.beat)
 
 
-@dataclass(frozen=True, slots=True)
-class TagHistory:
+class TagHistory(NamedTuple):
     """What is remembered of one tag: its last good reading, and when its value last changed."""
 
     good: Sample
@@ -108,7 +108,7 @@ def judge(
         sample = by_name[tag.name]
         if sample.quality is Quality.DATA_ENCODING_INVALID:
             garbled[tag.name] = sample
-        last = garbled.get(tag.name)
+        last = garbled.get(tag.name) if garbled else None
         if last is not None and sample.quality.is_good and _periods(last, now, rules.period) <= DEAD_PERIODS:
             reason = f"{now - last.time:.1f} s ago {last.reason}"
             sample = replace(sample, quality=Quality.UNCERTAIN, reason=reason)
@@ -140,20 +140,21 @@ def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, st
 
 def _on_its_own(tag: Tag, sample: Sample, histories: dict[str, TagHistory], now: float, period: float) -> Sample:
     """The reading by its own merits; a good one is remembered."""
-    known = histories.get(tag.name)
+    name = tag.name
+    known = histories.get(name)
     if not sample.quality.is_good:
         return _held(sample, known, now, period) if sample.quality in LINK_FAULTS else sample
-    if known and (reason := _too_fast(tag, sample, known.good, period)):
+    if known is not None and tag.max_rate is not None and (reason := _too_fast(tag, sample, known.good, period)):
         return replace(sample, quality=Quality.SENSOR_NOT_ACCURATE, reason=reason)
     # Compared by the bit, not by the deadband: a sensor that lives has noise, a frozen one has none.
-    changed = known.changed if known and known.good.value == sample.value else sample.time
-    histories[tag.name] = TagHistory(sample, changed)
+    changed = known.changed if known is not None and known.good.value == sample.value else sample.time
+    histories[name] = history = TagHistory(sample, changed)
     if tag.frozen_after and sample.time - changed > tag.frozen_after:
         reason = f"has not moved for {sample.time - changed:.0f} s (limit {tag.frozen_after:g} s)"
         return replace(sample, quality=Quality.SENSOR_NOT_ACCURATE, reason=reason)
     # What was not asked for (`sent` is None) has a deadline of its own, which the driver keeps.
     stale = sample.sent is not None and _periods(sample, now, period) > STALE_PERIODS
-    return _held(sample, histories[tag.name], now, period) if stale else sample
+    return _held(sample, history, now, period) if stale else sample
 
 
 def _periods(sample: Sample, now: float, period: float) -> float:

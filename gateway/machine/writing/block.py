@@ -1,12 +1,15 @@
 """The write-back block as words: pure building from the layout, saturating and never wrapping."""
 
 from binascii import crc_hqx
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import partial
 from math import isfinite
 from struct import pack
+from typing import Literal, NamedTuple
 
+from drivers.device_file import BlockField
 from gateway.settings import WritebackLayout
 
 NO_TEMPERATURE = 0x8000
@@ -20,6 +23,9 @@ _VERBATIM = frozenset(
     | {"sequence_copy"}
 )
 _MINUTES = frozenset({"minutes_low", "minutes_median", "minutes_high"})
+
+Values = Mapping[str, float | None]
+"""A block's numbers by the names of their fields, in engineering units."""
 
 
 class Validity(IntFlag):
@@ -74,39 +80,65 @@ class SessionWords:
     heartbeat: int
 
 
-def build(
-    layout: WritebackLayout, values: Mapping[str, float | None], validity: Validity, session: SessionWords
-) -> WritebackBlock:
+class _WordPlan(NamedTuple):
+    """How one word is made: the ends (`low`, `high`) of a number by its scale, and the word that says "not known"."""
+
+    name: str
+    kind: Literal["crc", "verbatim", "number"]
+    scale: float
+    low: int
+    high: int
+    unknown: int
+
+
+def block_builder(layout: WritebackLayout) -> Callable[[Values, Validity, SessionWords], WritebackBlock]:
+    """`build` for one layout, what depends on the layout alone worked out once."""
+    plans = tuple(map(partial(_word_plan, layout), layout.fields))
+
+    def built(values: Values, validity: Validity, session: SessionWords) -> WritebackBlock:
+        contents: dict[str, float | None] = {
+            **values,
+            "layout_version": layout.version,
+            "sequence": session.sequence,
+            "sequence_copy": session.sequence,
+            "heartbeat": session.heartbeat,
+            "challenge": session.challenge,
+            "writer": session.writer,
+            "validity": int(validity),
+        }
+        words: list[int] = []
+        for name, kind, scale, low, high, unknown in plans:
+            value = contents.get(name)
+            if kind == "crc":
+                words.append(crc(words))  # of the words before it; only the copy of the sequence follows
+            elif kind == "verbatim":
+                words.append(int(value or 0) & 0xFFFF)
+            elif value is None or not isfinite(value):
+                words.append(unknown)
+            else:
+                # Limited before it is rounded: the ends are whole, so that no rounding leads beyond them.
+                words.append(round(min(max(value / scale, low), high)) & 0xFFFF)
+        return WritebackBlock(session.sequence, validity, tuple(words))
+
+    return built
+
+
+def build(layout: WritebackLayout, values: Values, validity: Validity, session: SessionWords) -> WritebackBlock:
     """The block that says `values` (field name -> engineering units; absent, None or not finite: not known).
 
     A number beyond its word saturates at the word's ends, short of the word that means "not known". Minutes that are
     infinite, and those not known, are the layout's `unknown`.
     """
-    contents: dict[str, float | None] = {
-        **values,
-        "layout_version": layout.version,
-        "sequence": session.sequence,
-        "sequence_copy": session.sequence,
-        "heartbeat": session.heartbeat,
-        "challenge": session.challenge,
-        "writer": session.writer,
-        "validity": int(validity),
-    }
-    words: list[int] = []
-    for field in layout.fields:
-        value = contents.get(field.name)
-        if field.name == "crc":
-            words.append(crc(words))  # of the words before it; only the copy of the sequence follows
-        elif field.name in _VERBATIM:
-            words.append(int(value or 0) & 0xFFFF)
-        elif value is None or not isfinite(value):
-            unknown = NO_TEMPERATURE if field.signed else NO_NUMBER
-            words.append(layout.unknown if field.name in _MINUTES else unknown)
-        else:
-            low, high = (-0x7FFF, 0x7FFF) if field.signed else (0, 0xFFFE)
-            # Limited before it is rounded: the ends are whole, so that no rounding leads beyond them.
-            words.append(round(min(max(value / field.scale, low), high)) & 0xFFFF)
-    return WritebackBlock(session.sequence, validity, tuple(words))
+    return block_builder(layout)(values, validity, session)
+
+
+def _word_plan(layout: WritebackLayout, field: BlockField) -> _WordPlan:
+    kind: Literal["crc", "verbatim", "number"] = "number"
+    if field.name == "crc" or field.name in _VERBATIM:
+        kind = "crc" if field.name == "crc" else "verbatim"
+    low, high = (-0x7FFF, 0x7FFF) if field.signed else (0, 0xFFFE)
+    unknown = layout.unknown if field.name in _MINUTES else NO_TEMPERATURE if field.signed else NO_NUMBER
+    return _WordPlan(field.name, kind, field.scale, low=low, high=high, unknown=unknown)
 
 
 def crc(words: list[int]) -> int:

@@ -11,16 +11,16 @@ program can see is a stop of its own process between that look and the system's 
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from struct import pack
 from typing import Any, Literal
 
 from drivers.driver import Writes
 from drivers.errors import DriverError, WriteForbidden
 from gateway.machine.reading import Clock, Scan
-from gateway.machine.writing.block import SessionWords, Validity, WritebackBlock, build, next_heartbeat
+from gateway.machine.writing.block import SessionWords, Validity, Values, WritebackBlock, block_builder, next_heartbeat
 from gateway.settings import WritebackLayout
-from gateway.store import DISARMED, EXPIRED, Audit, AuditEntry
+from gateway.store import DISARMED, EXPIRED, Audit, AuditEntry, detail_about
 
 Mode = Literal["off", "shadow", "armed"]
 Verdict = Literal["shadow", "written", "failed", "not permitted", "held back"]
@@ -60,7 +60,7 @@ class Attempt:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Counters:
     """Blocks by what became of them here, and by what the PLC says of them since the gateway's start.
 
@@ -82,14 +82,10 @@ class Counters:
     plc_accepted: int | None = None
     plc_refused: int | None = None
 
-
-_COUNTED: Mapping[Verdict, Callable[[Counters], Counters]] = {
-    "written": lambda c: replace(c, written=c.written + 1),
-    "failed": lambda c: replace(c, failed=c.failed + 1),
-    "not permitted": lambda c: replace(c, not_permitted=c.not_permitted + 1),
-    "held back": lambda c: replace(c, held_back=c.held_back + 1),
-    "shadow": lambda c: replace(c, shadow=c.shadow + 1),
-}
+    def count(self, verdict: Verdict) -> None:
+        """Count a block by what became of it here."""
+        name = verdict.replace(" ", "_")
+        setattr(self, name, getattr(self, name) + 1)
 
 
 @dataclass(slots=True)
@@ -145,11 +141,12 @@ class Writer:
     generation: int = field(default=0, init=False)
     ending: int = field(default=0, init=False)
     _sending: asyncio.Lock = field(default_factory=asyncio.Lock, init=False)
+    _build: Callable[[Values, Validity, SessionWords], WritebackBlock] = field(init=False)
     _began: float = field(init=False)
     _rival: tuple[float, str] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self._began = self.clock.now()
+        self._build, self._began = block_builder(self.layout), self.clock.now()
 
     def rival(self, now: float) -> str:
         """The PLC's word of another writer that writes now, and what to do about it; "" where there is none."""
@@ -247,16 +244,10 @@ class Writer:
         if sentence and self.armed:
             detail = {"blocks": more, "sequence": self.sequence, **self._which}
             self._note(AuditEntry(scan.time, REFUSED_BY_PLC, "PLC", sentence, detail))
-        self.counters = replace(
-            c,
-            accepted=c.accepted + _increase(c.plc_accepted, accepted),
-            refused=c.refused + more,
-            last_refusal=why,
-            other_writer=other,
-            sessions_ended=c.sessions_ended + ended,
-            plc_accepted=accepted,
-            plc_refused=refused,
-        )
+        c.accepted += _increase(c.plc_accepted, accepted)
+        c.refused += more
+        c.last_refusal, c.other_writer, c.sessions_ended = why, other, c.sessions_ended + ended
+        c.plc_accepted, c.plc_refused = accepted, refused
         return sentence
 
     async def _attempt(
@@ -281,7 +272,7 @@ class Writer:
         marked = validity if armed else validity | Validity.SHADOW
         challenge = _word(scan, self.layout.tag("Challenge"))
         session = SessionWords(challenge=challenge, writer=self.number, sequence=sequence, heartbeat=heartbeat)
-        block = build(self.layout, values, marked, session)
+        block = self._build(values, marked, session)
 
         def objection() -> tuple[Verdict, str] | None:
             """Why the block must not be sent now, and what that counts as."""
@@ -322,7 +313,8 @@ class Writer:
             if refused is None and not last and self.pace is not None and not self.pace.allows(asked):
                 refused = "held back", f"more than {self.pace.rate:g} blocks a second"
             if refused is None and self.audit is not None:
-                entry = AuditEntry(scan.time, WRITE, by, "", self._plain(block)).of(self.subject)
+                # Its subject from the beginning: an entry that is made is looked through for what no row may hold.
+                entry = AuditEntry(scan.time, WRITE, by, "", detail_about(self.subject, self._plain(block)))
                 if not await self.audit.stored(entry, SENDING_SECONDS):
                     if last:
                         self.audit.put(entry)
@@ -352,7 +344,7 @@ class Writer:
                 # Both moments are the plant's; divided by the clock's speed they are real time, also in a replay.
                 latency = (self.clock.now() - scan.time) / self.clock.speed * 1000.0
                 attempt = Attempt(scan.time, block, "armed", "written", latency)
-        self.counters = _COUNTED[attempt.verdict](self.counters)
+        self.counters.count(attempt.verdict)
         if attempt.verdict in ("failed", "not permitted", "held back"):
             kind = FAILED if attempt.verdict == "failed" else REFUSED
             self._note(AuditEntry(scan.time, kind, by, attempt.reason, self._plain(block)))
