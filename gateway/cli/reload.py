@@ -4,9 +4,10 @@ from pathlib import Path
 
 import click
 
-from gateway.cli.plant_file import config_option, control_socket, socket_option
+from gateway.cli.plant_file import config_option, socket_option
 from gateway.console import emit, json_option
 from gateway.entry import Exit, fail, sentences
+from gateway.settings import load_plant
 from gateway.status import ControlError, connect
 
 PATIENCE_S = 60.0
@@ -25,7 +26,8 @@ def reload(path: Path, dry_run: bool, socket: Path | None, as_json: bool) -> Non
     configuration goes on then.
     """
     with sentences():
-        place = control_socket(path, socket)
+        # A file that cannot be used is refused here and now: nobody has to run for that.
+        place = load_plant(path)[0].control_socket if socket is None else socket
         if (line := connect(place, PATIENCE_S)) is None:
             fail(
                 f"no gateway runs with {path} (nothing answers at {place}); where historian.path or control.path were "

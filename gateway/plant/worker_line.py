@@ -112,6 +112,11 @@ class PlantWorker:
             raise WorkerEnded(f"{self.former or self.name}; it is being begun anew, ask again in a moment")
         return await self._line.ask(what, timeout, **content)
 
+    def kill(self) -> None:
+        """End its present process, which hangs; it is begun anew as any that has ended."""
+        if self._line is not None:
+            self._line.process.kill()
+
     async def wait_for_end(self, seconds: float) -> None:
         """Give the process so long to end by itself."""
         if self._line is not None:

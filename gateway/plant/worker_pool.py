@@ -18,8 +18,9 @@ import subprocess
 import sys
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from datetime import UTC, datetime
 from functools import partial
-from time import monotonic
+from time import monotonic, time
 from typing import TYPE_CHECKING, Any
 
 from drivers import json_lines
@@ -58,6 +59,9 @@ EXIT_SECONDS = 5.0
 """How long a process whose line has ended may take to end itself, and what it has sent to be read."""
 LATE_SECONDS = 2.0
 """By how much the answer how the machines are may be late until they are shown as not known."""
+ALIVE_SECONDS = 2.0
+"""So long a worker has for what it is asked, and as long again for how its machines are, until it is taken to hang. Who
+asks at the control socket waits for 5 s."""
 LONGEST_LINE = 1 << 26
 
 
@@ -219,7 +223,13 @@ class WorkerPool:
                 process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(theirs.fileno(),))  # noqa: S603
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        reader, writer = await asyncio.open_connection(sock=ours, limit=LONGEST_LINE)
+        try:
+            reader, writer = await asyncio.open_connection(sock=ours, limit=LONGEST_LINE)
+        except asyncio.CancelledError:
+            # Told to end before its line is there: neither process nor line may be left behind.
+            process.kill()
+            await asyncio.to_thread(process.wait)
+            raise
         line = WorkerLine(process, writer)
         worker.began(line)
         talk = asyncio.create_task(self._listen(worker, line, reader))
@@ -228,7 +238,8 @@ class WorkerPool:
         try:
             await asyncio.wait((talk, look), return_when=asyncio.FIRST_COMPLETED)
             if look.done() and (error := look.exception()) is not None:
-                hung = f"it did not answer for {HANG_SECONDS:g} s and was killed"
+                since = datetime.fromtimestamp(time() - HANG_SECONDS, UTC).strftime("%H:%M:%S UTC")
+                hung = f"it had not answered since {since} ({HANG_SECONDS:g} s) and was killed"
                 why = hung if isinstance(error, TimeoutError) else f"{error}, and it was killed"
             elif talk.done() and (error := talk.exception()) is not None:
                 why = f"what it said makes no sense ({error!r}), and it was killed"
@@ -439,9 +450,7 @@ class WorkerPool:
         silent = passed > self._look_seconds + LATE_SECONDS
         if worker.retired or (worker.ready and not silent):
             return shown | ({"phase": "stopping"} if self._stopping and not worker.retired else {})
-        why = f"its process is being begun anew: {worker.former}"
-        if worker.ready:
-            why = f"its process has not answered for {passed:.0f} s"
+        why = self._hung(worker) if worker.ready else f"its process is being begun anew: {worker.former}"
         period, scan = picture["scan"]["period"], picture["scan"]
         passed *= self.clock.speed
         silence = (scan["age"] or 0.0) + passed
@@ -458,6 +467,15 @@ class WorkerPool:
             "link": {**picture["link"], "alive": False, "connected": False, "reason": why},
             "scan": {**scan, "age": silence, "late": True},
         }
+
+    def _hung(self, worker: PlantWorker) -> str:
+        """That a worker does not answer: which one, whose machines are concerned, and since when."""
+        names, silence = ", ".join(config.machine for config in self._of(worker)), monotonic() - worker.seen
+        since = datetime.fromtimestamp(time() - silence, UTC).strftime("%H:%M:%S UTC")
+        return (
+            f"{worker.name} ({names}) has not answered since {since} ({silence:.0f} s ago); it is killed and begun "
+            f"anew after {HANG_SECONDS:g} s"
+        )
 
     async def answer(self, line: bytes) -> dict[str, Any]:
         """The reply to a request at the control socket: the worker's whose machine it speaks of."""
@@ -479,9 +497,29 @@ class WorkerPool:
                 return await self._disarm(worker, meant, request)
             if not worker.ready:
                 raise ControlError(f"{worker.former or worker.name}; it is being begun anew, ask again in a moment")
-            return _ours(await worker.ask("answer", line=line.decode()))
+            return await self._answered(worker, meant, request, line)
         except (NoObject, ControlError, WorkerEnded) as error:
             return {"ok": False, "reason": str(error)}
+
+    async def _answered(
+        self, worker: PlantWorker, name: str, request: Mapping[str, Any], line: bytes
+    ) -> dict[str, Any]:
+        """What a machine's process answers. One that hangs keeps nobody from disarming; else ControlError is raised."""
+        asking = asyncio.ensure_future(worker.ask("answer", line=line.decode()))
+        while not (await asyncio.wait((asking,), timeout=ALIVE_SECONDS))[0]:
+            # What was asked may take its time; a process that says how its machines are is at it.
+            with suppress(TimeoutError):
+                worker.see((await worker.ask("statuses", timeout=ALIVE_SECONDS))["statuses"])
+                continue
+            if request["command"] != "disarm":
+                asking.cancel()
+                raise ControlError(self._hung(worker))
+            # Killed now: one that comes round would go on writing until it has read what it was asked.
+            worker.kill()
+            with suppress(WorkerEnded):
+                await asking
+            return await self._disarm(worker, name, request)
+        return _ours(asking.result())
 
     async def _status(self, worker: PlantWorker, name: str, line: bytes) -> dict[str, Any]:
         """How one machine is: as its process says now, else as it was last."""

@@ -23,7 +23,7 @@ from gateway.plant.split import split_over
 from gateway.plant.worker_pool import WorkerPool
 from gateway.plant.worker_records import RecordsHealth, SentAudit, SentHistorian, WorkerRecords
 from gateway.settings import Config, configs_from_json, configs_to_json, load_plant
-from gateway.store import AuditEntry, LostRows
+from gateway.store import AuditEntry, LostRows, read
 from tests.gateway.support import EPOCH, MAP, ROOT
 
 
@@ -140,7 +140,8 @@ async def test_one_that_hangs_is_killed_and_begun_anew_and_the_other_is_asked_on
         while (answer := await pool.answer(asked("hangs")))["ok"] is False or not answer["status"]["former"]:
             assert (await pool.answer(asked("a")))["ok"]
             await asyncio.sleep(0.02)
-        assert "worker 2 (hangs): it did not answer for 0.3 s and was killed" in answer["status"]["former"]
+        assert "worker 2 (hangs): it had not answered since " in answer["status"]["former"]
+        assert "UTC (0.3 s) and was killed" in answer["status"]["former"]
         assert (await pool.answer(asked("a")))["status"]["former"] == ""
         assert pool.supervisor.report()["worker 2"]["restarts"] == 1
         # What feeds the watchdog: scans as the processes tell them, and that one was begun anew.
@@ -149,6 +150,23 @@ async def test_one_that_hangs_is_killed_and_begun_anew_and_the_other_is_asked_on
         while (now := pool.progress())["a"].completed <= before["a"].completed or now["hangs"] == before["hangs"]:
             await asyncio.sleep(0.02)
     assert "a part of the gateway failed and is begun anew" in log.getvalue() and "Traceback" not in log.getvalue()
+
+
+async def test_one_that_hangs_is_named_with_its_machines_and_since_when_and_is_disarmed_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_pool, "ALIVE_SECONDS", 0.2)
+    top = '[writeback]\nmode = "shadow"\n'
+    plant = plant_of(tmp_path, *named("a", "hangs"), top=top)
+    async with asyncio.timeout(120.0), pool_of(plant, io.StringIO()) as pool:
+        while (answer := await pool.answer(asked("hangs")))["ok"]:
+            pass
+        assert answer["reason"].startswith("worker 2 (hangs) has not answered since ")
+        assert "UTC (" in answer["reason"] and "is killed and begun anew after 10 s" in answer["reason"]
+        words = {"command": "disarm", "machine": "hangs", "by": "Ada", "reason": "doubt"}
+        assert (await pool.answer(json.dumps(words).encode()))["ok"]
+        assert [(row.entry.kind, row.entry.subject) for row in read(plant[0].audit)] == [("disarmed", "hangs")]
+        assert (await pool.answer(asked("a")))["ok"]
 
 
 async def test_messages_that_one_process_cannot_deliver_are_known_where_the_plants_alarms_are(tmp_path: Path) -> None:
