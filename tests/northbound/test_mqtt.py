@@ -304,9 +304,10 @@ def test_a_device_dies_with_its_machine_and_is_born_anew_with_other_tags(
 ) -> None:
     tags, machines = dict.fromkeys(MACHINES, TAGS), list(MACHINES)
     row = row_of(broker, broker.tls)
-    sink = SparkplugSink(row, "battery", tags=lambda: tags, now=plant.now, acknowledge=lambda *_: None)
+    # A copy each time, as the gateway gives: what is being looked through does not change.
+    sink = SparkplugSink(row, "battery", tags=lambda: dict(tags), now=plant.now, acknowledge=lambda *_: None)
     plant.scan(10)
-    feed = plant.feed(sink, machines=lambda: machines)
+    feed = plant.feed(sink, machines=lambda: list(machines))
     until(lambda: feed.delivered == plant.count)
     born = len(listener.payloads("DBIRTH"))
     assert {topic.rpartition("/")[2] for topic, _ in listener.payloads("DBIRTH")} == set(MACHINES)
