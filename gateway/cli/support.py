@@ -50,8 +50,8 @@ alarms.json        what alarms did in the last 30 days
 records.json       historian and audit log: sizes, layouts, newest scan, whether the chain is unbroken
 box.json           disk, memory, load, clock
 
-Masked: passwords, tokens, addresses of web hooks beyond the host, whatever is called so or is in the file of secrets.
-Never in it: keys, certificates, accounts, the file of secrets, readings, models.
+Masked: passwords, tokens, addresses of web hooks beyond the host, whatever is called so or is in a file of secrets.
+Never in it: keys, certificates, accounts, the files of secrets, readings, models.
 """
 
 
@@ -240,8 +240,9 @@ def _log_lines(path: Path, mask: Callable[[str], str]) -> Iterator[str]:
 def _known_secrets(path: Path, machines: Sequence[Config]) -> set[str]:
     """Every secret that the gateway's own files hold, as far as they can be read."""
     found = set(_secret_texts(_toml(path)))
-    if machines and (secrets := machines[0].notify.secrets) is not None:
-        found |= set(_secret_texts(_toml(secrets), everything=True))
+    for config in machines[:1]:
+        for secrets in filter(None, (config.notify.secrets, config.northbound.secrets)):
+            found |= set(_secret_texts(_toml(secrets), everything=True))
     # Of an address the host may be known; what in it is a secret may stand alone, too.
     for address in [text for text in found if "://" in text]:
         found.discard(address)
@@ -268,6 +269,7 @@ def _key_files(machines: Sequence[Config]) -> Iterator[Path]:
     for folder in filter(None, dict.fromkeys(folders)):
         yield from sorted(folder.glob("*.key"))
     for config in machines[:1]:
+        yield from filter(None, (row.key for row in config.northbound.mqtt))
         yield config.audit_key
 
 

@@ -28,6 +28,11 @@ SMTP, TOKEN, HOOK = (
 )
 INLINE = "https://alarms.example.com/in?key=qSecretInQuery99&x=1"
 PASSWORD, IN_COMMENT, IN_LOG = "correct horse battery", "oldPassw0rdInAComment", "pw-of-the-mail-server-in-a-log"
+BROKER, INFLUX = "br0ker-pa55word", "influx-t0ken-abc"
+NORTHBOUND = f"""\
+passwords = {{ it = "{BROKER}" }}
+tokens = {{ lab = "{INFLUX}" }}
+"""
 SECRETS = f"""\
 smtp_password = {json.dumps(SMTP)}
 webhooks = {{ chief = "{HOOK}" }}
@@ -52,6 +57,18 @@ webhook = "{INLINE}"
 [[notify.to]]
 name = "chief"
 webhook = "secret"
+[northbound]
+secrets = "northbound.secrets.toml"
+[[northbound.mqtt]]
+name = "it"
+host = "127.0.0.1"
+port = 1
+tls = false
+user = "gateway"
+[[northbound.influx]]
+name = "lab"
+url = "http://127.0.0.1:1"
+bucket = "plant"
 """
 
 
@@ -61,6 +78,8 @@ def made(folder: Path, plant: str = PLANT) -> Path:
     make_all(folder / "page", hosts=["127.0.0.1"])
     (folder / "notify.secrets.toml").write_text(SECRETS, encoding="utf-8")
     (folder / "notify.secrets.toml").chmod(0o600)
+    (folder / "northbound.secrets.toml").write_text(NORTHBOUND, encoding="utf-8")
+    (folder / "northbound.secrets.toml").chmod(0o600)
     device = folder / "device.toml"
     own = f'driver = "modbus"\ntransport = "tls"\ncertificates = "{folder}/tls"\n'
     device.write_text(MAP.read_text().replace('driver = "modbus"\n', own) + f"# {IN_COMMENT}\n")
@@ -78,6 +97,7 @@ def made(folder: Path, plant: str = PLANT) -> Path:
         log.error(
             "odd", reason=f"https://u:{quote(SMTP, safe='')}@h/p?token={quote(TOKEN)} xYzSecretPath42", account=account
         )
+        log.error("a system cannot be told", reason=f"{BROKER} is refused; 401 for {INFLUX}")
         log.error("key", reason=(folder / "page/server.key").read_text(), other=(folder / "out/audit.key").read_text())
     return path
 
@@ -94,6 +114,8 @@ def planted(folder: Path) -> dict[str, str]:
         "smtp": SMTP,
         "token": TOKEN,
         "hook": "xYzSecretPath42",
+        "broker": BROKER,
+        "influx": INFLUX,
         "hook part": "T0AAAA/B0BBBB",
         "query": "qSecretInQuery99",
     }
