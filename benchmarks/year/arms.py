@@ -19,8 +19,8 @@ from sim.sha import DECANTER, Model, Trace
 
 AFTER, EVERY = 10, 60.0
 """New cycles that are not ordinary, and days, after which a retraining is due (`--after`, `--every`)."""
-ROWS = 30_000
-"""Scans that a retraining learns from (`--rows`): about fifty cycles."""
+ROWS = 19_000
+"""Scans that a retraining learns from (`--rows`): seven days, as the default's are at a scan a second."""
 JUDGED = 8
 """Forecasts by which a cycle judges a model, at most."""
 PROVING = 2

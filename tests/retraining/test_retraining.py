@@ -185,6 +185,21 @@ def test_a_machine_that_is_never_stopped_has_cycles_too(
     assert (first.begin, first.until) == (BEGIN, BEGIN + 2990.0)
 
 
+@pytest.mark.parametrize("kept", [["long ago", "before"], ["before"], []])
+def test_where_room_is_short_the_oldest_training_is_left_out_first(
+    kept: list[str], request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace, store: Path
+) -> None:
+    new = run(request_of, library).rows
+    earlier = tuple(
+        replace(plant(4, BEGIN - 86_400.0 * days), name=name) for name, days in (("long ago", 9), ("before", 2))
+    )
+    rows = new + len(kept) * earlier[0].times.size
+    found = run(replace(request_of, former=earlier, rows=rows), library)
+    record = read_record(version_directory(store, found.version))
+    assert record is not None and found.rows == rows
+    assert [name for name, _ in record.training if name in ("long ago", "before")] == kept
+
+
 def test_a_better_model_is_proposed_with_its_report_and_nothing_is_promoted(
     request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace, store: Path
 ) -> None:

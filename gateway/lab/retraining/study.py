@@ -187,7 +187,7 @@ def retrain(
         report("choosing cycles", 0.1)
         chosen = _chosen(request, library, source)
         library.done(study, "sets", chosen)
-    training = [*(replace(trace, events=()) for trace in request.former)]
+    training = [replace(trace, events=()) for trace in _former(request, chosen)]
     training += [library.readings(content) for _, content in chosen["training"]]
 
     learned = library.step(study, "learned")
@@ -299,7 +299,8 @@ def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSour
     """Which cycles are held out and which are learned from, (name, content hash) each; all of them are kept by then.
 
     Held out are new cycles evenly over ratings and time. The training takes what teaches first, the newest before the
-    older, and fills up with ordinary cycles evenly over time until it has as many rows as it may have.
+    older, then the traces of former training, and fills up with ordinary cycles evenly over time until it has as many
+    rows as it may have. What the present version was learned from teaches as well.
     """
     fresh = new_cycles(library, source.model)
     count = min(max(len(fresh) // 4, LEAST_HELD_OUT), HELD_OUT, len(fresh) // 2)
@@ -319,8 +320,16 @@ def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSour
     # Every cycle of an evenly halved order lies in the middle of the largest gap that is left.
     ordinary = [ordinary[place] for place in _spread(len(ordinary))]
     notes, sets = list[str](), {"training": list[tuple[str, str]](), "held_out": list[tuple[str, str]]()}
-    left = request.rows - sum(trace.times.size for trace in request.former)
-    for row in [*(row for row in ordered if row.name in held), *teaching, *ordinary]:
+    former, left = list[str](), request.rows
+    # No library has them, so that they are older than all that it has.
+    earlier = sorted(request.former, key=lambda trace: float(trace.times[0]), reverse=True)
+    candidates: list[CycleRow | Trace] = [*(row for row in ordered if row.name in held), *teaching, *earlier, *ordinary]
+    for row in candidates:
+        if isinstance(row, Trace):
+            if row.times.size <= left:
+                former.append(content_hash(row))
+                left -= row.times.size
+            continue
         subject = "held_out" if row.name in held else "training"
         if subject == "training" and row.rows > left:
             continue
@@ -333,7 +342,12 @@ def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSour
         left -= row.rows if subject == "training" else 0
     for pairs in sets.values():
         pairs.sort()
-    return {**sets, "notes": notes}
+    return {**sets, "former": former, "notes": notes}
+
+
+def _former(request: RetrainingRequest, chosen: dict[str, Any]) -> list[Trace]:
+    """The traces of former training that there was room for."""
+    return [trace for trace in request.former if content_hash(trace) in chosen["former"]]
 
 
 def _spread(count: int) -> list[int]:
@@ -415,7 +429,7 @@ def _record(
         parent=source.version,
         parent_hash=model_hash(source.model),
         training=(
-            *((trace.name, content_hash(trace)) for trace in request.former),
+            *((trace.name, content_hash(trace)) for trace in _former(request, chosen)),
             *((name, content) for name, content in chosen["training"]),
         ),
         code=code_hash(),
