@@ -1,6 +1,6 @@
 """What the page costs: first paint, an update's way to the screen, twenty clients, and what a scan notices of them.
 
-    python -m benchmarks.page [--seconds 20] [--clients 20]
+    python -m benchmarks.page [--seconds 20] [--clients 20] [--json]
 
 One gateway with a model on a device in memory, one scan a second, as a process of its own; the browser is headless
 Chromium. An update's latency is from the reading's own time to the frame in which the browser shows it. What the
@@ -8,10 +8,8 @@ clients cost is the gateway's processor time with them less that without. What a
 off the period, and how long it takes, without clients and with them.
 """
 
-import argparse
 import asyncio
 import http.client
-import json
 import os
 import re
 import signal
@@ -27,6 +25,9 @@ from math import sin
 from pathlib import Path
 from typing import Any
 
+import click
+
+from benchmarks.figures import Figure, give
 from drivers.tag import Tag
 from gateway.machine.reading import plant_clock
 from gateway.plant.app import SWITCH_SECONDS, run
@@ -171,8 +172,8 @@ def week_of_trends() -> dict[str, float]:
         return asyncio.run(ask())
 
 
-def measure(seconds: float, clients: int) -> dict[str, Any]:
-    """All figures."""
+def measure(seconds: float, clients: int) -> list[Figure]:
+    """All figures of one gateway and its browsers, each against its goal where there is one."""
     with tempfile.TemporaryDirectory() as name, running(Path(name)) as (pid, port):
         folder = Path(name)
         time.sleep(5.0)
@@ -196,37 +197,38 @@ def measure(seconds: float, clients: int) -> dict[str, Any]:
             rows = stored_rows(connection, "predictions", ("time", "measured"))
         by_value = {round(measured, 1): at for at, measured in rows if measured is not None and at > with_end}
         screen = [at - by_value[value] for value, at in seen["shown"] if value in by_value and at >= by_value[value]]
-        return {
-            "first_paint_ms": sorted(round(paint) for paint in seen["first_paint_ms"]),
-            "screen_ms": {
-                name: round(1000 * percentile(screen, share)) for name, share in (("p50", 0.5), ("p99", 0.99))
-            },
-            "updates": len(screen),
-            "stream_ms": {
-                name: round(1000 * percentile(late, share), 1) for name, share in (("p50", 0.5), ("p99", 0.99))
-            },
-            "clients": clients,
-            "core_share": round((crowd - alone) / seconds, 4),
-            "scan_delay_ms": {
-                "alone": round(1000 * percentile(delays(folder, begun, alone_end), 0.99), 2),
-                "with clients": round(1000 * percentile(delays(folder, with_begun, with_end), 0.99), 2),
-            },
-            "heap_mb": round(seen["heap_mb"], 1),
-        }
+        alone_ms = 1000 * percentile(delays(folder, begun, alone_end), 0.99)
+        with_ms = 1000 * percentile(delays(folder, with_begun, with_end), 0.99)
+        return [
+            Figure("first paint, slowest of several", max(seen["first_paint_ms"]), "ms", "goal", 1000.0),
+            *(
+                Figure(f"from a reading to the screen, {name}", 1000 * percentile(screen, share), "ms", "goal", 300.0)
+                for name, share in (("p50", 0.5), ("p99", 0.99))
+            ),
+            *(
+                Figure(f"from the gateway to {clients} clients, {name}", 1000 * percentile(late, share), "ms")
+                for name, share in (("p50", 0.5), ("p99", 0.99))
+            ),
+            Figure(f"{clients} clients", 100 * (crowd - alone) / seconds, "% of a core", "goal", 15.0),
+            Figure(f"a scan's delay with {clients} clients, p99", with_ms, "ms", "without a client", alone_ms),
+            Figure("memory of the page's script", seen["heap_mb"], "MB"),
+        ]
 
 
-def main() -> None:
-    """Measure, and print one line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--clients", type=int, default=20)
-    parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.serve is not None:
+@click.command()
+@click.option("--seconds", type=click.FloatRange(5.0), default=20.0, show_default=True, help="Of each stretch.")
+@click.option("--clients", type=click.IntRange(1, 60), default=20, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+@click.option("--serve", type=click.Path(path_type=Path, file_okay=False), hidden=True)
+def main(seconds: float, clients: int, as_json: bool, serve: Path | None) -> None:
+    """What the page costs, and what a scan notices of it."""
+    if serve is not None:
         sys.setswitchinterval(SWITCH_SECONDS)
-        asyncio.run(gateway(given.serve))
+        asyncio.run(gateway(serve))
         return
-    print(json.dumps({**measure(given.seconds, given.clients), "trend_s": week_of_trends()}))
+    figures = measure(seconds, clients)
+    figures += [Figure(f"trend of {span}", took, "s") for span, took in week_of_trends().items()]
+    give("page", figures, as_json=as_json)
 
 
 if __name__ == "__main__":
