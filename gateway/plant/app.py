@@ -265,7 +265,8 @@ def _log_file(config: Config) -> LogFile | None:
 def _plain(fleet: Fleet | WorkerPool, statuses: dict[str, GatewayStatus]) -> dict[str, Any]:
     """The one machine's status as it is; by their names where the file may have several."""
     plain = {name: asdict(status) for name, status in statuses.items()}
-    return {"machines": plain} if fleet.several else next(iter(plain.values()))
+    # The only one is not there while a reload begins it anew.
+    return {"machines": plain} if fleet.several else next(iter(plain.values()), {})
 
 
 async def _report(fleet: Fleet | WorkerPool, path: Path | None, say: Callable[[str], None] | None) -> None:

@@ -97,6 +97,8 @@ class ControlScope:
 
 def meant_machine(names: Sequence[str], name: str | None) -> str:
     """The machine of a gateway's that a request speaks of, by default the only one. Raises ControlError."""
+    if not names:
+        raise ControlError("the machine is being taken over; ask again in a moment")
     if name is None and len(names) > 1:
         raise ControlError(f"which machine? Name one of {', '.join(names)} (--machine NAME)")
     if name is not None and name not in names:

@@ -7,7 +7,7 @@ supervisor of its own. What is common is opened before the first machine and clo
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import aclosing, suppress
 from functools import partial
 from random import Random
@@ -47,6 +47,7 @@ not keep all others waiting."""
 class Fleet:
     """The machines of a running gateway, by name in the order of the file; `start` it within a running loop.
 
+    `several` is whether the plant file has [[machine]] tables; a machine that is begun anew is not there meanwhile.
     `images` are what peers are shown of them, by their unit numbers; `on_scan` is told the name of each machine that
     was scanned, when all of its stages are done, `on_taken_over` (in a thread) the configurations after a reload.
 
@@ -71,6 +72,7 @@ class Fleet:
         show: Callable[[Config, Scan], None] | None = None,
     ) -> None:
         self.clock, self.log, self._rng = clock, log, rng
+        self.several = configs[0].several
         self._read_anew = read_anew or partial(load_plant, configs[0].path)
         self._reloading, self._turns = asyncio.Lock(), asyncio.Semaphore(FORECASTS_AT_ONCE)
         self.on_scan: Callable[[str], None] = lambda machine: None
@@ -168,77 +170,101 @@ class Fleet:
             try:
                 configs = {config.machine: config for config in await asyncio.to_thread(self._read_anew)}
                 changes = changed_machines({name: one.config for name, one in self.machines.items()}, configs)
-                models = await self.examine([configs[name] for name in changes if name in configs])
+                models = await self.examine([configs[name] for name in changes if name in configs], list(changes))
             except ConfigError as error:
                 raise ControlError(f"the file is refused and everything goes on as it was: {error}") from None
+            failed: dict[str, str] = {}
             if apply:
-                await self.take_over(list(changes), configs, models)
+                failed = await self.take_over(list(changes), configs, models)
                 if changes:
                     self.log.warning("the plant file was read anew", machines=", ".join(changes))
                     await asyncio.to_thread(self.on_taken_over, list(configs.values()))
+            raise_failures(failed)
             return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}
 
-    async def examine(self, configs: Sequence[Config]) -> dict[str, Sequence[LoadedModels]]:
-        """The models of machines that may be begun, while the former configuration runs.
+    async def examine(self, configs: Sequence[Config], leaving: Collection[str]) -> dict[str, Sequence[LoadedModels]]:
+        """The models of machines that may be begun, while the former configuration runs; those `leaving` are stopped
+        before.
 
-        Raises ConfigError for what a start would refuse.
+        Raises ConfigError for what a start would refuse, such as what one connection cannot be to several machines.
         """
         models: dict[str, Sequence[LoadedModels]] = {}
+        connections = Connections()
+        staying = [machine.config for name, machine in self.machines.items() if name not in leaving]
+        for config in (*staying, *configs):
+            make_driver(config, self.clock, connections if config.several else None)
         for config in configs:
             models[config.machine] = await asyncio.to_thread(load_models, config)
-            make_driver(config, self.clock)
         return models
 
     async def take_over(
         self, names: Sequence[str], configs: Mapping[str, Config], models: Mapping[str, Sequence[LoadedModels]]
-    ) -> None:
-        """Have the machines of these names as they are in `configs`: begun, begun anew, or stopped."""
+    ) -> dict[str, str]:
+        """Have the machines of these names as they are in `configs`: begun, begun anew, or stopped.
+
+        Gives why machines could not be begun so, by name; they go on as they were, where that can be.
+        """
         before = {name: machine.config for name, machine in self.machines.items()}
+        self.several = any(config.several for config in configs.values())
+        # All are stopped before any is begun: two may change places, and what is said of a connection is said of all
+        # that share it. Machines that stay keep it meanwhile.
+        ended = await asyncio.gather(*(self._retire(name) for name in names if name in before), return_exceptions=True)
+        for error in ended:
+            if isinstance(error, BaseException):
+                self.log.error("a machine did not end well", reason=repr(error))
+        failed: dict[str, str] = {}
         for name in names:
-            await self._replace(name, configs.get(name), before.get(name), models.get(name))
+            if (after := configs.get(name)) is not None:
+                try:
+                    await self._begin(after, models.get(name))
+                except (ConfigError, OSError) as error:
+                    self.log.error("a machine cannot be begun as the file has it now", machine=name, reason=str(error))
+                    failed[name] = str(error)
+        for former in [before[name] for name in failed if name in before]:
+            try:
+                await self._begin(former, None)
+            except (ConfigError, OSError) as error:
+                self.log.error("a machine cannot go on as it was", machine=former.machine, reason=str(error))
         # In the order of the file from now on.
         order = [name for name in configs if name in self.machines]
         for name in order:
             self.machines[name] = self.machines.pop(name)
+        return failed
 
-    async def _replace(
-        self, name: str, after: Config | None, before: Config | None, models: Sequence[LoadedModels] | None
-    ) -> None:
-        """Stop a machine and begin it anew as the file has it now, with its models; where that fails, as it was."""
-        if before is not None:
-            await self._running.pop(name).stop()
-            # What it goes on from is read from the file: an alarm that was acknowledged just now, too.
+    async def _retire(self, name: str) -> None:
+        """Stop a machine, with nothing left standing in its PLC, and forget it."""
+        machine, running = self.machines[name], self._running.pop(name)
+        try:
+            await running.stop()
+        finally:
+            # What goes on from it is read from the file: an alarm that was acknowledged just now, too.
             await asyncio.to_thread(self.records.historian.flush)
             self.supervisor.exclude(name)
             # Of a connection that it shared with others it hears no more.
-            self.machines[name].supervisor.exclude("device")
+            machine.supervisor.exclude("device")
             del self.machines[name]
-            self.images.pop(before.serve.unit, None)
-        for config in () if after is None else (after, before):
-            if config is None:
-                continue
-            try:
-                # In threads: to read and verify models takes longer than the other machines' scans may wait.
-                loaded = await asyncio.to_thread(load_models, config) if models is None else models
-                driver = self._driver(config)
-                self.machines[name] = await asyncio.to_thread(self._opened, config, driver, loaded, alone=False)
-                machine = self.machines[name]
-                self._running[name] = _Running(machine, self._stop, self._shown(machine), taken=self._scanned)
-            except (ConfigError, OSError) as error:
-                self.log.error("a machine cannot be begun as the file has it now", machine=name, reason=str(error))
-                models = None
-                continue
-            return
+            self.images.pop(machine.config.serve.unit, None)
+
+    async def _begin(self, config: Config, models: Sequence[LoadedModels] | None) -> None:
+        """Begin a machine while others run, with its models or those that it names.
+
+        Raises ConfigError or OSError, and it has no part in a connection then.
+        """
+        # In threads: to read and verify models takes longer than the other machines' scans may wait.
+        loaded = await asyncio.to_thread(load_models, config) if models is None else models
+        driver = self._driver(config)
+        try:
+            machine = await asyncio.to_thread(self._opened, config, driver, loaded, alone=False)
+        except BaseException:
+            await driver.close()
+            raise
+        self.machines[config.machine] = machine
+        self._running[config.machine] = _Running(machine, self._stop, self._shown(machine), taken=self._scanned)
 
     @property
     def configs(self) -> dict[str, Config]:
         """The machines' configurations, by their names."""
         return {name: machine.config for name, machine in self.machines.copy().items()}
-
-    @property
-    def several(self) -> bool:
-        """Whether the plant file has [[machine]] tables."""
-        return any(machine.config.several for machine in self.machines.values())
 
     def progress(self) -> dict[str, ScanProgress]:
         """How far each machine that is to be read has come, by its name; none that is being stopped."""
@@ -294,6 +320,15 @@ class Fleet:
         for error in ended:
             if isinstance(error, BaseException):
                 raise error
+
+
+def raise_failures(failed: Mapping[str, str]) -> None:
+    """Raise ControlError for machines that could not be begun as the file has them now, with the reasons."""
+    if failed:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
+        raise ControlError(
+            f"the file was taken over, but for what could not be begun as it has it and goes on as it was: {reasons}"
+        )
 
 
 class _Running:

@@ -146,7 +146,7 @@ class _Requests:
     async def _examine(self, message: Message) -> Message:
         """What keeps machines from being begun as they are in these configurations; their models are kept for it."""
         try:
-            self._models = await self._fleet.examine(configs_from_json(message["configs"]))
+            self._models = await self._fleet.examine(configs_from_json(message["configs"]), message["leaving"])
         except ConfigError as error:
             return {"problems": list(error.problems)}
         return {"problems": []}
@@ -154,10 +154,11 @@ class _Requests:
     async def _take_over(self, message: Message) -> Message:
         """The machines of these names as they are in the configurations of all of this worker's, in their order."""
         configs = {config.machine: config for config in configs_from_json(message["configs"])}
-        await self._fleet.take_over(message["names"], configs, self._models)
+        failed = await self._fleet.take_over(message["names"], configs, self._models)
         self._models = {}
         running = self._fleet.machines
-        return {"taken": [name for name in configs if name in running and running[name].config == configs[name]]}
+        taken = [name for name in configs if name in running and running[name].config == configs[name]]
+        return {"taken": taken, "failed": failed}
 
 
 if __name__ == "__main__":

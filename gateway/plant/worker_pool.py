@@ -33,6 +33,7 @@ from gateway.machine.reading import PlantClock, unread
 from gateway.machine.writing import ArmingError, AuditTrail, disarm_in_log
 from gateway.plant.channel import Message, plain_rows, scan_from
 from gateway.plant.control import COMMANDS, ControlScope, answer, disarm_words, meant_machine
+from gateway.plant.fleet import raise_failures
 from gateway.plant.log import log_again
 from gateway.plant.service import ScanProgress
 from gateway.plant.split import split_over
@@ -581,9 +582,9 @@ class WorkerPool:
                 for number, own in by_place.items():
                     # What a worker that is to be begun will have is looked at by another one.
                     worker = self._workers.get(number) or next(iter(self._workers.values()))
-                    problems = (await worker.ask("examine", configs=configs_to_json(own)))["problems"]
-                    if problems:
-                        raise ConfigError(problems)
+                    reply = await worker.ask("examine", configs=configs_to_json(own), leaving=list(changes))
+                    if reply["problems"]:
+                        raise ConfigError(reply["problems"])
             except (ConfigError, WorkerEnded) as error:
                 raise ControlError(f"the file is refused and everything goes on as it was: {error}") from None
             if apply and changes:
@@ -591,13 +592,20 @@ class WorkerPool:
                     if name in self._configs:
                         self.images.pop(self._configs[name].serve.unit, None)
                 self.images |= {config.serve.unit: image for config, image in images}
-                await self._take_over(list(changes), configs, places)
+                failed = await self._take_over(list(changes), configs, places)
                 self.log.warning("the plant file was read anew", machines=", ".join(changes))
                 await asyncio.to_thread(self.on_taken_over, list(configs.values()))
+                raise_failures(failed)
             return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}
 
-    async def _take_over(self, names: Sequence[str], configs: Mapping[str, Config], places: Mapping[str, int]) -> None:
-        """Stop what goes and what moves, then begin what comes; the processes of other machines are not asked."""
+    async def _take_over(
+        self, names: Sequence[str], configs: Mapping[str, Config], places: Mapping[str, int]
+    ) -> dict[str, str]:
+        """Stop what goes and what moves, then begin what comes; the processes of other machines are not asked.
+
+        Gives why machines could not be begun as they are configured, by name.
+        """
+        failed: dict[str, str] = {}
         former, before = self._configs, self._places
         leaving = {name for name in names if self._places.get(name) != places.get(name)}
         self._configs = dict(configs)
@@ -620,18 +628,22 @@ class WorkerPool:
         for number in sorted({places[name] for name in names if name in configs}):
             if number in self._workers:
                 own = [name for name in names if places.get(name) == number]
-                await self._changed(self._workers[number], own, former)
+                failed |= await self._changed(self._workers[number], own, former)
             else:
                 self._begin(number)
+        return failed
 
-    async def _changed(self, worker: PlantWorker, names: Sequence[str], before: Mapping[str, Config]) -> None:
-        """Have a worker's machines of these names as they are configured by now.
+    async def _changed(self, worker: PlantWorker, names: Sequence[str], before: Mapping[str, Config]) -> dict[str, str]:
+        """Have a worker's machines of these names as they are configured by now; gives why some could not be begun so.
 
         A worker that is being begun anew has them so by itself.
         """
+        failed: dict[str, str] = {}
         with suppress(WorkerEnded):
             taken = await worker.ask("take over", names=names, configs=configs_to_json(self._of(worker)))
+            failed = taken["failed"]
             # One that could not be begun goes on as it was, and so it is when its process is begun anew.
             kept = {name: before[name] for name in names if name in before and name not in taken["taken"]}
             self._configs |= {name: config for name, config in kept.items() if name in self._configs}
             worker.see((await worker.ask("statuses"))["statuses"])
+        return failed
