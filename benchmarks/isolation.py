@@ -1,10 +1,15 @@
 """What one machine can do to the others: a plant of machines, one of them under every fault in turn.
 
-`python -m benchmarks.isolation [--machines N] [--seconds S] [--link L] [--workers N] [--quick] [--json]`. The machines
-are served by one software PLC, the gateway is one process (or `--workers`) with a model, a forecast and blocks in
-shadow for each. It runs first without a fault, then as long with each fault of the matrix in turn on one machine, each
-once that one is well again; the figures are the other machines', of the whole time and fault by fault. Lateness is how
-long after its absolute deadline a scan's last reply was complete. The PLC's own record judges every good value.
+`python -m benchmarks.isolation [--machines N] [--seconds S] [--speed X] [--armed] [--link L] [--workers N] [--quick]
+[--json]`. The machines are served by one software PLC, the gateway is one process (or `--workers`) with a model, a
+forecast and blocks in shadow (or written, `--armed`) for each. It runs first without a fault, then as long with each
+fault of the matrix in turn on one machine, each once that one is well again; the figures are the other machines', of
+the whole time and fault by fault. Lateness is how long after its absolute deadline a scan's last reply was complete.
+The PLC's own record judges every good value.
+
+`--seconds 540 --speed 40 --armed`: six hours of the plant's without a fault, and six under them. Scans keep their real
+rate at every speed, so that each is `speed` times as long for the model. Armings last 8 h of the plant's at most, and
+are given again on the way. What has been done is said on standard error.
 
 `--link`: each machine at a port of its own (tcp), as units behind one port (units) or on one serial line (serial), as
 nodes on one CAN bus (canopen). Where they share a connection the faults are those of one unit's replies, also those
@@ -16,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from subprocess import PIPE, Popen
@@ -33,6 +38,7 @@ from benchmarks.figures import Figure, give, percentile, shares
 from benchmarks.processes import family_of, growth, resident_kilobytes
 from gateway.demo.can_bus import can_hub
 from gateway.machine.reading import STALE_PERIODS
+from gateway.status import GatewayLine
 from gateway.store import reading, samples, stored_rows
 from sim.artefacts.model_json import model_text
 from sim.plc.program.faults import shown_at
@@ -49,6 +55,10 @@ _NOT_A_UNITS = ("refuse", "half_open")
 """Of a unit behind another one's port the one is its silence, and the other nothing."""
 _BUS_FAULTS = ("babbling node", "babbling node, our identifiers")
 SAMPLE_SECONDS = 0.5
+PROGRESS_S = 15.0
+"""Seconds between two lines on how far it is."""
+ARMED_MINUTES = 480.0
+"""Of the plant's, the longest arming."""
 AGAIN_S = 12.0
 """So long the harmed machine is waited for before the next fault; a silent unit is asked within 10 s."""
 SETTLED_S = 3.0
@@ -57,7 +67,8 @@ SETTLED_S = 3.0
 
 @dataclass(frozen=True)
 class Stretch:
-    """What the other machines did in some time (plant s): scans done and due, their lateness (ms), blocks.
+    """What the other machines did in some time (plant s): scans done and due, their lateness (real ms), blocks that
+    were computed, or where they are armed, that the PLC took.
 
     `good` of `readings` were of good quality, and `wrong` of these were not what the PLC had.
     """
@@ -141,9 +152,9 @@ def device_rows(link: str, names: Sequence[str], plc: Plc, bus: Path) -> dict[st
     return rows
 
 
-def plant_file(folder: Path, link: str, devices: Mapping[str, str], workers: int) -> Path:
+def plant_file(folder: Path, link: str, devices: Mapping[str, str], workers: int, speed: float) -> Path:
     """The gateway's configuration for machines of which `devices` says where they are."""
-    period = PERIODS[link]
+    period = PERIODS[link] * speed
     common = f"file = {json.dumps(str(MAP))}\ntimeout = {TIMEOUT_S:g}" if link in ("tcp", "units") else ""
     text = f"""
 [plant]
@@ -162,7 +173,7 @@ mode = "shadow"
 path = "historian.sqlite"
 max_interval = {period / 100:g}
 [forecast]
-horizons = [30]
+horizons = [{30 * speed:g}]
 runs = 50
 period = {10 * period:g}
 [log]
@@ -184,10 +195,17 @@ def resident_mb(process: "Popen[str]") -> float:
     return sum(map(resident_kilobytes, family_of(process.pid))) / 1e3
 
 
+def arm(folder: Path, names: Sequence[str]) -> None:
+    """Let blocks be written to these machines, for as long as an arming lasts."""
+    for name in names:
+        with closing(GatewayLine(folder / "historian.sock", 60.0, machine=name)) as line:
+            line.ask("arm", by="the benchmark", reason="isolation", minutes=ARMED_MINUTES)
+
+
 @dataclass(frozen=True)
 class Watched:
     """One machine's records: the times of its scans and of its blocks, and of its readings, the good and the wrong ones
-    among them (all plant s, sorted). `phase` is that of its deadlines."""
+    among them (all plant s, sorted). `phase` is that of its deadlines, `speed` plant seconds a second."""
 
     scans: Array
     blocks: Array
@@ -196,6 +214,7 @@ class Watched:
     wrong: Array
     period: float
     phase: float
+    speed: float
 
     def between(self, begin: float, end_at: float) -> Stretch:
         """What it did from one moment to another."""
@@ -206,20 +225,19 @@ class Watched:
         scans, period = within(self.scans), self.period
         late = np.mod(scans - self.phase + period / 10, period) - period / 10
         counts = [within(times).size for times in (self.blocks, self.readings, self.good, self.wrong)]
-        lateness = tuple((1000.0 * late.clip(0.0)).tolist())
+        lateness = tuple((1000.0 * late.clip(0.0) / self.speed).tolist())
         return Stretch(scans.size, (end_at - begin) / period, lateness, *counts)
 
 
-def watched(folder: Path, name: str, link: str, quiet: tuple[float, float]) -> Watched:
-    """The records of a machine; in the `quiet` time (plant s) no fault was in force."""
-    period, historian = PERIODS[link], folder / "historian.sqlite"
+def watched(folder: Path, name: str, link: str, quiet: tuple[float, float], *, speed: float, verdict: str) -> Watched:
+    """The records of a machine; in the `quiet` time (plant s) no fault was in force. Blocks have the `verdict`."""
+    period, historian = PERIODS[link] * speed, folder / "historian.sqlite"
     # So much later than its count stands still a node may send the count that it stands at.
-    tolerance = STALE_PERIODS * period + (EVENT_TIMER_S if link == "canopen" else 0.0)
+    tolerance = STALE_PERIODS * period + (EVENT_TIMER_S * speed if link == "canopen" else 0.0)
     with reading(historian) as connection:
-        scans, blocks = (
-            np.sort([row[0] for row in stored_rows(connection, table, ("time",), machine=name)])
-            for table in ("scans", "writes")
-        )
+        scans = np.sort([row[0] for row in stored_rows(connection, "scans", ("time",), machine=name)])
+        writes = stored_rows(connection, "writes", ("time", "verdict"), machine=name)
+        blocks = np.sort([float(time) for time, said in writes if said == verdict])
     read = list(samples(historian, machine=name))
     good = [sample for sample in read if sample.quality.is_good]
     wrong = [one.sample for one in wrong_good(read_recording(folder / f"{name}.jsonl"), good, tolerance)]
@@ -227,7 +245,7 @@ def watched(folder: Path, name: str, link: str, quiet: tuple[float, float]) -> W
     # The deadlines lie a period apart from one that is not known: the earliest phase is taken for on time.
     at_rest = scans[np.searchsorted(scans, quiet[0]) : np.searchsorted(scans, quiet[1])]
     phase = float(np.quantile(np.mod(at_rest - quiet[0], period), 0.02)) + quiet[0]
-    return Watched(scans, blocks, readings, proper, untrue, period, phase)
+    return Watched(scans, blocks, readings, proper, untrue, period, phase, speed)
 
 
 def measured(
@@ -237,6 +255,9 @@ def measured(
     seconds: float,
     workers: int,
     faults: Mapping[str, Mapping[str, Any]],
+    *,
+    speed: float = 1.0,
+    armed: bool = False,
 ) -> Outcome:
     """Run for `seconds` without a fault and as long with the `faults` in turn. Raises what the processes fail with."""
     names = [f"machine{number}" for number in range(1, machines + 1)]
@@ -250,10 +271,10 @@ def measured(
         bus = ending.enter_context(can_hub(folder)) if link == "canopen" else folder
         plc: Plc = plc_process(
             *plc_options(folder, link, names, bus),
-            *("--trace", folder / "trace.csv", "--cycle", CYCLE_S, "--loop", "--stdin"),
+            *("--trace", folder / "trace.csv", "--cycle", CYCLE_S, "--loop", "--stdin", "--speed", speed),
         )
         ending.callback(end, plc.process)
-        file = plant_file(folder, link, device_rows(link, names, plc, bus), workers)
+        file = plant_file(folder, link, device_rows(link, names, plc, bus), workers, speed)
         status = folder / "status.json"
         command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(file), "--quiet"]
         process = Popen([*command, "--clock", plc.clock, "--status", str(status)], stderr=PIPE, text=True, cwd=ROOT)
@@ -267,9 +288,19 @@ def measured(
 
         begun, started, minutes, memory = plant_time(), time.monotonic(), list[float](), list[float]()
 
+        signed, said = float("-inf"), started
+
         def wait(until: float) -> None:
-            """Note the memory all the while."""
+            """Note the memory all the while, keep the machines armed, and say how far it is."""
+            nonlocal signed, said
             while (left := until - time.monotonic()) > 0:
+                if armed and time.monotonic() - signed > 30.0 * ARMED_MINUTES / speed:
+                    arm(folder, names)
+                    signed = time.monotonic()
+                if time.monotonic() - said > PROGRESS_S:
+                    said = time.monotonic()
+                    way = f"{len(ordered)} faults so far" if ordered else "without faults"
+                    click.echo(f"{said - started:.0f} s of {2 * seconds:.0f} s: {way}, {memory[-1]:.0f} MB", err=True)
                 minutes.append((time.monotonic() - started) / 60.0)
                 memory.append(resident_mb(process))
                 time.sleep(min(SAMPLE_SECONDS, seconds / 100.0, left))
@@ -291,7 +322,9 @@ def measured(
         code, _ = gateway.stop()
         assert code == 0, gateway.words()
         plc.order("stop")
-    records = {name: watched(folder, name, link, (begun, middle)) for name in names}
+    click.echo("reading the records", err=True)
+    verdict = "written" if armed else "shadow"
+    records = {name: watched(folder, name, link, (begun, middle), speed=speed, verdict=verdict) for name in names}
 
     def others_between(begin: float, end_at: float) -> Stretch:
         return sum((records[name].between(begin, end_at) for name in others), Stretch())
@@ -315,12 +348,23 @@ def measured(
 @click.option("--machines", type=click.IntRange(2, 100), default=10, show_default=True, help="Machines of the plant.")
 @click.option("--seconds", type=click.FloatRange(1.0), default=120.0, show_default=True, help="Each of the two ways.")
 @click.option("--link", type=click.Choice(tuple(PERIODS)), default="tcp", show_default=True, help="To the machines.")
+@click.option("--speed", type=click.FloatRange(1.0, 200.0), default=1.0, show_default=True, help="Plant s a second.")
+@click.option("--armed", is_flag=True, help="Blocks are written, and those that the PLC took are counted.")
 @click.option("--fault", "only", multiple=True, metavar="NAME", help="This fault only; may be given again.")
 @click.option("--workers", type=click.IntRange(1, 16), default=1, show_default=True, help="The gateway's processes.")
 @click.option("--quick", is_flag=True, help="Three machines, two seconds.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
 def main(
-    *, machines: int, seconds: float, link: str, only: tuple[str, ...], workers: int, quick: bool, as_json: bool
+    *,
+    machines: int,
+    seconds: float,
+    link: str,
+    speed: float,
+    armed: bool,
+    only: tuple[str, ...],
+    workers: int,
+    quick: bool,
+    as_json: bool,
 ) -> None:
     """Set the unharmed machines' scans with every fault on another one against theirs without."""
     if quick:
@@ -330,7 +374,7 @@ def main(
         raise click.BadParameter(f"{unknown[0]!r} is none of {', '.join(faults)}", param_hint="--fault")
     faults = {name: fault for name, fault in faults.items() if not only or name in only}
     with tempfile.TemporaryDirectory(prefix="decanter-isolation-") as folder:
-        found = measured(Path(folder), link, machines, seconds, workers, faults)
+        found = measured(Path(folder), link, machines, seconds, workers, faults, speed=speed, armed=armed)
     without, under, memory = found.without, found.under, np.array(found.memory)
     slope, error = growth(np.array(found.minutes), memory)
     tenth = max(memory.size // 10, 1)
@@ -351,7 +395,14 @@ def main(
             _share(without.good, without.readings),
         ),
         Figure("wrong values that were good, the others", under.wrong, "", "good values", under.good),
-        Figure("blocks of the others", under.blocks, "", "without faults", without.blocks),
+        Figure(
+            "blocks of the others that the PLC took" if armed else "blocks of the others, in shadow",
+            _share(under.blocks, under.due),
+            "% of scans due",
+            "without faults",
+            _share(without.blocks, without.due),
+        ),
+        Figure("so many of them", under.blocks, "", "without faults", without.blocks),
         Figure("memory at the end", float(np.median(memory[-tenth:])), "MB", "at the start", float(memory[0])),
         Figure("its growth under faults", 1e3 * slope, "kB/min", "two standard errors of it", 1e3 * error),
         Figure("wrong values that were good, all machines", found.wrong, "", "good values", found.judged),
@@ -375,7 +426,8 @@ def main(
             ),
             Figure(f"{kind}: good readings", _share(one.good, one.readings), "%", "wrong ones among them", one.wrong),
         ]
-    give(f"one of {machines} machines ({link}) under every fault in turn", figures, as_json=as_json)
+    hours = f", {seconds * speed / 3600:.1f} h of the plant's each way" if speed > 1.0 else ""
+    give(f"one of {machines} machines ({link}) under every fault in turn{hours}", figures, as_json=as_json)
 
 
 def _share(part: float, whole: float) -> float:

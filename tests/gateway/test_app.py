@@ -132,7 +132,8 @@ async def test_a_plc_that_is_away_at_the_start_and_lost_later_is_waited_for(tmp_
     status = await go(config, bench, 80)
     assert status["failures"] == 0
     (outage,) = status["link"]["outages"]
-    assert outage["detected_s"] == pytest.approx(1.0) and outage["recovered_s"] == pytest.approx(21.0)
+    # A first scan's heartbeat has moved at some time since: only the second one proves that the memory lives.
+    assert outage["detected_s"] == pytest.approx(1.0) and outage["recovered_s"] == pytest.approx(22.0)
     events = [row["event"] for row in logged(tmp_path) if row["event"] != "audit head"]
     assert events[:2] == [
         "armed",
