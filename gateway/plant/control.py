@@ -9,7 +9,7 @@ import asyncio
 import os
 import socket
 import struct
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
@@ -80,14 +80,22 @@ def _is_alive(name: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ControlScope:
-    """What can be asked of a gateway: its machines by name, their status, and, where it can, to read its file anew."""
+    """What can be asked of a gateway: its machines by name, their status, and, where it can, to read its file anew.
+
+    Machines that are `changing` are those that a reload has stopped and is about to begin.
+    """
 
     machines: Mapping[str, Machine]
     snapshot: Snapshot
     reload: Reload | None = None
+    changing: Collection[str] = ()
 
     def one(self, request: "ControlRequest") -> Machine:
         """The machine that a request names, or the only one. Raises ControlError."""
+        name = request.machine
+        if (name in self.changing and name not in self.machines) or not self.machines:
+            changing = name or ", ".join(self.changing)
+            raise ControlError(f"machine {changing!r} is being taken over; ask again in a moment")
         return self.machines[meant_machine(list(self.machines), request.machine)]
 
     async def answer(self, line: bytes) -> dict[str, Any]:
@@ -97,8 +105,6 @@ class ControlScope:
 
 def meant_machine(names: Sequence[str], name: str | None) -> str:
     """The machine of a gateway's that a request speaks of, by default the only one. Raises ControlError."""
-    if not names:
-        raise ControlError("the machine is being taken over; ask again in a moment")
     if name is None and len(names) > 1:
         raise ControlError(f"which machine? Name one of {', '.join(names)} (--machine NAME)")
     if name is not None and name not in names:

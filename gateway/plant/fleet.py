@@ -24,6 +24,7 @@ from gateway.machine.reading import Clock, QualityRules, Scan, scans
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
 from gateway.plant.service import ScanProgress
+from gateway.plant.split import on_one_connection
 from gateway.plant.status import snapshot
 from gateway.serving import DeviceImage
 from gateway.settings import Config, changed_machines, load_plant, load_secrets
@@ -47,7 +48,8 @@ not keep all others waiting."""
 class Fleet:
     """The machines of a running gateway, by name in the order of the file; `start` it within a running loop.
 
-    `several` is whether the plant file has [[machine]] tables; a machine that is begun anew is not there meanwhile.
+    `several` is whether the plant file has [[machine]] tables. A machine that is begun anew is not there meanwhile, but
+    among those `changing`.
     `images` are what peers are shown of them, by their unit numbers; `on_scan` is told the name of each machine that
     was scanned, when all of its stages are done, `on_taken_over` (in a thread) the configurations after a reload.
 
@@ -81,6 +83,7 @@ class Fleet:
         self.machines: dict[str, Machine] = {}
         self._running: dict[str, _Running] = {}
         self._stop = asyncio.Event()
+        self.changing = set[str]()
         self._connections = Connections()
         self.images: dict[int, DeviceImage] = {}
         self._show = show or self._take_into_image
@@ -191,8 +194,10 @@ class Fleet:
         models: dict[str, Sequence[LoadedModels]] = {}
         connections = Connections()
         staying = [machine.config for name, machine in self.machines.items() if name not in leaving]
-        for config in (*staying, *configs):
-            make_driver(config, self.clock, connections if config.several else None)
+        for group in on_one_connection([*staying, *configs]):
+            # Of all others nothing is made anew, as their scans go on meanwhile.
+            for config in group if any(config in group for config in configs) else ():
+                make_driver(config, self.clock, connections if config.several else None)
         for config in configs:
             models[config.machine] = await asyncio.to_thread(load_models, config)
         return models
@@ -204,6 +209,15 @@ class Fleet:
 
         Gives why machines could not be begun so, by name; they go on as they were, where that can be.
         """
+        self.changing.update(names)
+        try:
+            return await self._changed(names, configs, models)
+        finally:
+            self.changing.clear()
+
+    async def _changed(
+        self, names: Sequence[str], configs: Mapping[str, Config], models: Mapping[str, Sequence[LoadedModels]]
+    ) -> dict[str, str]:
         before = {name: machine.config for name, machine in self.machines.items()}
         self.several = any(config.several for config in configs.values())
         # All are stopped before any is begun: two may change places, and what is said of a connection is said of all
@@ -287,7 +301,7 @@ class Fleet:
 
     async def answer(self, line: bytes) -> dict[str, Any]:
         """The reply to a request at the control socket."""
-        return await answer(ControlScope(self.machines, snapshot, self.reload), line)
+        return await answer(ControlScope(self.machines, snapshot, self.reload, self.changing), line)
 
     def _shown(self, machine: Machine) -> Callable[[Scan], None] | None:
         """Who takes a machine's scans for its peers; None where nothing is served."""

@@ -18,7 +18,7 @@ def split_over(configs: Sequence[Config], workers: int, before: Mapping[str, int
     share a connection and would have to leave their places.
     """
     places = dict(before)
-    groups = _on_one_connection(configs)
+    groups = on_one_connection(configs)
     # The largest first: what is spread last is what can be spread most evenly.
     for group in sorted(groups, key=len, reverse=True):
         names = [config.machine for config in group]
@@ -36,7 +36,7 @@ def split_over(configs: Sequence[Config], workers: int, before: Mapping[str, int
     return places
 
 
-def _on_one_connection(configs: Sequence[Config]) -> list[list[Config]]:
+def on_one_connection(configs: Sequence[Config]) -> list[list[Config]]:
     """The machines in groups, in the order of the file: one that shares a connection with any of a group is of it."""
     groups: list[tuple[set[Hashable], list[Config]]] = []
     for config in configs:

@@ -95,7 +95,7 @@ class _Requests:
     def __init__(self, fleet: Fleet, channel: SupervisorChannel) -> None:
         self.stop = asyncio.Event()
         self._fleet, self._channel = fleet, channel
-        self._scope = ControlScope(fleet.machines, snapshot)
+        self._scope = ControlScope(fleet.machines, snapshot, changing=fleet.changing)
         self._models: Mapping[str, Sequence[LoadedModels]] = {}
         self._tasks = set[asyncio.Task[None]]()
         self._last = 0
