@@ -138,6 +138,12 @@ def test_what_a_node_does_on_a_shared_bus_costs_the_others_little_and_makes_no_w
     assert figures["scans done of the others"]["ratio"] > 0.5
 
 
+def test_hours_of_the_plants_go_by_in_minutes_with_blocks_that_the_plcs_take() -> None:
+    figures = by_name(said("isolation", "--quick", "--speed", "40", "--armed")["figures"])
+    assert figures["wrong values that were good, all machines"]["value"] == 0
+    assert figures["so many of them"]["value"] > 0 and figures["so many of them"]["other"] > 0
+
+
 def test_peers_sets_the_gateway_against_the_loop_in_c_on_the_same_plcs() -> None:
     options = ("--count", "2", "--seconds", "1", "--only", "plant+blocks", "--only", "C loop")
     figures = by_name(said("peers.__main__", *options)["figures"])
