@@ -324,13 +324,17 @@ def main(hours: float, speed: float, seed: int, keep: Path | None) -> None:
     """Let a scripted day pass and judge it."""
     if program("mosquitto") is None:
         raise click.ClickException("needs mosquitto (apt-get install mosquitto)")
+    try:
+        plan(hours)
+    except ValueError as error:
+        raise click.BadParameter(str(error), param_hint="--hours") from None
     if keep is not None:
-        keep.mkdir(parents=True)
-    with tempfile.TemporaryDirectory() if keep is None else nullcontext(str(keep)) as folder:
         try:
-            findings, figures = passed(Path(folder), hours, speed, seed)
-        except ValueError as error:
-            raise click.ClickException(str(error)) from None
+            keep.mkdir(parents=True)
+        except FileExistsError:
+            raise click.BadParameter(f"{keep} is there already; name a new folder", param_hint="--keep") from None
+    with tempfile.TemporaryDirectory() if keep is None else nullcontext(str(keep)) as folder:
+        findings, figures = passed(Path(folder), hours, speed, seed)
     for finding in findings[:MOST_SHOWN]:
         click.echo(finding)
     if len(findings) > MOST_SHOWN:

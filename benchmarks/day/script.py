@@ -245,9 +245,9 @@ def expected(day: Plan, played: Mapping[str, Trace], *, late: float, retry: floa
     pair("west", "inputs bad", day.link[0] + INPUTS_DELAY, day.link[1], more=late)
     for alarm in ("link", "inputs bad"):
         acknowledged("west", alarm, day.link[1] + 4 * late + 300.0)
-    for machine in MACHINES:
-        pair(machine, "northbound", day.outage[0] + NORTHBOUND_DELAY, day.outage[1], more=retry)
-        acknowledged(machine, "northbound", day.outage[1] - 120.0)
+    # The plant has it once, and its first machine looks after it.
+    pair(MACHINES[0], "northbound", day.outage[0] + NORTHBOUND_DELAY, day.outage[1], more=retry)
+    acknowledged(MACHINES[0], "northbound", day.outage[1] - 120.0)
 
     # The third start after the wear began judges the third bad cycle; the first good one is judged by the start after.
     third = day.worn[0] + 3 * CYCLE + STARTS_AT * MINUTE

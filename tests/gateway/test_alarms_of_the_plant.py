@@ -1,22 +1,28 @@
 """Alarms that a plant has once: its first machine looks after them, and nothing of the others is left standing."""
 
+import asyncio
+import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 
 from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
+from gateway.cli.main import main
 from gateway.machine.alarms import alarm_rates, make_conditions, read_journal
 from gateway.notify import Notifier, attach_machine
 from gateway.notify.messages import AlarmMessage, subject_of
+from gateway.plant.app import run
 from gateway.settings import OF_PLANT, Config, changed_machines, load_plant
 from gateway.status import read_status
 from gateway.texts import all_words
 from gateway.web import machine_view
 from tests.gateway.status_picture import picture
-from tests.gateway.support import EPOCH, MAP
+from tests.gateway.support import EPOCH, MAP, TEMPERATURE
 from tests.gateway.test_alarm_desk import Stand, standing
+from tests.rig.servers import free_port
 
 TOP = """
 [alarms]
@@ -121,6 +127,15 @@ def _attached(stand: Stand) -> Notifier:
     return notifier
 
 
+async def test_what_stands_of_the_plant_takes_from_no_machine_that_its_alarm_was_the_first(tmp_path: Path) -> None:
+    first, _ = plant_of(tmp_path, "a", "b")
+    async with standing(first) as stand:
+        await out_of_reach(stand)
+        await stand.scan(**{TEMPERATURE: 90.0})
+        alarms = stand.machine.alarms.alarms
+        assert alarms["northbound"].first_up and alarms[f"over limit {TEMPERATURE}"].first_up
+
+
 async def test_it_is_the_plants_in_journal_messages_and_on_the_page(tmp_path: Path) -> None:
     first, _ = plant_of(tmp_path, "a", "b")
     async with standing(first) as stand:
@@ -141,3 +156,38 @@ async def test_it_is_the_plants_in_journal_messages_and_on_the_page(tmp_path: Pa
         assert (shown["alarms"][0]["of"], shown["alarms"][0]["of_plant"]) == (word, True)
         without = machine_view(all_words()[language], {}, read_status(picture()))
         assert shown["level"] == without["level"], "it says nothing of the machine"
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+async def test_one_broker_out_of_reach_is_one_alarm_listed_and_acknowledged_without_naming_a_machine(
+    tmp_path: Path, workers: int
+) -> None:
+    pytest.importorskip("paho.mqtt")
+    top = TOP.replace('host = "127.0.0.1"\n', f'host = "127.0.0.1"\nport = {free_port()}\n').split("[notify]")[0]
+    plant = plant_of(tmp_path, "a", "b", top=f"[plant]\nworkers = {workers}\n[scan]\nperiod = 0.2\n{top}")
+    stop = asyncio.Event()
+    work = asyncio.create_task(run(*plant, stop=stop))
+
+    async def asked(*words: str) -> Result:
+        command = ["alarm", *words, "--config", str(plant[0].path)]
+        return await asyncio.to_thread(CliRunner().invoke, main, command)
+
+    try:
+        async with asyncio.timeout(120.0):
+            while "northbound" not in (listed := await asked("list", "--json")).output:
+                assert not work.done(), await work
+                await asyncio.sleep(0.1)
+            rows = [row for row in json.loads(listed.stdout)["alarms"] if row["name"] == "northbound"]
+            assert [(row["machine"], row["tag"]) for row in rows] == [("a", "plant")]
+            line = next(line for line in (await asked("list")).output.splitlines() if "northbound" in line)
+            assert line.split()[1] == "plant"
+            done = await asked("acknowledge", "northbound", "--by", "A. Rossi")
+            assert (done.exit_code, done.output) == (0, "northbound: acknowledged, now acknowledged\n")
+            # Of another machine there is no such alarm, and one of a machine needs its name.
+            assert "there is no alarm" in (await asked("acknowledge", "disk", "--machine", "b", "--by", "x")).output
+            assert (await asked("acknowledge", "link", "--by", "x")).exit_code != 0
+    finally:
+        stop.set()
+        await work
+    told = [row for row in read_journal(plant[0].historian.path) if row.alarm == "northbound"]
+    assert [(row.subject, row.state) for row in told] == [("plant", "unacknowledged"), ("plant", "acknowledged")]

@@ -28,7 +28,7 @@ from gateway.machine.alarms.states import (
     word,
 )
 from gateway.machine.reading import Scan
-from gateway.settings import LEAST_URGENT
+from gateway.settings import LEAST_URGENT, OF_PLANT
 from gateway.store import HistorianView, saved_state
 
 if TYPE_CHECKING:
@@ -216,14 +216,20 @@ class AlarmBoard:
             after = self.alarms[name] = step(condition, alarm, value, now)
             if after is not alarm and after.state is AlarmState.UNACKNOWLEDGED and after.raised == now:
                 raised.append((now if alarm.pending is None else alarm.pending, name))
-        if raised:
-            self._mark_first_up(raised)
+        # What stands of the plant is no cause of what comes of the machine, nor the other way round.
+        for of_plant in (False, True):
+            if own := [row for row in raised if self._is_of_plant(row[1]) is of_plant]:
+                self._mark_first_up(own, of_plant=of_plant)
         self._make_known(before, values, now)
 
-    def _mark_first_up(self, raised: Sequence[tuple[float, str]]) -> None:
+    def _is_of_plant(self, name: str) -> bool:
+        return name in self.conditions and self.conditions[name].kind in OF_PLANT
+
+    def _mark_first_up(self, raised: Sequence[tuple[float, str]], *, of_plant: bool) -> None:
         """Of alarms that come when none stands or waits, the one that began first: the others may be its doing."""
         fresh = {name for _, name in raised}
-        shown = (a for name, a in self.alarms.items() if name not in fresh and a.state not in HIDDEN)
+        others = {name for name in self.alarms if name not in fresh and self._is_of_plant(name) is of_plant}
+        shown = (alarm for name, alarm in self.alarms.items() if name in others and alarm.state not in HIDDEN)
         if any(alarm.state is not AlarmState.NORMAL for alarm in shown):
             return
         # Of several at one moment the more urgent; `min` takes the first of equals, in the order of the stages.
