@@ -73,6 +73,11 @@ def commitment(out: Path) -> str:
     ).hexdigest()
 
 
+def labels_of(out: Path) -> dict[str, Label]:
+    """The labels by case, for who makes the cases and judges them in one go; none in a new folder."""
+    return {label.case: label for label in _read(out)}
+
+
 def commit(out: Path) -> str:
     """Write the index and the hash of the labels; returns the hash."""
     cases = sorted(labelled(out))
@@ -106,7 +111,7 @@ def opened(out: Path, expected: str) -> dict[str, Label]:
             f"{out}: the labels hash to {found[:12]}, the runs were made under {expected[:12]}; they are not the "
             "labels that were committed to; remove the results and run the cases again if cases were added on purpose"
         )
-    return {label.case: label for label in _read(out)}
+    return labels_of(out)
 
 
 def _read(out: Path) -> Sequence[Label]:

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.augment import as_white, process_noise
-from sim.discrepancy.fitting import Fitted, Record, readings_in_window, rounding
-from sim.discrepancy.held_out import by_cycles, let_run
+from sim.discrepancy.fitting import Fitted, Grid, Record, readings_in_window, rounding
+from sim.discrepancy.held_out import let_run
 from sim.effects import of_feature, without
-from sim.engine import open_loop
+from sim.engine import linear_recursion, open_loop
 from sim.sha import Model, Trace, content_hash
 
 WIDE, MOSTLY, SHARE = 1.5, 1.2, 0.2
@@ -32,7 +32,8 @@ class NoiseFloor:
     """degC rms of a free run over windows where nothing is missing.
 
     `given`: as the given model states it for itself, from days of its own; else it is the sensor's noise alone, since a
-    model that has learned these very traces holds what is missing in them for noise.
+    model that has learned these very traces holds what is missing in them for noise. In both what switches between two
+    rows do (`between_rows`) is added: it belongs to the rows at hand, not to those of the model's own days.
     """
 
     error: float
@@ -76,6 +77,7 @@ def floor_of(model: Model, traces: Sequence[Trace], laid_out: Sequence[Trace], f
     sensor = sensor_noise(record)
     looks = readings_in_window(record)
     in_window = max(sensor / float(np.sqrt(looks)), rounding(model, record))
+    in_window = float(np.hypot(in_window, between_rows(fitted.grid)))
     if not {content_hash(trace) for trace in traces}.isdisjoint(model.provenance.contents):
         return NoiseFloor(in_window, given=False)
     stated = model.provenance.scores.get("held_out_rmse", 0.0)
@@ -84,6 +86,13 @@ def floor_of(model: Model, traces: Sequence[Trace], laid_out: Sequence[Trace], f
         return NoiseFloor(float(np.hypot(np.sqrt(max(stated**2 - sensor**2, 0.0)), in_window)), given=True)
     spread = spread_of(model, laid_out, fitted)
     return NoiseFloor(float(np.hypot(spread, in_window)) if spread > 0 else in_window, given=spread > 0)
+
+
+def between_rows(grid: Grid) -> float:
+    """degC rms over the windows of what a free run is off by because switches are known to a row only."""
+    decay = np.where(grid.first, 0.0, np.exp(-2.0 * grid.k * grid.dt))
+    apart = linear_recursion(decay, grid.late, 0.0)
+    return float(np.sqrt(np.mean(apart + grid.shared**2)))
 
 
 def sensor_noise(record: Record) -> float:
@@ -109,7 +118,7 @@ def excess(fitted: Fitted, floor: NoiseFloor) -> Excess | None:
     """The excess of a fit over the given model's floor; None where the model states none of its own."""
     if not floor.given:
         return None
-    trial = let_run(fitted, by_cycles(fitted.frame.record))
+    trial = let_run(fitted, fitted.frame.record.by_cycles())
     count = np.bincount(trial.order)
     ratio = np.sqrt(np.bincount(trial.order, trial.residual**2) / np.maximum(count, 1)) / floor.error
     return Excess(float(np.median(ratio)), float(np.quantile(ratio, SHARE)), rougher(fitted))

@@ -42,7 +42,7 @@ def implied_heat(fitted: Fitted) -> Array:
 
     The part that the model's own parameters would take up is taken out before. NaN too where a change is still on its
     way to the reading, in a model with a dead time or a sensor's lag: there the residual tells how that smears, and no
-    heat.
+    heat; and where a switch between two rows moves the temperature by more than a reading errs by.
     """
     # The smoothed residual is an estimate of x in dx/dt = -k x + h; solved for h over each step, held constant in it.
     left = Projector(fitted).residual
@@ -59,7 +59,8 @@ def implied_heat(fitted: Fitted) -> Array:
     late = float(np.max(clock - as_read(fitted.frame, fitted.state, clock)))
     changed = runs.first | (np.diff(runs.place, prepend=-1) != 0)
     since = runs.time - (runs.time - runs.dt)[changed][np.cumsum(changed) - 1]
-    return np.where(grid.first | (record.windowed(since) < REACH * late), np.nan, heat)
+    unknown = grid.first | (record.windowed(since) < REACH * late) | (grid.late > fitted.noise.sensor**2)
+    return np.where(unknown, np.nan, heat)
 
 
 def since_switch(record: Record) -> Array:

@@ -4,7 +4,7 @@ Each cycle starts at a temperature of its own, fitted to it; nothing else is. Th
 not theirs to choose (`gap.floor_of`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,13 +33,6 @@ class HeldOutRun:
     begun: Array
     order: Indices
     whitener: Whitener
-
-
-def by_cycles(record: Record) -> Record:
-    """The record with a run of its own for each cycle."""
-    runs = record.runs
-    cut = replace(runs, run=np.cumsum(runs.first | (np.diff(record.cycle, prepend=-1) != 0)) - 1)
-    return replace(record, runs=replace(cut, dt=np.where(cut.first, 0.0, runs.dt)))
 
 
 def let_run(fitted: Fitted, record: Record) -> HeldOutRun:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sim.discrepancy.diagnosis import CandidateLaw
 from sim.discrepancy.fitting import Fitted, Record, as_read, filtered, on, sensitivity
-from sim.discrepancy.held_out import HeldOutRun, by_cycles, let_run
+from sim.discrepancy.held_out import HeldOutRun, let_run
 from sim.discrepancy.law_family import LawColumns, LawForm, columns_on, family, products, signal_names
 from sim.discrepancy.screen import Projector, smooth_course
 from sim.effects import SINCE, TEMPERATURE, LineError, compiled, names_in, own_kind, parse
@@ -75,7 +75,7 @@ def candidate_laws(base: Fitted, record: Record, fitted_until: int, floor: float
     scored = scored.joined(_scored(fitted, projector, columns, products(best, columns)))
     tried = len(scored.forms) + scanned
 
-    trial = let_run(base, by_cycles(later))
+    trial = let_run(base, later.by_cycles())
     unseen = replace(
         base,
         frame=on(base.frame, trial.record),

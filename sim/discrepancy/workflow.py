@@ -27,7 +27,7 @@ from sim.discrepancy.fitting import (
     record_of,
 )
 from sim.discrepancy.gap import excess, floor_of, sensor_noise
-from sim.discrepancy.held_out import by_cycles, compared
+from sim.discrepancy.held_out import compared
 from sim.discrepancy.judging import doubts, left_over, matters, systematic, untested, verdict_of
 from sim.discrepancy.law_search import candidate_laws
 from sim.discrepancy.locate import places
@@ -86,7 +86,7 @@ def diagnose(
     # The last cycles are held out from everything but the proof: not even the screen may have seen them.
     first_held_out = cycles[max(round((1.0 - HELD_OUT) * cycles.size), LEAST_CYCLES - 1)]
     training = on(frame_of(record), record.where(record.cycle < first_held_out))
-    held_out = by_cycles(record.where(record.cycle >= first_held_out))
+    held_out = record.where(record.cycle >= first_held_out).by_cycles()
 
     # The refit comes first: what parameters that have moved explain is no missing effect.
     report("fitting the model's own parameters", 0.05)

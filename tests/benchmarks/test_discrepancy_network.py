@@ -1,7 +1,7 @@
 """The benchmark's thermal network: its steady state, a clean machine nearly of first order, what is hidden in it."""
 
 import ast
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,12 @@ from benchmarks.discrepancy.network import thermal
 from benchmarks.discrepancy.network.baseline import left_over, visible
 from benchmarks.discrepancy.network.cases import HIDDEN, plant_of, specs
 from benchmarks.discrepancy.network.duty import Duty, duty
+from benchmarks.discrepancy.network.figures import tables
 from benchmarks.discrepancy.network.hidden import INSIDE, OUTSIDE
+from benchmarks.discrepancy.network.measure import COUNTS, drawn_order, judged, measure
 from benchmarks.discrepancy.network.thermal import CONTACT, SEAT, Addition, NetworkRun, courses
+from benchmarks.discrepancy.runner import Case, Outcome
+from benchmarks.discrepancy.seal import Label, write_labels
 from sim.effects import EFFECTS
 
 ROOM = Path(thermal.__file__).parent
@@ -41,6 +45,45 @@ def test_at_a_steady_load_all_heat_leaves_through_the_housing() -> None:
     last = courses([NetworkRun(duty=held, plant=plant, addition=Addition(), unrest=0.0 * steady)])[0][-1]
     heat = plant.idle + 200.0 * plant.slope
     assert last == pytest.approx(18.0 + heat / 60.0 + SEAT * heat / CONTACT["outer-housing"], abs=0.01)
+
+
+def test_a_measurement_draws_its_order_and_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    order = drawn_order("final")
+    assert [spec.identifier for spec in order] == [spec.identifier for spec in drawn_order("final")]
+    assert len({spec.identifier for spec in order}) == sum(COUNTS.values()) == 500
+    assert 2 < sum(spec.stratum == "clean" for spec in order[:12]) < 10
+    first = order[:3]
+    labels = [
+        Label(
+            case=spec.identifier,
+            spec=asdict(spec),
+            strengths={},
+            ratios=dict.fromkeys(spec.hidden, spec.ratio),
+            outside=tuple(name for name in spec.hidden if name in OUTSIDE),
+            baseline_gap=0.0,
+            sensor=0.1,
+            floor=0.1,
+            machine="",
+        )
+        for spec in order[:12]
+    ]
+    for label in labels:  # as if made before
+        (tmp_path / "cases" / label.case).mkdir(parents=True)
+        Label.write_config(tmp_path / "cases" / label.case, {"traces": "t.csv", "seed": 0, "model": "m"})
+    write_labels(tmp_path, "made", labels)
+    asked: list[str] = []
+
+    def agrees(one: Case, _limit: float) -> Outcome:
+        asked.append(one.name)
+        return Outcome(one.name, "done", 1.0, {"verdict": "agree"})
+
+    ticks = iter(range(100))
+    measure(first, tmp_path, agrees, limit=1.0, seconds=3.0, clock=lambda: float(next(ticks)))
+    assert asked == [spec.identifier for spec in first[:1]]
+    measure(first, tmp_path, agrees, limit=1.0, seconds=100.0)
+    assert asked == [spec.identifier for spec in first]
+    table = tables(judged(first, tmp_path))
+    assert table.startswith("3 cases") and "errors and cases over the limit | 0.0 %" in table
 
 
 @pytest.fixture(scope="module")

@@ -48,12 +48,14 @@ def plant(
     offset: float = 0.0,
     bowl: float = 0.0,
     runs_on: bool = False,
+    period: float = PERIOD,
 ) -> Trace:
     """`days` days of three cycles, or one run of them all. `pump` 1/s cools towards 19 degC, `churning` degC/s dies
-    away after each start over 400 s as a logistic, `offset` degC is read too much from 40 % of the time on."""
+    away after each start over 400 s as a logistic, `offset` degC is read too much from 40 % of the time on. A row
+    each `period` s."""
     rng = np.random.default_rng(seed)
-    size = int(days * 86400 / PERIOD)
-    on, current, pumping = operation(rng, size, runs_on)
+    size = int(days * 86400 / period)
+    on, current, pumping = operation(rng, size, runs_on, period)
     temperature = np.empty(size)
     x, heat, friction, since, warmed = 17.0, 0.0, 1.0, 1e9, 0.0
     feed = np.repeat(np.random.default_rng([seed, 1]).uniform(10.0, 40.0, size // 200 + 1), 200)[:size]
@@ -62,15 +64,15 @@ def plant(
         if row and on[row] > on[row - 1]:
             friction, since = 1.0 + 0.01 * rng.standard_normal(), 0.0
         target, k = TARGETS["OFF" if not on[row] else "LOW" if current[row] < 200 else "HIGH"]
-        keep = np.exp(-PERIOD / 400.0)
+        keep = np.exp(-period / 400.0)
         heat = keep * heat + 4e-4 * np.sqrt(1 - keep**2) * rng.standard_normal()
         drive = k * (target - x) + on[row] * ((friction - 1) * k * (target - 17.0) + heat)
         drive -= pump * pumping[row] * (x - 19.0)
         drive += churning * on[row] / (1 + np.exp(min((since - 400.0) / 100.0, 50.0)))
-        warmed += PERIOD / 150.0 * (pumping[row] * (feed[row] - 22.0) - warmed)
+        warmed += period / 150.0 * (pumping[row] * (feed[row] - 22.0) - warmed)
         drive += bowl * warmed
-        x += PERIOD * drive + 0.003 * np.sqrt(PERIOD) * rng.standard_normal()
-        since += PERIOD
+        x += period * drive + 0.003 * np.sqrt(period) * rng.standard_normal()
+        since += period
     read = temperature + 0.06 * rng.standard_normal(size)
     read[int(0.4 * size) :] += offset
     signals = {
@@ -82,8 +84,16 @@ def plant(
     }
     if bowl:
         signals["TFango"] = feed
-    trace = Trace(f"plant{seed}", 1.7e9 + PERIOD * np.arange(size), signals, origin="a test's plant", synthetic=True)
+    trace = Trace(f"plant{seed}", 1.7e9 + period * np.arange(size), signals, origin="a test's plant", synthetic=True)
     return replace(trace, events=encode(trace, ALPHABET))
+
+
+def sparse(trace: Trace, every: int) -> Trace:
+    """Every so-manyth row of a trace, as a slow recorder has them: what switches is known from the next row on."""
+    kept = slice(None, None, every)
+    signals = {name: column[kept] for name, column in trace.signals.items()}
+    rows = replace(trace, times=trace.times[kept], signals=signals, events=())
+    return replace(rows, events=encode(rows, ALPHABET))
 
 
 def random_model(sigma: float, memory: float, machine: float, *more: Effect) -> Model:
@@ -114,10 +124,12 @@ def simulated(source: Model, seed: int, days: int = 4) -> Trace:
     return replace(trace, signals={**signals, "T": np.round(read, 1)})
 
 
-def operation(rng: np.random.Generator, size: int, runs_on: bool = False) -> tuple[Array, Array, Array]:
+def operation(
+    rng: np.random.Generator, size: int, runs_on: bool = False, period: float = PERIOD
+) -> tuple[Array, Array, Array]:
     """(running, current, pump) of so many rows: three cycles a day, or one run of them all."""
     on, current, pumping = np.zeros(size), np.zeros(size), np.zeros(size)
-    hour = 3600 / PERIOD
+    hour = 3600 / period
     for begin in range(int(5 * hour), size, size if runs_on else int(24 * hour)):
         at = begin
         for _ in range(1 if runs_on else 3):

@@ -9,7 +9,6 @@ from sim.discrepancy.constants import absorbed
 from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.held_out import by_cycles
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
 from sim.sha.events import Alphabet, Bins, Switch, encode
 from sim.sha.model import Model
@@ -77,7 +76,7 @@ def test_the_law_behind_the_lines_is_told_where_there_is_one(law: dict[str, floa
     record = record_of(three_lines(), [measured(law, 1)], ("Assorbimento",))
     last = np.unique(record.cycle)[-3]
     fitted = fit(on(frame_of(record), record.where(record.cycle < last)))
-    found = absorbed(fitted, "Assorbimento", by_cycles(record.where(record.cycle >= last)))
+    found = absorbed(fitted, "Assorbimento", record.where(record.cycle >= last).by_cycles())
     assert (found.name if found else None) == name
     if found:
         assert found.instead == len(found.coefficients) < found.constants == 6

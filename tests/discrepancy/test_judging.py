@@ -11,7 +11,7 @@ from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit
 from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.heat import REACH, implied_heat
-from sim.discrepancy.held_out import by_cycles, let_run
+from sim.discrepancy.held_out import let_run
 from sim.discrepancy.judging import NamingResult, doubts
 from sim.discrepancy.naming import NamingStep, confirm, step
 from tests.discrepancy.plants import model, plant
@@ -41,7 +41,7 @@ def test_a_name_under_which_the_held_out_error_grows_is_never_given(
     best = pumped.evidence[0]
     assert best.fitted is not None
     found = NamingResult(base, best.fitted, ((replace(pumped, evidence=(replace(best, gain=gain),)), ""),))
-    record = by_cycles(base.frame.record)
+    record = base.frame.record.by_cycles()
     held = HeldOutProof(5, 0.5, after, 0.2, None, None, ())
     reasons = doubts(
         found, let_run(base, record), second=let_run(best.fitted, record), held=held, before=None, left=None

@@ -28,8 +28,16 @@ def grid_of(dt: Array, k: Array, running: Array, weight: Array, first: Mask, cyc
     decay, pull = decay_and_pull(k, dt)
     decay, push = np.where(first, 0.0, decay), np.where(first, 0.0, pull * weight)
     columns = [linear_recursion(decay, np.where(cycle == number, push, 0.0), 0.0) for number in np.unique(cycle)]
+    late = 0.01 * np.where(first, 0.0, np.diff(running, prepend=running[0]) ** 2)
     return Grid(
-        dt=dt, k=k, running=running, first=first, cycle=cycle, heats=np.asfortranarray(np.column_stack(columns))
+        dt=dt,
+        k=k,
+        running=running,
+        first=first,
+        cycle=cycle,
+        heats=np.asfortranarray(np.column_stack(columns)),
+        late=late,
+        shared=linear_recursion(decay, 0.05 * np.sqrt(late), 0.0),
     )
 
 
@@ -50,8 +58,8 @@ def dense(grid: Grid, noise: NoiseModel) -> Array:
         before = slice(2 * row - 2, 2 * row)
         state[here, :] = move @ state[before, :]
         state[:, here] = state[here, :].T
-        state[here, here] = move @ state[before, before] @ move.T + move @ both[:2, 2:]
-    heats = grid.heats * noise.cycle
+        state[here, here] = move @ state[before, before] @ move.T + move @ both[:2, 2:] + np.diag([grid.late[row], 0.0])
+    heats = np.column_stack([grid.heats * noise.cycle, grid.shared])
     return np.asarray(state[::2, ::2] + heats @ heats.T + noise.sensor**2 * np.eye(size))
 
 

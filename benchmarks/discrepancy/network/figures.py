@@ -1,9 +1,10 @@
 """What the network's cases show: false alarms by sampling, noise and model; exact names by strength; harm done."""
 
 from collections.abc import Sequence
+from math import isfinite
 
 from benchmarks.discrepancy.judging import Judged
-from benchmarks.discrepancy.scorer import Row, Test, row
+from benchmarks.discrepancy.scorer import VISIBLE, Row, Test, row
 from benchmarks.discrepancy.table import grid, interval, percent
 
 CLEAN = 0.3
@@ -40,12 +41,24 @@ def rows(judged: Sequence[Judged]) -> list[Row]:
         found.append(row(f"singles at {ratio:g}: agree", cases, lambda one: one.answer.verdict == "agree"))
         found.append(row(f"singles at {ratio:g}: too little data", cases, too_little))
         found.append(row(f"singles at {ratio:g}: wrong first name", cases, lambda one: one.wrong_first))
+        for kind in ("rough", "smooth"):
+            part = [one for one in cases if one.rough == (kind == "rough")]
+            found.append(row(f"singles at {ratio:g}, {kind} plant: exact", part, lambda one: one.exact))
+        slow = [one for one in cases if one.label.spec["period"] >= 30]
+        found.append(row(f"singles at {ratio:g}, rows of 30 to 60 s: exact", slow, lambda one: one.exact))
+    found.append(row("singles: wrong first name", singles, lambda one: one.wrong_first))
+    right = [one for one in judged if one.exact]
+    found.append(row("exact: >= 90 % of the excess removed", right, lambda one: one.removed >= 0.9))
+    told = [one for one in right if isfinite(one.removed_by_truth)]
+    found.append(row("the same, by the plant's true floor", told, lambda one: one.removed_by_truth >= 0.9))
     pairs = [one for one in judged if one.stratum == "pairs"]
     found.append(row("pairs: exact", pairs, lambda one: one.exact))
     found.append(row("pairs: wrong first name", pairs, lambda one: one.wrong_first))
     outside = [one for one in judged if one.stratum == "outside"]
     found.append(row("outside: a name or a class", outside, lambda one: one.answer.claims))
     found.append(row("outside: unexplained", outside, lambda one: one.answer.verdict == "unexplained"))
+    seen = [one for one in outside if one.label.ratio >= VISIBLE * 0.9]
+    found.append(row("outside, visible: unexplained", seen, lambda one: one.answer.verdict == "unexplained"))
     claims = [one for one in judged if one.answer.claims]
     found.append(row("named while the held-out free run grows", claims, grows))
     found.append(row("errors and cases over the limit", judged, lambda one: one.outcome.status != "done"))

@@ -23,6 +23,11 @@ ITERATIONS, STILL = 60, 1e-6
 TAIL = 4
 """Cycles over which the heat of one is followed, itself included: about a day."""
 
+LATE_TOGETHER, LATE_APART = 0.5, 12.0**-0.5
+"""Rows by which all switches are late together, and each by itself (standard deviations): uniform within a row, whose
+second moment 1/3 is (1/2)^2 + 1/12. Together, because a recorder that samples is half a row late in the mean, while
+one whose rows are the switches' own times is not late at all."""
+
 
 @dataclass(frozen=True, slots=True)
 class CourseState:
@@ -178,7 +183,35 @@ def grid_at(frame: Frame, state: CourseState) -> Grid:
     late, would be played against it.
     """
     rate, running = (as_read(frame, state, column) for column in (state.k + state.loss, frame.record.running))
-    return frame.record.grid(rate, running, scattered(frame, state))
+    late = lateness(frame, state)
+    return frame.record.grid(
+        rate,
+        running,
+        scattered(frame, state),
+        jumps=(LATE_APART * late) ** 2,
+        shared=frame.record.windowed(as_read(frame, state, jumped(frame, state, LATE_TOGETHER * late))),
+    )
+
+
+def lateness(frame: Frame, state: CourseState) -> Array:
+    """(n,) degC by which the course would be off from each knot on, had what acts after it begun a row earlier.
+
+    What is switched or moves between two rows is known from the later one on. It began somewhere in the row, so that
+    the temperature there is off by the change of the drift times a time between nothing and the row's length. Only at
+    rows: an event with a time of its own is known to it.
+    """
+    runs = frame.record.runs
+    drift = np.where(state.k > 0, state.k * state.target, np.where(state.decay == 1.0, state.target, 0.0))
+    within = np.append(~runs.first[1:], False) & ~runs.first & np.isfinite(runs.reading)
+    change = np.append(np.diff(drift) - np.diff(state.k) * state.course[:-1], 0.0)
+    return np.asarray(np.where(within, change * runs.dt, 0.0))
+
+
+def jumped(frame: Frame, state: CourseState, jumps: Array) -> Array:
+    """(n,) degC what jumps (n,) of the bearing's temperature at the knots leave of themselves."""
+    runs = frame.record.runs
+    decay, _ = decay_and_pull(state.k + state.loss, runs.dt)
+    return np.asarray(linear_recursion(np.where(runs.first, 0.0, decay), jumps, 0.0))
 
 
 def scattered(frame: Frame, state: CourseState) -> Array:

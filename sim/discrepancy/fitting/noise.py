@@ -5,10 +5,11 @@ A residual r (measured - free run) of a model with the right flows obeys, betwee
     dx/dt = -k x + h + s dW,    r = x + c w + v,    h an Ornstein-Uhlenbeck heat,    c a scatter of each cycle
 
 where k is the location's rate (0 where the flow does not relax), w what the cycle's friction heat does to the reading,
-v the sensor's noise; x starts anew with each run. What h does over a step is the law of the model's own disturbance
-(`sim.effects.disturbance_step`), and where the given model has one, the fit begins from it. The precision is banded, so
-that weighing any number of columns by the inverse covariance costs one banded Cholesky decomposition (Rue & Held 2005,
-ch. 2), and the scatter of the cycles is a random effect on top (Woodbury).
+v the sensor's noise; x starts anew with each run. A recorder knows a switch to a row only: what the heat did between
+that and its row's end is a jump of x there (`Grid.late`, `Grid.shared`). What h does over a step is the law of the
+model's own disturbance (`sim.effects.disturbance_step`), and where the given model has one, the fit begins from it. The
+precision is banded, so that weighing any number of columns by the inverse covariance costs one banded Cholesky
+decomposition (Rue & Held 2005, ch. 2), and the scatter of the cycles is a random effect on top (Woodbury).
 """
 
 from collections.abc import Callable
@@ -54,7 +55,9 @@ class Grid:
 
     `k` (m,) 1/s is the mean rate since then, `running` (m,) the share of that time in which the machine ran, `first`
     (m,) begins a run, `cycle` (m,) numbers the cycles. `heats` (m, cycles) degC is what a scatter of 1 in each cycle
-    does to the windows.
+    does to the windows. `late` (m,) degC^2 is the variance of the jumps of x in the step to each window, by switches
+    and loads that moved between two rows, each at a time of its own; `shared` (m,) degC is one standard deviation of
+    what all of them have in common.
     """
 
     dt: Array
@@ -63,6 +66,8 @@ class Grid:
     first: Mask
     cycle: Indices
     heats: Array
+    late: Array
+    shared: Array
 
 
 def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
@@ -77,7 +82,8 @@ class Whitener:
     """The inverse covariance of the windows under one `NoiseModel`.
 
     V = H S H' + sensor^2 + Z Z', with S the covariance of the states (x, h), of which only the banded inverse is
-    formed, and Z a column a cycle. Both steps are Woodbury's identity; V itself (m x m) is never formed.
+    formed, and Z a column a cycle, and one for what is shared by all switches between rows. Both steps are
+    Woodbury's identity; V itself (m x m) is never formed.
     """
 
     def __init__(self, grid: Grid, noise: NoiseModel) -> None:
@@ -86,7 +92,7 @@ class Whitener:
         # Each window is one reading of its x: the sensor's precision comes to every other diagonal entry.
         posterior[0, ::2] += 1.0 / noise.sensor**2
         self._factor = scipy.linalg.cholesky_banded(posterior, lower=True, overwrite_ab=True, check_finite=False)
-        self._heats = grid.heats * noise.cycle
+        self._heats = np.column_stack([grid.heats * noise.cycle, grid.shared])
         self._weighed_heats = self._within(self._heats)
         gram = np.eye(self._heats.shape[1]) + self._heats.T @ self._weighed_heats
         self._root = scipy.linalg.cholesky(gram, lower=True, check_finite=False)
@@ -141,8 +147,8 @@ class Whitener:
 
 
 def _steps(grid: Grid, noise: NoiseModel) -> tuple[Array, Array, DisturbanceStep]:
-    """(decay, process variance, the rough heat) of the step to each window."""
-    variance = max(noise.process, LEAST_PROCESS) ** 2 * decay_and_pull(2 * grid.k, grid.dt)[1]
+    """(decay, variance of the process and of late switches, the rough heat) of the step to each window."""
+    variance = max(noise.process, LEAST_PROCESS) ** 2 * decay_and_pull(2 * grid.k, grid.dt)[1] + grid.late
     step = disturbance_step(noise.memory, grid.k, grid.dt)
     # Of the heat only a share acts at rest: it is what reaches x, and the heat itself goes on as ever.
     share = noise.rest + (1.0 - noise.rest) * grid.running

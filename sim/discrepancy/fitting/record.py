@@ -86,9 +86,10 @@ class Record:
         """(n,) a signal held over each step; NaN while it was never read."""
         return self.runs.inputs[:, self.signals.index(name)]
 
-    def grid(self, k: Array, running: Array, heats: Array) -> Grid:
+    def grid(self, k: Array, running: Array, heats: Array, *, jumps: Array, shared: Array) -> Grid:
         """The windows as the noise sees them; `k` (n,) 1/s and `running` (n,) are each step's rate and whether rough
-        heat acts, `heats` (m, cycles) as in `Grid`."""
+        heat acts, `jumps` (n,) degC^2 the variance of a jump at each knot, `heats` (m, cycles) and `shared` (m,) as in
+        `Grid`."""
         passed = np.cumsum(np.column_stack([k, running]) * self.runs.dt[:, None], axis=0)
         times, mean = self.times, self.windowed(passed)
         # Rate and running share between two windows are those between their mean times: the integral over all knots,
@@ -96,13 +97,22 @@ class Record:
         first = self.window_first
         dt = np.where(first, 1.0, np.diff(times, prepend=times[0] - 1.0))
         rate, share = (np.diff(mean, axis=0, prepend=mean[:1]) / dt[:, None]).T
+        # A jump at a knot is in the window of its reading, or of the next one after a knot that has none.
+        passed = np.cumsum(jumps)[self.rows[np.append(self.begins[1:], self.rows.size) - 1]]
         return Grid(
-            dt=dt, k=np.where(first, 0.0, rate), running=share, first=first, cycle=self.window_cycle, heats=heats
+            dt=dt,
+            k=np.where(first, 0.0, rate),
+            running=share,
+            first=first,
+            cycle=self.window_cycle,
+            heats=heats,
+            late=np.where(first, 0.0, np.diff(passed, prepend=0.0)),
+            shared=shared,
         )
 
     def where(self, keep: Mask) -> "Record":
         """The knots of whole cycles, of which the first of each piece begins a run of its own."""
-        runs = self.runs.where(keep)
+        runs = replace(self.runs, reading=_until_switched(self.runs, ~np.append(keep[1:], True))).where(keep)
         cut = np.diff(np.flatnonzero(keep), prepend=-2) != 1
         run = np.cumsum(runs.first | cut) - 1
         runs = replace(runs, run=run)
@@ -110,6 +120,17 @@ class Record:
         running, since, cycle = self.running[keep], self.since[keep], self.cycle[keep]
         rows, begins = _windows(runs, cycle, running, self.window)
         return replace(self, runs=runs, running=running, since=since, cycle=cycle, rows=rows, begins=begins)
+
+    def by_cycles(self) -> "Record":
+        """The record with a run of its own for each cycle."""
+        runs = self.runs
+        begun = np.diff(self.cycle, prepend=-1) != 0
+        cut = replace(
+            runs, run=np.cumsum(runs.first | begun) - 1, reading=_until_switched(runs, np.append(begun[1:], False))
+        )
+        cut = replace(cut, dt=np.where(cut.first, 0.0, runs.dt))
+        rows, begins = _windows(cut, self.cycle, self.running, self.window)
+        return replace(self, runs=cut, rows=rows, begins=begins)
 
 
 def overlapping(traces: Sequence[Trace]) -> str:
@@ -202,6 +223,15 @@ def _cut_late(runs: FreeRuns, running: Array) -> FreeRuns:
     cut = late & turns & np.isfinite(runs.reading)
     run = np.cumsum(runs.first | cut) - 1
     return replace(runs, run=run, dt=np.where(runs.first | cut, 0.0, runs.dt))
+
+
+def _until_switched(runs: FreeRuns, last: Mask) -> Array:
+    """(n,) the readings, without those of the knots at which a piece ends (`last`) and another location begins.
+
+    Where a switch is known to a row only, such a reading tells of what came after it and is not in the piece.
+    """
+    turned = np.append(np.diff(runs.place) != 0, False)
+    return np.where(last & turned, np.nan, runs.reading)
 
 
 def known(model: Model) -> Mask:

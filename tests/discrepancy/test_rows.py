@@ -1,0 +1,74 @@
+"""A slow recorder knows a switch to a row only: what that does is known, and no name rests on it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.discrepancy.fitting import Whitener, frame_of, grid_at, record_of
+from sim.discrepancy.fitting.course import LATE_APART, LATE_TOGETHER, lateness, run_free
+from sim.discrepancy.fitting.noise import NoiseModel
+from sim.discrepancy.workflow import diagnose
+from sim.engine import linear_recursion
+from tests.discrepancy.plants import TARGETS, model, plant, sparse
+
+
+def test_a_switch_between_two_rows_moves_the_temperature_by_no_more_than_the_stated_jump() -> None:
+    trace = plant(1, days=1, period=5.0)
+    fine, coarse = (record_of(model(), [each], ()) for each in (trace, sparse(trace, 12)))
+    courses = []
+    for record in (fine, coarse):
+        frame = frame_of(record)
+        courses.append(run_free(frame, *np.split(frame.centre, [frame.count[0]]), np.array([17.0])))
+    jump = lateness(frame_of(coarse), courses[1])
+    begun = int(np.flatnonzero(np.diff(coarse.running) > 0)[1])  # the first one is at a row of both
+    x = courses[1].course[begun]
+    (rest, at_rest), (low, running) = TARGETS["OFF"], TARGETS["LOW"]
+    assert jump[begun] == pytest.approx(60.0 * (running * (low - x) - at_rest * (rest - x)), rel=1e-6)
+    # Two rows on, the finer record is ahead by a part of it between nothing and all.
+    at = coarse.runs.time[begun + 2]
+    ahead = np.interp(at, fine.runs.time, courses[0].course) - courses[1].course[begun + 2]
+    assert 0.1 * jump[begun] < ahead < jump[begun]
+
+
+def test_jumps_are_in_the_covariance_of_the_windows_after_them() -> None:
+    record = record_of(model(), [sparse(plant(1, days=1, period=5.0), 12)], ())
+    frame = frame_of(record)
+    state = run_free(frame, *np.split(frame.centre, [frame.count[0]]), np.array([17.0]))
+    grid, late = grid_at(frame, state), lateness(frame, state)
+    assert np.sum(grid.late) == pytest.approx(np.sum((LATE_APART * late) ** 2))
+    assert pytest.approx(1.0 / 3.0) == LATE_TOGETHER**2 + LATE_APART**2
+    quiet = replace(grid, late=0.0 * grid.late, shared=0.0 * grid.shared)
+    jumped = linear_recursion(np.where(grid.first, 0.0, np.exp(-grid.k * grid.dt)), np.sqrt(grid.late), 0.0)
+    noise = NoiseModel(sensor=0.06, process=0.004, rough=3e-4, cycle=0.01)
+    for column in (jumped, grid.shared):
+        # What switches do costs far less likelihood than it would without them.
+        costs = [float(column @ Whitener(each, noise).weigh(column[:, None])[:, 0]) for each in (grid, quiet)]
+        assert costs[0] < 0.2 * costs[1]
+
+
+def test_an_event_with_a_time_of_its_own_is_known_to_it() -> None:
+    trace = sparse(plant(1, days=1, period=5.0), 12)
+    events = tuple(replace(event, time=event.time - 30.0) for event in trace.events)
+    record = record_of(model(), [replace(trace, events=events)], ())
+    frame = frame_of(record)
+    state = run_free(frame, *np.split(frame.centre, [frame.count[0]]), np.array([17.0]))
+    assert not lateness(frame, state).any()
+
+
+def test_the_row_of_a_start_is_not_in_the_piece_that_ends_with_it() -> None:
+    record = record_of(model(), [sparse(plant(1, days=1, period=5.0), 12)], ())
+    starts = np.flatnonzero(np.diff(record.cycle) != 0)
+    assert starts.size == 2 and np.isfinite(record.runs.reading[starts]).all()
+    cut = record.by_cycles()
+    assert np.isnan(cut.runs.reading[starts]).all()
+    first = record.where(record.cycle == 0)
+    assert np.isnan(first.runs.reading[-1]) and first.rows[-1] == len(first.runs) - 2
+
+
+def test_no_second_name_makes_up_for_starts_that_lie_between_two_rows() -> None:
+    """With the times of the switches taken as known, a step of the sensor was named beside the pump, and did harm."""
+    found = diagnose(model(), [sparse(plant(4, period=10.0, pump=2e-4), 6)], seed=0).diagnosis
+    assert [effect.name for effect in found.effects] == ["pump-cooling"]
+    assert found.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.3)
+    assert found.held_out is not None and found.held_out.rmse_after < 0.3 * found.held_out.rmse_before
