@@ -114,8 +114,10 @@ class Historian:
         if not rows:
             return
         with self._wake:
-            (self._urgent if table in DURABLE else self._rows).put(source, table, rows)
-            self._drop_beyond_the_queues()
+            queues = self._urgent if table in DURABLE else self._rows
+            queues.put(source, table, rows)
+            if queues.full:
+                self._drop_beyond_the_queues()
             if self._waits_since is None and (self._rows.rows or self._urgent.rows):
                 self._waits_since = monotonic()
             # Many writes do not wait for their second either: of a replay as fast as it goes none is to be dropped.

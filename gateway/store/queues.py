@@ -50,9 +50,14 @@ class RowQueues:
     def put(self, source: Source, table: str, rows: Iterable[Row]) -> None:
         """Append rows of a source."""
         queue = self._by_source[source]
-        before = len(queue)
-        queue.extend((table, row) for row in rows)
-        self.rows += len(queue) - before
+        for row in rows:
+            queue.append((table, row))
+            self.rows += 1
+
+    @property
+    def full(self) -> bool:
+        """Whether there are more rows than may be: `overflow` drops what is too much."""
+        return self.rows > self._most
 
     def take(self) -> Batch:
         """All that waits; nothing does after this."""
@@ -71,7 +76,7 @@ class RowQueues:
     def overflow(self) -> list[tuple[Source, str]]:
         """Drop what is too much; gives the source and the table of each row."""
         dropped = []
-        while self.rows > self._most:
+        while self.full:
             source = max(self._by_source, key=lambda one: len(self._by_source[one]))
             dropped.append((source, self._by_source[source].popleft()[0]))
             self.rows -= 1

@@ -129,6 +129,8 @@ class AlarmBoard:
         self._take_acknowledgements(scan)
         for name, condition in self.conditions.items():
             alarm = self.alarms[name]
+            if condition.suppressed_by is None and alarm.until is None:
+                continue
             if condition.suppressed_by is not None:
                 tag, wanted = condition.suppressed_by
                 value = scan.good(tag)

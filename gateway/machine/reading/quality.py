@@ -94,13 +94,14 @@ def judge(
     # another proves life: the first cycle after a restart may still show what the memory was cleared to.
     beat = by_name.get(rules.heartbeat or "")
     if beat is not None and beat.quality.is_good and isinstance(beat.value, int):
-        count = int(beat.value)
+        count, changed, alive = int(beat.value), age.beat_changed, age.alive
         if count == 0:
-            age = replace(age, beat_changed=None)
+            changed = None
         elif age.beat and count != age.beat:
-            age = replace(age, beat_changed=now, alive=age.beat_read)
+            changed, alive = now, age.beat_read
         # A device that speaks by itself may stamp its readings by a clock of its own: they were there by now.
-        age = replace(age, beat=count, beat_read=now if beat.sent is None else beat.sent)
+        read_at = now if beat.sent is None else beat.sent
+        age = DeviceAge(age.tags, age.garbled, count, beat_read=read_at, beat_changed=changed, alive=alive)
     image = _image(age, now, rules) if rules.heartbeat else None
     histories, garbled = dict(age.tags), dict(age.garbled)
     judged: dict[str, Sample] = {}
@@ -122,7 +123,10 @@ def judge(
             elif sample.quality.is_good:
                 sample = replace(sample, quality=quality, reason=reason)
         judged[tag.name] = sample
-    return replace(age, tags=histories, garbled=garbled), judged
+    after = DeviceAge(
+        histories, garbled, age.beat, beat_read=age.beat_read, beat_changed=age.beat_changed, alive=age.alive
+    )
+    return after, judged
 
 
 def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, str] | None:
