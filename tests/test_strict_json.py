@@ -2,7 +2,7 @@
 
 import json
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import IntEnum, StrEnum
 from math import inf, nan
 from pathlib import PurePosixPath
@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.strict_json import json_text, strict
+from sim.strict_json import json_text, strict, uncopied
 
 
 @dataclass(frozen=True)
@@ -78,3 +78,10 @@ def test_what_comes_out_is_read_back_by_a_strict_reader(value: object) -> None:
         raise AssertionError(f"{word} is no JSON")
 
     assert json.loads(json_text(value), parse_constant=refuse) == strict(value)
+
+
+def test_a_dataclass_that_is_not_copied_is_what_asdict_makes_of_it() -> None:
+    held = {"a": Inner(1.0), "b": [Inner(2.0), Number.TWO]}
+    outer = Outer("name", Inner(0.5), (Inner(nan), Inner(-0.0)))
+    assert repr(uncopied(outer)) == repr(asdict(outer))
+    assert uncopied(held) == {"a": {"value": 1.0}, "b": [{"value": 2.0}, Number.TWO]}

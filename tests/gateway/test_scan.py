@@ -130,6 +130,23 @@ async def test_sleeping_until_the_past_returns_and_never_wakes_early() -> None:
     assert clock.now() >= EPOCH + 20.0
 
 
+async def test_the_stop_ends_a_sleep_and_a_cancelled_one_is_cancelled() -> None:
+    clock, stop = plant_clock(epoch=EPOCH), asyncio.Event()
+    sleeping = asyncio.create_task(clock.sleep_until(EPOCH + 3600.0, stop))
+    await asyncio.sleep(0)
+    assert not sleeping.done()
+    stop.set()
+    await asyncio.wait_for(sleeping, 10.0)
+    await asyncio.wait_for(clock.sleep_until(EPOCH + 3600.0, stop), 10.0)
+    stop.clear()
+    await clock.sleep_until(clock.now() + 0.01, stop)
+    sleeping = asyncio.create_task(clock.sleep_until(EPOCH + 3600.0, stop))
+    await asyncio.sleep(0)
+    sleeping.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await sleeping
+
+
 def test_a_speed_that_is_not_positive_is_refused() -> None:
     with pytest.raises(ValueError, match="positive"):
         plant_clock(0.0)
