@@ -18,7 +18,7 @@ own (`sim.engine.particles_augmented`).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import exp, isfinite, sqrt
 
 import numpy as np
@@ -172,11 +172,12 @@ def lay_out(
 
 def _heated(heat: Heat, rows: slice, variance: Array, white: Array, begins: Array) -> tuple[Array, Array]:
     """The noise of some steps under a disturbance that `begins` (N,) with them, and the disturbance at their end."""
-    step, fresh = heat.step, heat.fresh
+    step = DisturbanceStep(*(getattr(heat.step, field.name)[rows] for field in fields(heat.step)))
+    into, fresh = step.into, heat.fresh[rows]
     # What of the disturbance's doing in X its own news do not tell is drawn with the white noise.
-    noise = np.sqrt(variance + heat.sigma**2 * step.own[rows]) * white
-    for place, row in enumerate(range(rows.start, rows.start + len(noise))):
-        noise[place] += step.carried[row] * begins + step.into[row] * fresh[row]
+    noise = np.sqrt(variance + heat.sigma**2 * step.own) * white
+    for row in range(len(noise)):
+        noise[row] += step.carried[row] * begins + into[row] * fresh[row]
         begins = step.keep[row] * begins + fresh[row]
     return noise, begins
 
@@ -192,7 +193,7 @@ def merge(paths: Paths, grid: Array) -> tuple[Array, Mask, Indices]:
     place = np.arange(jumps.shape[0])[:, None] + np.searchsorted(grid, jumps, side="left")
     jumped = np.zeros((jumps.shape[0] + grid.size, runs), dtype=np.bool_)
     jumped[place, columns] = True
-    marks = np.nonzero(~jumped.T)[1].reshape(runs, grid.size).T
+    marks = np.nonzero(~jumped.T)[1].copy().reshape(runs, grid.size).T  # without what nonzero gives beside it
     ends = np.empty(jumped.shape)
     ends[place, columns] = np.minimum(jumps, grid[-1])
     ends[marks, columns] = grid[:, None]
