@@ -339,6 +339,11 @@ def main(hours: float, speed: float, seed: int, keep: Path | None) -> None:
         click.echo(finding)
     if len(findings) > MOST_SHOWN:
         click.echo(f"... and {len(findings) - MOST_SHOWN} more")
+    if findings and figures["scans left out"]:
+        click.echo(
+            f"{figures['scans left out']:g} scans were left out: a computer that is too busy for {speed:g} times the "
+            "speed raises alarms of its own, of readings that come late; have less run beside it, or lower --speed"
+        )
     show("a day", [Figure(name, value, "") for name, value in figures.items()])
     sys.exit(1 if findings else 0)
 
