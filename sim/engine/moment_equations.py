@@ -8,7 +8,7 @@ import numpy as np
 from sim.effects import check_sha, sensor_offset, sensor_offsets
 from sim.engine.moments_augmented import DrawnMoments, MeanCourse, covariance, mean_course, start_state
 from sim.engine.plant import Plant, compile_plant
-from sim.engine.recursion import linear_recursion
+from sim.engine.recursion import SHORT, linear_recursion
 from sim.engine.schedules import Indices, Schedule, step_coefficients
 from sim.engine.terms import Segments
 from sim.sha import Array, distributions, drawn_temperature, flows, mode_parameter
@@ -107,7 +107,8 @@ def moments(steps: Schedule, x0: float, variance0: float = 0.0) -> Prediction:
 def mean_readings(steps: Schedule, x0: float, drawn: DrawnMoments) -> Array:
     """(n,) the mean of what the sensor reads after each step, from the reading `x0` (degC), when stays draw `drawn`."""
     if steps.segments is None:
-        return _mean(steps, replace(affine_steps(steps), drawn=drawn), x0)[0]
+        affine = replace(affine_steps(steps), drawn=drawn)
+        return _mean(steps, affine, x0, loop=steps.dt.size <= SHORT)[0]
     plant, _, course = augmented_course(steps, x0, drawn)
     return _readings(steps, steps.segments, plant, course)
 
@@ -158,10 +159,10 @@ def free_mean(steps: Schedule, affine: AffineSteps, x0: float) -> Array:
     return _mean_recursion(affine, affine.pull * (affine.drawn.mode + steps.offset), x0)
 
 
-def _mean_recursion(affine: AffineSteps, added: Array, x0: float) -> Array:
+def _mean_recursion(affine: AffineSteps, added: Array, x0: float, *, loop: bool = False) -> Array:
     drawn = affine.drawn
     renewed = np.where(drawn.resampled, affine.decay * drawn.fresh, 0.0)
-    return linear_recursion(np.where(drawn.resampled, 0.0, affine.decay), added + renewed, x0)
+    return linear_recursion(np.where(drawn.resampled, 0.0, affine.decay), added + renewed, x0, loop=loop)
 
 
 def _variance(steps: Schedule, affine: AffineSteps, variance0: float) -> Array:
@@ -176,7 +177,7 @@ def _variance(steps: Schedule, affine: AffineSteps, variance0: float) -> Array:
     return linear_recursion(np.where(drawn.resampled, 0.0, decay**2), added + renewed, variance0)
 
 
-def _mean(steps: Schedule, affine: AffineSteps, x0: float) -> tuple[Array, int, int]:
+def _mean(steps: Schedule, affine: AffineSteps, x0: float, *, loop: bool = False) -> tuple[Array, int, int]:
     """The mean after each step, the number of clamps and the number of limited steps.
 
     A clamp, or a rate limit that depends on X, makes the recursion non-linear: up to the first of them it is solved as
@@ -185,7 +186,7 @@ def _mean(steps: Schedule, affine: AffineSteps, x0: float) -> tuple[Array, int, 
     sha, drawn = steps.sha, affine.drawn
     target = drawn.mode + steps.offset
     added, met = _increments(steps, affine.pull * target, target)
-    mean = _mean_recursion(affine, added, x0)
+    mean = _mean_recursion(affine, added, x0, loop=loop)
     before = np.where(drawn.resampled, drawn.fresh, np.concatenate([[x0], mean[:-1]]))
     odd = (np.abs(target - before) > affine.limit) & (steps.dt > 0)
     odd |= drawn.checked & ((mean < sha.low) | (mean > sha.high))

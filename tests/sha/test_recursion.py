@@ -58,8 +58,9 @@ def test_a_loop_and_a_banded_system_are_one_recursion(rows: int) -> None:
     for row in range(rows):
         expected[row] = x = phi[row] @ x + b[row]
     np.testing.assert_allclose(matrix_recursion(phi, b, x0), expected, rtol=1e-12, atol=1e-12)
-    line = linear_recursion(phi[:, 0, 0], b[:, 0], 1.0)
-    np.testing.assert_allclose(line, plain(phi[:, 0, 0], b[:, 0], 1.0), rtol=1e-12, atol=1e-12)
+    line = plain(phi[:, 0, 0], b[:, 0], 1.0)
+    np.testing.assert_array_equal(linear_recursion(phi[:, 0, 0], b[:, 0], 1.0, loop=True), line)
+    np.testing.assert_allclose(linear_recursion(phi[:, 0, 0], b[:, 0], 1.0), line, rtol=1e-12, atol=1e-12)
 
 
 def test_coefficients_broadcast_over_the_batch() -> None:
