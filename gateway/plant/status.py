@@ -11,6 +11,7 @@ from gateway.machine.alarms import BY_PERSONS, AlarmBoard, AlarmState, possible
 from gateway.machine.model import ScanPrediction, block_values
 from gateway.machine.reading import STALE_PERIODS, Redundant, Scan, unread
 from gateway.machine.writing import WritebackStage
+from gateway.settings import PLANT, alarm_subject
 from gateway.status import (
     AlarmStatus,
     FamiliarityStatus,
@@ -145,6 +146,7 @@ def alarm_statuses(board: AlarmBoard, *, normal: bool = True) -> list[AlarmStatu
             until=alarm.until,
             by=alarm.by,
             reason=alarm.reason,
+            of_plant=alarm_subject(name, alarm.tag, "") == PLANT,
             possible=[change.value for change in possible(alarm, latching=condition.latches) if change in BY_PERSONS],
         )
         for name, alarm in board.alarms.items()

@@ -116,7 +116,9 @@ def records_sentence(status: GatewayStatus) -> str:
 
 
 def _alarms(status: GatewayStatus) -> str:
-    return named([f"{alarm.name} ({alarm.state})" for alarm in status.alarm_summary if alarm.active])
+    # The plant's are found at the machine that looks after them.
+    standing = [alarm for alarm in status.alarm_summary if alarm.active]
+    return named([f"{'plant: ' if alarm.of_plant else ''}{alarm.name} ({alarm.state})" for alarm in standing])
 
 
 def _writeback(status: GatewayStatus) -> str:

@@ -156,7 +156,8 @@ class AlarmStatus:
 
     `standing` is whether its condition stands, shown or not, `raised` when it was last announced. `until` is when a
     shelved one comes out; `by` and `reason` are of its last change by somebody. `possible` are the changes that persons
-    can make now, by their names in the control socket.
+    can make now, by their names in the control socket. `of_plant` is one of the whole plant, which this machine
+    looks after.
     """
 
     name: str
@@ -176,6 +177,7 @@ class AlarmStatus:
     by: str = ""
     reason: str = ""
     possible: Sequence[str] = ()
+    of_plant: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ from dataclasses import asdict, fields
 from math import isfinite
 from typing import Any
 
-from gateway.settings import alarm_subject
 from gateway.status import (
     AlarmStatus,
     FamiliarityStatus,
@@ -69,14 +68,13 @@ def _only_watched(status: GatewayStatus, tag: str, limit: float) -> TemperatureS
 def _alarm(words: Words, labels: Mapping[str, str], machine: str, alarm: AlarmStatus) -> dict[str, Any]:
     """An alarm that is not normal; one that was acknowledged or is over asks for attention, one put aside for none.
 
-    `of` is whose it is in the plant's words, `of_plant` whether the whole plant's, which says nothing of the machine.
+    `of` is whose it is in the plant's words; one of the whole plant says nothing of the machine.
     """
-    of_plant = alarm_subject(alarm.name, alarm.tag, machine) != machine
-    of = words.say("nav.plant") if of_plant else labels.get(machine, machine)
-    label = of if of_plant else labels.get(alarm.tag, alarm.tag)
+    of = words.say("nav.plant") if alarm.of_plant else labels.get(machine, machine)
+    label = of if alarm.of_plant else labels.get(alarm.tag, alarm.tag)
     urgent = alarm.active and alarm.state == "unacknowledged" and alarm.priority == 1
     level = "alarm" if urgent else "normal" if alarm.state in PUT_ASIDE else "attention"
-    return {**asdict(alarm), "label": label, "level": level, "of": of, "of_plant": of_plant}
+    return {**asdict(alarm), "label": label, "level": level, "of": of}
 
 
 def _temperature(
