@@ -146,6 +146,8 @@ def alarm_statuses(board: AlarmBoard, *, normal: bool = True) -> list[AlarmStatu
             until=alarm.until,
             by=alarm.by,
             reason=alarm.reason,
+            limit=condition.limit,
+            own_response=condition.own_response,
             of_plant=alarm_subject(name, alarm.tag, "") == PLANT,
             possible=[change.value for change in possible(alarm, latching=condition.latches) if change in BY_PERSONS],
         )

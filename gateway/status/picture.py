@@ -157,7 +157,7 @@ class AlarmStatus:
     `standing` is whether its condition stands, shown or not, `raised` when it was last announced. `until` is when a
     shelved one comes out; `by` and `reason` are of its last change by somebody. `possible` are the changes that persons
     can make now, by their names in the control socket. `of_plant` is one of the whole plant, which this machine
-    looks after.
+    looks after. `limit` is what its number must not exceed, `own_response` whether what to do is the plant's own words.
     """
 
     name: str
@@ -178,6 +178,8 @@ class AlarmStatus:
     reason: str = ""
     possible: Sequence[str] = ()
     of_plant: bool = False
+    limit: float | None = None
+    own_response: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)

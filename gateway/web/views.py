@@ -36,7 +36,7 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
     first = TemperatureStatus(**{field.name: getattr(status, field.name) for field in fields(TemperatureStatus)})
     watched = (_only_watched(status, tag, limit) for tag, limit in status.watched.items())
     temperatures = [_temperature(words, labels, status, one) for one in (first, *status.further, *watched)]
-    alarms = [_alarm(words, labels, status.machine, alarm) for alarm in status.alarm_summary]
+    alarms = [_alarm(words, labels, status, alarm) for alarm in status.alarm_summary]
     own = [alarm for alarm in alarms if not alarm["of_plant"]]
     return {
         "label": labels.get(status.machine, status.machine),
@@ -65,16 +65,34 @@ def _only_watched(status: GatewayStatus, tag: str, limit: float) -> TemperatureS
     )
 
 
-def _alarm(words: Words, labels: Mapping[str, str], machine: str, alarm: AlarmStatus) -> dict[str, Any]:
+def _alarm(words: Words, labels: Mapping[str, str], status: GatewayStatus, alarm: AlarmStatus) -> dict[str, Any]:
     """An alarm that is not normal; one that was acknowledged or is over asks for attention, one put aside for none.
 
-    `of` is whose it is in the plant's words; one of the whole plant says nothing of the machine.
+    `of` is whose it is in the plant's words; one of the whole plant says nothing of the machine. What to do is said in
+    this language, unless the plant file has words of its own.
     """
-    of = words.say("nav.plant") if alarm.of_plant else labels.get(machine, machine)
+    of = words.say("nav.plant") if alarm.of_plant else labels.get(status.machine, status.machine)
     label = of if alarm.of_plant else labels.get(alarm.tag, alarm.tag)
     urgent = alarm.active and alarm.state == "unacknowledged" and alarm.priority == 1
     level = "alarm" if urgent else "normal" if alarm.state in PUT_ASIDE else "attention"
-    return {**asdict(alarm), "label": label, "level": level, "of": of}
+    return {
+        **asdict(alarm),
+        "label": label,
+        "level": level,
+        "of": of,
+        "response": _response(words, labels, status, alarm),
+    }
+
+
+def _response(words: Words, labels: Mapping[str, str], status: GatewayStatus, alarm: AlarmStatus) -> str:
+    """What an operator shall do."""
+    key = f"response.{alarm.kind.replace(' ', '_')}"
+    if alarm.own_response or key not in words.texts or alarm.limit is None:
+        return alarm.response
+    tag = status.values.get(alarm.tag)
+    limit = words.number(alarm.limit, 0 if alarm.limit == int(alarm.limit) else 1)
+    unit = "" if tag is None else shown_unit(tag.unit)
+    return words.say(key, tag=labels.get(alarm.tag, alarm.tag), limit=limit, unit=unit)
 
 
 def _temperature(

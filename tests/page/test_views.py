@@ -142,6 +142,22 @@ def test_every_kind_of_alarm_and_every_check_has_its_words() -> None:
     assert {name: kind_of(name) for name in kinds} == kinds
 
 
+def test_what_to_do_is_said_in_the_readers_language_unless_the_plant_has_words_of_its_own() -> None:
+    texts = WORDS["en"].texts
+    for name, kind in ALARM_KINDS.items():
+        own = texts[f"response.{name.replace(' ', '_')}"]
+        assert own == kind.response.replace("{limit:g}", "{limit}") or name == "sensor drifting"
+    hot = alarm(f"over limit {TEMPERATURE}") | {"tag": TEMPERATURE, "kind": "over limit", "limit": 47.5}
+
+    def said(language: str, **changes: Any) -> str:
+        status = read_status(picture(alarm_summary=[hot | changes]))
+        return str(machine_view(WORDS[language], LABELS, status)["alarms"][0]["response"])
+
+    do = "gearbox bearing liegt über 47,5 °C: Last verringern und Schmierung prüfen"
+    assert said("de", own_response=False) == do
+    assert said("de", response="Zulauf drosseln") == "Zulauf drosseln"
+
+
 def test_a_temperature_that_is_only_watched_has_a_row_without_a_forecast() -> None:
     other = {"watched": {"Feed": 70.0}, "values__Feed": tag(45.0)}
     for language, said in (("en", "no model"), ("it", "nessun modello"), ("de", "kein Modell")):

@@ -100,7 +100,8 @@ def _of_kind(
         own["latches"] = own.pop("latch")
     if "suppressed_by" in own:
         own["suppressed_by"] = suppressing(own["suppressed_by"])
-    return [AlarmCondition(limit=limit, **{**plain, **more, **own})]
+    given = "response" in more or "response" in own
+    return [AlarmCondition(limit=limit, own_response=given, **{**plain, **more, **own})]
 
 
 def _of_model(config: Config) -> list[AlarmCondition]:

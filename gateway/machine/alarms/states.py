@@ -153,7 +153,8 @@ class AlarmCondition:
     alarm word and in the PLC's acknowledge bits (None: it has none), `priority` 1 is the most urgent. `response` is
     what an operator shall do, `consequence` what comes of not doing it. Of a machine with several blocks it is in that
     of one `temperature` only; "": in all. What `latches` stays until it is reset. While the tag of `suppressed_by` has
-    the value beside it the alarm is suppressed by design. `kind` is its row of `gateway.settings.ALARM_KINDS`.
+    the value beside it the alarm is suppressed by design. `kind` is its row of `gateway.settings.ALARM_KINDS`,
+    `own_response` whether the response is another than the row's.
     """
 
     name: str
@@ -170,6 +171,7 @@ class AlarmCondition:
     latches: bool = False
     suppressed_by: tuple[str, float] | None = None
     kind: str = ""
+    own_response: bool = False
 
 
 @dataclass(frozen=True, slots=True)
