@@ -51,6 +51,10 @@ class WorkerLine:
         if not self._writer.is_closing():
             self._writer.write(packed_line({"reply": message["id"], **content}))
 
+    def close(self) -> None:
+        """Let go of the line."""
+        self._writer.close()
+
     def ended(self, error: WorkerEnded) -> None:
         """Nothing that is open will be answered."""
         for each in self._open.values():

@@ -72,6 +72,18 @@ def _ours(reply: Message) -> dict[str, Any]:
     return answer | ({"pid": os.getpid()} if answer["ok"] else {})
 
 
+async def _to_its_end(task: asyncio.Task[None]) -> None:
+    """Wait for a task that a cancellation meanwhile does not end; that is passed on after it."""
+    cancelled: asyncio.CancelledError | None = None
+    while not task.done():
+        try:
+            await asyncio.shield(task)
+        except asyncio.CancelledError as error:
+            cancelled = error
+    if cancelled is not None:
+        raise cancelled
+
+
 class WorkerPool:
     """The machines of a plant in worker processes: what a `Fleet` is in one.
 
@@ -248,23 +260,32 @@ class WorkerPool:
                 with suppress(subprocess.TimeoutExpired):
                     await asyncio.to_thread(process.wait, EXIT_SECONDS)
         finally:
-            process.kill()
-            look.cancel()
-            # What it has sent counts, to the last line.
-            await asyncio.wait((talk, look), timeout=EXIT_SECONDS)
-            talk.cancel()
-            await asyncio.gather(talk, look, return_exceptions=True)
-            writer.close()
-            code = await asyncio.to_thread(process.wait)
-            if not why and code < 0:
-                why = f"its process was ended by {signal.Signals(-code).name}"
-            names = ", ".join(config.machine for config in self._of(worker))
-            why = worker.refusal or why or f"its process ended with code {code}"
-            worker.ended(WorkerEnded(f"{worker.name} ({names}): {why}"))
+            # Who cancels it while it ends by itself must not leave the process, or its line, behind.
+            ending = asyncio.create_task(self._put_away(worker, line, (talk, look), why))
+            await _to_its_end(ending)
         if worker.retired:
             # A part that returned would be begun anew by the supervisor: this one is over when it is cancelled.
             await asyncio.Future()
         raise WorkerEnded(worker.former)
+
+    async def _put_away(
+        self, worker: PlantWorker, line: WorkerLine, tasks: tuple[asyncio.Task[None], asyncio.Task[None]], why: str
+    ) -> None:
+        """End a process, hear it to its last line, and note why it ended."""
+        talk, look = tasks
+        line.process.kill()
+        look.cancel()
+        # What it has sent counts, to the last line.
+        await asyncio.wait(tasks, timeout=EXIT_SECONDS)
+        talk.cancel()
+        await asyncio.gather(talk, look, return_exceptions=True)
+        line.close()
+        code = await asyncio.to_thread(line.process.wait)
+        if not why and code < 0:
+            why = f"its process was ended by {signal.Signals(-code).name}"
+        names = ", ".join(config.machine for config in self._of(worker))
+        why = worker.refusal or why or f"its process ended with code {code}"
+        worker.ended(WorkerEnded(f"{worker.name} ({names}): {why}"))
 
     async def _look(self, worker: PlantWorker, line: WorkerLine) -> None:
         """See how the machines are, again and again. Raises TimeoutError when nothing is said for HANG_SECONDS."""
