@@ -270,7 +270,7 @@ def run(sha: SHA, layout: Layout, x0: Array) -> PathRuns:
             break
     if fast or min(end.min(), start.min()) < sha.low or max(end.max(), start.max()) > sha.high:
         return _limited(sha, layout, x0)
-    return PathRuns(layout.ends, start, end, bridge, layout.marks, clamps=0)
+    return PathRuns(layout.ends, start, end, bridge, marks=layout.marks, clamps=0)
 
 
 def _both_ends(layout: Layout, x0: Array) -> tuple[Array, Array]:
@@ -325,7 +325,7 @@ def _limited(sha: SHA, layout: Layout, x0: Array) -> PathRuns:
             end[row] = x = np.asarray(np.clip(free, sha.low, sha.high))
             clamps += int((x != free).sum())
         bridge[rows] = bridges(steps.decay, steps.variance)
-    return PathRuns(layout.ends, start, end, bridge, layout.marks, clamps)
+    return PathRuns(layout.ends, start, end, bridge, marks=layout.marks, clamps=clamps)
 
 
 def bridges(decay: Array, variance: Array) -> Array:

@@ -132,7 +132,7 @@ def augmented_path_runs(
     # Behind a lag the path is smooth: nothing happens between the ends of a step that the ends do not show.
     variance = np.zeros(shape) if plant.lags else table.closed.noise[:, plant.sensed, plant.sensed].reshape(shape)
     bridge = bridges(table.closed.phi[:, 0, 0].reshape(shape), variance)
-    return PathRuns(ends, start, end, bridge, marks, clamps)
+    return PathRuns(ends, start, end, bridge, marks=marks, clamps=clamps)
 
 
 def _signals(

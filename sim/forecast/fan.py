@@ -228,7 +228,7 @@ def _reached(belief: Belief, done: PathRuns, *, limit: float, grid: Array, horiz
             end = widened_runs(end, widening, middle[1:])
         # A run that is below the limit at both ends of a step may have touched it in between: `survival` takes that
         # chance from the bridge, so that what is said of the limit does not depend on how fine the grid is.
-        alive[rows] = survival(start, end, done.bridge[rows], limit, widening, so_far)
+        alive[rows] = survival(start, end, done.bridge[rows], limit, widening, alive=so_far)
         so_far = alive[rows][-1]
     return np.concatenate([[at_start], 1.0 - alive[done.marks, columns].mean(axis=1)])
 
