@@ -4,6 +4,7 @@ import asyncio
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
+from random import Random
 
 import pytest
 from click.testing import CliRunner, Result
@@ -12,9 +13,12 @@ from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
 from gateway.cli.main import main
 from gateway.machine.alarms import alarm_rates, make_conditions, read_journal
+from gateway.machine.reading import plant_clock
 from gateway.notify import Notifier, attach_machine
 from gateway.notify.messages import AlarmMessage, subject_of
 from gateway.plant.app import run
+from gateway.plant.fleet import Fleet
+from gateway.plant.log import open_log
 from gateway.settings import OF_PLANT, Config, changed_machines, load_plant
 from gateway.status import read_status
 from gateway.texts import all_words
@@ -194,3 +198,33 @@ async def test_one_broker_out_of_reach_is_one_alarm_listed_and_acknowledged_with
         await work
     told = [row for row in read_journal(plant[0].historian.path) if row.alarm == "northbound"]
     assert [(row.subject, row.state) for row in told] == [("plant", "unacknowledged"), ("plant", "acknowledged")]
+
+
+async def test_after_a_reload_with_another_first_machine_that_one_has_the_alarm_and_the_former_none(
+    tmp_path: Path,
+) -> None:
+    first, second = plant_of(tmp_path, "a", "b", top=f"[scan]\nperiod = 0.1\n{TOP.split('[notify]')[0]}")
+    swapped = replace(second, leads=True), replace(first, leads=False)
+    stop = asyncio.Event()
+    with open_log(first.log.path) as log:
+        fleet = Fleet((first, second), clock=plant_clock(), log=log, rng=Random(0), read_anew=lambda: swapped)
+        fleet.records.unreached = lambda: "it cannot be reached"
+
+        def whose() -> list[str]:
+            boards = {name: machine.alarms.alarms for name, machine in fleet.machines.items()}
+            return [name for name, own in boards.items() if "northbound" in own and own["northbound"].active]
+
+        try:
+            fleet.start(stop)
+            async with asyncio.timeout(60.0):
+                while whose() != ["a"]:
+                    await asyncio.sleep(0.02)
+                changes = (await fleet.reload())["changes"]
+                assert changes["a"] == ["the alarms of the plant: no longer looks after them"]
+                while whose() != ["b"]:
+                    await asyncio.sleep(0.02)
+        finally:
+            stop.set()
+            await fleet.stop()
+    told = [(row.machine, row.state) for row in read_journal(first.historian.path) if row.alarm == "northbound"]
+    assert sorted(told) == [("a", "normal"), ("a", "unacknowledged"), ("b", "unacknowledged")]
