@@ -1,12 +1,13 @@
 """What a model has absorbed is still to be seen in its constants: gains that rise from bin to bin are one square.
 
 A model with a target (and a gain) for each bin of the current can write a quadratic heat as three straight lines, and
-then nothing is missing. So the constants themselves are looked at: the law of fewest coefficients from which they
-differ by no more than chance, under which the held-out free run is not further off.
+then nothing is missing; a pump that runs more at high loads stands in the targets as its share of each bin's time. So
+the constants themselves are looked at: the law of fewest coefficients from which they differ by no more than chance,
+under which the held-out free run is not further off.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -14,20 +15,44 @@ import scipy
 
 from sim.discrepancy.diagnosis import AbsorbedLaw
 from sim.discrepancy.fitting import Fitted, Record, held
+from sim.discrepancy.gap import sensor_noise
 from sim.discrepancy.held_out import let_run
+from sim.discrepancy.judging import MATERIAL
 from sim.learning import Indices
 from sim.sha import RELAXING, Array
 
-CHANCE, NO_WORSE = 0.01, 1.01
-"""The p from which constants differ from a law by chance, and times the held-out error that a law may have."""
+CHANCE = 0.01
+"""The p from which constants differ from a law by chance."""
 LEAST_SAVED = 2
 """Constants that a law must save to be worth a word."""
 
-Basis = Callable[[Array], Array]
+
+@dataclass(frozen=True, slots=True)
+class LawTerm:
+    """One term of a law: a `function` of a signal, elementwise."""
+
+    signal: str
+    function: Callable[[Array], Array]
 
 
-def absorbed(fitted: Fitted, signal: str, held_out: Record) -> AbsorbedLaw | None:
-    """The law over `signal` that stands for the targets and gains of the bins in which the machine runs; None: none.
+@dataclass(frozen=True, slots=True)
+class ConstantsLaw:
+    """A law that may stand for the constants: the effects that it is, in `words`, its `terms`, and how many numbers
+    were `searched` beside their coefficients."""
+
+    name: str
+    words: str
+    terms: tuple[LawTerm, ...]
+    searched: int = 0
+
+    @property
+    def count(self) -> int:
+        """Its numbers in all."""
+        return len(self.terms) + self.searched
+
+
+def absorbed(fitted: Fitted, current: str, held_out: Record, *, pump: str | None = None) -> AbsorbedLaw | None:
+    """The law over the signals that stands for the targets and gains of the bins in which the machine runs; None: none.
 
     Only among locations of one rate, which together are one heat balance.
     """
@@ -36,37 +61,40 @@ def absorbed(fitted: Fitted, signal: str, held_out: Record) -> AbsorbedLaw | Non
     kinds = {shape.kinds[place] for place in places}
     if len(places) < 2 or len({int(shape.rate[place]) for place in places}) > 1 or not kinds <= set(RELAXING):
         return None
-    signals = record.signals.index(signal)
     targets = np.array([shape.target[place] for place in places])
-    gains = np.array([shape.gain[place, signals] for place in places])
+    gains = np.array([shape.gain[place, record.signals.index(current)] for place in places])
     numbers = np.unique(np.concatenate([targets, gains[gains >= 0]]))
     own = fitted.own
     covariance = fitted.covariance[:own, :own]
-    block = covariance[np.ix_(numbers, numbers)]
     values = fitted.state.linear[numbers]
-    before = float(np.sqrt(np.mean(let_run(fitted, held_out).residual ** 2)))
-    for name, words, bases, searched in laws(record, places, signal):
-        count = len(bases) + searched
-        if numbers.size - count < LEAST_SAVED:
+    # Generalised least squares of the constants on each law, in the metric of what the data know of them.
+    weight = np.linalg.pinv(covariance[np.ix_(numbers, numbers)], hermitian=True)
+    possible: list[tuple[int, float, ConstantsLaw, Array, Array]] = []
+    for law in laws(record, places, current, pump):
+        if numbers.size - law.count < LEAST_SAVED:
             continue
-        design = np.column_stack([imitated(fitted, places, signal, numbers, basis) for basis in bases])
-        # Generalised least squares of the constants on the law, in the metric of what the data know of them.
-        weight = np.linalg.pinv(block, hermitian=True)
+        design = np.column_stack([imitated(fitted, places, current, numbers, term) for term in law.terms])
         coefficients = np.linalg.lstsq(design.T @ weight @ design, design.T @ weight @ values, rcond=None)[0]
         off = design @ coefficients - values
-        if scipy.special.chdtrc(numbers.size - count, float(off @ weight @ off)) < CHANCE:
-            continue
+        misfit = float(off @ weight @ off)
+        if scipy.special.chdtrc(numbers.size - law.count, misfit) >= CHANCE:
+            possible.append((law.count, misfit, law, coefficients, off))
+    before = float(np.sqrt(np.mean(let_run(fitted, held_out).residual ** 2)))
+    felt = MATERIAL * sensor_noise(record)
+    # The fewest numbers first, and of as many the nearest.
+    for count, _, law, coefficients, off in sorted(possible, key=lambda each: each[:2]):
         # The other constants go where they would with these held at the law's: their conditional mean.
         moved = fitted.state.parameters.copy()
         moved[:own] += covariance[:, numbers] @ weight @ off
         linear, rates = moved[: shape.centre.size], moved[shape.centre.size : own]
         trial = replace(fitted, state=replace(fitted.state, linear=linear, log_rates=rates))
         after = float(np.sqrt(np.mean(let_run(trial, held_out).residual ** 2)))
-        if after <= NO_WORSE * before:
+        # Three numbers in place of six are off by some of what the six are uncertain by: worse is what could be felt.
+        if after**2 - before**2 < felt**2:
             return AbsorbedLaw(
-                name=name,
-                words=words,
-                signal=signal,
+                name=law.name,
+                words=law.words,
+                signal=current,
                 coefficients=tuple(coefficients.tolist()),
                 constants=int(numbers.size),
                 instead=count,
@@ -76,27 +104,35 @@ def absorbed(fitted: Fitted, signal: str, held_out: Record) -> AbsorbedLaw | Non
     return None
 
 
-def laws(record: Record, places: Sequence[int], signal: str) -> Iterator[tuple[str, str, tuple[Basis, ...], int]]:
-    """(effect, the law in words, its terms, coefficients that were searched beside), the fewest coefficients first."""
-    yield "current-heating", f"a + b {signal}", (np.ones_like, np.positive), 0
-    yield "quadratic-current-heating", f"a + b {signal}^2", (np.ones_like, np.square), 0
-    yield "quadratic-current-heating", f"a + b {signal} + c {signal}^2", (np.ones_like, np.positive, np.square), 0
-    column = held(record, signal)
+def laws(record: Record, places: Sequence[int], current: str, pump: str | None) -> Iterator[ConstantsLaw]:
+    """Every law that is held against the constants."""
+    level, line, square = (LawTerm(current, function) for function in (np.ones_like, np.positive, np.square))
+    linear, quadratic = "current-heating", "quadratic-current-heating"
+    yield ConstantsLaw(linear, f"a + b {current}", (level, line))
+    yield ConstantsLaw(quadratic, f"a + b {current}^2", (level, square))
+    yield ConstantsLaw(quadratic, f"a + b {current} + c {current}^2", (level, line, square))
+    column = held(record, current)
     middles = sorted(float(np.median(column[record.runs.place == place])) for place in places)
     for knee in middles[1:-1]:
-        yield "current-saturation", f"a + b min({signal}, {knee:.3g})", (np.ones_like, partial(np.minimum, knee)), 1
+        bent = LawTerm(current, partial(np.minimum, knee))
+        yield ConstantsLaw("current-saturation", f"a + b min({current}, {knee:.3g})", (level, bent), 1)
+    if pump is not None:
+        runs = LawTerm(pump, np.positive)
+        yield ConstantsLaw(f"{linear} and pump-cooling", f"a + b {current} + c {pump}", (level, line, runs))
+        yield ConstantsLaw(f"{quadratic} and pump-cooling", f"a + b {current}^2 + c {pump}", (level, square, runs))
 
 
-def imitated(fitted: Fitted, places: Sequence[int], signal: str, numbers: Indices, basis: Basis) -> Array:
+def imitated(fitted: Fitted, places: Sequence[int], current: str, numbers: Indices, term: LawTerm) -> Array:
     """(numbers,) the targets and gains of straight lines in each place that come nearest to one term of a law."""
     record, shape = fitted.frame.record, fitted.frame.shape
-    column, dt = held(record, signal), record.runs.dt
-    order = record.signals.index(signal)
+    column, dt = held(record, current), record.runs.dt
+    of_term = term.function(held(record, term.signal))
+    order = record.signals.index(current)
     rows: dict[int, list[tuple[float, float]]] = {}
     for place in places:
         here = (record.runs.place == place) & (dt > 0)
         x, weight = column[here] - shape.reference[place, order], dt[here]
-        y = basis(column[here])
+        y = of_term[here]
         middle, level = np.average(x, weights=weight), np.average(y, weights=weight)
         spread = float(np.sum(weight * (x - middle) ** 2))
         slope = 0.0

@@ -114,7 +114,7 @@ def diagnose(
         after = base
         held, first, second = compared(after, after, held_out, seed, floor.error)
 
-    law = absorbed(after, present["current"], held_out) if "current" in present else None
+    law = absorbed(after, present["current"], held_out, pump=present.get("pump")) if "current" in present else None
     report("where the heat is", 0.95)
     where = places(base, seed)
     remaining = places(after, seed) if kept else where
