@@ -22,6 +22,7 @@ from gateway.console import (
 )
 from gateway.entry import sentences
 from gateway.lab.adopt import adopt
+from gateway.lab.propose import DRIFTING, drifting_cycles, propose, store_of
 from gateway.lab.traces.load import load
 from gateway.store import recent
 from sim.artefacts import model_hash, read_effect_lines
@@ -59,9 +60,11 @@ class DiagnosisRequest:
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisResult:
-    """What came out: the diagnosis as it was written, and why the new model is not deployable (None: there is none)."""
+    """What came out: the diagnosis as it was written, the new model, and why that is not deployable (None, None: there
+    is none)."""
 
     diagnosis: Diagnosis
+    model: Model | None
     verification: tuple[str, ...] | None
 
 
@@ -128,7 +131,7 @@ def run(
         verification=reasons,
     )
     write_diagnosis(diagnosis, occasion, new, report=request.report)
-    return DiagnosisResult(diagnosis, reasons)
+    return DiagnosisResult(diagnosis, new, reasons)
 
 
 def new_model(
@@ -184,6 +187,10 @@ class DiagnoseCommand(click.Command):
 )
 @click.option("--max-names", "most", type=click.IntRange(1, 3), default=3, show_default=True, help="Effects at most.")
 @click.option("--temperature", help="The signal that a set of artefacts predicts, which does not say it itself.")
+@click.option(
+    "--propose", "proposes", is_flag=True, help="Save the new model as a candidate in the store that --model is."
+)
+@click.option("--if-drifting", is_flag=True, help="Only while the drift alarm stands in the historian; for schedules.")
 @click.option("--no-report", is_flag=True, help="No page and no pictures: half of the time, for programs.")
 @seed_option
 @json_option
@@ -199,6 +206,8 @@ def diagnose(
     effects: Path | None,
     most: int,
     temperature: str | None,
+    proposes: bool,
+    if_drifting: bool,
     no_report: bool,
     seed: int,
     as_json: bool,
@@ -211,12 +220,15 @@ def diagnose(
 
     What has no name gets laws to look at; `decanter diagnose adopt OUT --name NAME --effects FILE` makes one of them an
     effect of your own, and --effects FILE has such effects named too.
+
+    --propose keeps a new model that verifies as a version of the store, with the experiment that would confirm it;
+    nothing is promoted, and a finding that waits already is not proposed again.
     """
     sources = (*paths, *more)
     if bool(sources) == (historian is not None):
         raise click.UsageError("give either --traces or --historian")
-    for option, value in (("--since", since), ("--machine", machine)):
-        if value is not None and historian is None:
+    for option, given in (("--since", since), ("--machine", machine), ("--if-drifting", if_drifting or None)):
+        if given is not None and historian is None:
             raise click.UsageError(f"{option} belongs to --historian")
     with sentences(), progress("diagnosing") as report:
         request = DiagnosisRequest(
@@ -232,7 +244,14 @@ def diagnose(
         )
         report("reading", 0.0)
         # The model before the traces: it is refused in a moment, and a historian of weeks takes its time.
+        store = store_of(where) if proposes else None
         model = model_of(request, load_map(shipped("traces", map_name)))
+        if historian is not None and if_drifting:
+            running = drifting_cycles(historian, machine=machine, temperature=model.temperature)
+            if running < DRIFTING:
+                said = f"not due: the free run was beyond its limit on {running} cycles running, fewer than {DRIFTING}"
+                emit({"due": False, "drifting": running}, lambda: click.echo(said), as_json_line=as_json)
+                return
         column_map: ColumnMap | None = None  # a historian's signals have the plant's own names
         if historian is None:
             traces, column_map = load(sources, map_name)
@@ -241,11 +260,24 @@ def diagnose(
         if overlap := overlapping(traces):
             click.echo(f"{overlap}: the traces are taken one after the other, as given (a folder by names)", err=True)
         result = run(request, model, traces, roles_of(column_map), report)
+        candidate: tuple[str, bool] | None = None
+        if store is not None and result.model is not None and not result.verification:
+            candidate = propose(store, result.model, result.diagnosis, created=request.created)
     page = out / "report.html"
     data: dict[str, Any] = {"out": str(out), "report": str(page) if page.exists() else None}
     if result.verification is not None:
         data |= {"verified": not result.verification, "refused": list(result.verification)}
-    emit(document(result.diagnosis) | data, lambda: show(result, out), as_json_line=as_json)
+    if proposes:
+        data |= {"proposed": None if candidate is None else candidate[0], "new": candidate is not None and candidate[1]}
+
+    def shown() -> None:
+        show(result, out)
+        if candidate is not None:
+            name, fresh = candidate
+            click.echo(f"{'proposed' if fresh else 'waits already for the same finding'}: {where}@{name}")
+            click.echo(f"to run it once it is confirmed: decanter model promote {where} {name}")
+
+    emit(document(result.diagnosis) | data, shown, as_json_line=as_json)
 
 
 def show(result: DiagnosisResult, out: Path) -> None:

@@ -7,6 +7,7 @@ from sim.doors import opened_at_use
 if TYPE_CHECKING:
     from sim.artefacts.effect_lines import effect_line_in, effect_line_part, effect_lines_text, read_effect_lines
     from sim.artefacts.familiarity_file import FAMILIARITY_FILE, Familiarity, read_familiarity
+    from sim.artefacts.finding_file import FINDING_FILE, Finding, FoundEffect, read_finding
     from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
     from sim.artefacts.model_json import model_hash, model_text
     from sim.artefacts.store import (
@@ -31,12 +32,15 @@ else:
 
 __all__ = [
     "FAMILIARITY_FILE",
+    "FINDING_FILE",
     "MANIFEST",
     "MODEL_FILE",
     "STORE_FILE",
     "VERSIONS",
     "Familiarity",
+    "Finding",
     "Force",
+    "FoundEffect",
     "check_store",
     "current",
     "effect_line_in",
@@ -54,6 +58,7 @@ __all__ = [
     "promotion",
     "read_effect_lines",
     "read_familiarity",
+    "read_finding",
     "read_model",
     "sha256",
     "version_directory",

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from math import exp
 from pathlib import Path
 from typing import Any
 from unittest.mock import ANY
@@ -19,7 +20,7 @@ from sim.artefacts.store import CURRENT as CURRENT_FILE
 from sim.artefacts.store import Force, promote
 from sim.sha.model import Model
 from tests.checking.verify_models import thesis
-from tests.gateway.support import TEMPERATURE, Bench, config_in, logged, scan_of, two_modes
+from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, logged, scan_of, two_modes
 from tests.gateway.test_app import Patient, heating, table
 
 STORE = '[model]\npath = "store"\n'
@@ -209,3 +210,24 @@ async def test_a_model_that_fails_on_the_plants_readings_is_refused(
     status = await go(config, plant)
     assert status["model"]["version"] == first
     assert f"version {second} fails on the plant's recent readings" in status["model"]["refused"]
+
+
+async def test_the_drift_alarm_is_closed_by_the_promotion_of_the_model_that_was_adopted(tmp_path: Path) -> None:
+    _, adopted = stocked(tmp_path, two_modes(), other(47.0, "adopted"))
+    config = config_in(tmp_path, STORE, forecast__runs=50, alarms__sensors=False)
+    plant = Plant(config, Patient())
+    for read in range(3, 320):  # as in test_drift: it warms twice as fast as the model, cycle after cycle
+        on, age = (read - 3) % 80 < 60, (read - 3) % 80
+        reading = 25.0 + min(age, 60) * exp(-max(age - 60, 0) / 8.0)
+        plant.plan[read] = {RUNNING: on, CURRENT: 150.0 if on else 0.0, TEMPERATURE: reading}
+    plant.deeds[270] = lambda: promote(tmp_path / "store", adopted)
+    plant.stop_after = 320
+    status = await asyncio.wait_for(run(config, clock=plant.clock, stop=plant.stop, driver=plant), 300.0)
+    assert status["model"]["version"] == adopted
+    changes = [row for row in logged(tmp_path) if row["event"] == "alarm" and row["condition"] == "drift"]
+    assert [(row["state"], row["value"]) for row in changes] == [
+        ("unacknowledged", 3.0),
+        ("returned unacknowledged", 0.0),
+    ]
+    assert status["guards"]["drift"]["cycles"] == 0
+    assert status["alarms"]["drift"] == "returned unacknowledged"

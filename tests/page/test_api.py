@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from gateway.certificates import make_all
+from gateway.lab.propose import propose
 from gateway.machine.writing import places_of
 from gateway.store import read_manifest
 from gateway.web.access import AccountRole, change_password, remove_account
@@ -19,6 +20,7 @@ from gateway.web.backing_up import BackupMaker, BackupRefused
 from sim.artefacts import promote
 from sim.artefacts.formats import save
 from sim.sha import Distribution, Flow
+from tests.discrepancy_report.made_diagnoses import of
 from tests.gateway.support import TEMPERATURE, config_in, logged, two_modes
 from tests.page.served import PAGE, PASSWORD, PERIOD, Client, Served, eventually, served
 
@@ -144,8 +146,9 @@ def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(
     *others, on = model.sha.locations
     endless = replace(on, flow=Flow("linear", {"noise": 0.0}), distribution=slope, entry="parameter")
     growing = replace(model, sha=replace(model.sha, locations=(*others, endless)))
-    first, second, third = (save(store, one, created=1.0) for one in (model, renamed, growing))
+    first, second = (save(store, one, created=1.0) for one in (model, renamed))
     promote(store, first)
+    third, _ = propose(store, growing, of("named"), created=1.0)
     with served(tmp_path, accounts=ACCOUNTS, model__path=store) as gateway:
         enzo, asked = as_(gateway, "enzo"), {"machine": "decanter", "temperature": TEMPERATURE, "reason": "it won"}
 
@@ -153,6 +156,7 @@ def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(
             return dict(enzo.ask("GET", "/api/model?machine=decanter")[1]["temperatures"][TEMPERATURE])
 
         assert runs()["versions"] == [first, second, third] and runs()["version"] == first
+        assert list(runs()["findings"]) == [third] and runs()["findings"][third]["effects"][0]["name"] == "pump-cooling"
         assert as_(gateway, "olga").ask("POST", "/api/promote", {**asked, "version": second})[0] == 403
         assert enzo.ask("POST", "/api/promote", {**asked, "version": "0009-00000000"})[0] == 404
         status, refused = enzo.ask("POST", "/api/promote", {**asked, "version": third})

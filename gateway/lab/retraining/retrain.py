@@ -1,6 +1,5 @@
 """`decanter model retrain`: from the historian to a proposed version, in steps that a kill does not undo."""
 
-import json
 import os
 import resource
 import time
@@ -12,18 +11,16 @@ import click
 
 from gateway.console import emit, historian_machine_option, json_option, map_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
+from gateway.lab.propose import DRIFTING, drifting_cycles
 from gateway.lab.retraining.cycle_library import opened_library
 from gateway.lab.retraining.report import Retraining
 from gateway.lab.retraining.study import REPORTS, RetrainingRequest, cut_and_rate, due, retrain, source_of
 from gateway.lab.traces.load import load
-from gateway.store import machines, newest_scan, reading, stored_rows
+from gateway.store import machines, newest_scan, reading
 from sim.familiarity import RED, YELLOW
 from sim.sha import shown_unit
 
-DRIFTING = 3
-"""Cycles running beyond their limit that raise the drift alarm."""
 NICE = 19
-HOUR = 3600.0
 
 
 @click.command("retrain", short_help="Learn from the historian's new cycles; propose a version that is better.")
@@ -92,9 +89,6 @@ def retrain_command(
         with reading(historian) as connection:
             known = dict(machines(connection))
             last = newest_scan(connection, machine=machine)
-            guards = (
-                stored_rows(connection, "guards", ("time", "content"), last - HOUR, machine=machine) if last else []
-            )
         if last is None:
             raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
         name = machine if machine is not None else next(iter(known))
@@ -120,7 +114,7 @@ def retrain_command(
             cut = cut_and_rate(request, library, source, report)
             reason = ""
             if if_due:
-                running = json.loads(guards[-1][1] or "{}").get("drift", {}).get("cycles", 0) if guards else 0
+                running = drifting_cycles(historian, machine=machine)
                 finished = library.fact("finished")
                 age = float("inf") if finished is None else time.time() - finished["at"]
                 limit = float("inf") if every is None else every * 86_400.0

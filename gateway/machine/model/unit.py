@@ -21,7 +21,7 @@ from gateway.machine.model.virtual_sensor import VirtualReading, VirtualSensor
 from gateway.machine.reading import Scan
 from gateway.settings import Config
 from gateway.store import HistorianView, saved_state
-from sim.artefacts import is_store, versions
+from sim.artefacts import is_store, read_finding, version_directory, versions
 from sim.files import ArtefactError
 from sim.forecast import Forecast
 
@@ -273,6 +273,7 @@ class ModelUnit:
         """The automaton, the present location (None where it is not known), and where the model comes from.
 
         `store` is that which it is promoted in, with its `versions`, oldest first; None and none for a model by itself.
+        `findings` has what a diagnosis found, by the version that it proposed.
         """
         model, sha, now = self.loaded.model, self.loaded.model.sha, self.prediction
         path = self.config.model.path
@@ -280,6 +281,12 @@ class ModelUnit:
         known: Sequence[str] = ()
         with suppress(ArtefactError, OSError):  # a store that cannot be read now has none to choose from
             known = () if store is None else versions(store)
+        findings: dict[str, dict[str, Any]] = {}
+        for name in known:
+            # A file that was damaged costs its own words only: the version can be run without them.
+            with suppress(ArtefactError, OSError):
+                if store is not None and (finding := read_finding(version_directory(store, name))) is not None:
+                    findings[name] = finding.plain()
         edges: dict[tuple[str, str], list[str]] = {}
         for edge in sha.edges:
             edges.setdefault((edge.source, edge.target), []).append(edge.symbol)
@@ -287,6 +294,7 @@ class ModelUnit:
             **self.report(),
             "store": None if store is None else str(store.absolute()),
             "versions": list(known),
+            "findings": findings,
             "locations": [
                 {"name": place.name, "flow": place.flow.kind, "borrowed": place.name in model.borrowed}
                 for place in sha.locations

@@ -34,7 +34,17 @@ function versionList(model, machine, temperature) {
   if (!model?.versions.length) return null;
   return h("ul", { class: "versions" }, [...model.versions].reverse().slice(0, NEWEST).map((version) => h("li", {}, h("code", {}, version), " ",
     version === model.version ? h("span", { class: "key present" }, say("model.runs"))
-      : can("engineer") && h("button", { "data-act": "promote", "data-machine": machine, "data-of": temperature, "data-version": version }, say("model.promote")))));
+      : can("engineer") && h("button", { "data-act": "promote", "data-machine": machine, "data-of": temperature, "data-version": version }, say("model.promote")),
+    findingText(model.findings[version]))));
+}
+
+// What a diagnosis found missing, and the experiment that would confirm it, beside the version that has it.
+function findingText(finding) {
+  if (!finding) return null;
+  const told = (key, own) => (say(key) === key ? own : say(key)); // an engineer's own effect has words of its own
+  return h("div", { class: "finding" }, h("small", {}, say("model.found", { before: number(finding.before, 2), after: number(finding.after, 2), unit: finding.unit.replace("degC", "°C") })),
+    h("ul", {}, finding.effects.map((each) => h("li", {}, told(`effect.${each.name}`, each.plain), each.members.length > 1 && ` (${say("model.or")} ${each.members.slice(1).map((other) => told(`effect.${other}`, other)).join(", ")})`,
+      h("br"), h("small", {}, `${say("model.confirm")}: ${told(`experiment.${each.name}`, each.experiment)}`)))));
 }
 
 function modelCard(model, prediction) {

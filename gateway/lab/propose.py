@@ -1,0 +1,86 @@
+"""A diagnosis on a schedule: whether the drift alarm asks for one, and its model as a candidate in the store."""
+
+import json
+from pathlib import Path
+
+from gateway.store import newest_scan, reading, stored_rows
+from sim.artefacts import (
+    FINDING_FILE,
+    Finding,
+    FoundEffect,
+    current,
+    is_store,
+    read_finding,
+    version_directory,
+    versions,
+)
+from sim.artefacts.formats import save
+from sim.discrepancy import Diagnosis
+from sim.sha import Model
+
+DRIFTING = 3
+"""Cycles running beyond their limit that raise the drift alarm."""
+HOUR = 3600.0
+
+
+def drifting_cycles(historian: Path, *, machine: str | None, temperature: str | None = None) -> int:
+    """Cycles running in which the model's free run was beyond its limit, as the newest hour of a historian says.
+
+    Raises HistorianError, or ValueError where the historian has no scan yet.
+    """
+    with reading(historian) as connection:
+        last = newest_scan(connection, machine=machine)
+        if last is None:
+            raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
+        rows = stored_rows(
+            connection, "guards", ("time", "content"), last - HOUR, machine=machine, temperature=temperature
+        )
+    return int(json.loads(rows[-1][1] or "{}").get("drift", {}).get("cycles", 0)) if rows else 0
+
+
+def store_of(where: str) -> Path:
+    """The store at `where`, in which a candidate can be saved. Raises ValueError where it is none."""
+    store = Path(where)
+    if not is_store(store):
+        raise ValueError(
+            f"{where}: --propose saves a candidate in a store of versions, and this is none; give --model the store"
+        )
+    return store
+
+
+def finding_of(diagnosis: Diagnosis, diagnosed: str) -> Finding:
+    """What is kept beside the candidate of a diagnosis of the version `diagnosed`. Raises ValueError without a name."""
+    held = diagnosis.held_out
+    if held is None or not diagnosis.effects:
+        raise ValueError("a diagnosis that names nothing has no finding")
+    effects = tuple(
+        FoundEffect(name=each.name, members=each.members, plain=each.plain, experiment=each.experiment)
+        for each in diagnosis.effects
+    )
+    return Finding(
+        diagnosed=diagnosed,
+        effects=effects,
+        before=held.rmse_before,
+        after=held.rmse_after,
+        floor=held.noise_floor,
+        unit=diagnosis.unit,
+    )
+
+
+def propose(store: Path, new: Model, diagnosis: Diagnosis, *, created: float) -> tuple[str, bool]:
+    """(the candidate, whether it is new): the model saved as a version with its finding, and promoted by nobody.
+
+    One that waits already for the same finding about the version that runs stays the only one: a schedule would
+    else add one a night until somebody decides. Raises ArtefactError.
+    """
+    running = current(store)
+    finding = finding_of(diagnosis, running)
+    for name in versions(store):
+        known = read_finding(version_directory(store, name))
+        if known is not None and (known.diagnosed, _names(known)) == (running, _names(finding)):
+            return name, False
+    return save(store, new, created=created, parent=running, more={FINDING_FILE: finding.text()}), True
+
+
+def _names(finding: Finding) -> frozenset[str]:
+    return frozenset(effect.name for effect in finding.effects)
