@@ -143,7 +143,6 @@ def test_every_kind_of_alarm_and_every_check_has_its_words() -> None:
     assert {name: kind_of(name) for name in kinds} == kinds
 
 
-<<<<<<< HEAD
 def test_what_to_do_is_said_in_the_readers_language_unless_the_plant_has_words_of_its_own() -> None:
     texts = WORDS["en"].texts
     for name, kind in ALARM_KINDS.items():
@@ -158,14 +157,14 @@ def test_what_to_do_is_said_in_the_readers_language_unless_the_plant_has_words_o
     do = "gearbox bearing liegt über 47,5 °C: Last verringern und Schmierung prüfen"
     assert said("de", own_response=False) == do
     assert said("de", response="Zulauf drosseln") == "Zulauf drosseln"
-=======
+
+
 def test_every_effect_that_can_be_named_has_its_words_and_its_experiment() -> None:
     names = {entry.name for entry in catalogue()}
     for section in ("effect", "experiment"):
         assert {f"{section}.{name}" for name in names} == {
             key for key in WORDS["en"].texts if key.startswith(f"{section}.")
         }
->>>>>>> 853512b (A diagnosis on a schedule: while the drift alarm stands, with its model as a candidate in the store and its finding on the page)
 
 
 def test_a_temperature_that_is_only_watched_has_a_row_without_a_forecast() -> None:
