@@ -2,14 +2,16 @@
 
     python -m benchmarks.year --picture out/year.png
     python -m benchmarks.year --months 3 --days 1                     # shorter
-    python -m benchmarks.year --days 8 --arms once,loop --keep out/year   # goes on where it was ended
+    python -m benchmarks.year --days 30 --judged 2 --keep out/year    # every day; goes on where it was ended
 
 Seasons, wear, a changed sensor, a new product, a swapped bearing and three operators (`plant`); of each month `--days`
-are simulated, evenly over it. Each day is forecast by the three models as they were on the evening before; then each
-arm is given the day (`arms`). The loop is the product's own code, step by step what a nightly timer would call: cycles
-are cut from a historian, rated, retrained from, a candidate followed on live cycles and promoted by the stated policy,
-rolled back where it is worse. What came true is known to the judge alone (`judge`). A promotion is wrong where the CRPS
-of the promoted model at 900 s, over the following days, is larger than that which the model before it would have had.
+are simulated, evenly over it. A day is forecast by the three models as they were on the evening before (`--judged` days
+of each month, or all); then each arm is given the day (`arms`). A loop that needs a week is as slow as that only where
+every day is lived: at two days of each month its week lasts from spring to summer. The loop is the product's own code,
+step by step what a nightly timer would call: cycles are cut from a historian, rated, retrained from, a candidate
+followed on live cycles and promoted by the stated policy, rolled back where it is worse. What came true is known to the
+judge alone (`judge`). A promotion is wrong where the CRPS of the promoted model at 900 s, over the following days, is
+larger than that which the model before it would have had.
 
 Figures by month and arm are printed, what the loop did and why, and the processor time of each arm. With `--keep` a
 year that was ended goes on after its last whole day, and an arm that is through is not run again.
@@ -17,7 +19,7 @@ year that was ended goes on after its last whole day, and an arm that is through
 
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import process_time
@@ -31,13 +33,24 @@ from benchmarks.year.arms import Arm, Daily, Happening, Loop, Once, learned
 from benchmarks.year.judge import HORIZONS, DayScore, day_score
 from benchmarks.year.kept_days import KeptDays
 from benchmarks.year.picture import draw_year
-from benchmarks.year.plant import BEGIN, MONTHS, days_before, days_of
+from benchmarks.year.plant import BEGIN, MONTHS, dates_of, day_of, days_before
 from gateway.console import table
 from sim.pictures import check_picture, save_picture
 
 ARMS = ("once", "loop", "daily")
 FOLLOWED = 3
 """Days after a promotion over which it is judged."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class YearPlan:
+    """The first `months`, `days` of each of which `judged` are judged, after a first model of `before` days."""
+
+    months: int
+    days: int
+    judged: int
+    before: int
+    seed: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,11 +79,11 @@ class Year:
     seconds: float
 
 
-def lived(arm: str, months: int, days: int, before: int, seed: int, folder: Path) -> Year:
+def lived(arm: str, plan: YearPlan, folder: Path) -> Year:
     """A year with one arm, which goes on where it was ended in `folder`; the same plant for all of them."""
-    kept = KeptDays(folder / arm, {"months": months, "days": days, "before": before, "seed": seed})
-    history = days_before(before, seed=seed)
-    year = days_of(months, days, seed=seed)
+    kept = KeptDays(folder / arm, asdict(plan))
+    seed = plan.seed
+    history = days_before(plan.before, seed=seed)
     begin = process_time()
     first = learned(history, seed)
     made: Arm
@@ -80,42 +93,53 @@ def lived(arm: str, months: int, days: int, before: int, seed: int, folder: Path
         made = Daily(first, history, seed)
     else:
         made = Loop(first, history, kept.work, seed, BEGIN)
-    if kept.scores:
-        made.go_on(kept.state, year[: len(kept.scores)])
-    else:
+    if not kept.days:
         kept.seconds = process_time() - begin
-    for day in year[len(kept.scores) :]:
-        score = day_score(arm, made.model, day, seed=seed)
+    dates = dates_of(plan.months, plan.days, plan.judged)
+    if kept.days:
+        made.go_on(kept.state, (day_of(date, seed=seed) for date in dates[: kept.days]))
+    for date in dates[kept.days :]:
+        day = day_of(date, seed=seed)
+        begin = process_time()
+        model = made.model if date.judged else None
+        kept.seconds += process_time() - begin
+        if model is not None:
+            kept.scores.append(day_score(arm, model, day, seed=seed))
         begin = process_time()
         made.evening(day)
         kept.seconds += process_time() - begin
         done = [each for each in made.happenings if each.day == day.number]
-        kept.scores.append(score)
         kept.happenings += done
         kept.state = made.to_plain()
+        kept.days += 1
         kept.keep()
         # A year takes long: what has come of it so far is said as it comes.
-        so_far = f"{arm}: day {day.number:.0f}, MAE {', '.join(f'{value:.2f}' for value in score.mae)} degC, "
-        so_far += f"coverage {score.coverage[-1]:.2f}, {score.overheated} overheatings, {score.false} false alarms"
-        click.echo("\n".join([so_far, *(f"  {each.kind}: {each.words}" for each in done)]), err=True)
-    promotions = []
-    for promoted_on, model in made.former().items():
-        following = [(day, score) for day, score in zip(year, kept.scores, strict=True) if day.number > promoted_on][
-            :FOLLOWED
-        ]
-        if following:
-            then = [day_score("former", model, day, seed=seed).crps[-1] for day, _ in following]
-            now = [score.crps[-1] for _, score in following]
-            promotions.append(
-                Promotion(day=promoted_on, days=len(then), promoted=float(np.mean(now)), former=float(np.mean(then)))
-            )
+        lines = [f"  day {day.number:.0f}: {each.kind}: {each.words}" for each in done]
+        if model is not None:
+            score = kept.scores[-1]
+            so_far = f"{arm}: day {day.number:.0f}, MAE {', '.join(f'{value:.2f}' for value in score.mae)} degC, "
+            so_far += f"coverage {score.coverage[-1]:.2f}, {score.overheated} overheatings, {score.false} false alarms"
+            lines.insert(0, so_far)
+        for line in lines:
+            click.echo(line, err=True)
     return Year(
         arm=arm,
         scores=tuple(kept.scores),
         happenings=tuple(kept.happenings),
-        promotions=tuple(promotions),
+        promotions=tuple(judged_promotions(made, plan)),
         seconds=kept.seconds,
     )
+
+
+def judged_promotions(made: Arm, plan: YearPlan) -> Iterator[Promotion]:
+    """Each promotion by the days that followed it, of those that were lived."""
+    for promoted_on, models in made.promotions().items():
+        dates = [date for date in dates_of(plan.months, plan.days) if date.number > promoted_on][:FOLLOWED]
+        days = [day_of(date, seed=plan.seed) for date in dates]
+        scores = [[day_score("", model, day, seed=plan.seed).crps[-1] for model in models] for day in days]
+        if scores:
+            former, promoted = np.mean(scores, axis=0).tolist()
+            yield Promotion(day=promoted_on, days=len(scores), promoted=promoted, former=former)
 
 
 def figures_of(years: Sequence[Year]) -> list[Figure]:
@@ -180,6 +204,7 @@ def show_months(years: Sequence[Year]) -> None:
 @click.command(help=(__doc__ or "").split("\n\n", 1)[0])
 @click.option("--months", type=click.IntRange(1, MONTHS), default=MONTHS, show_default=True)
 @click.option("--days", type=click.IntRange(1), default=2, show_default=True, help="Days of each month.")
+@click.option("--judged", type=click.IntRange(1), help="Of these, the days along which is forecast.  [all]")
 @click.option("--before", type=click.IntRange(2), default=3, show_default=True, help="Days of the first model.")
 @click.option("--arms", default=",".join(ARMS), show_default=True, help="Which, by commas.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Arms at a time.")
@@ -190,6 +215,7 @@ def show_months(years: Sequence[Year]) -> None:
 def main(
     months: int,
     days: int,
+    judged: int | None,
     before: int,
     arms: str,
     jobs: int,
@@ -205,9 +231,8 @@ def main(
     if picture is not None:
         check_picture(picture)
     with tempfile.TemporaryDirectory(prefix="year-") as scratch:
-        work = delayed(lived)
-        run = Parallel(n_jobs=jobs)
-        years: list[Year] = run(work(name, months, days, before, seed, keep or Path(scratch)) for name in names)
+        plan = YearPlan(months=months, days=days, judged=min(judged or days, days), before=before, seed=seed)
+        years: list[Year] = Parallel(n_jobs=jobs)(delayed(lived)(name, plan, keep or Path(scratch)) for name in names)
     if keep is not None:
         text = json.dumps([asdict(year) for year in years], indent=1) + "\n"
         (keep / "year.json").write_text(text, encoding="utf-8")

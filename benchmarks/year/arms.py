@@ -1,6 +1,6 @@
 """Three ways to have a model over a year, each given the days one by one as they end, and nothing of those to come."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
@@ -41,8 +41,11 @@ class Happening:
 class Arm(Protocol):
     """A way to have a model: `model` is the one that forecasts next, `evening` takes the day that has ended."""
 
-    model: Model
     happenings: list[Happening]
+
+    @property
+    def model(self) -> Model:
+        """What forecasts next."""
 
     def evening(self, day: Day) -> None:
         """Take the day's readings."""
@@ -50,11 +53,11 @@ class Arm(Protocol):
     def to_plain(self) -> dict[str, Any]:
         """What is not in its folder and must be known to go on after this evening, as JSON can carry it."""
 
-    def go_on(self, saved: Mapping[str, Any], past: Sequence[Day]) -> None:
+    def go_on(self, saved: Mapping[str, Any], past: Iterable[Day]) -> None:
         """Go on from what `to_plain` gave on the evening of the last of the `past` days."""
 
-    def former(self) -> dict[float, Model]:
-        """The model that ran before each promotion, by its day: for the judge."""
+    def promotions(self) -> dict[float, tuple[Model, Model]]:
+        """The model that ran before each promotion and the promoted one, by its day: for the judge."""
 
 
 def learned(traces: Sequence[Trace], seed: int) -> Model:
@@ -67,7 +70,12 @@ class Once:
     """The model that was learned at the beginning."""
 
     def __init__(self, model: Model) -> None:
-        self.model, self.happenings = model, list[Happening]()
+        self._model, self.happenings = model, list[Happening]()
+
+    @property
+    def model(self) -> Model:
+        """The first one."""
+        return self._model
 
     def evening(self, day: Day) -> None:
         """Nothing is learned."""
@@ -76,36 +84,44 @@ class Once:
         """Nothing."""
         return {}
 
-    def go_on(self, saved: Mapping[str, Any], past: Sequence[Day]) -> None:
+    def go_on(self, saved: Mapping[str, Any], past: Iterable[Day]) -> None:
         """As before."""
 
-    def former(self) -> dict[float, Model]:
+    def promotions(self) -> dict[float, tuple[Model, Model]]:
         """Nothing is promoted."""
         return {}
 
 
 class Daily:
-    """Learned anew each evening from all days so far."""
+    """Learned anew each evening from all days so far; what nobody asks for is not learned."""
 
     def __init__(self, model: Model, begin: Sequence[Trace], seed: int) -> None:
-        self.model, self.happenings = model, list[Happening]()
+        self._model: Model | None = model
+        self.happenings = list[Happening]()
         self._traces, self._seed = list(begin), seed
+
+    @property
+    def model(self) -> Model:
+        """That of everything so far."""
+        if self._model is None:
+            self._model = learned(self._traces, self._seed)
+        return self._model
 
     def evening(self, day: Day) -> None:
         """Learn from everything."""
         self._traces.append(day.trace)
-        self.model = learned(self._traces, self._seed)
+        self._model = None
 
     def to_plain(self) -> dict[str, Any]:
-        """Nothing: the last evening's model is learned again."""
+        """Nothing."""
         return {}
 
-    def go_on(self, saved: Mapping[str, Any], past: Sequence[Day]) -> None:
+    def go_on(self, saved: Mapping[str, Any], past: Iterable[Day]) -> None:
         """Learn from all days so far."""
         self._traces += [day.trace for day in past]
-        self.model = learned(self._traces, self._seed)
+        self._model = None
 
-    def former(self) -> dict[float, Model]:
+    def promotions(self) -> dict[float, tuple[Model, Model]]:
         """Nothing is promoted."""
         return {}
 
@@ -119,13 +135,18 @@ class Loop:
     """
 
     def __init__(self, model: Model, history: Sequence[Trace], folder: Path, seed: int, begin: float) -> None:
-        self.model, self.happenings = model, list[Happening]()
-        self._before = dict[float, str]()
+        self._model, self.happenings = model, list[Happening]()
+        self._promoted = dict[float, tuple[str, str]]()
         self._store, self._historian, self._library = folder / "store", folder / "historian.sqlite", folder / "cycles"
         self._seed, self._candidate, self._proving = seed, "", 0
         self._history = [replace(trace, events=()) for trace in history]
         if not is_store(self._store):
             promote(self._store, save(self._store, model, created=begin))
+
+    @property
+    def model(self) -> Model:
+        """The current version."""
+        return self._model
 
     def evening(self, day: Day) -> None:
         """What the commands would do in the night after the day."""
@@ -142,21 +163,24 @@ class Loop:
                     self._prove(library, day)
             if not self._candidate:
                 self._retrain(library, day, now)
-        self.model = load(self._store)
+        self._model = load(self._store)
 
     def to_plain(self) -> dict[str, Any]:
-        """The candidate, how long a promotion is still to be proven, and the versions before the promotions."""
-        return {"candidate": self._candidate, "proving": self._proving, "before": list(self._before.items())}
+        """The candidate, how long a promotion is still to be proven, and the promotions by their days."""
+        return {"candidate": self._candidate, "proving": self._proving, "promoted": list(self._promoted.items())}
 
-    def go_on(self, saved: Mapping[str, Any], past: Sequence[Day]) -> None:
+    def go_on(self, saved: Mapping[str, Any], past: Iterable[Day]) -> None:
         """Run what the store has promoted."""
         self._candidate, self._proving = saved["candidate"], saved["proving"]
-        self._before = dict(saved["before"])
-        self.model = load(self._store)
+        self._promoted = {day: (before, after) for day, (before, after) in saved["promoted"]}
+        self._model = load(self._store)
 
-    def former(self) -> dict[float, Model]:
-        """Each version that was followed by a promotion."""
-        return {day: load(self._store, version) for day, version in self._before.items()}
+    def promotions(self) -> dict[float, tuple[Model, Model]]:
+        """Each version that a promotion replaced, and the promoted one."""
+        return {
+            day: (load(self._store, before), load(self._store, after))
+            for day, (before, after) in self._promoted.items()
+        }
 
     def _request(self) -> RetrainingRequest:
         return RetrainingRequest(
@@ -193,7 +217,7 @@ class Loop:
             return
         self._note(day, "promotion" if found.promoted else "left", self._candidate, found.sentence)
         if found.promoted and found.promoted != before:
-            self._before[day.number] = before
+            self._promoted[day.number] = (before, found.promoted)
             self._proving = PROVING
         self._candidate = ""
 

@@ -18,7 +18,7 @@ DAYS, WORK = "days.json", "work"
 
 
 class KeptDays:
-    """An arm's days in a `folder`, by the `settings` of the year; `work` is what the arm itself writes.
+    """An arm's `days` so far in a `folder`, by the `settings` of the year; `work` is what the arm itself writes.
 
     After each day all of it is copied to a folder `kept`, put in its place by renaming: a kill at any moment leaves the
     evening of the last whole day. Raises click.ClickException for a folder of a year with other settings.
@@ -29,7 +29,7 @@ class KeptDays:
         self.work = folder / WORK
         self.scores, self.happenings = list[DayScore](), list[Happening]()
         self.state: dict[str, Any] = {}
-        self.seconds = 0.0
+        self.days, self.seconds = 0, 0.0
         kept, before = folder / "kept", folder / "before"
         if not kept.is_dir() and before.is_dir():
             before.rename(kept)
@@ -45,7 +45,7 @@ class KeptDays:
         shutil.copytree(kept / WORK, self.work)
         self.scores = [DayScore(**_tuples(each)) for each in plain["scores"]]
         self.happenings = [Happening(**each) for each in plain["happenings"]]
-        self.state, self.seconds = plain["state"], plain["seconds"]
+        self.state, self.days, self.seconds = plain["state"], plain["days"], plain["seconds"]
 
     def keep(self) -> None:
         """Put on disk what stands after a day."""
@@ -58,6 +58,7 @@ class KeptDays:
             "scores": [asdict(each) for each in self.scores],
             "happenings": [asdict(each) for each in self.happenings],
             "state": self.state,
+            "days": self.days,
             "seconds": self.seconds,
         }
         (new / DAYS).write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")

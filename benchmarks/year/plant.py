@@ -50,6 +50,18 @@ RUNS = 5
 
 
 @dataclass(frozen=True, slots=True)
+class Date:
+    """A day of the `month` (from 0) and the year (`number`, days from 0).
+
+    Forecasts are `judged` along some days only, since that costs more than to live them.
+    """
+
+    month: int
+    number: float
+    judged: bool = True
+
+
+@dataclass(frozen=True, slots=True)
 class Day:
     """A day of the `month` (from 0) and the year (`number`, days from 0): what the gateway reads, with its events."""
 
@@ -58,12 +70,23 @@ class Day:
     trace: Trace
 
 
-def days_of(months: int, days: int, *, seed: int) -> list[Day]:
-    """The first `months` of the year, `days` of each, evenly over it."""
-    numbers = [
-        (month, round((month + (day + 0.5) / days) * YEAR / MONTHS)) for month in range(months) for day in range(days)
+def dates_of(months: int, days: int, judged: int | None = None) -> list[Date]:
+    """The first `months` of the year, `days` of each, evenly over it; `judged` of them (default: all) evenly again."""
+    most = days if judged is None else min(judged, days)
+    return [
+        Date(
+            month,
+            round((month + (day + 0.5) / days) * YEAR / MONTHS),
+            judged=day * most // days != (day - 1) * most // days,
+        )
+        for month in range(months)
+        for day in range(days)
     ]
-    return [Day(month, number, _day(number, seed)) for month, number in numbers]
+
+
+def day_of(date: Date, *, seed: int) -> Day:
+    """What happens on a date."""
+    return Day(date.month, date.number, _day(date.number, seed))
 
 
 def days_before(count: int, *, seed: int) -> list[Trace]:

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.year.arms import Happening, Loop, Once
 from benchmarks.year.judge import HORIZONS, DayScore, day_score
 from benchmarks.year.kept_days import KeptDays
-from benchmarks.year.plant import BEARING, SENSOR, TEMPERATURE, Day, days_before, days_of, overheated, plant_on
+from benchmarks.year.plant import BEARING, SENSOR, TEMPERATURE, Day, dates_of, day_of, days_before, overheated, plant_on
 from gateway.lab.retraining import shadow, study
 from gateway.lab.retraining.judging import NEW, PRESENT
 from gateway.store import newest_scan, reading
@@ -29,7 +29,9 @@ def test_the_plant_wears_and_changes_on_its_days() -> None:
     assert plant_on(SENSOR).sensor_lag > plant_on(SENSOR - 1.0).sensor_lag
     first, again = days_before(1, seed=SEED)[0], days_before(1, seed=SEED)[0]
     assert np.array_equal(first.signals[TEMPERATURE], again.signals[TEMPERATURE])
-    assert first.times[-1] < days_of(1, 1, seed=SEED)[0].trace.times[0]
+    assert first.times[-1] < day_of(dates_of(1, 1)[0], seed=SEED).trace.times[0]
+    assert [date.judged for date in dates_of(1, 6, 2)] == [True, False, False, True, False, False]
+    assert all(date.judged for date in dates_of(1, 2)) and dates_of(1, 2)[1].number > dates_of(1, 2)[0].number
 
 
 def test_the_limit_is_counted_once_until_it_is_left() -> None:
@@ -39,7 +41,7 @@ def test_the_limit_is_counted_once_until_it_is_left() -> None:
 
 
 def test_a_day_is_judged_at_every_horizon() -> None:
-    day = days_of(1, 1, seed=SEED)[0]
+    day = day_of(dates_of(1, 1)[0], seed=SEED)
     morning = replace(day, trace=day.trace.between(day.trace.times[0], day.trace.times[0] + 5400.0))
     score = day_score("once", heated(50.0), morning, seed=0)
     assert len(score.mae) == len(HORIZONS) and all(0 < value < 30 for value in score.mae)
@@ -86,7 +88,8 @@ def test_the_loop_promotes_what_is_better_on_live_cycles_and_nothing_else(
     if runs == "new":
         assert "promotion" in kinds and "left" not in kinds
         assert current(store) == versions(store)[1] and loop.model.sha == new.sha
-        assert next(iter(loop.former().values())).sha == first.sha, "the judge asks what ran before"
+        ((before, after),) = loop.promotions().values()
+        assert (before.sha, after.sha) == (first.sha, new.sha), "the judge asks what ran before"
     else:
         assert "left" in kinds and "promotion" not in kinds and current(store) == versions(store)[0]
 
@@ -100,7 +103,7 @@ def test_a_year_that_was_ended_goes_on_after_its_last_whole_day(tmp_path: Path) 
     (kept.work / "store").write_text("one", encoding="utf-8")
     kept.scores.append(score)
     kept.happenings.append(Happening(3.0, "promotion", "0002", "better"))
-    kept.state, kept.seconds = {"candidate": "0002"}, 12.5
+    kept.state, kept.days, kept.seconds = {"candidate": "0002"}, 1, 12.5
     kept.keep()
     # Killed in the next evening, at any of its moments: what the arm has written since then does not count.
     (kept.work / "store").write_text("two", encoding="utf-8")
