@@ -145,6 +145,8 @@ class ModelUnit:
         self._found_out = wrong_since is not None
         before, prediction = self.prediction, self.predictor.step(scan)
         prediction = prediction.with_familiarity(self._rating(scan, prediction))
+        if self.twin is not None:
+            self.twin.take(scan.time, scan.good(self.predictor.temperature), scan.good(self.twin.twin))
         virtual = self._virtual_reading(scan, prediction)
         if virtual is not None:
             v = virtual
@@ -173,8 +175,6 @@ class ModelUnit:
         """What stands for the sensor in this scan; None while it is good, and where the model never had a reading."""
         tag, belief = self.config.model.temperature, self.predictor.belief
         sample = scan.samples.get(tag)
-        if self.twin is not None:
-            self.twin.take(scan.time, scan.good(tag), scan.good(self.twin.twin))
         if sample is not None and sample.quality.is_good:
             self.virtual.stopped = ""
             return None
