@@ -55,8 +55,8 @@ class Grid:
 
     `k` (m,) 1/s is the mean rate since then, `running` (m,) the share of that time in which the machine ran, `first`
     (m,) begins a run, `cycle` (m,) numbers the cycles. `heats` (m, cycles) degC is what a scatter of 1 in each cycle
-    does to the windows. `late` (m,) degC^2 is the variance of the jumps of x in the step to each window, by switches
-    and loads that moved between two rows, each at a time of its own; `shared` (m,) degC is one standard deviation of
+    does to the windows. `late` (m,) degC^2 is the variance of the jumps of x in the step to each window, by starts
+    and stops between two rows, each at a time of its own; `shared` (m,) degC is one standard deviation of
     what all of them have in common.
     """
 

@@ -112,7 +112,9 @@ class Record:
 
     def where(self, keep: Mask) -> "Record":
         """The knots of whole cycles, of which the first of each piece begins a run of its own."""
-        runs = replace(self.runs, reading=_until_switched(self.runs, ~np.append(keep[1:], True))).where(keep)
+        runs = replace(self.runs, reading=_until_switched(self.runs, self.running, ~np.append(keep[1:], True))).where(
+            keep
+        )
         cut = np.diff(np.flatnonzero(keep), prepend=-2) != 1
         run = np.cumsum(runs.first | cut) - 1
         runs = replace(runs, run=run)
@@ -126,7 +128,9 @@ class Record:
         runs = self.runs
         begun = np.diff(self.cycle, prepend=-1) != 0
         cut = replace(
-            runs, run=np.cumsum(runs.first | begun) - 1, reading=_until_switched(runs, np.append(begun[1:], False))
+            runs,
+            run=np.cumsum(runs.first | begun) - 1,
+            reading=_until_switched(runs, self.running, np.append(begun[1:], False)),
         )
         cut = replace(cut, dt=np.where(cut.first, 0.0, runs.dt))
         rows, begins = _windows(cut, self.cycle, self.running, self.window)
@@ -225,12 +229,12 @@ def _cut_late(runs: FreeRuns, running: Array) -> FreeRuns:
     return replace(runs, run=run, dt=np.where(runs.first | cut, 0.0, runs.dt))
 
 
-def _until_switched(runs: FreeRuns, last: Mask) -> Array:
-    """(n,) the readings, without those of the knots at which a piece ends (`last`) and another location begins.
+def _until_switched(runs: FreeRuns, running: Array, last: Mask) -> Array:
+    """(n,) the readings, without those of the knots at which a piece ends (`last`) and the machine starts or stops.
 
     Where a switch is known to a row only, such a reading tells of what came after it and is not in the piece.
     """
-    turned = np.append(np.diff(runs.place) != 0, False)
+    turned = np.append(np.diff(running) != 0, False)
     return np.where(last & turned, np.nan, runs.reading)
 
 
