@@ -319,6 +319,31 @@ def _scores(new: float, horizon: float = 60.0, cycles: int = 10) -> list[dict[st
     return rows
 
 
+def test_better_is_told_from_the_longest_horizon_on_and_is_not_paid_for_by_the_shorter_ones() -> None:
+    def rows(horizon: float, gains: list[float]) -> list[dict[str, Any]]:
+        crps = [(name, {PRESENT: 1.0, NEW: 1.0 - gain}) for name, gain in zip("abcdefgh", gains, strict=True)]
+        row = {"horizon": horizon, "coverage": 0.9}
+        return [
+            row | {"trace": name, "method": method, "crps": values[method]}
+            for name, values in crps
+            for method in values
+        ]
+
+    nothing = [0.01, -0.012, 0.014, -0.016, 0.011, -0.013, 0.015, -0.017]
+    large = [0.5, 0.4, 0.45, -0.02, 0.3, 0.35, -0.01, 0.55]
+    scores = [*rows(60.0, nothing), *rows(300.0, nothing), *rows(900.0, large)]
+    minute, _, quarter = compared("new cycles", scores, seed=0)
+    assert quarter.p > 0.05 > quarter.sequence, "by the correction for three it could not be told"
+    assert (quarter.told_apart, minute.told_apart) == ("better", "")
+    assert verdict_on(compared("new cycles", scores, seed=0), (), "new cycles")[0]
+    # A gain at the minute alone is none, whatever its test says: the quarter of an hour comes first.
+    other = compared("new cycles", [*rows(60.0, [0.3] * 8), *rows(900.0, nothing)], seed=0)
+    assert [each.told_apart for each in other] == ["", ""]
+    # What is worse is told at any horizon.
+    worse = compared("new cycles", [*rows(60.0, [-0.3] * 8), *rows(900.0, large)], seed=0)
+    assert [each.told_apart for each in worse] == ["worse", "better"]
+
+
 def test_a_model_is_proposed_only_where_it_is_better_and_worse_nowhere() -> None:
     better, worse = compared("new cycles", _scores(0.7), seed=0), compared("standard set", _scores(1.2, 300.0), seed=0)
     assert better[0].told_apart == "better" and worse[0].refuses

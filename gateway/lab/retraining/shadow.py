@@ -42,6 +42,11 @@ class SideBySide:
     sentence: str
     comparisons: tuple[HorizonComparison, ...]
 
+    @property
+    def worse(self) -> bool:
+        """Whether what was judged is worse at some horizon."""
+        return any(each.told_apart == "worse" for each in self.comparisons)
+
 
 def side_by_side(
     store: Path,
@@ -100,7 +105,10 @@ def side_by_side(
         promoted = stood if roll_back else ""
     elif better:
         sentence = f"{judged} is better than {stood} at {', '.join(f'{each.horizon:g} s' for each in better)}"
-        promoted = judged if promotes and not any(each.refuses for each in comparisons) else ""
+        refusing = [f"{each.horizon:g} s" for each in comparisons if each.refuses]
+        promoted = judged if promotes and not refusing else ""
+        if refusing:
+            sentence += f", and not told apart but by its mean worse at {', '.join(refusing)}"
     else:
         sentence = f"{judged} and {stood} are not told apart"
     if promoted:
