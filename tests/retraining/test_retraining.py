@@ -385,6 +385,27 @@ def test_a_diagnosis_gets_fewer_rows_and_all_events() -> None:
     assert thin.signals[TEMPERATURE].tolist() == whole.signals[TEMPERATURE][::6].tolist()
 
 
+@pytest.mark.parametrize(("at_longest", "stays"), [(0.5, True), (1.0, False)])
+def test_a_version_that_is_better_at_the_longest_horizon_is_not_rolled_back_for_a_shorter_one(
+    at_longest: float, stays: bool, store: Path, historian: Path, library: CycleLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def judge(trace: Trace, *_: Any, **__: Any) -> list[dict[str, Any]]:
+        worth = {60.0: 1.2 + 0.001 * float(trace.times[0] % 7), 900.0: at_longest}
+        row = {"trace": f"{trace.times[0]:.0f}", "coverage": 0.9}
+        crps = [(h, m, w if m == NEW else 1.0) for h, w in worth.items() for m in (PRESENT, NEW)]
+        return [row | {"horizon": horizon, "method": method, "crps": value} for horizon, method, value in crps]
+
+    monkeypatch.setattr(shadow, "scores_along", judge)
+    first = current(store)
+    second = save(store, heated(HOT), created=BEGIN - 0.5)
+    promote(store, second)
+    found = shadow.side_by_side(
+        store, historian, library, machine="decanter", version=first, roll_back=True, seed=0, report=silent
+    )
+    assert "worse" in found.sentence and found.cycles >= shadow.LEAST
+    assert current(store) == (second if stays else first) and ("and better at 900 s" in found.sentence) is stays
+
+
 def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_worse_one_is_rolled_back(
     tmp_path: Path, historian: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

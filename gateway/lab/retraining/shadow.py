@@ -102,7 +102,10 @@ def side_by_side(
         sentence = f"{len(live)} cycles since both were made are too few to tell; it takes {LEAST}"
     elif worse:
         sentence = f"{judged} is worse than {stood} at {', '.join(f'{each.horizon:g} s' for each in worse)}"
-        promoted = stood if roll_back else ""
+        # Better is told from the longest horizon on, and that is what warns: less right a minute ahead is no harm then.
+        if better:
+            sentence += f", and better at {', '.join(f'{each.horizon:g} s' for each in better)}"
+        promoted = stood if roll_back and not better else ""
     elif better:
         sentence = f"{judged} is better than {stood} at {', '.join(f'{each.horizon:g} s' for each in better)}"
         refusing = [f"{each.horizon:g} s" for each in comparisons if each.refuses]
