@@ -6,7 +6,7 @@ from pathlib import Path
 from gateway.store import newest_scan, reading, stored_rows
 from sim.artefacts import (
     FINDING_FILE,
-    Finding,
+    DiagnosisFinding,
     FoundEffect,
     current,
     is_store,
@@ -48,7 +48,7 @@ def store_of(where: str) -> Path:
     return store
 
 
-def finding_of(diagnosis: Diagnosis, diagnosed: str) -> Finding:
+def finding_of(diagnosis: Diagnosis, diagnosed: str) -> DiagnosisFinding:
     """What is kept beside the candidate of a diagnosis of the version `diagnosed`. Raises ValueError without a name."""
     held = diagnosis.held_out
     if held is None or not diagnosis.effects:
@@ -57,7 +57,7 @@ def finding_of(diagnosis: Diagnosis, diagnosed: str) -> Finding:
         FoundEffect(name=each.name, members=each.members, plain=each.plain, experiment=each.experiment)
         for each in diagnosis.effects
     )
-    return Finding(
+    return DiagnosisFinding(
         diagnosed=diagnosed,
         effects=effects,
         before=held.rmse_before,
@@ -82,5 +82,5 @@ def propose(store: Path, new: Model, diagnosis: Diagnosis, *, created: float) ->
     return save(store, new, created=created, parent=running, more={FINDING_FILE: finding.text()}), True
 
 
-def _names(finding: Finding) -> frozenset[str]:
+def _names(finding: DiagnosisFinding) -> frozenset[str]:
     return frozenset(effect.name for effect in finding.effects)

@@ -7,7 +7,7 @@ from sim.doors import opened_at_use
 if TYPE_CHECKING:
     from sim.artefacts.effect_lines import effect_line_in, effect_line_part, effect_lines_text, read_effect_lines
     from sim.artefacts.familiarity_file import FAMILIARITY_FILE, Familiarity, read_familiarity
-    from sim.artefacts.finding_file import FINDING_FILE, Finding, FoundEffect, read_finding
+    from sim.artefacts.finding_file import FINDING_FILE, DiagnosisFinding, FoundEffect, read_finding
     from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
     from sim.artefacts.model_json import model_hash, model_text
     from sim.artefacts.store import (
@@ -37,8 +37,8 @@ __all__ = [
     "MODEL_FILE",
     "STORE_FILE",
     "VERSIONS",
+    "DiagnosisFinding",
     "Familiarity",
-    "Finding",
     "Force",
     "FoundEffect",
     "check_store",

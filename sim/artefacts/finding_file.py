@@ -24,7 +24,7 @@ class FoundEffect:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class DiagnosisFinding:
     """What a diagnosis of the version `diagnosed` found, with the free-run errors of the held-out cycles in `unit`."""
 
     diagnosed: str
@@ -43,7 +43,7 @@ class Finding:
         return json_text({"format": FORMAT, "version": VERSION, **self.plain()}, indent=1) + "\n"
 
 
-def read_finding(folder: Path) -> Finding | None:
+def read_finding(folder: Path) -> DiagnosisFinding | None:
     """That of the version in `folder`; None where it has none. Raises ArtefactError for one that cannot be used."""
     file = folder / FINDING_FILE
     if not file.is_file():
@@ -62,7 +62,7 @@ def read_finding(folder: Path) -> Finding | None:
             )
             for each in document.pop("effects")
         )
-        return Finding(
+        return DiagnosisFinding(
             diagnosed=str(document["diagnosed"]),
             effects=effects,
             before=float(document["before"]),

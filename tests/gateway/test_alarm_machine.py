@@ -169,5 +169,16 @@ class Silent:
         return lambda *_args, **_keys: None
 
 
+def test_an_alarm_that_comes_off_the_shelf_while_it_waits_is_as_it_was_after_a_restart() -> None:
+    life = AlarmLife()
+    life.begin(latches=False, on_delay=3.0, off_delay=5.0)
+    life.read(value=81.0, seconds=0.5)
+    life.design(stopped=None)
+    life.person(change=Change.SHELVE, seconds=3.0)
+    life.plc_at_the_very_moment(tag="Button", value=90.0)
+    life.plc_at_the_very_moment(tag="Button", value=20.0)
+    life.restart(jump=0.0)
+
+
 AlarmLife.TestCase.settings = settings(max_examples=25, stateful_step_count=30, deadline=None)
 TestAlarmLife = AlarmLife.TestCase

@@ -216,7 +216,9 @@ class AlarmBoard:
                 continue
             alarm = self.alarms[name]
             after = self.alarms[name] = step(condition, alarm, value, now)
-            if after is not alarm and after.state is AlarmState.UNACKNOWLEDGED and after.raised == now:
+            # One that came off the shelf in this scan stands already: it is not raised by what else moves in it.
+            came = after.state is AlarmState.UNACKNOWLEDGED and alarm.state is not AlarmState.UNACKNOWLEDGED
+            if came and after.raised == now:
                 raised.append((now if alarm.pending is None else alarm.pending, name))
         # What stands of the plant is no cause of what comes of the machine, nor the other way round.
         for of_plant in (False, True):
