@@ -76,6 +76,8 @@ it has a row above. One frozen register behind a living heartbeat is not among t
 `frozen_after` can tell it (decision 0006)."""
 TOLERATED = ("split reply", "duplicate reply")
 """No reading and no block may be lost to these."""
+PUNCTUAL = (*TOLERATED, "write ignored", "illegal register", "words swapped in mid-run")
+"""Under these every reply comes in its time: a scan that is late is late by the computer."""
 
 
 Seen = Callable[[dict[str, Any]], bool]
@@ -256,7 +258,7 @@ def judged_row(
     began, ended = span
     mine = [sample for sample in read if began <= sample.time < until]
     since, struck = _under_way(read, began), _under_way(mine, until)
-    late = _late_scans(read)
+    late = _late_scans(read) if name in PUNCTUAL else []
 
     def unproven(moment: float) -> bool:
         return any(abs(moment - scan) < PERIOD / 2 for scan in late)

@@ -114,14 +114,16 @@ def test_a_block_that_meets_the_fault_after_its_scan_has_read_is_the_faults() ->
 
 
 def test_a_scan_that_came_too_late_to_prove_anything_is_the_computers_and_not_the_faults() -> None:
-    def row(*moments: float) -> Row:
+    def row(*moments: float, fault: str = "split reply") -> Row:
         read = [Sample("TCuscinettiRiduttore", 40.0, Quality.GOOD, moment) for moment in (9.8, 9.9, 10.7, 10.8, 10.9)]
         read += [Sample("TFango", 40.0, Quality.LAST_USABLE, moment) for moment in moments]
-        return judged_row("split reply", (9.7, 10.5), 11.0, read=read, unconfirmed=moments, wrong=())
+        return judged_row(fault, (9.7, 10.5), 11.0, read=read, unconfirmed=moments, wrong=())
 
     late, punctual = row(10.701), row(10.801)
     assert (late.not_good, late.unconfirmed) == ({}, 0)
     assert (punctual.not_good, punctual.unconfirmed) == ({"TFango": 1}, 1)
+    # A fault that holds back replies makes scans late itself: there it is what is noticed.
+    assert row(10.701, fault="wrong transaction").detected_s == pytest.approx(1.001)
 
 
 def written(transaction: int, address: int, sequence: int, function: int = 16) -> RequestRow:
