@@ -159,12 +159,14 @@ def test_what_to_do_is_said_in_the_readers_language_unless_the_plant_has_words_o
     assert said("de", response="Zulauf drosseln") == "Zulauf drosseln"
 
 
-def test_every_effect_that_can_be_named_has_its_words_and_its_experiment() -> None:
-    names = {entry.name for entry in catalogue()}
-    for section in ("effect", "experiment"):
-        assert {f"{section}.{name}" for name in names} == {
-            key for key in WORDS["en"].texts if key.startswith(f"{section}.")
-        }
+def test_every_effect_that_can_be_named_has_its_words_and_its_experiment_as_a_diagnosis_says_them() -> None:
+    texts = WORDS["en"].texts
+    for section, own in (
+        ("effect", {entry.name: entry.plain for entry in catalogue()}),
+        ("experiment", {entry.name: entry.experiment for entry in catalogue()}),
+    ):
+        said = {key.partition(".")[2]: text for key, text in texts.items() if key.startswith(f"{section}.")}
+        assert said == own
 
 
 def test_a_temperature_that_is_only_watched_has_a_row_without_a_forecast() -> None:
