@@ -38,14 +38,6 @@ machine_option = click.option(
 )
 
 
-socket_option = click.option(
-    "--socket",
-    "socket",
-    type=click.Path(path_type=Path),
-    help="The running gateway's control socket.  [default: as the plant file says]",
-)
-
-
 def control_socket(path: Path, given: Path | None) -> Path:
     """Where the running gateway can be asked: at the socket that is named, or where the plant file says.
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from gateway.cli.plant_file import config_option, socket_option
-from gateway.console import emit, json_option
+from gateway.cli.plant_file import config_option
+from gateway.console import emit, json_option, socket_option
 from gateway.entry import Exit, fail, sentences
 from gateway.settings import load_plant
 from gateway.status import ControlError, connect

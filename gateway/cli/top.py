@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 import click
 from rich.console import Console
 
-from gateway.cli.plant_file import config_option, control_socket, machine_option, socket_option
-from gateway.console import emit, json_option
+from gateway.cli.plant_file import config_option, control_socket, machine_option
+from gateway.console import emit, json_option, socket_option
 from gateway.entry import Exit, fail, sentences
 from gateway.panel import follow, panel
 from gateway.status import GatewayStatus, GatewayWatch, Health, Sighting, findings, health_of

@@ -7,6 +7,7 @@ from gateway.console.options import (
     map_option,
     renamed_option,
     seed_option,
+    socket_option,
 )
 from gateway.console.output import emit, make_folder, progress, table
 from gateway.console.places import (
@@ -36,5 +37,6 @@ __all__ = [
     "renamed_option",
     "seed_option",
     "shipped",
+    "socket_option",
     "table",
 ]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from math import isfinite
+from pathlib import Path
 from typing import Any
 
 import click
@@ -17,6 +18,11 @@ historian_machine_option = click.option(
     "--machine", metavar="NAME", help="Of a historian that has several machines: which one's rows."
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+socket_option = click.option(
+    "--socket",
+    type=click.Path(path_type=Path),
+    help="The running gateway's control socket.  [default: as the plant file says]",
+)
 seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="0 is the reference.")
 
 

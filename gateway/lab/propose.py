@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+from gateway.settings import AlarmSection
 from gateway.store import newest_scan, reading, stored_rows
 from sim.artefacts import (
     FINDING_FILE,
@@ -18,8 +19,8 @@ from sim.artefacts.formats import save
 from sim.discrepancy import Diagnosis
 from sim.sha import Model
 
-DRIFTING = 3
-"""Cycles running beyond their limit that raise the drift alarm."""
+DRIFTING: int = AlarmSection.model_fields["drift_cycles"].default
+"""Cycles running beyond their limit that raise the drift alarm where the plant file says nothing else."""
 HOUR = 3600.0
 
 

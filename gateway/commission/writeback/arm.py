@@ -23,6 +23,7 @@ from gateway.commission.session import (
     running_gateway,
 )
 from gateway.commission.writeback.block_writer import gateway_runs, layouts_of, open_block_writers
+from gateway.console import socket_option
 from gateway.entry import sentences
 from gateway.machine.writing import (
     ArmingError,
@@ -176,11 +177,7 @@ def _show_armed(data: Mapping[str, Any]) -> None:
 
 @click.command(short_help="Take the arming back.")
 @click.option("--reason", default="by command", show_default=True, help="Why, for the audit log.")
-@click.option(
-    "--socket",
-    type=click.Path(path_type=Path),
-    help="The running gateway's control socket.  [default: as the plant file says]",
-)
+@socket_option
 @audit_option
 @link_options
 def disarm(given: SharedOptions, reason: str, socket: Path | None, audit: Path | None) -> None:

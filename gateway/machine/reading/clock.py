@@ -57,7 +57,7 @@ class PlantClock:
                 with suppress(TimeoutError):
                     async with asyncio.timeout(left / self.speed):
                         await stop.wait()
-                    return
+                        return
             left = moment - self.now()
 
     def wall_offset(self) -> float:
