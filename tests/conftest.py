@@ -16,6 +16,9 @@ import pytest
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
+# Collecting makes what stays and hardly any garbage; `pytest_collection_finish` turns the collector on again.
+gc.disable()
+
 # Tests look for words, not for where a table folds them; the tests of tables name their own width.
 os.environ["COLUMNS"] = "240"
 
@@ -62,6 +65,7 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 class Durations:
