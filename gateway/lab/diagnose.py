@@ -22,9 +22,9 @@ from gateway.console import (
 )
 from gateway.entry import sentences
 from gateway.lab.adopt import adopt
-from gateway.lab.propose import DRIFTING, drifting_cycles, propose, store_of
+from gateway.lab.propose import propose, recorded_drift, store_of
 from gateway.lab.traces.load import load
-from gateway.store import recent
+from gateway.store import reading, recent
 from sim.artefacts import model_hash, read_effect_lines
 from sim.artefacts.formats import find_model
 from sim.checking.proof import verify
@@ -247,10 +247,14 @@ def diagnose(
         store = store_of(where) if proposes else None
         model = model_of(request, load_map(shipped("traces", map_name)))
         if historian is not None and if_drifting:
-            running = drifting_cycles(historian, machine=machine, temperature=model.temperature)
-            if running < DRIFTING:
-                said = f"not due: the free run was beyond its limit on {running} cycles running, fewer than {DRIFTING}"
-                emit({"due": False, "drifting": running}, lambda: click.echo(said), as_json_line=as_json)
+            with reading(historian) as connection:
+                drift = recorded_drift(connection, historian, machine=machine, temperature=model.temperature)
+            if not drift.stands:
+                said = (
+                    f"not due: the free run was beyond its limit on {drift.cycles} cycles running, fewer than "
+                    f"{drift.alarm_cycles}"
+                )
+                emit({"due": False, "drifting": drift.cycles}, lambda: click.echo(said), as_json_line=as_json)
                 return
         column_map: ColumnMap | None = None  # a historian's signals have the plant's own names
         if historian is None:

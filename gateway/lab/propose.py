@@ -1,10 +1,12 @@
 """A diagnosis on a schedule: whether the drift alarm asks for one, and its model as a candidate in the store."""
 
 import json
+import sqlite3
+from dataclasses import dataclass
 from pathlib import Path
 
 from gateway.settings import AlarmSection
-from gateway.store import newest_scan, reading, stored_rows
+from gateway.store import newest_scan, stored_rows
 from sim.artefacts import (
     FINDING_FILE,
     DiagnosisFinding,
@@ -19,24 +21,40 @@ from sim.artefacts.formats import save
 from sim.discrepancy import Diagnosis
 from sim.sha import Model
 
-DRIFTING: int = AlarmSection.model_fields["drift_cycles"].default
-"""Cycles running beyond their limit that raise the drift alarm where the plant file says nothing else."""
 HOUR = 3600.0
 
 
-def drifting_cycles(historian: Path, *, machine: str | None, temperature: str | None = None) -> int:
-    """Cycles running in which the model's free run was beyond its limit, as the newest hour of a historian says.
+@dataclass(frozen=True, slots=True)
+class RecordedDrift:
+    """On how many `cycles` running the model's free run was beyond its limit, and from how many on the alarm comes.
+
+    `alarm_cycles` is the plant's own number (`alarms.drift_cycles`), which its gateway puts on record.
+    """
+
+    cycles: int
+    alarm_cycles: int
+
+    @property
+    def stands(self) -> bool:
+        """Whether the drift alarm's condition holds."""
+        return self.cycles >= self.alarm_cycles
+
+
+def recorded_drift(
+    connection: sqlite3.Connection, historian: Path, *, machine: str | None, temperature: str
+) -> RecordedDrift:
+    """The guards' last word about the model of a `temperature`, in the newest hour of the `historian` that is open.
 
     Raises HistorianError, or ValueError where the historian has no scan yet.
     """
-    with reading(historian) as connection:
-        last = newest_scan(connection, machine=machine)
-        if last is None:
-            raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
-        rows = stored_rows(
-            connection, "guards", ("time", "content"), last - HOUR, machine=machine, temperature=temperature
-        )
-    return int(json.loads(rows[-1][1] or "{}").get("drift", {}).get("cycles", 0)) if rows else 0
+    last = newest_scan(connection, machine=machine)
+    if last is None:
+        raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
+    rows = stored_rows(connection, "guards", ("time", "content"), last - HOUR, machine=machine, temperature=temperature)
+    said = json.loads(rows[-1][1] or "{}").get("drift", {}) if rows else {}
+    # A gateway of a former release does not say from how many cycles on its alarm comes.
+    alarm = said.get("alarm_cycles", AlarmSection.model_fields["drift_cycles"].default)
+    return RecordedDrift(int(said.get("cycles", 0)), int(alarm))
 
 
 def store_of(where: str) -> Path:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.lab.propose import drifting_cycles, propose
+from gateway.lab.propose import RecordedDrift, propose, recorded_drift
+from gateway.store import reading
 from sim.artefacts import (
     FINDING_FILE,
     current,
@@ -71,12 +72,12 @@ def test_a_finding_that_was_damaged_is_refused_by_its_name(store: Path) -> None:
             read_finding(file.parent)
 
 
-def guarded(path: Path, cycles: int) -> Path:
+def guarded(path: Path, cycles: int, **more: int) -> Path:
     """A historian of a short run, after which the model's free run was beyond its limit on so many cycles."""
     trace = scenario("cd1")
     kept(path, trace)
     store, _ = one_machine(path)
-    guards = json.dumps({"drift": {"cycles": cycles, "error": 2.0, "limit": 1.0}})
+    guards = json.dumps({"drift": {"cycles": cycles, "error": 2.0, "limit": 1.0, **more}})
     store.of("decanter", temperature="TCuscinettiRiduttore").put("guards", [(float(trace.times[-1]), guards)])
     assert store.close()
     return path
@@ -84,7 +85,9 @@ def guarded(path: Path, cycles: int) -> Path:
 
 def test_a_schedule_diagnoses_only_while_the_drift_alarm_stands(model: Path, tmp_path: Path) -> None:
     calm, drifting = guarded(tmp_path / "calm.sqlite", 2), guarded(tmp_path / "drifting.sqlite", 3)
-    assert drifting_cycles(drifting, machine=None) == 3
+    with reading(drifting) as connection:
+        said_of = recorded_drift(connection, drifting, machine=None, temperature="TCuscinettiRiduttore")
+        assert said_of == RecordedDrift(3, 3), "a former release does not say from how many on"
     store = tmp_path / "store"
     promote(store, save(store, find_model(str(model)).runnable(), created=1.0))
     given = ("diagnose", "--model", store, "--if-drifting", "--propose", "--out", tmp_path / "out", "--historian")
@@ -96,6 +99,14 @@ def test_a_schedule_diagnoses_only_while_the_drift_alarm_stands(model: Path, tmp
     data = only_object(decanter(*given, drifting, "--json").stdout)
     assert (data["verdict"], data["proposed"], data["new"]) == ("too-little-data", None, False)
     assert len(versions(store)) == 1
+
+
+def test_a_plant_whose_alarm_counts_other_cycles_has_its_diagnosis_with_that_alarm(model: Path, tmp_path: Path) -> None:
+    patient = guarded(tmp_path / "patient.sqlite", 4, alarm_cycles=5)
+    given = ("diagnose", "--model", model, "--if-drifting", "--out", tmp_path / "out", "--historian")
+    assert "on 4 cycles running, fewer than 5" in decanter(*given, patient).stdout
+    hasty = guarded(tmp_path / "hasty.sqlite", 1, alarm_cycles=1)
+    assert only_object(decanter(*given, hasty, "--json").stdout)["verdict"] == "too-little-data"
 
 
 def test_a_candidate_needs_a_store_and_drift_a_historian(model: Path, traces: Path, tmp_path: Path) -> None:

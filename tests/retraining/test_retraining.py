@@ -1,5 +1,6 @@
 """From a historian to a proposed version: what is cut, chosen, judged, kept; and what a kill at any step leaves."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +15,12 @@ from gateway.lab.retraining import cutting, judging, shadow, study
 from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
 from gateway.lab.retraining.judging import NEW, PRESENT, compared, scores_along, verdict_on
+from gateway.lab.retraining.report import coverage_figure
 from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, encoded, joined, new_cycles, source_of, sparse
 from gateway.lab.retraining.training_record import read_record
 from gateway.machine.reading import Scan
 from gateway.machine.records import Keeper
+from gateway.store import open_historian
 from sim.artefacts import current, load, promote, read_familiarity, version_directory, versions
 from sim.artefacts.formats import save
 from sim.ranking import METHODS, Taught
@@ -452,11 +455,54 @@ def test_the_commands_show_cycles_and_family_and_make_a_version_again(
         decanter("model", "lineage", store, "--remake", data["version"], "--library", library, "--json").stdout
     )
     assert again["remade"]["same"]
+    # The map rings what was learned from, and nothing else.
+    with opened_library(library) as held:
+        trained = frozenset(held.newest_training())
+        rows = [row for row in held.cycles() if not row.excluded and len(row.points)]
+    dots = coverage_figure(rows, trained).axes[0].collections
+    drawn = [(np.size(each.get_facecolor()), len(np.asarray(each.get_offsets()))) for each in dots]
+    assert sum(count for filled, count in drawn if filled) == len(rows)
+    assert sum(count for filled, count in drawn if not filled) == sum(row.name in trained for row in rows) > 0
     waiting = only_object(decanter(*given, "--if-due", "--after", 30, "--json").stdout)
     assert waiting == {"due": False, "cycles": 0}
     refused(
         decanter("model", "cycles", tmp_path / "none"), 2, "is no library of cycles; `decanter model retrain` makes one"
     )
+
+
+def test_a_timer_retrains_on_its_own_bearings_drift_alarm_and_waits_without_a_reason(
+    tmp_path: Path, store: Path, quick: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The plant's alarm comes from two cycles on; those of the bearing that is followed first are no reason."""
+    path, begin = tmp_path / "historian.sqlite", BEGIN
+    written(path, plant())
+
+    given: tuple[object, ...] = ("model", "retrain", store, "--historian", path, "--library", tmp_path / "l")
+    given += ("--full-speed", "--no-diagnosis", "--if-due", "--after", 99)
+
+    def due(*more: object) -> dict[str, Any]:
+        return only_object(decanter(*given, "--json", *more).stdout)
+
+    assert due() == {"due": False, "cycles": CYCLES - 1}, "never retrained is no reason"
+    monkeypatch.setattr("time.time", lambda: begin + 3 * 86_400.0)
+    assert due("--every", 4)["due"] is False, "the version was made three days ago"
+    said = decanter(*given, "--every", 2).stdout
+    assert "not yet: the last retraining is 3 days ago, but 15 new cycles are too few; it takes 16" in said
+    more = plant(4, begin + CYCLES * (RUN + REST))
+    gateway = open_historian(path)
+    tags = [Tag(name, f"holding:{n}") for n, name in enumerate(more.signals)]
+    first, own = (gateway.of("decanter", tags, temperature=name) for name in ("Assorbimento", TEMPERATURE))
+    last = float(more.times[-1])
+    guards = {"cycles": 2, "alarm_cycles": 2, "error": 2.0, "limit": 1.0}
+    first.put("guards", [(last, json.dumps({"drift": guards}))])
+    own.put("guards", [(last, json.dumps({"drift": guards | {"cycles": 1}}))])
+    assert gateway.close()
+    written(path, more)
+    assert due() == {"due": False, "cycles": 4}
+    gateway = open_historian(path)
+    gateway.of("decanter", tags, temperature=TEMPERATURE).put("guards", [(last, json.dumps({"drift": guards}))])
+    assert gateway.close()
+    assert due()["due"] == "the drift alarm's condition holds"
 
 
 def test_a_damaged_library_and_too_few_cycles_are_one_sentence(

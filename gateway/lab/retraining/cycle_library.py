@@ -200,6 +200,12 @@ class CycleLibrary:
                 "INSERT OR REPLACE INTO steps VALUES (?, ?, ?)", (study, name, json.dumps(content))
             )
 
+    def newest_training(self) -> list[str]:
+        """The names of the cycles that the newest finished study learned from; none before one."""
+        finished = self.fact("finished")
+        sets = None if finished is None else self.step(int(finished["study"]), "sets")
+        return [] if sets is None else [str(name) for name, _ in sets["training"]]
+
     def close_study(self, study: int) -> None:
         """The study is finished: the next one is another."""
         with self._connection:

@@ -20,7 +20,11 @@ from sim.pictures import check_picture, save_picture
 @click.option("--reason", help="Why: work on the sensor, cleaning, a test.")
 @click.option("--by", help="Who excludes it.")
 @click.option("--include", metavar="NAME", help="Take back that a cycle is excluded.")
-@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="A map of what the plant did.")
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="A map of what the plant did.",
+)
 @json_option
 def cycles_command(
     folder: Path,
@@ -50,9 +54,10 @@ def cycles_command(
                 library.exclude(include, "", "")
             every = library.cycles()
             kept = library.kept_bytes()
+            trained = frozenset(library.newest_training())
         shown = [row for row in every if rating in (None, row.rating)]
         if picture is not None:
-            save_picture(coverage_figure(every), picture, picture.suffix[1:].lower())
+            save_picture(coverage_figure(every, trained), picture, picture.suffix[1:].lower())
     counts = {each: sum(row.rating == each for row in every) for each in RATINGS}
     data: dict[str, Any] = {"library": str(folder), "counts": counts, "kept_bytes": kept}
     data |= {"picture": picture and str(picture), "cycles": [row.as_plain() for row in shown]}

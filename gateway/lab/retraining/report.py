@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from io import StringIO
 from math import isfinite
@@ -94,17 +94,20 @@ class Retraining:
         return lines + [f"note: {note}" for note in self.notes]
 
 
-def report_files(found: Retraining, cycles: Iterable[CycleRow]) -> dict[str, str]:
-    """The report's files by name."""
+def report_files(found: Retraining, cycles: Iterable[CycleRow], trained: frozenset[str]) -> dict[str, str]:
+    """The report's files by name; `trained` names the cycles that the new model was learned from."""
     return {
         f"{REPORT}.txt": "\n".join(found.lines()) + "\n",
         f"{REPORT}.json": json_text(found.as_plain(), indent=1) + "\n",
-        f"{REPORT}.html": _page(found, list(cycles)),
+        f"{REPORT}.html": _page(found, list(cycles), trained),
     }
 
 
-def coverage_figure(cycles: Iterable[CycleRow], trained: frozenset[str] = frozenset()) -> Figure:
-    """A map of what the plant does: cycles by mean load and highest temperature, those of the training ringed."""
+def coverage_figure(cycles: Sequence[CycleRow], trained: frozenset[str]) -> Figure:
+    """A map of what the plant does: cycles by mean load and highest temperature, those `trained` on ringed.
+
+    What a person has excluded is left out.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Canvas
 
@@ -118,21 +121,25 @@ def coverage_figure(cycles: Iterable[CycleRow], trained: frozenset[str] = frozen
         if own:
             x = [float(np.nanmax(row.points[:, across])) for row in own]
             y = [float(np.nanmax(row.points[:, up])) for row in own]
-            edges = ["#1d232b" if row.name in trained else "none" for row in own]
-            axes.scatter(x, y, s=28, c=COLOURS[rating], edgecolors=edges, linewidths=0.9, alpha=0.75, label=rating)
+            axes.scatter(x, y, s=28, c=COLOURS[rating], linewidths=0, alpha=0.75, label=rating)
+            ringed = [place for place, row in enumerate(own) if row.name in trained]
+            if ringed:
+                around = ([x[place] for place in ringed], [y[place] for place in ringed])
+                axes.scatter(*around, s=64, facecolors="none", edgecolors="#1d232b", linewidths=0.9)
     axes.set_xlabel("mean load over half an hour, the highest of the cycle (A)")
     axes.set_ylabel("temperature, the highest of the cycle (°C)")
     axes.grid(alpha=0.25)
     if axes.has_data():
         axes.legend(fontsize=8)
-    axes.set_title("what the plant did; ringed: what the new model was learned from", fontsize=10, loc="left")
+    ring = "; ringed: what the newest retraining learned from" if trained else ""
+    axes.set_title(f"what the plant did{ring}", fontsize=10, loc="left")
     return canvas
 
 
-def _page(found: Retraining, cycles: list[CycleRow]) -> str:
+def _page(found: Retraining, cycles: list[CycleRow], trained: frozenset[str]) -> str:
     """One HTML file that needs no other."""
     text = StringIO()
-    save_picture(coverage_figure(cycles), text, "svg")
+    save_picture(coverage_figure(cycles, trained), text, "svg")
     _, tag, rest = text.getvalue().partition("<svg")
     environment = page_environment("gateway.lab.retraining", figure=_figure)
     shown = [row for row in cycles if row.rating != "ordinary" or row.excluded]

@@ -11,12 +11,24 @@ import click
 
 from gateway.console import emit, historian_machine_option, json_option, map_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
-from gateway.lab.propose import DRIFTING, drifting_cycles
+from gateway.lab.propose import recorded_drift
 from gateway.lab.retraining.cycle_library import opened_library
 from gateway.lab.retraining.report import Retraining
-from gateway.lab.retraining.study import REPORTS, RetrainingRequest, cut_and_rate, due, retrain, source_of
+from gateway.lab.retraining.study import (
+    ENOUGH,
+    REPORTS,
+    RetrainingRequest,
+    cut_and_rate,
+    due,
+    new_cycles,
+    retrain,
+    source_of,
+)
+from gateway.lab.retraining.training_record import created_of
 from gateway.lab.traces.load import load
 from gateway.store import machines, newest_scan, reading
+from sim.artefacts import load as load_version
+from sim.artefacts import version_directory
 from sim.familiarity import RED, YELLOW
 from sim.sha import shown_unit
 
@@ -86,12 +98,18 @@ def retrain_command(
         os.nice(NICE)
     begin = time.process_time()
     with sentences(), progress("retraining") as bar, interruptible(bar) as report:
+        temperature = load_version(store).temperature
         with reading(historian) as connection:
             known = dict(machines(connection))
             last = newest_scan(connection, machine=machine)
-        if last is None:
-            raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
-        name = machine if machine is not None else next(iter(known))
+            if last is None:
+                raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
+            name = machine if machine is not None else next(iter(known))
+            drifting = (
+                if_due
+                and temperature in known[name]
+                and recorded_drift(connection, historian, machine=name, temperature=temperature).stands
+            )
         request = RetrainingRequest(
             store=store,
             historian=historian,
@@ -108,19 +126,22 @@ def retrain_command(
             red=red,
         )
         source = source_of(request, last)
-        temperature = source.model.temperature
         folder = folder or historian.parent / "cycles" / "-".join(filter(None, (name, temperature)))
         with opened_library(folder, machine=name, temperature=temperature) as library:
             cut = cut_and_rate(request, library, source, report)
             reason = ""
             if if_due:
-                running = drifting_cycles(historian, machine=machine)
-                finished = library.fact("finished")
-                age = float("inf") if finished is None else time.time() - finished["at"]
+                # Before the first retraining the version that runs was the last thing learned.
+                learned = created_of(version_directory(store, source.version))
+                age = time.time() - max(learned, (library.fact("finished") or {"at": learned})["at"])
                 limit = float("inf") if every is None else every * 86_400.0
-                reason = due(library, source.model, after=after, drifting=running >= DRIFTING, age=age, every=limit)
-                if not reason:
-                    said = f"not due: {cut} cycles came, no drift, fewer than {after} that are not ordinary"
+                reason = due(library, source.model, after=after, drifting=drifting, age=age, every=limit)
+                fresh = len(new_cycles(library, source.model))
+                said = f"not due: {cut} cycles came, no drift, fewer than {after} that are not ordinary"
+                if reason and fresh < ENOUGH:
+                    # For a timer that is no mistake: it comes again.
+                    said = f"not yet: {reason}, but {fresh} new cycles are too few; it takes {ENOUGH}"
+                if not reason or fresh < ENOUGH:
                     emit({"due": False, "cycles": cut}, lambda: click.echo(said), as_json_line=as_json)
                     return
             found = retrain(request, library, source, report=report, clock=time.time)

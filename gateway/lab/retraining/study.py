@@ -57,6 +57,8 @@ Progress = Callable[[str, float], None]
 
 HELD_OUT, LEAST_HELD_OUT = 12, 8
 """New cycles that are held out at most, and how many a paired test needs to say anything."""
+ENOUGH = 2 * LEAST_HELD_OUT
+"""New cycles below which a retraining is refused."""
 FALLEN = 0.2
 """The share of new cycles badly predicted from which settings are searched anew; where a model is right it is 0.1."""
 SPARSE = 10.0
@@ -270,7 +272,7 @@ def retrain(
         notes=(*notes, *chosen["notes"]),
     )
     report("writing the report", 0.95)
-    files = report_files(found, rows_by_name.values())
+    files = report_files(found, rows_by_name.values(), frozenset(name for name, _ in chosen["training"]))
     if propose:
         # Known again by its study: a kill between the store and the library must not make a second version.
         made = next((name for name in versions(request.store) if _study_of(request.store, name) == record.study), None)
@@ -307,7 +309,7 @@ def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSour
     if count < LEAST_HELD_OUT:
         raise ValueError(
             f"{library.folder}: {len(fresh)} new cycles are too few to learn from and to judge by; it takes "
-            f"{2 * LEAST_HELD_OUT}, so let the gateway run on"
+            f"{ENOUGH}, so let the gateway run on"
         )
     ordered = sorted(fresh, key=lambda row: (RATINGS.index(row.rating), row.begin))
     places = np.unique(np.linspace(0, len(ordered) - 1, count).round().astype(int)).tolist()

@@ -15,11 +15,15 @@ INNOVATIONS, DRIFT = "one step", "drift"
 class Guards:
     """Reviews by what is looked at: the one-step prediction, and the forecasts of each horizon ("60 s").
 
-    `drift` follows the free run from cycle to cycle, against `limit` (degC) or the model's own band (None).
+    `drift` follows the free run from cycle to cycle, against `limit` (degC) or the model's own band (None); the alarm
+    comes from `drift_cycles` beyond it on, which is said with it so that the records tell whether it stands.
     """
 
-    def __init__(self, model: Model, horizons: tuple[float, ...], limit: float | None = None) -> None:
+    def __init__(
+        self, model: Model, horizons: tuple[float, ...], limit: float | None = None, *, drift_cycles: int
+    ) -> None:
         self.model = model
+        self._drift_cycles = drift_cycles
         self.drift = CycleDrift()
         self._rule = rule_of(model, limit)
         self._horizons = {f"{horizon:g} s": horizon for horizon in horizons}
@@ -70,7 +74,12 @@ class Guards:
         correction = self.model.correction
         return {
             "review": self.flagged,
-            "drift": {"cycles": self.drift.running, "error": self.drift.error, "limit": self.drift.limit},
+            "drift": {
+                "cycles": self.drift.running,
+                "alarm_cycles": self._drift_cycles,
+                "error": self.drift.error,
+                "limit": self.drift.limit,
+            },
             "reviews": reviews,
             "clamps": {
                 "belief": belief,

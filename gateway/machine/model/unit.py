@@ -87,7 +87,10 @@ class ModelUnit:
             supervisor=self._supervisor,
             turns=self._turns,
         )
-        self.guards = Guards(self.loaded.model, config.forecast.horizons, config.alarms.drift)
+        alarms = config.alarms
+        self.guards = Guards(
+            self.loaded.model, config.forecast.horizons, alarms.drift, drift_cycles=alarms.drift_cycles
+        )
         section = config.virtual_sensor
         self.familiarity = CycleFamiliarity(self.loaded.familiarity, self.loaded.model, config.alarms.unfamiliar)
         self.virtual = VirtualSensor(section.minutes * 60.0, section.width, period)
