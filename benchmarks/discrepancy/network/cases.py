@@ -25,7 +25,7 @@ NOISES = (0.05, 0.5)
 GIVEN = ("before", "other", "same")
 LEARNABLE = 20
 """Seconds between rows up to which a model can be learned with the plant's own alphabet (its `gap`)."""
-FITTED, BATCH = 0.7, 30
+FITTED, BATCH = 0.7, 100
 """The share of the time that a tool may fit; runs that are integrated side by side."""
 HIDDEN: Mapping[str, Hidden] = {**{name: make for name, (_, make) in INSIDE.items()}, **OUTSIDE}
 

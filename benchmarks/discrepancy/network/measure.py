@@ -20,7 +20,7 @@ from benchmarks.discrepancy.seal import commit, labels_of, write_labels
 
 COUNTS = {"clean": 200, "singles": 210, "pairs": 50, "outside": 40}
 """200 cases where nothing is missing and 300 in which something acts."""
-CHUNK = 12
+CHUNK = 60
 """Cases of the order that are made at once: those of one length are integrated side by side."""
 NAME = "measure"
 

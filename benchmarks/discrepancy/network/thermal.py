@@ -109,36 +109,47 @@ def courses(runs: Sequence[NetworkRun]) -> list[Array]:
     frame, radiating, fan = constant("frame"), constant("radiating"), constant("fan")
     opens, closes = constant("opens"), constant("closes")
     frame_pace = np.divide(frame, constant("frame_capacity"), out=np.zeros(count), where=frame > 0)
-    shaft, inner, rollers, outer, housing, foot = (np.array([run.plant.hall for run in runs]) for _ in range(6))
     radiates, framed, fanned = bool(radiating.any()), bool(frame.any()), bool(fan.any())
-    blowing = np.zeros(count)
+    # All masses are one matrix, so that a second costs a dozen calls whatever the number of runs.
+    masses, passed = np.tile([run.plant.hall for run in runs], (len(CAPACITY), 1)), _passed_on()
+    rollers, housing = list(CAPACITY).index("rollers"), list(CAPACITY).index("housing")
+    seat = np.zeros(len(CAPACITY))
+    seat[list(CAPACITY).index("outer")], seat[housing] = SEAT, 1.0 - SEAT
+    foot, blowing = masses[housing].copy(), np.zeros(count)
     out = np.empty((seconds, count), dtype=np.float32)
     for row in range(seconds):
-        out[row] = SEAT * outer + (1.0 - SEAT) * housing
-        to_shaft = CONTACT["shaft-inner"] * (inner - shaft)
-        to_inner = CONTACT["inner-rollers"] * (rollers - inner)
-        to_outer = CONTACT["rollers-outer"] * (rollers - outer)
-        to_housing = CONTACT["outer-housing"] * (outer - housing)
-        friction = heat[row] + turning[row] * viscous * np.exp(-THINNING * (rollers - 40.0))
+        out[row] = seat @ masses
+        warmest, wall = masses[rollers], masses[housing]
+        friction = heat[row] + turning[row] * (viscous * np.exp(-THINNING * (warmest - 40.0)))
         # `pull` holds conductance times sink of all coolings; the hall's part stands by itself for the radiation.
-        away = loss[row] * housing - pull[row]
+        away = loss[row] * wall - pull[row]
         if radiates:
-            warm, cold = housing + KELVIN, hall[row] + KELVIN
-            above = np.maximum(housing - hall[row], 0.0)
+            warm, cold = wall + KELVIN, hall[row] + KELVIN
+            above = np.maximum(wall - hall[row], 0.0)
             away = away + radiating * (0.9 * STEFAN * (warm**4 - cold**4) + 1.4 * above**1.25)
         if fanned:
-            blowing = np.where(housing > opens, 1.0, np.where(housing < closes, 0.0, blowing))
-            away = away + fan * blowing * (housing - hall[row])
+            blowing = np.where(wall > opens, 1.0, np.where(wall < closes, 0.0, blowing))
+            away = away + fan * blowing * (wall - hall[row])
         if framed:
-            to_frame = frame * (housing - foot)
-            foot = foot + frame_pace * (housing - foot) - 0.1 * frame_pace * (foot - hall[row])
+            to_frame = frame * (wall - foot)
+            foot = foot + frame_pace * (wall - foot) - 0.1 * frame_pace * (foot - hall[row])
             away = away + to_frame
-        shaft = shaft + to_shaft / CAPACITY["shaft"]
-        inner = inner + (to_inner - to_shaft) / CAPACITY["inner"]
-        rollers = rollers + (friction - to_inner - to_outer) / CAPACITY["rollers"]
-        outer = outer + (to_outer - to_housing) / CAPACITY["outer"]
-        housing = housing + (to_housing - away) / CAPACITY["housing"]
+        masses = passed @ masses
+        masses[rollers] += friction / CAPACITY["rollers"]
+        masses[housing] -= away / CAPACITY["housing"]
     return [_sensed(out[:, number].astype(float), run.addition) for number, run in enumerate(runs)]
+
+
+def _passed_on() -> Array:
+    """(masses, masses): what the masses pass on to each other in a second, as in `CAPACITY`'s order."""
+    names = list(CAPACITY)
+    passed = np.eye(len(names))
+    for contact, conductance in CONTACT.items():
+        one, other = contact.split("-")
+        for here, there in ((one, other), (other, one)):
+            passed[names.index(here), names.index(there)] += conductance / CAPACITY[here]
+            passed[names.index(here), names.index(here)] -= conductance / CAPACITY[here]
+    return passed
 
 
 def _drives(run: NetworkRun) -> tuple[Array, Array, Array, Array]:
