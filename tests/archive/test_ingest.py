@@ -106,6 +106,8 @@ def test_what_is_refused_has_one_sentence_and_exit_code_1(tmp_path: Path) -> Non
     (second / "empty.log").touch()
     (second / "text.log").write_text("started\n", encoding="utf-8")
     (second / "no.png").write_text("text", encoding="utf-8")
+    (second / "cut.png").write_bytes((folder / "demo.png").read_bytes()[:-40])
+    (second / "cut.svg").write_text("<svg><g>", encoding="utf-8")
     (second / "notes.txt").write_text("by hand\n", encoding="utf-8")
     (second / "a,b.csv").write_text("x\n", encoding="utf-8")
     (second / "link.csv").symlink_to(trace)
@@ -130,6 +132,8 @@ def test_what_is_refused_has_one_sentence_and_exit_code_1(tmp_path: Path) -> Non
         "empty.log": "is empty; there is nothing to keep",
         "text.log": "there is no data frame in this candump log",
         "no.png": "is called .png, but its content is no such picture",
+        "cut.png": "is a picture without its end; copy it again",
+        "cut.svg": "is a picture without its end; copy it again",
         "notes.txt": "is none of trace, artefact set, flow file, PLC recording, historian, CAN log, plot",
         "a,b.csv": "'a,b.csv' is no name for an archive",
         "link.csv": "is a link; ingest the folder with the file itself",

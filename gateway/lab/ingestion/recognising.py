@@ -33,12 +33,13 @@ PLACES: Mapping[Kind, str] = {
 SQLITE = b"SQLite format 3\0"
 BESIDE_SQLITE = ("-wal", "-shm", "-journal", ".lock")
 PICTURES = {
-    ".png": b"\x89PNG\r\n\x1a\n",
-    ".pdf": b"%PDF-",
-    ".svg": b"<svg",
-    ".jpg": b"\xff\xd8\xff",
-    ".jpeg": b"\xff\xd8\xff",
+    ".png": (b"\x89PNG\r\n\x1a\n", b"IEND"),
+    ".pdf": (b"%PDF-", b"%%EOF"),
+    ".svg": (b"<svg", b"</svg>"),
+    ".jpg": (b"\xff\xd8\xff", b"\xff\xd9"),
+    ".jpeg": (b"\xff\xd8\xff", b"\xff\xd9"),
 }
+"""By suffix what such a picture begins with, and what stands at its end."""
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 HEAD = 1 << 16
 """Bytes by whose content a file is told: the first row of a PLC recording names all its tags."""
@@ -177,6 +178,8 @@ def recognised(unit: IngestUnit, maps: Mapping[str, ColumnMap]) -> RecognisedUni
         return _artefact_set(path.parent, unit.base)
     with regular(path).open("rb") as stream:
         head = stream.read(HEAD)
+        stream.seek(max(path.stat().st_size - HEAD, 0))
+        tail = stream.read(HEAD)
     if not head:
         raise at(path, None, "is empty; there is nothing to keep")
     suffix = path.suffix.lower()
@@ -185,9 +188,12 @@ def recognised(unit: IngestUnit, maps: Mapping[str, ColumnMap]) -> RecognisedUni
     if head.startswith(SQLITE):
         return _historian(path)
     if suffix in PICTURES:
+        begins, ends = PICTURES[suffix]
         # SVG may begin with a declaration and comments.
-        if not (PICTURES[suffix] in head if suffix == ".svg" else head.startswith(PICTURES[suffix])):
+        if not (begins in head if suffix == ".svg" else head.startswith(begins)):
             raise at(path, None, f"is called {suffix}, but its content is no such picture; correct its name")
+        if ends not in tail:
+            raise at(path, None, "is a picture without its end; copy it again")
         return RecognisedUnit(kind="plot")
     if head.startswith(b"PK") and suffix == ".xlsx":
         raise at(path, None, "is a workbook, and traces are read as CSV; save its sheet as .csv")
