@@ -3,13 +3,18 @@
 import os
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from gateway.lab.propose import propose
 from gateway.texts import LANGUAGES
 from gateway.web.access import AccountRole
-from tests.gateway.support import TEMPERATURE
+from sim.artefacts import promote
+from sim.artefacts.formats import save
+from tests.discrepancy_report.made_diagnoses import of
+from tests.gateway.support import TEMPERATURE, two_modes
 from tests.page.served import PAGE, PASSWORD, Served, served
 
 playwright = pytest.importorskip("playwright.sync_api")
@@ -142,7 +147,12 @@ def test_long_names_fit_a_phone_in_every_language_and_what_is_only_watched_has_a
     words = f'labels = {{ decanter = "{LONG}", {other} = "{LONG} unten", {TEMPERATURE} = "gearbox bearing" }}'
     text = PAGE.replace(f'labels = {{ {TEMPERATURE} = "gearbox bearing" }}', words)
     text = text.replace("limit = 47.0", f'limit = 47.0\ntags = ["{TEMPERATURE}", "{other}"]')
-    with served(tmp_path, text) as gateway:
+    store = tmp_path / "store"
+    promote(store, save(store, two_modes(), created=1.0))
+    found = of("named")
+    own = replace(found.effects[0], name="own", plain=f"oil that {LONG.replace('-', '')} cools")
+    propose(store, two_modes(), replace(found, effects=(own, *found.effects[1:])), created=2.0)
+    with served(tmp_path, text, model__path=store) as gateway:
         page = browser.new_page(viewport={"width": 320, "height": 700})
         page.set_default_timeout(WAIT_MS)
         try:
@@ -152,6 +162,11 @@ def test_long_names_fit_a_phone_in_every_language_and_what_is_only_watched_has_a
                     page.reload()
                     expect(page.locator("main h2, main .row, main .controls").first).to_be_visible()
                     assert page.evaluate("document.documentElement.scrollWidth") <= 320, (language, view)
+            # What a diagnosis found waits beside its version, an engineer's own effect in its own words.
+            page.goto(f"http://127.0.0.1:{gateway.port}/?lang=en#/model")
+            expect(page.locator(".finding")).to_contain_text("Proposed by a diagnosis; free-run error 0.63 to 0.23 °C")
+            expect(page.locator(".finding li").first).to_contain_text(own.plain)
+            assert page.evaluate("document.documentElement.scrollWidth") <= 320
             page.goto(f"http://127.0.0.1:{gateway.port}/?lang=en#/plant")
             gateway.put(other, 50.0)
             row = page.locator(f'.row[data-tag="{other}"]')

@@ -43,7 +43,7 @@ function findingText(finding) {
   if (!finding) return null;
   const told = (key, own) => (say(key) === key ? own : say(key)); // an engineer's own effect has words of its own
   return h("div", { class: "finding" }, h("small", {}, say("model.found", { before: number(finding.before, 2), after: number(finding.after, 2), unit: finding.unit.replace("degC", "°C") })),
-    h("ul", {}, finding.effects.map((each) => h("li", {}, told(`effect.${each.name}`, each.plain), each.members.length > 1 && ` (${say("model.or")} ${each.members.slice(1).map((other) => told(`effect.${other}`, other)).join(", ")})`,
+    h("ul", {}, finding.effects.map((each) => h("li", {}, told(`effect.${each.name}`, each.plain), each.members.length > 1 && ` (${say("model.or")} ${each.members.slice(1).map((other) => told(`effect.${other}`, other)).join("; ")})`,
       h("br"), h("small", {}, `${say("model.confirm")}: ${told(`experiment.${each.name}`, each.experiment)}`)))));
 }
 
