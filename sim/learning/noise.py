@@ -547,7 +547,7 @@ def fit_noises(
         few = stretches(runs if whole is None else whole, budget, CLOSE_STEP)
     steps = _steps(few, shape, fit, groups)
     floor = max(floor, resolution(runs.reading) / sqrt(12.0))
-    (task,) = _tasks(steps, groups, shape, floor)
+    task, *heated = _tasks(steps, groups, shape, floor, (None, *memories.heat))
     # As many independent looks as the data have stretches of 300 s, spread over one step and the horizons.
     weight = max(float(few.dt.sum()) / 300.0, 10.0)
     best = task.fitted(weight)
@@ -568,7 +568,9 @@ def fit_noises(
         task = found[0]
         best = task.fitted(weight, best)
     levels = [_levels(task, best)]
-    heated = _tasks(task.steps, groups, shape, floor, memories.heat, sensor_memory=task.sensor_memory)
+    heated = [
+        replace(one, steps=replace(task.steps, heat=one.steps.heat), sensor_memory=task.sensor_memory) for one in heated
+    ]
     if (found := _worth_it(task, best, heated, np.append(best, log(FIRST_HEAT)), weight)) is not None:
         trial, theta = found
         levels.append(_levels(trial, trial.fitted(weight, theta)))
@@ -624,12 +626,7 @@ def _levels(task: _Task, theta: Array) -> NoiseLevels:
 
 
 def _tasks(
-    steps: _AffineSteps,
-    groups: Indices,
-    shape: FitShape,
-    floor: float,
-    memories: Sequence[float | None] = (None,),
-    sensor_memory: float = 0.0,
+    steps: _AffineSteps, groups: Indices, shape: FitShape, floor: float, memories: Sequence[float | None]
 ) -> list[_Task]:
     """A task for each memory (s) of the disturbance, None without one; what does not depend on it is made once."""
     heats = [None if memory is None else disturbance_step(memory, steps.k, steps.dt) for memory in memories]
@@ -646,7 +643,6 @@ def _tasks(
             places=groups.size,
             floor=floor,
             memory=memory,
-            sensor_memory=sensor_memory,
         )
         for number, (memory, heat) in enumerate(zip(memories, heats, strict=True))
     ]
