@@ -24,6 +24,7 @@ from gateway.lab.traces.load import load
 from sim.artefacts.formats.write_model import write_model_directory
 from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import learn_bins
+from tests.rig.no_bands import without_bands
 
 QUIET = Roughness(0.0, 400.0, 0.0, 0.02, 0.01)
 
@@ -90,6 +91,7 @@ def quick_learn(traces: Path, out: Path, seed: int) -> None:
 def test_cases_are_generated_whole_and_only_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bearings, "learn", quick_learn)
     monkeypatch.setattr(generator, "learn", quick_learn)
+    without_bands(monkeypatch)
     command = ["generate", "--set", "development", "--strata", "one-day", "--count", "2", "--out", str(tmp_path)]
     told = CliRunner().invoke(main, command)
     assert told.exit_code == 0, told.output

@@ -14,8 +14,6 @@ from gateway.store.read_back import recent
 from sim.artefacts.formats.find import find_model
 from sim.discrepancy.workflow import diagnose
 from sim.effects.kinds import ROLES
-from sim.learning.bins import learn as bins
-from sim.learning.calibrate import HeldOutForecasts
 from sim.plant.cooled import EPOCH, CooledPlant, cooled_days
 from sim.plant.scenarios import scenario
 from sim.sha.trace import Trace
@@ -23,6 +21,7 @@ from sim.traces.column_map import load_map
 from sim.traces.traces import load_traces
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 from tests.gateway.support import one_machine
+from tests.rig.no_bands import without_bands
 
 
 def kept(path: Path, trace: Trace) -> Path:
@@ -133,7 +132,7 @@ def test_the_demonstration_names_what_is_hidden_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The bands, for which the model is fitted three times more: a diagnosis does not look at them.
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
     misused(decanter("demo", "--discrepancy", "--limit", "80"), "simulates its own plant")
     result = decanter("demo", "--discrepancy", "--out", tmp_path / "demo", "--json")
     assert result.exit_code == 0

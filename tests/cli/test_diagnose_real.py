@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
-from sim.learning.bins import learn as bins
-from sim.learning.calibrate import HeldOutForecasts
 from tests.cli.support import ROOT, decanter, only_object
+from tests.rig.no_bands import without_bands
 
 REAL = ROOT.parent / "shared" / "data"
 CARS = REAL / "carobd"
@@ -24,7 +23,7 @@ pytestmark = [
 @pytest.fixture(autouse=True)
 def _no_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bands, for which a model is fitted two or three times more, and which a diagnosis does not look at."""
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
 
 
 def diagnosed(model: Path, traces: Path, column_map: str, out: Path) -> dict[str, Any]:

@@ -12,14 +12,13 @@ import pytest
 from gateway.lab.fleet import study
 from sim.artefacts import read_model
 from sim.effects import of_machine as of_the_type
-from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import CANDIDATES
 from sim.learning.bins.learn import learn_bins
-from sim.learning.calibrate import HeldOutForecasts
 from sim.traces import write_trace
 from sim.validation import held
 from tests.cli.support import ROOT, decanter, only_object, refused
 from tests.learning.test_machines import of_machine
+from tests.rig.no_bands import without_bands
 
 OFFSETS = {"m0": -1.6, "m1": 2.0, "m2": 0.5, "odd": 15.0, "m4": -0.4, "m5": 0.9, "m6": -2.0}
 
@@ -35,7 +34,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     text = (ROOT / "config/traces/decanter.toml").read_text(encoding="utf-8")
     (folder / "map.toml").write_text(text.replace("TCuscinettiRiduttore", "T"), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+        without_bands(patch)
         patch.setattr(study, "learn_bins", partial(learn_bins, candidates=CANDIDATES[:1]))
         done = command(folder, "out")
         assert done.count("held-out error") == len(OFFSETS), done

@@ -12,10 +12,8 @@ import pytest
 
 from gateway.entry.interrupt import Interrupted, control_c, interruptible
 from sim.artefacts.formats.find import find_model
-from sim.learning.bins import learn as bins
-from sim.learning.calibrate import HeldOutForecasts
-from sim.learning.lsha import learn as lsha
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
+from tests.rig.no_bands import without_bands
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +23,7 @@ def rival(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
     command = ("model", "learn", "--method", "lsha", "--traces", traces / "cd1.csv", "--out", folder)
     with pytest.MonkeyPatch.context() as patch:
         # The bands, for which a model is fitted three times more: a ranking does not look at them.
-        patch.setattr(lsha, "bands", lambda *_, **__: HeldOutForecasts([], 0))
+        without_bands(patch)
         assert decanter(*command).exit_code == 0
     return folder
 
@@ -101,7 +99,7 @@ def test_tune_searches_writes_the_model_and_refuses_other_traces(
     traces: Path, halves: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The bands, for which each model is fitted three times more: no objective looks at them.
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
     file, out = tmp_path / "s.db", tmp_path / "best"
     options = ("--map", "decanter", "--study", file, "--folds", 2)
     command = ("model", "tune", "--traces", halves, *options)

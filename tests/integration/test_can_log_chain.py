@@ -22,6 +22,7 @@ from sim.sha.trace import Trace
 from sim.traces.column_map import load_map
 from sim.traces.traces import load_traces
 from tests.gateway.support import JumpClock
+from tests.rig.no_bands import without_bands
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data" / "can_obd2"
@@ -123,7 +124,9 @@ def plant(trip: tuple[Trace, Alphabet], tmp_path_factory: pytest.TempPathFactory
     folder = tmp_path_factory.mktemp("car")
     trace, alphabet = trip
     first = trace.between(trace.times[0], trace.times[0] + LEARNED_SECONDS)
-    model = learn_bins([first], alphabet, "CoolantTemperature", seed=0).model
+    with pytest.MonkeyPatch.context() as patch:
+        without_bands(patch)
+        model = learn_bins([first], alphabet, "CoolantTemperature", seed=0).model
     (folder / "model.json").write_text(model_text(model))
     device = (ROOT / "config" / "devices" / "obd2.toml").read_text()
     (folder / "car.toml").write_text(device.replace('# log = "trip.log"', f'log = "{TRIP}"'))

@@ -15,6 +15,7 @@ from sim.learning.structure import announcements
 from sim.sha.automaton import SHA, transitions
 from sim.sha.events import DECANTER, encode
 from sim.sha.trace import UNKNOWN, Event, Trace
+from tests.rig.no_bands import without_bands
 from tests.rig.pair import CURRENT, RATES, RUNNING, TARGETS, TEMPERATURE, known_model, make_rig
 
 SPEED = 80.0
@@ -162,7 +163,10 @@ def assert_the_same_course(trip: RoundTrip) -> None:
     assert np.sqrt(np.mean((known - learned) ** 2)) < 1.0
 
 
-def test_a_known_automaton_comes_back_from_plc_fieldbus_gateway_historian_and_learner(tmp_path: Path) -> None:
+def test_a_known_automaton_comes_back_from_plc_fieldbus_gateway_historian_and_learner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_bands(monkeypatch)
     trip = travel(tmp_path)
     assert_the_same_word(trip)
     assert_the_same_locations(trip)

@@ -10,10 +10,8 @@ from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import read_model
 from sim.engine.open_loop_run import errors, open_loop
-from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import learn_bins
-from sim.learning.calibrate import HeldOutForecasts
 from sim.learning.correction import corrected_model, learn_correction
 from sim.learning.max_rate import bite, learn_max_rate, with_max_rate
 from sim.learning.structure import LearningError
@@ -23,6 +21,7 @@ from sim.sha.model import Correction, Model
 from sim.sha.trace import Trace
 from tests.cli.support import decanter, only_object
 from tests.learning.plants import Truth, simulate, with_signal
+from tests.rig.no_bands import without_bands
 
 QUIET = Truth(scatter=0.3)
 NAMES = ("cd4", "cd6", "cd12")
@@ -39,7 +38,7 @@ def reading(*, seed: int = 5, cycles: int = 10) -> list[Trace]:
 def learned(traces: list[Trace], temperature: str) -> Model:
     """Of one rate, and without the bands, for which it would be fitted three times more: a correction needs none."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+        without_bands(patch)
         return learn_bins(traces, DECANTER, temperature, seed=0, candidates=[BinsCandidate("constant")]).model
 
 

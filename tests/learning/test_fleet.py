@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from sim.learning import LearningError, outstanding, own_targets, spread_of
-from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import CANDIDATES
 from sim.learning.bins.learn import learn_bins
-from sim.learning.calibrate import HeldOutForecasts
 from sim.sha import Model
 from sim.sha.events import DECANTER
 from tests.learning.plants import with_signal
 from tests.learning.test_machines import of_machine
+from tests.rig.no_bands import without_bands
 
 
 def drawn(rng: np.random.Generator, machines: int, shifts: dict[str, float] | None = None) -> dict[str, float]:
@@ -42,7 +41,7 @@ def test_one_that_is_far_off_is_found_and_so_are_two_of_many() -> None:
 @pytest.fixture(scope="module")
 def model() -> Model:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+        without_bands(patch)
         return learn_bins(of_machine("m", 0.0, 3, cycles=4), DECANTER, "T", seed=0, candidates=CANDIDATES[:1]).model
 
 

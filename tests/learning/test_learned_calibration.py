@@ -1,16 +1,14 @@
 """The bands of a learned model cover what they say, on traces of the same plant that it never saw."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import learn_bins
-from sim.learning.calibrate import HORIZONS, HeldOutForecasts, Scored, calibrate, coverage_of, score_forecasts
+from sim.learning.calibrate import HORIZONS, Scored, calibrate, coverage_of, score_forecasts
 from sim.sha.events import DECANTER
 from tests.learning.plants import Truth, simulate
+from tests.rig.no_bands import without_bands
 
 CONSTANT, DRIVEN = BinsCandidate("constant"), BinsCandidate("driven", "shared", "location")
 """What the plants are; that the learner finds it is asked elsewhere."""
@@ -47,7 +45,7 @@ def test_little_evidence_leaves_the_factor_near_its_cautious_start() -> None:
 
 def test_only_forecasts_after_the_given_moment_count(monkeypatch: pytest.MonkeyPatch) -> None:
     # The model's own bands, for which it would be fitted three times more, are left aside when forecasts are scored.
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
     trace = simulate(Truth(), 1, cycles=1)[0]
     model = learn_bins(simulate(Truth(), 2, cycles=3, rows=120), DECANTER, "T", seed=0, candidates=[CONSTANT]).model
     since = float(trace.times[120])
@@ -58,22 +56,21 @@ def test_only_forecasts_after_the_given_moment_count(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize(
-    ("truth", "candidate"),
-    [(Truth(), CONSTANT), (Truth(gain=0.1, noise=0.02), DRIVEN)],
+    ("truth", "candidate", "seed"),
+    [(Truth(), CONSTANT, 11), (Truth(gain=0.1, noise=0.02), DRIVEN, 12)],
     ids=["smooth", "driven and rough"],
 )
-def test_ninety_per_cent_bands_cover_ninety_per_cent_of_unseen_cycles(truth: Truth, candidate: BinsCandidate) -> None:
-    covered, worth = dict.fromkeys(HORIZONS, 0.0), dict.fromkeys(HORIZONS, 0.0)
-    for seed in (11, 12):
-        traces = simulate(truth, seed, cycles=14, rows=200)
-        model = learn_bins(traces[:7], DECANTER, "T", seed=seed, candidates=[candidate]).model
-        begins = [float(trace.times[0]) for trace in traces[7:]]
-        found = score_forecasts(replace(model), traces[7:], begins, np.random.default_rng(seed))
-        for one in coverage_of(found):
-            z = np.array([each.z for each in found if each.horizon == one.horizon]) / model.calibration[one.horizon]
-            covered[one.horizon] += float(np.mean(z <= 1.6449)) * one.independent
-            worth[one.horizon] += one.independent
-    for horizon in HORIZONS:
-        share, spread = covered[horizon] / worth[horizon], np.sqrt(0.09 / worth[horizon])
+def test_ninety_per_cent_bands_cover_ninety_per_cent_of_unseen_cycles(
+    truth: Truth, candidate: BinsCandidate, seed: int
+) -> None:
+    traces = simulate(truth, seed, cycles=14, rows=200)
+    model = learn_bins(traces[:7], DECANTER, "T", seed=seed, candidates=[candidate]).model
+    begins = [float(trace.times[0]) for trace in traces[7:]]
+    found = score_forecasts(model, traces[7:], begins, np.random.default_rng(seed))
+    judged = coverage_of(found)
+    assert [one.horizon for one in judged] == list(HORIZONS)
+    for one in judged:
+        z = np.array([each.z for each in found if each.horizon == one.horizon]) / model.calibration[one.horizon]
+        share, spread = float(np.mean(z <= 1.6449)), np.sqrt(0.09 / one.independent)
         # Binomial error of the independent forecasts, and as much again for that of the factor.
-        assert abs(share - 0.9) < 2.6 * np.sqrt(2) * spread, (horizon, share, worth[horizon])
+        assert abs(share - 0.9) < 2.6 * np.sqrt(2) * spread, (one, share)

@@ -20,8 +20,7 @@ from sim.effects.check import check_sha
 from sim.engine.open_loop_run import measured, open_loop
 from sim.learning.bins.candidates import CANDIDATES
 from sim.learning.bins.learn import learn_bins
-from sim.learning.calibrate import HeldOutForecasts
-from sim.learning.lsha import flow_hypotheses, learn
+from sim.learning.lsha import flow_hypotheses
 from sim.learning.lsha.flow_hypotheses import FlowHypothesis, choose_flow, flowing_over
 from sim.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.learning.lsha.report import counterexamples, report_document, report_text
@@ -35,6 +34,7 @@ from sim.sha.events import DECANTER, Alphabet, Bins, Switch, alphabet_symbols, e
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event, Trace
 from tests.learning.lsha_plants import PLANT, by_context, by_direction, random_traces
+from tests.rig.no_bands import without_bands
 
 ROOT = Path(__file__).resolve().parents[2]
 CNC = ROOT.parent / "shared" / "data" / "lsha_upstream" / "made_cnc"
@@ -52,7 +52,7 @@ def known() -> LearnedLsha:
 @pytest.fixture
 def _no_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bands, for which a model is fitted two or three times more, where only the structure is looked at."""
-    monkeypatch.setattr(learn, "bands", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
 
 
 def assert_sound(result: LearnedLsha, traces: Sequence[Trace]) -> None:
@@ -100,16 +100,16 @@ def found_again(seed: int) -> bool:
 
 def test_a_known_automaton_comes_back_for_nearly_every_seed() -> None:
     # alpha = 0.05 family-wise says that one in twenty may have a location too many; 37 of the 40 seeds from 100 on came
-    # back. With that share fewer than 4 of 5 have a probability of 4 %; these five seeds are what they are.
+    # back. With that share fewer than 2 of 3 have a probability of 2 %; these three seeds are what they are.
     right = 0
-    for seed in range(110, 115):
+    for seed in range(110, 113):
         right += found_again(seed)
-        if right == 4:
-            break  # a fifth could change nothing
-    assert right >= 4
+        if right == 2:
+            break  # a third could change nothing
+    assert right >= 2
 
 
-@pytest.mark.parametrize("seed", [1000, 1001, 1003])
+@pytest.mark.parametrize("seed", [1000, 1003])
 def test_an_automaton_whose_location_depends_on_the_whole_word_comes_back(seed: int) -> None:
     """Three locations, any edges: neither what the channels are nor what moved last tells where the plant is.
 
@@ -278,7 +278,7 @@ def test_the_order_of_the_traces_copies_and_names_of_copies_do_not_matter() -> N
 @pytest.mark.parametrize("method", ["lsha", "bins"])
 def test_the_names_of_the_traces_do_not_matter(method: str) -> None:
     # Folds and parts were dealt by name: seven traces are more than there are of either.
-    traces = random_traces(by_context, 3, count=7, stays=9)
+    traces = random_traces(by_context, 3, count=7, stays=6)
 
     def model(given: Sequence[Trace]) -> Model:
         if method == "bins":
@@ -312,7 +312,7 @@ def wild_traces(draw: st.DrawFn) -> list[Trace]:
     return found
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(wild_traces())
 def test_whatever_the_traces_the_automaton_is_deterministic_and_accepts_them_all(traces: list[Trace]) -> None:
     try:
@@ -461,7 +461,7 @@ def test_progress_goes_from_0_to_1() -> None:
 
 
 @pytest.mark.real_data
-def test_the_cnc_traces_are_learned_whatever_their_order() -> None:
+def test_the_cnc_traces_are_learned_whatever_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
     if not CNC.is_dir():
         pytest.skip(f"{CNC} is not there")
     from sim.traces.column_map import load_map
@@ -470,8 +470,12 @@ def test_the_cnc_traces_are_learned_whatever_their_order() -> None:
     column_map = load_map(ROOT / "config" / "traces" / "made_cnc.toml")
     traces, _ = load_traces(CNC, column_map)
     one = learn_lsha(traces, column_map.alphabet, column_map.temperature, seed=0)
+    # The bands' share of this is asked of smaller traces.
+    without_bands(monkeypatch)
     other = learn_lsha(traces[::-1], column_map.alphabet, column_map.temperature, seed=0)
-    assert model_hash(one.model) == model_hash(other.model)
+    bands = {"calibration": one.model.calibration, "plain": one.model.plain, "provenance": one.model.provenance}
+    assert replace(other.model, **bands) == one.model
+    assert other.model.provenance.data_hash == one.model.provenance.data_hash
     assert_sound(one, traces)
     assert one.report.acceptance.accepted == 15
     assert one.model.provenance.settings["flow"] == "constant, resampled on entry"

@@ -10,8 +10,6 @@ from sim.artefacts.formats.convert import to_sha
 from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_directory import read_model_directory
 from sim.engine.open_loop_run import open_loop
-from sim.learning.calibrate import HeldOutForecasts
-from sim.learning.lsha import learn
 from sim.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.learning.lsha.segments import stays_after
 from sim.learning.lsha.teacher import Teacher, placed, teacher_of
@@ -19,6 +17,7 @@ from sim.learning.lsha.transients import TransientLaw, transient_law
 from sim.learning.lsha.words import classes_of
 from sim.sha.trace import Array, Trace
 from tests.learning.lsha_plants import PLANT, by_context, random_traces
+from tests.rig.no_bands import without_bands
 
 TAU, AMPLITUDE = 9.0, 6.0
 """Of the transient with which the plant enters its locations at a high load."""
@@ -42,7 +41,7 @@ def plants(seed: int, count: int, amplitude: float = AMPLITUDE) -> list[Trace]:
 @pytest.fixture(scope="module")
 def known() -> LearnedLsha:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(learn, "bands", lambda *_, **__: HeldOutForecasts([], 0))
+        without_bands(patch)
         return learn_lsha(plants(5, 8), PLANT, "T", seed=0)
 
 

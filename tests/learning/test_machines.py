@@ -8,7 +8,6 @@ import pytest
 from sim.artefacts.model_json import model_text, parse_model
 from sim.engine.belief import advance, compile_model, machine_offset, observe, on_event, start
 from sim.forecast import LEVELS, forecast
-from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import CANDIDATES
 from sim.learning.bins.learn import Learned, learn_bins
 from sim.learning.calibrate import HeldOutForecasts, Scored
@@ -19,6 +18,7 @@ from sim.sha.events import DECANTER, Alphabet, Switch, encode
 from sim.sha.model import PlainMember, plain_model
 from sim.sha.trace import Event, Trace
 from tests.learning.plants import Truth, simulate, with_signal
+from tests.rig.no_bands import without_bands
 
 OFFSETS = {"one": -6.0, "two": 0.0, "three": 5.0, "four": 2.0}
 
@@ -31,7 +31,7 @@ def of_machine(name: str, offset: float, seed: int, cycles: int = 2) -> list[Tra
 
 
 def learned(traces: list[Trace], monkeypatch: pytest.MonkeyPatch) -> Learned:
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
     return learn_bins(traces, DECANTER, "T", seed=0, candidates=CANDIDATES[:1])
 
 
@@ -92,7 +92,7 @@ def test_parts_hold_machines_out_where_there_are_several() -> None:
 
 def test_a_standstill_that_no_data_have_shown_cools(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine that is never seen to stop warms from 25 to 90 degC; stopped, it does not go on so."""
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
     times, rng = np.arange(0.0, 6000.0, 5.0), np.random.default_rng(0)
     readings = 90.0 - 65.0 * np.exp(-times / 900.0) + 0.05 * rng.standard_normal(times.size)
     alphabet = Alphabet((Switch("MarciaDecanter", "W_ON", "W_OFF", on_change=False),))

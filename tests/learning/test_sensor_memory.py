@@ -10,15 +10,14 @@ from sim.artefacts.model_json import model_text, parse_model
 from sim.engine.belief import observe, start
 from sim.engine.tracker import compile_model, repeat_factor
 from sim.files import ArtefactError
-from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import CANDIDATES
 from sim.learning.bins.learn import learn_bins
-from sim.learning.calibrate import HeldOutForecasts
 from sim.sha.automaton import SHA, Distribution, Flow, Location
 from sim.sha.events import DECANTER, Alphabet
 from sim.sha.model import Model
 from sim.sha.trace import Array, Trace
 from tests.learning.plants import Truth, simulate, with_signal
+from tests.rig.no_bands import without_bands
 
 MEMORY, SIGMA = 15.0, 0.3
 
@@ -59,7 +58,7 @@ def test_a_slope_learned_from_errors_that_last_is_as_uncertain_as_the_belief_say
 
 
 def test_it_is_learned_where_it_is_there_and_nowhere_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
     # A slow plant, long in one place: what its m is has to be told from a drift that errors may imitate.
     truth = Truth(sensor=0.0, scatter=3.0, noise=0.001, tau=(3000.0, 3000.0))
     rng = np.random.default_rng(5)

@@ -10,10 +10,9 @@ from sim.artefacts.model_json import model_hash, model_text, parse_model
 from sim.effects import of_machine as of_the_type
 from sim.engine import advance, compile_model, errors, on_event, open_loop, start
 from sim.files import ArtefactError
-from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import CANDIDATES
 from sim.learning.bins.learn import Learned, learn_bins
-from sim.learning.calibrate import HeldOutForecasts, score_forecasts
+from sim.learning.calibrate import score_forecasts
 from sim.learning.lsha import LshaSettings
 from sim.learning.lsha import learn as lsha
 from sim.learning.machines import MachineSpread, machine_corrections
@@ -21,6 +20,7 @@ from sim.sha import Correction, Distribution, MachineCorrection, Model, Trace
 from sim.sha.events import DECANTER
 from tests.learning.plants import with_signal
 from tests.learning.test_machines import OFFSETS, of_machine
+from tests.rig.no_bands import without_bands
 
 K = {"four": 1.08}
 """The machine whose sensor reads too much."""
@@ -39,7 +39,7 @@ def fleet() -> Iterator[Fleet]:
     """The model of the type with its machines, what it was learned as, and other traces of each machine."""
     traces = [trace for number, name in enumerate(OFFSETS) for trace in readings(name, number)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+        without_bands(patch)
         learned = learn_bins(traces, DECANTER, "T", seed=0, candidates=CANDIDATES[:1])
     model = replace(learned.model, machines=machine_corrections(learned.model, traces, learned.spread))
     yield model, learned, {name: readings(name, 50 + number) for number, name in enumerate(OFFSETS)}
@@ -162,7 +162,7 @@ def test_machines_that_are_alike_have_nothing_of_their_own(fleet: Fleet) -> None
 def test_what_lsha_learns_of_several_machines_is_a_model_of_their_type_too(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(lsha, "bands", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
     offsets = {"one": -6.0, "two": 0.0, "three": 6.0}
     traces = [trace for seed, name in enumerate(offsets) for trace in of_machine(name, offsets[name], 10 + seed)]
     settings = LshaSettings(default_flow="exponential", memory="context")

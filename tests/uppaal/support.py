@@ -7,6 +7,7 @@ from math import inf
 from typing import Any
 
 import numpy as np
+import pytest
 
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.ranking.tuning_methods import METHODS, Task
@@ -14,6 +15,7 @@ from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Input, Locat
 from sim.sha.events import DECANTER, Alphabet, Bins, encode
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
+from tests.rig.no_bands import without_bands
 from tests.uppaal.interpreter import Network
 
 TEMPERATURE = "Temp"
@@ -105,7 +107,9 @@ def learned(method: str = "bins") -> Model:
 @cache
 def _learned(method: str) -> Model:
     task = Task([scenario(name) for name in list(SCENARIOS)[:2]], DECANTER, "TCuscinettiRiduttore", 0, "decanter")
-    return METHODS[method].learn(task, {}).model
+    with pytest.MonkeyPatch.context() as patch:
+        without_bands(patch)  # an exported model has none
+        return METHODS[method].learn(task, {}).model
 
 
 def spindle(full: bool) -> tuple[Model, Trace]:
