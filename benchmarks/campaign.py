@@ -160,14 +160,23 @@ def measure(folder: Path, *, repeats: int, count: int, runs: int, rows: int) -> 
 @click.option("--repeats", default=3, show_default=True, type=click.IntRange(1), help="Repetitions; the best counts.")
 @click.option("--traces", type=click.IntRange(1, len(SCENARIOS)), help="So many traces.  [default: all, or 4]")
 @click.option("--runs", default=RUNS, show_default=True, type=click.IntRange(2), help="Runs of a model along a trace.")
-def main(as_json: bool, quick: bool, model_folder: Path | None, repeats: int, traces: int | None, runs: int) -> None:
+@click.option("--rows", type=click.IntRange(2), help=f"Rows of the long trace.  [default: {LONG_ROWS:,}, or 50,000]")
+def main(
+    as_json: bool,
+    quick: bool,
+    model_folder: Path | None,
+    repeats: int,
+    traces: int | None,
+    runs: int,
+    rows: int | None,
+) -> None:
     with tempfile.TemporaryDirectory(prefix="decanter-bench-") as own:
         figures = measure(
             model_folder or Path(own),
             repeats=1 if quick else repeats,
             count=traces or (4 if quick else len(SCENARIOS)),
             runs=runs,
-            rows=50_000 if quick else LONG_ROWS,
+            rows=rows or (50_000 if quick else LONG_ROWS),
         )
     give("validation campaign", figures, as_json=as_json)
 

@@ -18,13 +18,12 @@ from benchmarks.latency import Scan, follow
 from benchmarks.peers.plcs import judged
 from benchmarks.processes import CURRENT, MAP, TEMPERATURE, learned_model, plant_file
 from gateway.settings import load_plant
-from sim.learning.bins import learn as bins
-from sim.learning.calibrate import HeldOutForecasts
 from sim.plc.program.encoding import encode
 from sim.plc.program.registers import read_map
 from sim.plc.record.recording import BlockRow, RequestRow, TruthRow
 from sim.sha import Flow, Trace
 from tests.gateway.support import EPOCH, two_modes
+from tests.rig.no_bands import without_bands
 
 REGISTERS = read_map(MAP)
 
@@ -32,7 +31,9 @@ REGISTERS = read_map(MAP)
 @pytest.fixture(scope="session")
 def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("benchmarks")
-    learned_model(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        without_bands(patch)
+        learned_model(folder)
     return folder
 
 
@@ -93,7 +94,7 @@ def test_a_newcomers_hour_ends_with_a_prediction_and_a_shadow_block(model_folder
 
 
 def test_the_campaigns_benchmark_times_all_four_models(model_folder: Path) -> None:
-    options = ("--quick", "--traces", "1", "--runs", "50", "--model-folder", str(model_folder))
+    options = ("--quick", "--traces", "1", "--runs", "50", "--rows", "5000", "--model-folder", str(model_folder))
     figures = said("campaign", *options)["figures"]
     assert {"s", "MB"} == {one["unit"] for one in figures} and all(one["value"] > 0 for one in figures)
     assert sum("4 jobs" in one["name"] for one in figures) == 4
@@ -103,7 +104,7 @@ def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_wi
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # The bands, for which each model is fitted three times more: nothing is asked of them here.
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    without_bands(monkeypatch)
     figures = {one["name"]: one for one in said("semantics", "--quick")["figures"]}
     carried = figures["cd1..cd17, held out: MAE, carried"]
     (gain,) = (one for name, one in figures.items() if "gain in MAE, 2 traces" in name)
@@ -169,8 +170,8 @@ def test_peers_counts_a_deadline_once_and_against_the_grid_that_suits_the_conten
 
 
 def test_run_gives_the_figures_of_all_and_the_machine() -> None:
-    told = said("run", "--only", "startup")
-    assert by_name(told["figures"]["startup"]) and told["failed"] == []
+    told = said("run", "--only", "simulation")
+    assert by_name(told["figures"]["simulation"]) and told["failed"] == []
     assert {"cores", "python", "libraries", "load"} <= set(told["machine"])
 
 
