@@ -48,13 +48,16 @@ def misused(result: Result, *words: str) -> None:
     assert "--help`" in refused(result, 2, *words)
 
 
-def with_one_bearing(trace: Path, folder: Path) -> Path:
-    """The trace without the feed bearing's column: what is not measured is not predicted, and one model is enough."""
+def with_one_bearing(trace: Path, folder: Path, rows: int | None = None) -> Path:
+    """The trace without the feed bearing's column: what is not measured is not predicted, and one model is enough.
+
+    With `rows` it is no more than its first ones.
+    """
     lines = trace.read_text(encoding="utf-8").splitlines()
     head = next(number for number, line in enumerate(lines) if not line.startswith("#"))
     place = lines[head].split(",").index("TCuscinettiAlimentazione")
-    rows = [line.split(",") for line in lines[head:]]
+    cells = [line.split(",") for line in lines[head : None if rows is None else head + 1 + rows]]
     path = folder / f"{trace.stem}.csv"
-    kept = [*lines[:head], *(",".join((*row[:place], *row[place + 1 :])) for row in rows)]
+    kept = [*lines[:head], *(",".join((*row[:place], *row[place + 1 :])) for row in cells)]
     path.write_text("\n".join(kept) + "\n", encoding="utf-8")
     return path

@@ -16,6 +16,7 @@ from gateway.demo.can_bus import LONGEST_PATH, hub_path
 from gateway.demo.summary import verdict
 from gateway.store.read_back import samples
 from tests.cli.support import DATA, decanter, only_object, refused, with_one_bearing
+from tests.rig.no_bands import without_bands
 
 GATEWAY = (sys.executable, "-m", "gateway.cli.main")
 PATIENCE_S = 500.0
@@ -123,7 +124,9 @@ def again(shown: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempPathF
     folder = tmp_path_factory.mktemp("again") / "out"
     shutil.copytree(shown[0], folder)
     trace = with_one_bearing(folder / "replay.csv", tmp_path_factory.mktemp("one"))
-    return folder, performed(folder, "--trace", trace, "--seconds", 6, "--link", "can")
+    with pytest.MonkeyPatch.context() as patch:
+        without_bands(patch)
+        return folder, performed(folder, "--trace", trace, "--seconds", 6, "--link", "can")
 
 
 def test_a_second_demo_in_the_same_folder_begins_anew(
@@ -204,7 +207,7 @@ def test_however_a_demo_is_ended_no_process_stays(
     number: signal.Signals, link: str, processes: int, traces: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "out"
-    trace = with_one_bearing(traces / "cd1.csv", tmp_path)
+    trace = with_one_bearing(traces / "cd1.csv", tmp_path, rows=200)
     options = ["--link", link, "--trace", str(trace), "--seconds", "60", "--out", str(folder)]
     command = [*GATEWAY, "demo", "--json", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as demo:

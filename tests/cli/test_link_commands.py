@@ -5,12 +5,15 @@ import subprocess
 from collections import Counter
 from pathlib import Path
 
+import pytest
+
 from drivers.modbus.tls import load_identity
 from gateway.demo.links import LINKS
 from tests.cli.support import decanter, only_object, refused, with_one_bearing
 from tests.cli.test_demo import performed, sane
 from tests.gateway.support import MAP
 from tests.plc.bench import running
+from tests.rig.no_bands import without_bands
 
 
 def test_certificates_are_made_for_both_sides_and_keys_are_private(tmp_path: Path) -> None:
@@ -63,7 +66,8 @@ def test_check_reads_every_link_and_names_the_one_that_fails(tmp_path: Path) -> 
     assert {row["quality"] for row in data["readings"] if row["link"] == "way 2"} == {"NOT_CONNECTED"}
 
 
-def test_the_demo_does_the_main_job_over_tls(tmp_path: Path, traces: Path) -> None:
+def test_the_demo_does_the_main_job_over_tls(tmp_path: Path, traces: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_bands(monkeypatch)
     trace = with_one_bearing(traces / "cd1.csv", tmp_path)
     data = performed(tmp_path / "out", "--trace", trace, "--seconds", 8, "--link", "modbus-tls")
     sane(data)
