@@ -2,9 +2,8 @@
 
 A plant runs for `--days` at a scan every `--period` s (`sim.plant`, production of four runs a day), its friction being
 `--wear` times what it was when the present model was learned, from `--learned-days` of it. Its historian is written
-as a gateway writes it; then `decanter model retrain` runs as a process of its own, and what the system says of that
-process is printed: processor time and the greatest resident memory, against the goals of ten minutes and 500 MB for
-thirty days at 1 Hz.
+as a gateway writes it; then `decanter model retrain` runs as a process of its own, and its processor time and greatest
+resident memory are printed, against the goals of ten minutes and 500 MB for thirty days at 1 Hz.
 
 With `--kills` the same retraining is killed (SIGKILL) at random moments, begun anew each time, and has to come to the
 same version as the one that nobody killed, while the store's current version stays what it was and loads.
@@ -72,14 +71,19 @@ def command(folder: Path, library: str) -> list[str]:
 
 
 def measured(line: list[str]) -> tuple[dict[str, object], float, float]:
-    """What a command printed, its processor time (s) and its greatest resident memory (MB)."""
+    """What a command printed, its processor time (s) and its greatest resident memory (MB).
+
+    The memory is what the command says of itself: what the system says of a child is never below what this process had
+    when it began it, and this one has held weeks of readings.
+    """
     process = subprocess.Popen(line, stdout=subprocess.PIPE)
     assert process.stdout is not None
     text = process.stdout.read()
     _, status, usage = os.wait4(process.pid, 0)
     if status:
         raise click.ClickException(f"the retraining ended with status {status}")
-    return json.loads(text), usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+    said = json.loads(text)
+    return said, usage.ru_utime + usage.ru_stime, said["cost"]["peak_mb"]
 
 
 def killed_until_done(folder: Path, longest: float, seed: int) -> tuple[int, dict[str, object]]:

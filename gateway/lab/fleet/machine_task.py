@@ -1,6 +1,5 @@
 """What is done for one machine of a fleet: its own targets, and what the models are worth on what none of them saw."""
 
-import resource
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,6 +9,7 @@ import numpy as np
 
 from gateway.lab.diagnose import check_traces, roles_of
 from gateway.lab.fleet.sources import MachineSource
+from gateway.lab.spent import peak_megabytes
 from sim.discrepancy import diagnose
 from sim.effects import of_machine
 from sim.engine import errors, open_loop
@@ -69,8 +69,7 @@ def judged(task: FleetTask) -> MachineResult:
         result = _judged(task)
     except (ValueError, OSError) as error:
         result = MachineResult(machine=task.source.machine, failure=str(error))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return replace(result, cpu_s=time.process_time() - begin, peak_mb=peak)
+    return replace(result, cpu_s=time.process_time() - begin, peak_mb=peak_megabytes())
 
 
 def not_done(task: FleetTask, reason: str) -> MachineResult:

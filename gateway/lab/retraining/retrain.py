@@ -1,7 +1,6 @@
 """`decanter model retrain`: from the historian to a proposed version, in steps that a kill does not undo."""
 
 import os
-import resource
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ from gateway.lab.retraining.study import (
     source_of,
 )
 from gateway.lab.retraining.training_record import created_of
+from gateway.lab.spent import peak_megabytes
 from gateway.lab.traces.load import load
 from gateway.store import machines, newest_scan, reading
 from sim.artefacts import load as load_version
@@ -146,8 +146,7 @@ def retrain_command(
                     return
             found = retrain(request, library, source, report=report, clock=time.time)
     place = folder / REPORTS / f"{found.study:04d}"
-    # Kilobytes on Linux: the most that was resident at any time.
-    cost = {"cpu_s": time.process_time() - begin, "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
+    cost = {"cpu_s": time.process_time() - begin, "peak_mb": peak_megabytes()}
     data: dict[str, Any] = {"due": reason or True, "cut": cut, "report": str(place), "cost": cost, **found.as_plain()}
     emit(data, lambda: show(found, store, place, cost), as_json_line=as_json)
 

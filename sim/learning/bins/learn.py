@@ -137,6 +137,7 @@ def learn_bins(
     fitted = _fit(
         name, ordered, runs=runs, base=base, candidate=chosen, begin=begin, temperature=temperature, budget=FIT_BUDGET
     )
+    del runs  # of a week at 1 Hz an eighth of what a retraining may take; the parts make their own
     report("calibrating the bands", 0.75)
     forecasts = _held_out_forecasts(ordered, alphabet, temperature, candidate=chosen, whole=fitted, seed=seed)
     coverage = forecasts.coverage
@@ -209,6 +210,7 @@ def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tu
     # Twice, because which locations the data can teach is seen only in the runs; the others then cut them.
     everywhere = free_runs(traces, sha, temperature, signals=signals, rising=rising, cycle=CYCLE)
     modelled = modelled_places(everywhere, alphabet)
+    del everywhere
     runs = free_runs(traces, sha, temperature, signals=signals, modelled=modelled, rising=rising, cycle=CYCLE)
     count = int(np.isfinite(runs.reading).sum())
     if count < LEAST_READINGS or not runs.dt.sum() > 0:
