@@ -25,7 +25,7 @@ from sim.plc.record.recording import PlcRecording, read_recording
 from tests.rig.blocks import old_numbers, unaccounted
 from tests.rig.pair import FOLLOWING, MAP, PATIENCE_S, Gateway, Plc, Rig, end, make_rig, restless_trace
 
-KILLS, SEED, PERIOD = 12, 56, 0.1
+KILLS, SEED, PERIOD = 8, 56, 0.1
 VICTIMS = ("plc", "gateway", "both")
 EARLY = 0.25
 """The share of kills that do not wait for the gateway to be well: they strike while it starts or connects."""
@@ -162,7 +162,8 @@ def assert_the_historian_is_whole_and_in_order(aftermath: Aftermath) -> None:
     with closing(sqlite3.connect(aftermath.rig.historian)) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
         assert connection.execute("PRAGMA foreign_key_check").fetchall() == []
-        writes = connection.execute("SELECT time, sequence FROM writes ORDER BY id").fetchall()
+        # Of a block that was refused here the number is not used up: the last word, of the same scan, has it again.
+        writes = connection.execute("SELECT time, sequence, validity FROM writes ORDER BY id").fetchall()
         events = [row[0] for row in connection.execute("SELECT time FROM events ORDER BY id")]
         runs = connection.execute("SELECT count(*) FROM runs").fetchone()[0]
     assert len(writes) == len(set(writes))
@@ -181,7 +182,12 @@ def assert_whole_blocks_each_once_and_nothing_outside(aftermath: Aftermath) -> N
     assert set(refused) <= {WRITER}, "the session of a gateway that was killed stands until the PLC's timer runs out"
     timer = load_device(MAP).writeback.timeout  # type: ignore[union-attr]
     assert len(refused) <= (aftermath.kills["gateway"] + aftermath.kills["both"]) * (timer / PERIOD + 1)
-    assert recording.blocks[-1].fields is not None and recording.blocks[-1].fields["validity"] == 0
+    with closing(sqlite3.connect(aftermath.rig.historian)) as connection:
+        validity, verdict = connection.execute("SELECT validity, verdict FROM writes ORDER BY id DESC").fetchone()
+    assert validity == 0
+    # On a computer that stands still the permit may just then be too old to be believed: nothing is sent without it.
+    if verdict != "not permitted":
+        assert recording.blocks[-1].fields is not None and recording.blocks[-1].fields["validity"] == 0
 
 
 def assert_no_block_without_its_audit_row(aftermath: Aftermath) -> None:
