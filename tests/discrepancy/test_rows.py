@@ -10,7 +10,8 @@ from sim.discrepancy.fitting.course import LATE_APART, LATE_TOGETHER, lateness, 
 from sim.discrepancy.fitting.noise import NoiseModel
 from sim.discrepancy.workflow import diagnose
 from sim.engine import linear_recursion
-from tests.discrepancy.plants import TARGETS, model, plant, sparse
+from sim.sha.events import encode
+from tests.discrepancy.plants import ALPHABET, TARGETS, model, plant, sparse
 
 
 def test_a_switch_between_two_rows_moves_the_temperature_by_no_more_than_the_stated_jump() -> None:
@@ -29,6 +30,28 @@ def test_a_switch_between_two_rows_moves_the_temperature_by_no_more_than_the_sta
     at = coarse.runs.time[begun + 2]
     ahead = np.interp(at, fine.runs.time, courses[0].course) - courses[1].course[begun + 2]
     assert 0.1 * jump[begun] < ahead < jump[begun]
+
+
+def test_a_step_of_the_load_is_known_to_a_row_and_what_is_restless_or_on_its_way_does_not_step() -> None:
+    trace = sparse(plant(1, days=1, period=5.0), 12)
+    record = record_of(model(), [trace], ("Assorbimento",))
+    frame = frame_of(record)
+    state = run_free(frame, *np.split(frame.centre, [frame.count[0]]), np.array([17.0]))
+    late, runs = lateness(frame, state), record.runs
+    stepped = np.append((np.diff(runs.place) != 0) & (np.diff(record.running) == 0), False)
+    (low, k), (high, _) = TARGETS["LOW"], TARGETS["HIGH"]
+    assert stepped.sum() > 5
+    assert np.abs(late[stepped]) == pytest.approx(60.0 * k * (high - low), rel=1e-6)
+    # From 100 A to 300 A in twenty rows, and a load that is another one in each row: both cross the bin's boundary.
+    running = trace.signals["MarciaDecanter"] > 0.5
+    ramp = 200.0 + 100.0 * np.abs((np.arange(running.size) / 20.0) % 4.0 - 2.0) - 100.0
+    restless = np.random.default_rng(0).uniform(100.0, 300.0, running.size)
+    for current in (ramp, restless):
+        rows = replace(trace, signals={**trace.signals, "Assorbimento": running * current}, events=())
+        moving = record_of(model(), [replace(rows, events=encode(rows, ALPHABET))], ("Assorbimento",))
+        inside = (np.diff(moving.runs.place) != 0) & (np.diff(moving.running) == 0)
+        beside = np.convolve(np.diff(moving.running) != 0, np.ones(13), "same") == 0  # where starts and stops are far
+        assert (inside & beside).sum() > 5 and np.mean(moving.turned[:-1][inside & beside]) < 0.05
 
 
 def test_jumps_are_in_the_covariance_of_the_windows_after_them() -> None:

@@ -194,17 +194,17 @@ def grid_at(frame: Frame, state: CourseState) -> Grid:
 
 
 def lateness(frame: Frame, state: CourseState) -> Array:
-    """(n,) degC by which the course would be off from each knot on, had the start or stop at it come a row earlier.
+    """(n,) degC by which the course would be off from each knot on, had what turned at it (`Record.turned`) come a row
+    earlier.
 
-    What is switched between two rows is known from the later one on. It happened somewhere in the row, so that the
+    What changes between two rows is known from the later one on. It happened somewhere in the row, so that the
     temperature there is off by the change of the drift times a time between nothing and the row's length. Only at rows:
     an event with a time of its own is known to it.
     """
-    runs = frame.record.runs
+    record, runs = frame.record, frame.record.runs
     drift = np.where(state.k > 0, state.k * state.target, np.where(state.decay == 1.0, state.target, 0.0))
-    within = np.append(~runs.first[1:], False) & ~runs.first & np.isfinite(runs.reading)
-    within &= np.append(np.diff(frame.record.running) != 0, False)
     change = np.append(np.diff(drift) - np.diff(state.k) * state.course[:-1], 0.0)
+    within = record.turned & np.append(~runs.first[1:], False) & ~runs.first & np.isfinite(runs.reading)
     return np.asarray(np.where(within, change * runs.dt, 0.0))
 
 

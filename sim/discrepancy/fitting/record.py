@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 
 from sim.discrepancy.fitting.noise import Grid
 from sim.learning import FreeRuns, Indices, LearningError, encoded, first_switch, free_runs, thinned
@@ -29,6 +30,10 @@ MANY, FORGOTTEN = 8, 6.0
 twice so many of its time constants is several pieces: e^-6 of how a piece began is left at its end."""
 BETWEEN = 3600.0
 """Seconds that are put between traces of which nobody knows when they were recorded."""
+BESIDE, STANDS_OUT = 5, 4.5
+"""Rows before and after a row's end with which a change of a signal there is compared, and the times their median that
+a step is: three standard deviations, since the median size of what is normal is 0.67 of one. Where a signal is restless
+or on its way, half of the rows beside change as much, and nothing steps."""
 NEVER = 1e9
 """Seconds since a start-up that was not seen."""
 
@@ -40,7 +45,8 @@ class Record:
     `runs` holds the knots; its `inputs` are the `signals` (n, q), held over each step. `running` (n,) is 1 in steps
     made while the machine runs (1 everywhere without a switch), `since` (n,) the seconds since its last start-up at the
     step's start, `cycle` (n,) numbers the cycles, what lies before a trace's first start-up counting to its first; of a
-    machine that runs on, the pieces of its long runs (`in_pieces`).
+    machine that runs on, the pieces of its long runs (`in_pieces`). `turned` (n,) says where a start, a stop or a step
+    of a load lies somewhere in the row that ends at the knot (`_turned`).
     `window` (s) is the length of a window at rest, `rows` (r,) are the knots with a reading, `begins` (m,) the place in
     `rows` where each window begins.
     """
@@ -51,6 +57,7 @@ class Record:
     running: Array
     since: Array
     cycle: Indices
+    turned: Mask
     window: float
     rows: Indices
     begins: Indices
@@ -121,7 +128,10 @@ class Record:
         runs = replace(runs, dt=np.where(runs.first, 0.0, runs.dt))
         running, since, cycle = self.running[keep], self.since[keep], self.cycle[keep]
         rows, begins = _windows(runs, cycle, running, self.window)
-        return replace(self, runs=runs, running=running, since=since, cycle=cycle, rows=rows, begins=begins)
+        turned = self.turned[keep]
+        return replace(
+            self, runs=runs, running=running, since=since, cycle=cycle, turned=turned, rows=rows, begins=begins
+        )
 
     def by_cycles(self) -> "Record":
         """The record with a run of its own for each cycle."""
@@ -210,10 +220,27 @@ def record_of(
         running=running,
         since=since,
         cycle=cycle,
+        turned=_turned(model, runs, running, signals),
         window=window,
         rows=rows,
         begins=begins,
     )
+
+
+def _turned(model: Model, runs: FreeRuns, running: Array, signals: Sequence[str]) -> Mask:
+    """(n,) where the machine starts or stops, or what the flows go by steps, between the row before and a knot's own.
+
+    A step stands out of what its signal does from row to row beside it (`STANDS_OUT`).
+    """
+    turned = np.append(np.diff(running) != 0, False)
+    driving = {each.signal for location in model.sha.locations for each in location.flow.inputs}
+    driving |= {channel.signal for channel in model.alphabet.channels}
+    for number, name in enumerate(signals):
+        if name in driving:
+            change = np.abs(np.append(np.diff(np.nan_to_num(runs.inputs[:, number])), 0.0))
+            beside = scipy.ndimage.median_filter(change, size=2 * BESIDE + 1, mode="nearest")
+            turned |= change > STANDS_OUT * beside
+    return turned
 
 
 def _cut_late(runs: FreeRuns, running: Array) -> FreeRuns:
