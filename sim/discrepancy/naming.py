@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit, rivals
 from sim.discrepancy.screen import (
     Projector,
     Screen,
@@ -90,6 +90,11 @@ class NamingStep:
         return (self.best.entry.name, *near)
 
     @property
+    def rivals(self) -> tuple[EffectEvidence, ...]:
+        """Those of the members that have no name: where there is one, none is given."""
+        return tuple(each for each in self.evidence if each.entry.candidate.rival and each.entry.name in self.members)
+
+    @property
     def margin(self) -> float:
         """Nats by which the best beats every entry outside its members."""
         if self.best is None:
@@ -110,8 +115,18 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
     confirmed = [confirm(before, likely) for likely in evidence[:CONFIRMED] if likely.gain >= WORTH]
     names = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in names]
-    order = tuple(sorted([*confirmed, *rest], key=lambda each: -each.gain))
+    order = tuple(sorted(without_idle_rivals([*confirmed, *rest]), key=lambda each: -each.gain))
     return NamingStep(before, order, threshold, _cosines(before, order))
+
+
+def without_idle_rivals(evidence: Sequence[EffectEvidence]) -> list[EffectEvidence]:
+    """The evidence without rivals that do no better than a special case of themselves: those are that."""
+
+    def idle(rival: EffectEvidence) -> bool:
+        special = [each.gain for each in evidence if each.entry.name in rival.entry.candidate.rival]
+        return rival.gain - max(special, default=-np.inf) < max(MARGIN, ALIKE * rival.gain)
+
+    return [each for each in evidence if not (each.entry.candidate.rival and idle(each))]
 
 
 def _evidence(screened: Screen, number: int) -> EffectEvidence:
@@ -208,7 +223,8 @@ def _cosines(before: Fitted, evidence: Sequence[EffectEvidence]) -> dict[str, fl
 
 
 def entries_besides(named: Sequence[Named], entries: Sequence[CatalogueEntry] = ()) -> tuple[CatalogueEntry, ...]:
-    """Of the entries (the catalogue, without any) those that are neither named already nor ruled out by a name."""
+    """Of the entries (the catalogue, without any) those that are neither named already nor ruled out by a name; and the
+    rivals of all names."""
     taken = {each.entry.name for each in named}
     taken |= ONE_CHAIN if taken & ONE_CHAIN else set()
-    return tuple(entry for entry in (entries or catalogue()) if entry.name not in taken)
+    return tuple(entry for entry in (*(entries or catalogue()), *rivals()) if entry.name not in taken)

@@ -34,7 +34,8 @@ def name(
         refusal = chance or dubious(candidate)
         best = candidate.best
         # Clear beyond doubt but for a rival that stands too near: it stays for the time being, with its refusal.
-        only_rivalled = best is not None and best.gain >= OVERWHELMING and not chance and candidate.margin < MARGIN
+        clear = best is not None and best.gain >= OVERWHELMING and not chance
+        only_rivalled = clear and not candidate.rivals and candidate.margin < MARGIN
         if best is None or best.fitted is None or (refusal and not only_rivalled):
             refused = [(candidate, refusal)]
             break

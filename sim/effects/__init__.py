@@ -15,6 +15,7 @@ from sim.effects.kind import (
     ExpressedBound,
     Feature,
     HeldLaw,
+    LateLaw,
     LossBound,
     MachineLog,
     Structural,
@@ -25,6 +26,7 @@ from sim.effects.kind import (
 )
 from sim.effects.kinds import (
     EFFECTS,
+    RIVALS,
     ROLES,
     acts_in,
     dead_time,
@@ -49,6 +51,7 @@ __all__ = [
     "ABSOLUTE_ZERO",
     "EFFECTS",
     "FEATURES",
+    "RIVALS",
     "ROLES",
     "SINCE",
     "TEMPERATURE",
@@ -60,6 +63,7 @@ __all__ = [
     "Expression",
     "Feature",
     "HeldLaw",
+    "LateLaw",
     "LineError",
     "LossBound",
     "MachineLog",

@@ -123,6 +123,16 @@ class VaryingLaw:
 
 
 @dataclass(frozen=True, slots=True)
+class LateLaw:
+    """dX/dt += heat(effect, signals, late), with late(column) a column through a first-order lag of `lag` seconds.
+
+    For a rival, which a diagnosis holds beside the names: no engine executes it, and each refuses it by its name.
+    """
+
+    heat: Callable[[Effect, Signals, Callable[[Array], Array]], Array]
+
+
+@dataclass(frozen=True, slots=True)
 class Structural:
     """As law, bound or text: the engines' own code of this feature does it."""
 
@@ -136,7 +146,7 @@ class EffectRefusal:
     reason: str
 
 
-Law = HeldLaw | VaryingLaw | Structural
+Law = HeldLaw | VaryingLaw | LateLaw | Structural
 
 
 # ------------------------------------------------------------------ bounds: the law over intervals, for `verify`
@@ -254,7 +264,8 @@ class EffectCandidate:
     `look` says what to look at at the machine: part, sensor or habit, in the plant's words.
     `once`: the strength is itself a time, so that twice of it is not twice the effect. A shape may have parameters that
     the kind has not: what they stand for is another effect (`besides`: (kind, parameters) from the whole shape), or
-    that optional signals are left unread (`unread`, where it is not 0).
+    that optional signals are left unread (`unread`, where it is not 0). `rival`: it is held beside the others so that
+    none of them is taken for it, and has no name itself; the kinds given there are special cases of it.
     """
 
     strength: str
@@ -270,6 +281,7 @@ class EffectCandidate:
     once: bool = False
     besides: Callable[[Params], tuple[str, Mapping[str, float]] | None] | None = None
     unread: str = ""
+    rival: tuple[str, ...] = ()
 
 
 # ------------------------------------------------------------------ the kind

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effects.exchange import BENDING, FLOWING, HOUSING
-from sim.effects.heating import HEATING
+from sim.effects.heating import HEATING, LATE_CURRENT
 from sim.effects.kind import EffectKind, Feature, Structural, VaryingBound
 from sim.effects.lines import LineError, kind_of_line
 from sim.effects.random import RANDOM
@@ -20,6 +20,9 @@ EFFECTS: dict[str, EffectKind] = {
     kind.name: kind for kind in (*HEATING, *FLOWING, HOUSING, *VARYING, *SENSING, *BENDING, *RANDOM)
 }
 """All kinds by name, in the order in which a diagnosis tries them."""
+
+RIVALS: dict[str, EffectKind] = {LATE_CURRENT.name: LATE_CURRENT}
+"""Kinds that a diagnosis holds beside the others, and that no engine executes."""
 
 ROLES: dict[str, str] = {
     role.name: role.signal
@@ -38,7 +41,7 @@ def kind_of(effect: Effect) -> EffectKind:
                 f"the effect {effect.kind!r} brings a line with the name {effect.line.name!r}; give both one name"
             )
         return own_kind(effect.line)
-    kind = EFFECTS.get(effect.kind)
+    kind = EFFECTS.get(effect.kind) or RIVALS.get(effect.kind)
     if kind is None:
         raise ValueError(f"unknown effect {effect.kind!r}: known are {', '.join(EFFECTS)}")
     return kind

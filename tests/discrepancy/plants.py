@@ -47,17 +47,20 @@ def plant(
     churning: float = 0.0,
     offset: float = 0.0,
     bowl: float = 0.0,
+    winding: float = 0.0,
     runs_on: bool = False,
     period: float = PERIOD,
 ) -> Trace:
     """`days` days of three cycles, or one run of them all. `pump` 1/s cools towards 19 degC, `churning` degC/s dies
-    away after each start over 400 s as a logistic, `offset` degC is read too much from 40 % of the time on. A row
+    away after each start over 400 s as a logistic, `winding` degC/s at 200 A goes with the square of the current and
+    comes through two masses of 120 s and 60 s, `offset` degC is read too much from 40 % of the time on. A row
     each `period` s."""
     rng = np.random.default_rng(seed)
     size = int(days * 86400 / period)
     on, current, pumping = operation(rng, size, runs_on, period)
     temperature = np.empty(size)
     x, heat, friction, since, warmed = 17.0, 0.0, 1.0, 1e9, 0.0
+    copper, rotor = 0.0, 0.0
     feed = np.repeat(np.random.default_rng([seed, 1]).uniform(10.0, 40.0, size // 200 + 1), 200)[:size]
     for row in range(size):
         temperature[row] = x
@@ -71,6 +74,9 @@ def plant(
         drive += churning * on[row] / (1 + np.exp(min((since - 400.0) / 100.0, 50.0)))
         warmed += period / 150.0 * (pumping[row] * (feed[row] - 22.0) - warmed)
         drive += bowl * warmed
+        copper += (1.0 - np.exp(-period / 120.0)) * ((current[row] / 200.0) ** 2 - copper)
+        rotor += (1.0 - np.exp(-period / 60.0)) * (copper - rotor)
+        drive += winding * rotor
         x += period * drive + 0.003 * np.sqrt(period) * rng.standard_normal()
         since += period
     read = temperature + 0.06 * rng.standard_normal(size)

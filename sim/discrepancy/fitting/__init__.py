@@ -1,7 +1,7 @@
 """Free runs under effects fitted to measured traces, with the noise of a rough plant."""
 
 from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, signals_of
+from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, rivals, signals_of
 from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at, sensitivity
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged, on_sensor
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit, readings_in_window, rounding
@@ -39,6 +39,7 @@ __all__ = [
     "patiently",
     "readings_in_window",
     "record_of",
+    "rivals",
     "rounding",
     "sensitivity",
     "signals_of",

@@ -1,9 +1,9 @@
 """The kinds of effects that a diagnosis may name: the rows of the table of effects that say how they are looked for."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects import EFFECTS, EffectCandidate, EffectKind, kind_of, own_kind
+from sim.effects import EFFECTS, RIVALS, EffectCandidate, EffectKind, kind_of, own_kind
 from sim.sha import Effect, EffectLine
 
 
@@ -70,8 +70,16 @@ class CatalogueEntry:
 
 def catalogue(own: Sequence[EffectLine] = ()) -> tuple[CatalogueEntry, ...]:
     """Every kind that can be named, in the table's order, and then those of the lines. Raises LineError."""
-    known = tuple(CatalogueEntry(kind, kind.candidate) for kind in EFFECTS.values() if kind.candidate is not None)
-    return (*known, *(entry_of_line(line) for line in own))
+    return (*_entries(EFFECTS.values()), *(entry_of_line(line) for line in own))
+
+
+def rivals() -> tuple[CatalogueEntry, ...]:
+    """What no name may be given in place of, and which has none itself."""
+    return _entries(RIVALS.values())
+
+
+def _entries(kinds: Iterable[EffectKind]) -> tuple[CatalogueEntry, ...]:
+    return tuple(CatalogueEntry(kind, kind.candidate) for kind in kinds if kind.candidate is not None)
 
 
 def entry_of_line(line: EffectLine) -> CatalogueEntry:

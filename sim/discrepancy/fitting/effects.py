@@ -12,6 +12,7 @@ import numpy as np
 from sim.discrepancy.fitting.record import Record
 from sim.effects import (
     HeldLaw,
+    LateLaw,
     Structural,
     VaryingLaw,
     acts_in,
@@ -49,6 +50,9 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
         case VaryingLaw() as law:
             middle = runs.dt / 2.0
             heat, loss = law.heat(effect, runs.time - middle, record.since + middle), nothing
+        case LateLaw() as law:
+            heat = law.heat(effect, signals, lambda column: lagged(record, np.nan_to_num(column), effect.params["lag"]))
+            loss = nothing
         case Structural(feature="housing"):
             coupling = effect.params["coupling"]
             heat, loss = coupling * lagged(record, course, effect.params["tau"]), nothing + coupling
