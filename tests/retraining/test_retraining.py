@@ -274,30 +274,24 @@ def test_an_excluded_cycle_is_neither_learned_from_nor_judged_by(
     assert name in {row.name for row in new_cycles(library, source.model)}
 
 
-def test_the_training_has_no_more_rows_than_it_may_and_takes_what_teaches_first(
+def test_where_room_is_short_regions_take_turns_and_the_error_of_the_present_model_chooses_nothing(
     request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace
 ) -> None:
     source = source_of(request_of, BEGIN)
     cut_and_rate(request_of, library, source, silent)
     rows = library.cycles()
-    for row in rows[:-4]:
+    # Were it the rating that chooses, the older half would be learned from.
+    for row in rows[CYCLES // 2 :]:
         library.rate(row.name, "ordinary", "", 0.5)
-    found = study.retrain(replace(request_of, rows=8 * 120), library, source, report=silent, clock=lambda: BEGIN)
-    assert 0 < found.rows <= 8 * 120
-    chosen = library.step(1, "sets")
-    used = {name for pairs in (chosen["held_out"], chosen["training"]) for name, _ in pairs}
-    assert {row.name for row in rows[-4:]} <= used
-
-
-def test_where_room_is_short_the_newest_cycles_that_teach_are_learned_from(
-    request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace
-) -> None:
-    """All cycles here are badly predicted: with room for six, those after the plant's change stay."""
-    run(replace(request_of, rows=6 * 120 + 60), library)
+    found = study.retrain(replace(request_of, rows=6 * 120 + 60), library, source, report=silent, clock=lambda: BEGIN)
+    assert 0 < found.rows <= 6 * 120 + 60
     chosen = library.step(1, "sets")
     held, trained = ({name for name, _ in chosen[part]} for part in ("held_out", "training"))
-    left = [row.name for row in library.cycles() if row.name not in held]
-    assert trained == set(left[-len(trained) :])
+    left = [row for row in rows if row.name not in held]
+    newest = {row.region: row.name for row in left}
+    assert len(newest) > 1 and set(newest.values()) <= trained
+    rest = [row.name for row in left if row.region == rows[5].region]
+    assert {name for name in trained if name in rest} == set(rest[-(len(trained) - len(newest) + 1) :])
 
 
 def test_a_cycle_before_the_last_one_of_the_training_is_no_news(

@@ -300,9 +300,8 @@ def encoded(trace: Trace, model: Model) -> Trace:
 def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSource) -> dict[str, Any]:
     """Which cycles are held out and which are learned from, (name, content hash) each; all of them are kept by then.
 
-    Held out are new cycles evenly over ratings and time. The training takes what teaches first, the newest before the
-    older, then the traces of former training, and fills up with ordinary cycles evenly over time until it has as many
-    rows as it may have. What the present version was learned from teaches as well.
+    Held out are new cycles evenly over ratings and time. The training takes cycles of each region of operation in turn,
+    the newest before the older, then the traces of former training, until it has as many rows as it may have.
     """
     fresh = new_cycles(library, source.model)
     count = min(max(len(fresh) // 4, LEAST_HELD_OUT), HELD_OUT, len(fresh) // 2)
@@ -314,18 +313,12 @@ def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSour
     ordered = sorted(fresh, key=lambda row: (RATINGS.index(row.rating), row.begin))
     places = np.unique(np.linspace(0, len(ordered) - 1, count).round().astype(int)).tolist()
     held = {ordered[place].name for place in places}
-    seen = set(source.model.provenance.contents)
     rest = [row for row in library.cycles() if not row.excluded and row.error is not None and row.name not in held]
-    # A plant that has changed is what its newest cycles say: where room is short the oldest are left out.
-    teaching = [row for row in reversed(rest) if row.rating != "ordinary" or row.content in seen]
-    ordinary = [row for row in rest if row.rating == "ordinary" and row.content not in seen]
-    # Every cycle of an evenly halved order lies in the middle of the largest gap that is left.
-    ordinary = [ordinary[place] for place in _spread(len(ordinary))]
     notes, sets = list[str](), {"training": list[tuple[str, str]](), "held_out": list[tuple[str, str]]()}
     former, left = list[str](), request.rows
     # No library has them, so that they are older than all that it has.
     earlier = sorted(request.former, key=lambda trace: float(trace.times[0]), reverse=True)
-    candidates: list[CycleRow | Trace] = [*(row for row in ordered if row.name in held), *teaching, *earlier, *ordinary]
+    candidates: list[CycleRow | Trace] = [*(row for row in ordered if row.name in held), *_in_turn(rest), *earlier]
     for row in candidates:
         if isinstance(row, Trace):
             if row.times.size <= left:
@@ -352,10 +345,18 @@ def _former(request: RetrainingRequest, chosen: dict[str, Any]) -> list[Trace]:
     return [trace for trace in request.former if content_hash(trace) in chosen["former"]]
 
 
-def _spread(count: int) -> list[int]:
-    """The numbers below `count` so that any number of first ones lie evenly: by the bits of each, reversed."""
-    bits = max(count - 1, 1).bit_length()
-    return sorted(range(count), key=lambda number: f"{number:0{bits}b}"[::-1])
+def _in_turn(cycles: Sequence[CycleRow]) -> list[CycleRow]:
+    """The cycles, given in the order of time, so that any number of first ones has all regions, and of each the newest.
+
+    How wrong the present model was is no reason to be learned from: a model of those cycles alone is wrong the other
+    way (record 0182).
+    """
+    turn: dict[str, int] = {}
+    placed: list[tuple[int, CycleRow]] = []
+    for row in reversed(cycles):
+        placed.append((turn.setdefault(row.region, 0), row))
+        turn[row.region] += 1
+    return [row for _, row in sorted(placed, key=lambda each: each[0])]
 
 
 def _searched(
