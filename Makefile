@@ -57,9 +57,9 @@ contracts: $(STAMP)
 	$(BIN)/lint-imports
 
 # A file's tests stay in one process, so that what they share is made once. One process more than cores: many tests wait
-# for time to pass.
+# for time to pass. A fourth, of low priority, computes while they all do.
 unit: $(STAMP)
-	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder --spare
 
 # Every parser and protocol side, INPUTS each (100000); TARGET=name for one, SEED for others, JOBS targets at a time. It
 # goes on where it stopped (out/fuzz). Its short form is a test.

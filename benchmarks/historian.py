@@ -12,7 +12,7 @@ same run; its bytes for a block are those of one durable transaction a scan. Byt
 sent to the disk for the process (/proc/self/io, write_bytes), with every checkpoint: on a file system in memory there
 are none. Rows are counted as 8 bytes a number and one a character. The goals: 90 days at 1 Hz within 1 GB, ten minutes
 of one tag in 10 ms, 90 days of tiers in 200 ms. A day is written once more with a deadband for the two bearing
-temperatures, three times their noise, and its trace is compared with the day's. In half an hour's file (--quick) the
+temperatures, three times their noise, and its trace is compared with the day's. In an hour's file (--quick) the
 rows that are not packed yet weigh most.
 
 Last, fifty machines (three with --quick) of ten tags at 10 Hz put their rows into one historian side by side: the
@@ -336,10 +336,10 @@ def measure(days: int, hours: float, seconds: float, *, machines: int, together:
 
 @click.command(help=__doc__)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
-@click.option("--quick", is_flag=True, help="Half an hour and 3 days instead of 24 hours and 90 days.")
+@click.option("--quick", is_flag=True, help="An hour and 3 days instead of 24 and 90.")
 @click.option("--seconds", type=click.FloatRange(1.0), help="Real time at 10 Hz, 20 s by default.")
 def main(as_json: bool, quick: bool, seconds: float | None) -> None:
-    days, hours = (3, 0.5) if quick else (90, 24.0)
+    days, hours = (3, 1.0) if quick else (90, 24.0)
     machines, together = (3, 20) if quick else (50, 600)
     figures = measure(days, hours, seconds or (2.0 if quick else 20.0), machines=machines, together=together)
     give("historian", figures, as_json=as_json)

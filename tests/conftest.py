@@ -1,4 +1,4 @@
-"""What holds for all tests: one thread for matrices, the longest files first, and the inner loop without processes."""
+"""What holds for all tests: one thread for matrices, who runs which file when, and the inner loop without processes."""
 
 import gc
 import json
@@ -8,8 +8,11 @@ import subprocess
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
+from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
 
 # Before numpy is imported anywhere: matrices as small as a model's take longer with two threads than with one, and the
 # processes that tests start inherit it. `gateway.entry.threads` does the same for the product's commands.
@@ -27,16 +30,24 @@ os.environ["COLUMNS"] = "240"
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# How long an example takes says what else the machine does: the worker with a low priority may hardly get any of it.
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")
+
 TESTS = Path(__file__).parent
 INTEGRATION = TESTS / "integration"
 DURATIONS = TESTS / "durations.json"
 """Seconds of every test that took LONG or more, with its fixtures, when `make durations` measured it last."""
 LONG = 0.3
+COMPUTING = ("checking", "discrepancy", "discrepancy_report", "effects", "learning", "sha", "uppaal")
+"""Rooms whose tests only compute: nothing in them is early or late."""
+LOW_PRIORITY = 10
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """`--without-processes`, the inner loop of `make check`; `--write-durations`, what `make durations` does."""
     parser.addoption("--without-processes", action="store_true", help="Skip whatever starts a process or takes long.")
+    parser.addoption("--spare", action="store_true", help="The last worker computes with what the others leave idle.")
     parser.addoption("--write-durations", action="store_true", help=f"Measure anew what {DURATIONS.name} holds.")
 
 
@@ -56,7 +67,42 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if item not in left_out]
 
 
-def pytest_collection_finish() -> None:
+def is_spare(workerinput: dict[str, Any]) -> bool:
+    """Whether it is the last of pytest's processes, which `--spare` is about."""
+    return bool(workerinput["workerid"] == f"gw{workerinput['workercount'] - 1}")
+
+
+class SpareScheduling(LoadFileScheduling):  # type: ignore[misc]
+    """Files that only compute go to the last worker, at a low priority; to the others when there is nothing else left.
+
+    The others wait for time to pass, often all at once. Who computes meanwhile must not make them late.
+    """
+
+    @staticmethod
+    def computes(file: str) -> bool:
+        return file.startswith(tuple(f"{TESTS.name}/{room}/" for room in COMPUTING))
+
+    def _assign_work_unit(self, node: Any) -> None:
+        spare = is_spare(node.workerinput)
+        first = next((file for file in self.workqueue if self.computes(file) == spare), None)
+        if first is not None:
+            self.workqueue.move_to_end(first, last=False)
+        super()._assign_work_unit(node)
+
+    def _reschedule(self, node: Any) -> None:
+        if is_spare(node.workerinput) and not any(map(self.computes, self.workqueue)):
+            node.shutdown()  # after what it has already
+        else:
+            super()._reschedule(node)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> SpareScheduling | None:
+    """With `--spare` in the place of xdist's own distribution by files."""
+    return SpareScheduling(config, log) if config.getoption("--spare") else None
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
     """All modules and tests stay until the end: the garbage collector need not walk through them time and again.
 
     Without this that walk is a tenth of the processor time of all tests. It also comes less often, since Hypothesis is
@@ -66,6 +112,9 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
     gc.enable()
+    config = session.config
+    if config.getoption("--spare") and hasattr(config, "workerinput") and is_spare(config.workerinput):
+        os.nice(LOW_PRIORITY)  # not before: the others wait for its collection
 
 
 class Durations:

@@ -14,6 +14,7 @@ import pytest
 from benchmarks.house import FLOORS, Figures, measure
 from gateway.cli.main import main
 from gateway.entry.lazy import LazyGroup
+from tests.conftest import COMPUTING
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for room in ("drivers", "sim", "gateway") for path in (ROOT / room).rglob("*.py"))
@@ -141,6 +142,10 @@ def test_the_durations_name_tests_that_are_there() -> None:
         functions = re.findall(r"^\s*(?:async )?def (\w+)", text, flags=re.MULTILINE)
         there.update(f"{file}::{function}" for function in functions)
     assert named <= there, f"`make durations` measures anew; not there: {sorted(named - there)}"
+
+
+def test_every_room_that_only_computes_is_one() -> None:
+    assert all(list((ROOT / "tests" / room).glob("test_*.py")) for room in COMPUTING)
 
 
 def test_no_measured_data_lies_in_the_project() -> None:
