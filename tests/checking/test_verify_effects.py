@@ -69,13 +69,14 @@ KINDS = ("exponential", "driven", "logarithmic", "linear", "constant")
 def test_no_random_run_with_random_signals_leaves_the_proven_interval(kind: str, sojourn: object) -> None:
     """Runs of each effect, with jumping signals; every segment's end is looked at, also with a rate limit."""
     rng = np.random.default_rng(3)
-    for name in EVERY:
-        for rate in (inf, 0.05):
+    for number, name in enumerate(EVERY):
+        # Bounds of a transient take longest to find: each effect's with a rate limit or without.
+        for rate in (inf, 0.05) if kind != "transient" else (0.05 if number % 2 else inf,):
             model = model_of(name, kind, max_rate=rate)
             given = assumed(model, sojourn=sojourn, start=(15.0, 60.0))
             found = find_bounds(model, -500.0, 500.0, given)
             assert found.settled, name
-            for _ in range(1 if kind == "transient" else RUNS):  # whose courses take the smallest steps
+            for _ in range(RUNS):
                 events, inputs = random_run(model, rng, 5.0, 890.0 if sojourn != "any" else 4000.0)
                 begin = float(inputs.times[0])
                 start = float(rng.uniform(15.0, 60.0))
