@@ -66,7 +66,8 @@ def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
         raise ValueError("a step without evidence names nothing")
     number = next(n for n, named in enumerate(after.state.named) if named.entry.name == best.entry.name)
     named = after.state.named[number]
-    error = float(np.sqrt(max(after.covariance[after.own + number, after.own + number], 0.0)))
+    place = after.own + sum(len(other.free) for other in after.state.named[:number])
+    error = float(np.sqrt(max(after.covariance[place, place], 0.0)))
     return NamedEffect(
         name=best.entry.name,
         members=step.members,

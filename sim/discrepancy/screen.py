@@ -33,9 +33,6 @@ DRAWS = 20_000
 SIMPLEX = 60
 """Evaluations at most when the shape of an effect is refined."""
 
-LEAST_BAND = 0.2
-"""degC between the opening and the closing of a thermostat, at least."""
-
 
 @dataclass(frozen=True, slots=True)
 class Shape:
@@ -48,7 +45,7 @@ class Shape:
     def named(self, strength: float) -> Named:
         """The effect at a strength; a `whole` entry keeps the one of its shape."""
         own = {} if self.entry.whole else {self.entry.strength: strength}
-        return Named(self.entry, self.signals, {**self.params, **own})
+        return Named(self.entry, self.signals, self.entry.candidate.settled({**self.params, **own}))
 
 
 class Projector:
@@ -272,9 +269,8 @@ def _at(shape: Shape, names: Sequence[str], point: Array) -> Shape:
             else shape.entry.candidate.widths.get(name, 10.0) * coordinate
         )
         values[name] = min(max(value, low), high)
-    if "closes" in values:
-        values["closes"] = min(values["closes"], values["opens"] - LEAST_BAND)
-    return Shape(shape.entry, shape.signals, {**shape.params, **values})
+    settled = shape.entry.candidate.settled({**shape.params, **values})
+    return Shape(shape.entry, shape.signals, settled)
 
 
 def _is_time(name: str) -> bool:

@@ -2,7 +2,7 @@
 
 from sim.effects.check import check_effect, check_effects, check_sha
 from sim.effects.correction import corrected, in_sensor_scale, of_machine
-from sim.effects.exchange import ABSOLUTE_ZERO, in_scale_of_x, radiation_tangent
+from sim.effects.exchange import ABSOLUTE_ZERO, in_scale_of_x, is_gradual, radiation_tangent
 from sim.effects.expressed import SINCE, TEMPERATURE, cells, enclosure, steepest_loss
 from sim.effects.expression import Expression, compiled, parse
 from sim.effects.expression import names as names_in
@@ -85,6 +85,7 @@ __all__ = [
     "growing_from",
     "in_scale_of_x",
     "in_sensor_scale",
+    "is_gradual",
     "kind_of",
     "names_in",
     "of_feature",

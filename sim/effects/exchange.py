@@ -26,6 +26,11 @@ from sim.sha import Array, Effect
 ABSOLUTE_ZERO = -273.15
 """degC."""
 
+LEAST_BAND = 0.2
+"""degC between the opening and the closing of a switching thermostat that a diagnosis names, at least."""
+FASTEST_VALVE = 0.3
+"""1/s: the greatest loss of an open valve that a diagnosis names: its element of wax follows within seconds."""
+
 _LOSS = Parameter(unit="1/s per unit of the pump", low=0.0, rescaled="stays")
 _DEGREES = Parameter(unit="degC", rescaled="mapped")
 
@@ -97,10 +102,27 @@ def _valves(log: MachineLog) -> Sequence[Params]:
     ]
 
 
+def _settled_valve(params: Params) -> Params:
+    """A valve that opens gradually (`gradual` 1) cools from where it opens on; another closes below."""
+    opens = params["opens"]
+    if params.get("gradual"):
+        return {**params, "closes": opens, "sink": opens}
+    return {**params, "closes": min(params["closes"], opens - LEAST_BAND)}
+
+
+def is_gradual(effect: Effect) -> bool:
+    """Whether a thermostat opens gradually: heat -loss max(X - opens, 0), a function of the temperature alone."""
+    return effect.params["opens"] == effect.params["closes"]
+
+
 def _opens_above(params: Params) -> str:
-    if params["closes"] < params["opens"]:
+    opens, closes, sink = params["opens"], params["closes"], params["sink"]
+    if closes < opens or closes == opens == sink:
         return ""
-    return f"must close below where it opens: closes {params['closes']:g}, opens {params['opens']:g} degC"
+    return (
+        f"must close below where it opens (or open gradually: closes and sink equal to opens): closes {closes:g}, "
+        f"opens {opens:g}, sink {sink:g} degC"
+    )
 
 
 def radiation_tangent(*, gain: Array | float, zero: float, about: Array, around: Array) -> tuple[Array, Array]:
@@ -203,7 +225,7 @@ BENDING = (
     EffectKind(
         name="thermostatic-cooling",
         # heat -loss (X - sink) while open; opens at X >= opens, closes at X <= closes, closed at the start
-        meaning="a cooling that switches on above one temperature and off below another",
+        meaning="a cooling by a thermostat, which switches or opens gradually as it gets warmer",
         parameters={
             "loss": Parameter(unit="1/s", low=0.0, rescaled="stays"),
             "sink": _DEGREES,
@@ -223,6 +245,10 @@ BENDING = (
             look="a thermostat, valve or fan that switches by itself: where it opens and closes",
             shapes=_valves,
             refine={"opens": (-50.0, 200.0), "closes": (-50.0, 200.0)},
+            either={"gradual": (0.0, 1.0)},
+            settled=_settled_valve,
+            jointly=lambda params: ("opens",) if params.get("gradual") else (),
+            most=FASTEST_VALVE,
         ),
     ),
     EffectKind(

@@ -262,6 +262,8 @@ class EffectCandidate:
     `scan(times, score)` gives further shapes where the score (m,) of the residual (weighed by its inverse covariance)
     is greatest; `burden` (nats) is what looking at so many places costs. `experiment` would tell it from its twins.
     `look` says what to look at at the machine: part, sensor or habit, in the plant's words.
+    `most` bounds the strength, `settled` makes the parameters of a trial agree with one another, and `jointly` names
+    those of a shape (in degC) that every fit moves together with the strength.
     `once`: the strength is itself a time, so that twice of it is not twice the effect. A shape may have parameters that
     the kind has not: what they stand for is another effect (`besides`: (kind, parameters) from the whole shape), or
     that optional signals are left unread (`unread`, where it is not 0). `rival`: it is held beside the others so that
@@ -278,6 +280,9 @@ class EffectCandidate:
     either: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     scan: Callable[[Array, Array], Sequence[Params]] | None = None
     burden: float = 0.0
+    most: float = inf
+    settled: Callable[[Params], Params] = lambda params: params
+    jointly: Callable[[Params], tuple[str, ...]] = lambda _: ()
     once: bool = False
     besides: Callable[[Params], tuple[str, Mapping[str, float]] | None] | None = None
     unread: str = ""

@@ -88,13 +88,15 @@ def _switching(
 
 
 def _until(wanted: float, x: float, loss: float, heat: float) -> float:
-    """Seconds until X, which gets there, is at `wanted`."""
+    """Seconds until X is at `wanted`; inf where it settles there, and only rounding says that it has come."""
     settled = heat / loss if loss > 0 else inf
     # X(t) - settled decays as exp(-loss t); without a loss X moves in a straight line.
     if wanted == x:
         return 0.0
     if settled == inf:
         return (wanted - x) / heat
+    if (x - settled) * (wanted - settled) <= 0.0:
+        return inf
     return log((x - settled) / (wanted - settled)) / loss
 
 

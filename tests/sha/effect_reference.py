@@ -185,6 +185,9 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
     "thermostatic-cooling": (
         Effect("thermostatic-cooling", {"loss": 0.02, "sink": 20.0, "opens": 38.0, "closes": 35.0}),
     ),
+    "gradual thermostat": (
+        Effect("thermostatic-cooling", {"loss": 0.05, "sink": 38.0, "opens": 38.0, "closes": 38.0}),
+    ),
     "radiation-loss": (Effect("radiation-loss", {"gain": 2e-11, "surroundings": 20.0}),),
     "radiation to ambient": (Effect("radiation-loss", {"gain": 2e-11}, {"ambient": "Ta"}, ("on",)),),
 }

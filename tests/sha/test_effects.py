@@ -48,7 +48,7 @@ def test_a_good_effect_passes(effects: tuple[Effect, ...]) -> None:
         (replace(LAG, locations=("on",)), "acts everywhere; leave `locations` empty"),
         (
             Effect("thermostatic-cooling", {"loss": 0.1, "sink": 10.0, "opens": 40.0, "closes": 40.0}),
-            "must close below where it opens: closes 40, opens 40 degC",
+            r"or open gradually: closes and sink equal to opens\): closes 40, opens 40, sink 10 degC",
         ),
     ],
 )

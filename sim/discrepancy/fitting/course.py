@@ -7,6 +7,7 @@ it stands still; the iteration contracts because what they add is fed back throu
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class CourseState:
     @property
     def parameters(self) -> Array:
         """(p + r + e,) all of them as one vector."""
-        return np.concatenate([self.linear, self.log_rates, [named.strength for named in self.named]])
+        return np.concatenate([self.linear, self.log_rates, *(named.point for named in self.named)])
 
 
 def run_free(
@@ -145,7 +146,7 @@ def sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
         # Heats that depend on the course (a valve that opens, a housing) have no closed form. One more free run each,
         # begun from the course at hand, so that only the change is iterated.
         point = state.parameters
-        strengths = [max(1e-3 * abs(named.strength), 1e-18) for named in state.named]
+        strengths = [size for named in state.named for size in _steps_of(named)]
         columns = []
         for number, size in enumerate([*(1e-3 * frame.shape.spread).tolist(), *[1e-3] * r, *strengths]):
             moved = point.copy()
@@ -168,11 +169,17 @@ def sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
     return np.column_stack([linear, rates])
 
 
+def _steps_of(named: Named) -> list[float]:
+    """By how much each free parameter of an effect is moved for a derivative: its strength by a share, thresholds in
+    degC."""
+    return [max(1e-3 * abs(named.strength), 1e-18), *[0.01] * (len(named.free) - 1)]
+
+
 def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: Array | None = None) -> CourseState:
     """The free run at a vector of all parameters (p + r + e,)."""
     p, r = frame.count
-    strengths = point[p + r :].tolist()
-    moved = [effect.scaled(strength) for effect, strength in zip(named, strengths, strict=True)]
+    ends = np.cumsum([p + r, *(len(effect.free) for effect in named)]).tolist()
+    moved = [effect.at(point[a:b].tolist()) for effect, (a, b) in zip(named, pairwise(ends), strict=True)]
     return run_free(frame, point[:p], point[p : p + r], start, named=moved, guess=guess)
 
 

@@ -17,6 +17,7 @@ from sim.effects import (
     VaryingLaw,
     acts_in,
     in_scale_of_x,
+    is_gradual,
     kind_of,
     parameter,
     radiation_tangent,
@@ -57,10 +58,13 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
             coupling = effect.params["coupling"]
             heat, loss = coupling * lagged(record, course, effect.params["tau"]), nothing + coupling
         case Structural(feature="thermostat"):
-            opened = hysteresis(course, effect.params["opens"], effect.params["closes"], runs.first)
-            # A step later, as causes are: a valve that moved within the step could close itself by opening, and no
-            # course would stand still.
-            opened = np.where(runs.first, 0.0, np.concatenate([opened[:1], opened[:-1]]))
+            if is_gradual(effect):
+                opened = (course > effect.params["opens"]).astype(float)
+            else:
+                opened = hysteresis(course, effect.params["opens"], effect.params["closes"], runs.first)
+                # A step later, as causes are: a valve that moved within the step could close itself by opening, and no
+                # course would stand still.
+                opened = np.where(runs.first, 0.0, np.concatenate([opened[:1], opened[:-1]]))
             loss = effect.params["loss"] * opened
             heat = loss * effect.params["sink"]
         case Structural(feature="radiation"):

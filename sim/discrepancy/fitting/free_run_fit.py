@@ -25,6 +25,8 @@ ROUNDS, NEWTON = 4, 8
 LARGEST_TARGET, LARGEST_SHARE = 15.0, 0.7
 """A step of Newton's is shortened to this: degC of a target (other parameters in proportion to their belief), and the
 share of itself by which a strength may change."""
+STRIDE = 2.0
+"""degC by which such a step may move a threshold."""
 AT_REST = 0.95
 """The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
 MOVING = 0.5
@@ -124,7 +126,8 @@ class _Point:
 
 def _around(frame: Frame, state: CourseState, start: Array, reading: Array) -> _Point:
     record = frame.record
-    off = np.concatenate([state.parameters[: sum(frame.count)] - frame.centre, np.zeros(len(state.named))])
+    own = sum(frame.count)
+    off = np.concatenate([state.parameters[:own] - frame.centre, np.zeros(state.parameters.size - own)])
     return _Point(
         state,
         grid_at(frame, state),
@@ -152,12 +155,13 @@ def fit(
     start = reading[record.window_first] if begin is None else begin.start
     own = frame.centre if begin is None else begin.state.parameters[: begin.own]
     own = own if moved is None else own + moved
-    prior = np.concatenate([frame.prior, np.zeros(len(named))])
+    added = [value for effect in named for value in effect.point]
+    prior = np.concatenate([frame.prior, np.zeros(len(added))])
     # Parameters under fixed noise, then the noise under fixed parameters, until the noise stands still: a wrong target
     # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
     belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
     noise = belief.centre if begin is None else begin.noise
-    state = at(frame, np.concatenate([own, [effect.strength for effect in named]]), start, named)
+    state = at(frame, np.concatenate([own, added]), start, named)
     for _ in range(rounds):
         state = _newton_steps(frame, state, start=start, reading=reading, noise=noise, prior=prior)
         point = _around(frame, state, start, reading)
@@ -223,7 +227,7 @@ def _newton_steps(
         normal = point.columns.T @ both[:, 1:] + np.diag(np.maximum(prior, 1e-12))
         step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal), point.columns.T @ both[:, 0] - prior * point.off)
         # The whole step is shortened, not single parts of it: it must stay a descent direction.
-        strengths = [max(LARGEST_SHARE * abs(named.strength), 1e-15) for named in state.named]
+        strengths = [size for named in state.named for size in _longest(named)]
         longest = np.concatenate([LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior), strengths])
         step = step * min(1.0, 1.0 / float(np.max(np.abs(step) / longest, initial=1.0)))
         # Backtracking, five lengths at most. If none helps, the linear problem does not describe the plant here.
@@ -231,7 +235,7 @@ def _newton_steps(
         for _half in range(5):
             moved = at(frame, _allowed(state, state.parameters + step), start, state.named, state.course)
             residual = reading - frame.record.windowed(moved.mean)
-            off = point.off + np.concatenate([step[: point.off.size - len(state.named)], np.zeros(len(state.named))])
+            off = point.off + np.where(np.arange(step.size) < sum(frame.count), step, 0.0)
             after = float(residual @ whitener.weigh(residual[:, None])[:, 0] + off @ (prior * off))
             if np.isfinite(after) and after <= before + 1e-6:
                 break
@@ -245,15 +249,21 @@ def _newton_steps(
     return state
 
 
+def _longest(named: Named) -> list[float]:
+    """How far a step of Newton's may move the free parameters of an effect."""
+    return [max(LARGEST_SHARE * abs(named.strength), 1e-15), *[STRIDE] * (len(named.free) - 1)]
+
+
 def _allowed(state: CourseState, point: Array) -> Array:
     """The point with strengths of the wrong sign put to a tiny one of the right sign."""
     out = point.copy()
-    first = point.size - len(state.named)
+    number = point.size - sum(len(named.free) for named in state.named)
     # A strength at 0 or beyond would stay there: the sensitivity to an effect that is off tells nothing of its shape.
-    for number, named in enumerate(state.named, start=first):
+    for named in state.named:
         least = 1e-3 * abs(named.strength)
         if named.entry.sign > 0:
-            out[number] = max(out[number], least)
+            out[number] = min(max(out[number], least), named.entry.candidate.most)
+        number += len(named.free)
     return out
 
 

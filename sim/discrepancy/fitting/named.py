@@ -1,6 +1,6 @@
 """A named effect and the effects of the automaton that it stands for: what is fitted is what will be executed."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sim.discrepancy.fitting.candidates import CatalogueEntry, entry_of_effect
@@ -26,9 +26,20 @@ class Named:
         """The parameter that scales it."""
         return self.params[self.entry.strength]
 
-    def scaled(self, strength: float) -> "Named":
-        """The same effect at another strength."""
-        return replace(self, params={**self.params, self.entry.strength: strength})
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameters that a fit moves: the strength first, then those of the shape that are fitted jointly."""
+        return (self.entry.strength, *self.entry.candidate.jointly(self.params))
+
+    @property
+    def point(self) -> list[float]:
+        """The values of `free`."""
+        return [self.params[name] for name in self.free]
+
+    def at(self, point: Sequence[float]) -> "Named":
+        """The same effect at other values of `free`."""
+        moved = dict(zip(self.free, point, strict=True))
+        return replace(self, params=self.entry.candidate.settled({**self.params, **moved}))
 
 
 def named_of(model: Model) -> tuple[Named, ...]:
