@@ -38,6 +38,7 @@ def grid_of(dt: Array, k: Array, running: Array, weight: Array, first: Mask, cyc
         heats=np.asfortranarray(np.column_stack(columns)),
         late=late,
         shared=linear_recursion(decay, 0.05 * np.sqrt(late), 0.0),
+        inrush=linear_recursion(decay, np.where(first, 0.0, 0.3 * (np.arange(first.size) % 7 == 3)), 0.0),
     )
 
 
@@ -59,7 +60,7 @@ def dense(grid: Grid, noise: NoiseModel) -> Array:
         state[here, :] = move @ state[before, :]
         state[:, here] = state[here, :].T
         state[here, here] = move @ state[before, before] @ move.T + move @ both[:2, 2:] + np.diag([grid.late[row], 0.0])
-    heats = np.column_stack([grid.heats * noise.cycle, grid.shared])
+    heats = np.column_stack([grid.heats * noise.cycle, grid.shared, grid.inrush])
     return np.asarray(state[::2, ::2] + heats @ heats.T + noise.sensor**2 * np.eye(size))
 
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from sim.discrepancy.fitting import Whitener, frame_of, grid_at, record_of
-from sim.discrepancy.fitting.course import LATE_APART, LATE_TOGETHER, lateness, run_free
+from sim.discrepancy.fitting.candidates import catalogue
+from sim.discrepancy.fitting.course import LATE_APART, LATE_TOGETHER, inrush, lateness, run_free
+from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.noise import NoiseModel
 from sim.discrepancy.workflow import diagnose
 from sim.engine import linear_recursion
@@ -52,6 +54,30 @@ def test_a_step_of_the_load_is_known_to_a_row_and_what_is_restless_or_on_its_way
         inside = (np.diff(moving.runs.place) != 0) & (np.diff(moving.running) == 0)
         beside = np.convolve(np.diff(moving.running) != 0, np.ones(13), "same") == 0  # where starts and stops are far
         assert (inside & beside).sum() > 5 and np.mean(moving.turned[:-1][inside & beside]) < 0.05
+
+
+def test_what_a_start_draws_in_its_first_seconds_is_believed_of_no_law() -> None:
+    trace = plant(1, days=1, period=5.0)
+    on = trace.signals["MarciaDecanter"]
+    starts = np.flatnonzero(np.diff(on) > 0) + 1
+    current = trace.signals["Assorbimento"].copy()
+    current[starts] = 400.0
+    rows = replace(trace, signals={**trace.signals, "Assorbimento": current}, events=())
+    rushing = replace(rows, events=encode(rows, ALPHABET))
+    saturation = next(entry for entry in catalogue() if entry.name == "current-saturation")
+    heat = Named(saturation, {"current": "Assorbimento"}, {"gain": 1e-4, "knee": 300.0})
+    jumps = []
+    for one in (trace, rushing):
+        frame = frame_of(record_of(model(), [one], ("Assorbimento",)))
+        state = run_free(frame, *np.split(frame.centre, [frame.count[0]]), np.array([17.0]), named=[heat])
+        jumps.append(inrush(frame, state))
+        quiet = np.flatnonzero(jumps[-1])
+    assert not jumps[0].any()
+    (low, k), (high, _) = TARGETS["LOW"], TARGETS["HIGH"]
+    # One row of each start in the upper bin, which the effect cools by 100 A beyond its knee.
+    after = {5.0 * (k * (high - level) - 1e-4 * 100.0) for level in (low, high)}
+    assert quiet.size == starts.size
+    assert all(min(abs(jump - one) for one in after) < 1e-9 for jump in jumps[1][quiet])
 
 
 def test_jumps_are_in_the_covariance_of_the_windows_after_them() -> None:

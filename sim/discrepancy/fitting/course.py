@@ -24,6 +24,9 @@ ITERATIONS, STILL = 60, 1e-6
 TAIL = 4
 """Cycles over which the heat of one is followed, itself included: about a day."""
 
+INRUSH = 30.0
+"""Seconds after a start (or two rows) in which the current may be what turns the drum up: a motor on the line is at
+speed within a quarter of a minute."""
 LATE_TOGETHER, LATE_APART = 0.5, 12.0**-0.5
 """Rows by which all switches are late together, and each by itself (standard deviations): uniform within a row, whose
 second moment 1/3 is (1/2)^2 + 1/12. Together, because a recorder that samples is half a row late in the mean, while
@@ -36,7 +39,7 @@ class CourseState:
 
     `course` (n,) degC is the bearing at the knots, `mean` (n,) what the sensor would read of it without noise. Of each
     step: `k` (n,) 1/s the flow's own rate (0 where it does not relax), `loss` (n,) what effects add to it, `decay` and
-    `target` (n,) those of the flow without effects.
+    `target` (n,) those of the flow without effects, `heat` (n,) degC/s what effects heat.
     """
 
     linear: Array
@@ -48,6 +51,13 @@ class CourseState:
     k: Array
     target: Array
     loss: Array
+    heat: Array
+
+    @property
+    def drive(self) -> Array:
+        """(n,) degC/s what moves the temperature in each step, but for what it loses by itself."""
+        own = np.where(self.k > 0, self.k * self.target, np.where(self.decay == 1.0, self.target, 0.0))
+        return np.asarray(own + self.heat)
 
     @property
     def parameters(self) -> Array:
@@ -70,10 +80,10 @@ def run_free(
     push = pull * target
     push[first] = start
     course = linear_recursion(decay, push, 0.0)
-    loss = np.zeros(len(runs))
+    loss, heat = np.zeros(len(runs)), np.zeros(len(runs))
     if heating:
         flow = (decay, np.where(first, start[np.cumsum(first) - 1], push), k)
-        course, loss = _driven(frame, heating, flow, course if guess is None else guess)
+        course, loss, heat = _driven(frame, heating, flow, course if guess is None else guess)
     mean = course
     for effect in effects:
         if on_sensor(effect):
@@ -88,13 +98,14 @@ def run_free(
         k=k,
         target=target,
         loss=loss,
+        heat=heat,
     )
 
 
 def _driven(
     frame: Frame, effects: Sequence[Effect], flow: tuple[Array, Array, Array], course: Array
-) -> tuple[Array, Array]:
-    """(course, loss) with the effects; `flow` is (decay, what the flow adds, k) without them."""
+) -> tuple[Array, Array, Array]:
+    """(course, loss, heat) with the effects; `flow` is (decay, what the flow adds, k) without them."""
     record = frame.record
     runs = record.runs
     first = runs.first  # a property that looks at all runs: not in the loop
@@ -115,7 +126,7 @@ def _driven(
         course = linear_recursion(np.where(first, 0.0, decay), np.where(first, own_push, pull * heat), 0.0)
         if not np.isfinite(course).all() or np.max(np.abs(course - before)) < STILL:
             break
-    return course, loss
+    return course, loss, heat - own_heat
 
 
 def rates_of(frame: Frame, log_rates: Array) -> Array:
@@ -191,12 +202,17 @@ def grid_at(frame: Frame, state: CourseState) -> Grid:
     """
     rate, running = (as_read(frame, state, column) for column in (state.k + state.loss, frame.record.running))
     late = lateness(frame, state)
+
+    def windows(jumps: Array) -> Array:
+        return frame.record.windowed(as_read(frame, state, jumped(frame, state, jumps)))
+
     return frame.record.grid(
         rate,
         running,
         scattered(frame, state),
         jumps=(LATE_APART * late) ** 2,
-        shared=frame.record.windowed(as_read(frame, state, jumped(frame, state, LATE_TOGETHER * late))),
+        shared=windows(LATE_TOGETHER * late),
+        inrush=windows(inrush(frame, state)),
     )
 
 
@@ -209,10 +225,27 @@ def lateness(frame: Frame, state: CourseState) -> Array:
     an event with a time of its own is known to it.
     """
     record, runs = frame.record, frame.record.runs
-    drift = np.where(state.k > 0, state.k * state.target, np.where(state.decay == 1.0, state.target, 0.0))
-    change = np.append(np.diff(drift) - np.diff(state.k) * state.course[:-1], 0.0)
+    change = np.append(np.diff(state.drive) - np.diff(state.k + state.loss) * state.course[:-1], 0.0)
     within = record.turned & np.append(~runs.first[1:], False) & ~runs.first & np.isfinite(runs.reading)
     return np.asarray(np.where(within, change * runs.dt, 0.0))
+
+
+def inrush(frame: Frame, state: CourseState) -> Array:
+    """(n,) degC by which each knot would be off, had the drive of a start's first seconds been that after them.
+
+    A motor that starts draws several times its current, which turns the drum and is no load: what laws of the current
+    say of it is known of no model. A row that falls into it has it for the row's whole length besides.
+    """
+    record, runs = frame.record, frame.record.runs
+    row = float(np.median(runs.dt[runs.dt > 0])) if (runs.dt > 0).any() else 0.0
+    starting = (record.running > 0.5) & (record.since < max(INRUSH, 2.0 * row))
+    settled = np.flatnonzero(~starting)
+    if not starting.any() or not settled.size:
+        return np.zeros(len(runs))
+    place = np.searchsorted(settled, np.arange(len(runs)))
+    after = settled[np.minimum(place, settled.size - 1)]
+    known = starting & (place < settled.size) & (record.running[after] > 0.5) & (runs.run[after] == runs.run)
+    return np.asarray(np.where(known, (state.drive - state.drive[after]) * runs.dt, 0.0))
 
 
 def jumped(frame: Frame, state: CourseState, jumps: Array) -> Array:

@@ -57,7 +57,8 @@ class Grid:
     (m,) begins a run, `cycle` (m,) numbers the cycles. `heats` (m, cycles) degC is what a scatter of 1 in each cycle
     does to the windows. `late` (m,) degC^2 is the variance of the jumps of x in the step to each window, by starts
     and stops between two rows, each at a time of its own; `shared` (m,) degC is one standard deviation of
-    what all of them have in common.
+    what all of them have in common, `inrush` (m,) degC what the drive of all starts' first seconds does, by which the
+    model may be wrong.
     """
 
     dt: Array
@@ -68,6 +69,7 @@ class Grid:
     heats: Array
     late: Array
     shared: Array
+    inrush: Array
 
 
 def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
@@ -82,8 +84,8 @@ class Whitener:
     """The inverse covariance of the windows under one `NoiseModel`.
 
     V = H S H' + sensor^2 + Z Z', with S the covariance of the states (x, h), of which only the banded inverse is
-    formed, and Z a column a cycle, and one for what is shared by all switches between rows. Both steps are
-    Woodbury's identity; V itself (m x m) is never formed.
+    formed, and Z a column a cycle, one for what is shared by all switches between rows, and one for the inrush. Both
+    steps are Woodbury's identity; V itself (m x m) is never formed.
     """
 
     def __init__(self, grid: Grid, noise: NoiseModel) -> None:
@@ -92,7 +94,7 @@ class Whitener:
         # Each window is one reading of its x: the sensor's precision comes to every other diagonal entry.
         posterior[0, ::2] += 1.0 / noise.sensor**2
         self._factor = scipy.linalg.cholesky_banded(posterior, lower=True, overwrite_ab=True, check_finite=False)
-        self._heats = np.column_stack([grid.heats * noise.cycle, grid.shared])
+        self._heats = np.column_stack([grid.heats * noise.cycle, grid.shared, grid.inrush])
         self._weighed_heats = self._within(self._heats)
         gram = np.eye(self._heats.shape[1]) + self._heats.T @ self._weighed_heats
         self._root = scipy.linalg.cholesky(gram, lower=True, check_finite=False)

@@ -93,10 +93,10 @@ class Record:
         """(n,) a signal held over each step; NaN while it was never read."""
         return self.runs.inputs[:, self.signals.index(name)]
 
-    def grid(self, k: Array, running: Array, heats: Array, *, jumps: Array, shared: Array) -> Grid:
+    def grid(self, k: Array, running: Array, heats: Array, *, jumps: Array, shared: Array, inrush: Array) -> Grid:
         """The windows as the noise sees them; `k` (n,) 1/s and `running` (n,) are each step's rate and whether rough
-        heat acts, `jumps` (n,) degC^2 the variance of a jump at each knot, `heats` (m, cycles) and `shared` (m,) as in
-        `Grid`."""
+        heat acts, `jumps` (n,) degC^2 the variance of a jump at each knot, `heats` (m, cycles) `shared` and `inrush`
+        (m,) as in `Grid`."""
         passed = np.cumsum(np.column_stack([k, running]) * self.runs.dt[:, None], axis=0)
         times, mean = self.times, self.windowed(passed)
         # Rate and running share between two windows are those between their mean times: the integral over all knots,
@@ -115,6 +115,7 @@ class Record:
             heats=heats,
             late=np.where(first, 0.0, np.diff(passed, prepend=0.0)),
             shared=shared,
+            inrush=inrush,
         )
 
     def where(self, keep: Mask) -> "Record":
