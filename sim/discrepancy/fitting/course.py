@@ -24,9 +24,6 @@ ITERATIONS, STILL = 60, 1e-6
 TAIL = 4
 """Cycles over which the heat of one is followed, itself included: about a day."""
 
-INRUSH = 30.0
-"""Seconds after a start (or two rows) in which the current may be what turns the drum up: a motor on the line is at
-speed within a quarter of a minute."""
 LATE_TOGETHER, LATE_APART = 0.5, 12.0**-0.5
 """Rows by which all switches are late together, and each by itself (standard deviations): uniform within a row, whose
 second moment 1/3 is (1/2)^2 + 1/12. Together, because a recorder that samples is half a row late in the mean, while
@@ -237,14 +234,12 @@ def inrush(frame: Frame, state: CourseState) -> Array:
     say of it is known of no model. A row that falls into it has it for the row's whole length besides.
     """
     record, runs = frame.record, frame.record.runs
-    row = float(np.median(runs.dt[runs.dt > 0])) if (runs.dt > 0).any() else 0.0
-    starting = (record.running > 0.5) & (record.since < max(INRUSH, 2.0 * row))
-    settled = np.flatnonzero(~starting)
-    if not starting.any() or not settled.size:
+    settled = np.flatnonzero(~record.rushed)
+    if not record.rushed.any() or not settled.size:
         return np.zeros(len(runs))
     place = np.searchsorted(settled, np.arange(len(runs)))
     after = settled[np.minimum(place, settled.size - 1)]
-    known = starting & (place < settled.size) & (record.running[after] > 0.5) & (runs.run[after] == runs.run)
+    known = record.rushed & (place < settled.size) & (record.running[after] > 0.5) & (runs.run[after] == runs.run)
     return np.asarray(np.where(known, (state.drive - state.drive[after]) * runs.dt, 0.0))
 
 

@@ -34,6 +34,9 @@ BESIDE, STANDS_OUT = 5, 4.5
 """Rows before and after a row's end with which a change of a signal there is compared, and the times their median that
 a step is: three standard deviations, since the median size of what is normal is 0.67 of one. Where a signal is restless
 or on its way, half of the rows beside change as much, and nothing steps."""
+INRUSH = 30.0
+"""Seconds after a start (or two rows) in which the current may be what turns the drum up: a motor on the line is at
+speed within a quarter of a minute."""
 NEVER = 1e9
 """Seconds since a start-up that was not seen."""
 
@@ -46,7 +49,8 @@ class Record:
     made while the machine runs (1 everywhere without a switch), `since` (n,) the seconds since its last start-up at the
     step's start, `cycle` (n,) numbers the cycles, what lies before a trace's first start-up counting to its first; of a
     machine that runs on, the pieces of its long runs (`in_pieces`). `turned` (n,) says where a start, a stop or a step
-    of a load lies somewhere in the row that ends at the knot (`_turned`).
+    of a load lies somewhere in the row that ends at the knot (`_turned`), `rushed` (n,) where a start draws what turns
+    the drum up (`_rushed`).
     `window` (s) is the length of a window at rest, `rows` (r,) are the knots with a reading, `begins` (m,) the place in
     `rows` where each window begins.
     """
@@ -58,6 +62,7 @@ class Record:
     since: Array
     cycle: Indices
     turned: Mask
+    rushed: Mask
     window: float
     rows: Indices
     begins: Indices
@@ -129,9 +134,17 @@ class Record:
         runs = replace(runs, dt=np.where(runs.first, 0.0, runs.dt))
         running, since, cycle = self.running[keep], self.since[keep], self.cycle[keep]
         rows, begins = _windows(runs, cycle, running, self.window)
-        turned = self.turned[keep]
+        turned, rushed = self.turned[keep], self.rushed[keep]
         return replace(
-            self, runs=runs, running=running, since=since, cycle=cycle, turned=turned, rows=rows, begins=begins
+            self,
+            runs=runs,
+            running=running,
+            since=since,
+            cycle=cycle,
+            turned=turned,
+            rushed=rushed,
+            rows=rows,
+            begins=begins,
         )
 
     def by_cycles(self) -> "Record":
@@ -222,6 +235,7 @@ def record_of(
         since=since,
         cycle=cycle,
         turned=_turned(model, runs, running, signals),
+        rushed=_rushed(model, runs, running, since, signals),
         window=window,
         rows=rows,
         begins=begins,
@@ -234,14 +248,38 @@ def _turned(model: Model, runs: FreeRuns, running: Array, signals: Sequence[str]
     A step stands out of what its signal does from row to row beside it (`STANDS_OUT`).
     """
     turned = np.append(np.diff(running) != 0, False)
+    for number in _driving(model, signals):
+        change = np.abs(np.append(np.diff(np.nan_to_num(runs.inputs[:, number])), 0.0))
+        beside = scipy.ndimage.median_filter(change, size=2 * BESIDE + 1, mode="nearest")
+        turned |= change > STANDS_OUT * beside
+    return turned
+
+
+def _driving(model: Model, signals: Sequence[str]) -> list[int]:
+    """The places in `signals` of those that the flows go by, or that decide between locations."""
     driving = {each.signal for location in model.sha.locations for each in location.flow.inputs}
     driving |= {channel.signal for channel in model.alphabet.channels}
-    for number, name in enumerate(signals):
-        if name in driving:
-            change = np.abs(np.append(np.diff(np.nan_to_num(runs.inputs[:, number])), 0.0))
-            beside = scipy.ndimage.median_filter(change, size=2 * BESIDE + 1, mode="nearest")
-            turned |= change > STANDS_OUT * beside
-    return turned
+    return [number for number, name in enumerate(signals) if name in driving]
+
+
+def _rushed(model: Model, runs: FreeRuns, running: Array, since: Array, signals: Sequence[str]) -> Mask:
+    """(n,) where a start draws more than the machine ever does afterwards, until it stops: its first `INRUSH`.
+
+    A motor on the line draws several times its current until the drum turns. A load that comes and goes is none.
+    """
+    seen = runs.dt[runs.dt > 0]
+    row = float(np.median(seen)) if seen.size else 0.0
+    starting = (running > 0.5) & (since < max(INRUSH, 2.0 * row))
+    after = (running > 0.5) & ~starting
+    stretch = np.cumsum(runs.first | (np.diff(starting, prepend=False) & starting))
+    rushed = np.zeros(len(runs), dtype=bool)
+    for number in _driving(model, signals):
+        drawn = np.nan_to_num(runs.inputs[:, number])
+        most = np.full(int(stretch[-1]) + 1, np.inf)
+        most[stretch[after]] = 0.0
+        np.maximum.at(most, stretch[after], drawn[after])
+        rushed |= starting & (drawn > most[stretch])
+    return rushed
 
 
 def _cut_late(runs: FreeRuns, running: Array) -> FreeRuns:
