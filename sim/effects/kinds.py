@@ -49,7 +49,7 @@ def kind_of(effect: Effect) -> EffectKind:
 
 def own_kind(line: EffectLine) -> EffectKind:
     """The kind that an engineer's line stands for. Raises LineError, a ValueError, with the key and the reason."""
-    if line.name in EFFECTS:
+    if line.name in EFFECTS or line.name in RIVALS:
         raise LineError("name", f"{line.name!r} is a kind of the catalogue already; give the effect another name")
     return kind_of_line(line)
 

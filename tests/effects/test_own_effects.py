@@ -237,6 +237,11 @@ BROKEN: list[tuple[str, str, str]] = [
         "heat: it has no bound as `since` grows",
     ),
     ('name = "slurry-coupling"', 'name = "pump-cooling"', "name: 'pump-cooling' is a kind of the catalogue already"),
+    (
+        'name = "slurry-coupling"',
+        'name = "late-current-heating"',
+        "name: 'late-current-heating' is a kind of the catalogue already",
+    ),
     ('name = "wet-load"', 'name = "slurry-coupling"', "effect[1].name: 'slurry-coupling' stands there twice"),
     ('name = "slurry-coupling"', 'name = "a name"', "effect[0].name: 'a name' is no name"),
     ('acts = "anywhere"', 'acts = "nowhere"', "effect[0].acts: 'nowhere' is unknown"),
