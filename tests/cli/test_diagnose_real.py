@@ -51,7 +51,7 @@ def test_the_thermostat_of_a_car_is_named_and_the_decoys_are_not(tmp_path: Path)
     assert names.isdisjoint({"speed-friction", "ambient-coupling"})
     held = found["held_out"]
     assert found["effects"][0]["parameters"]["gradual"] == 1.0
-    assert held["excess_removed"] > 0.55  # 0.61 to 0.65 by the processor's arithmetic
+    assert held["excess_removed"] > 0.55  # 0.62 to 0.65 by the processor's arithmetic
     assert held["ci95"][0] > 0
     assert {"torque-friction", "pump-cooling"} <= set(found["untested"])
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

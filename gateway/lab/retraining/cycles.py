@@ -20,11 +20,7 @@ from sim.pictures import check_picture, save_picture
 @click.option("--reason", help="Why: work on the sensor, cleaning, a test.")
 @click.option("--by", help="Who excludes it.")
 @click.option("--include", metavar="NAME", help="Take back that a cycle is excluded.")
-@click.option(
-    "--picture",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="A map of what the plant did.",
-)
+@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="A map of what the plant did.")
 @json_option
 def cycles_command(
     folder: Path,
