@@ -60,11 +60,15 @@ def _number(value: object) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A case with its answer. `truth` has the names that could be found: those whose signal was recorded."""
+    """A case with its answer. `truth` has the names that could be found: those whose signal was recorded.
+
+    `gainless`: the given model follows the current in no location, so that it lacks the heat of the current itself.
+    """
 
     label: Label
     outcome: Outcome
     answer: Answer
+    gainless: bool = False
 
     @property
     def truth(self) -> frozenset[str]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         cross_validate,
         folds,
         huber_scale,
+        judged_part,
         training_errors,
     )
     from sim.learning.machines import (
@@ -126,6 +127,7 @@ __all__ = [
     "huber_scale",
     "in_order",
     "initial_law",
+    "judged_part",
     "labels",
     "learn_correction",
     "learn_max_rate",

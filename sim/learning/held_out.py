@@ -8,13 +8,15 @@ from numpy.typing import NDArray
 
 from sim.learning.free_run import HUBER, FitShape, FreeRunFit, fit_at_rates, fit_free_run, huber_loss, predict
 from sim.learning.runs import FreeRuns, pieces
-from sim.sha import Array
+from sim.sha import Array, Mask
 
 FOLDS = 5
 PIECES = 10
 """Runs that a cross-validation has at least; long ones are halved for it."""
 LEAST = 20
 """Readings that a cross-validation needs in all: fewer, and the simplest candidate is taken."""
+TAUGHT = 10
+"""Readings in a location from which its target is known well enough for a candidate to be judged there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,26 +65,58 @@ def folds(runs: FreeRuns) -> FreeRuns | None:
     return cut if enough else None
 
 
-def cross_validate(runs: FreeRuns, shape: FitShape, begin: Array, *, fixed: bool = False) -> HeldOutErrors:
+def judged_part(runs: FreeRuns) -> Mask | None:
+    """(n,) the knots of `folds` at which candidates over the same locations can be told apart; None if too few.
+
+    A held-out run is judged up to where it enters a location of which the other folds have fewer than TAUGHT readings:
+    its target there is the prior's, and that error, which is nobody's, would hide how the candidates differ elsewhere
+    (the only rest of a campaign that runs for days).
+    """
+    order = _fold_order(runs)
+    ending = np.isfinite(runs.reading) & ~runs.first
+    strange = np.zeros(len(runs), dtype=bool)
+    for held in range(min(FOLDS, int(order[-1]) + 1)):
+        in_fold = order % FOLDS == held
+        taught = np.bincount(runs.place[ending & ~in_fold], minlength=int(runs.place.max()) + 1) >= TAUGHT
+        strange |= in_fold & ~runs.first & ~taught[runs.place]
+    # The free run carries the error on: all that follows in the run goes with it.
+    entered = np.cumsum(strange)
+    judged = np.asarray(entered == np.maximum.accumulate(np.where(runs.first, entered, 0)))
+    rows = judged & np.isfinite(runs.reading)
+    return judged if np.count_nonzero(rows) >= LEAST and np.unique(order[rows]).size >= 2 else None
+
+
+def _fold_order(runs: FreeRuns) -> NDArray[np.intp]:
+    """(n,) the number of each knot's run; run i goes to fold i modulo FOLDS."""
+    return np.cumsum(runs.first) - 1
+
+
+def cross_validate(
+    runs: FreeRuns, shape: FitShape, begin: Array, *, fixed: bool = False, judged: Mask | None = None
+) -> HeldOutErrors:
     """Fits `shape` to all folds but one and scores its free runs on that one, for each; `begin` (r,) are first rates.
 
     With `fixed` these rates are kept, which costs a tenth: a rate that all runs share hardly changes without one fold.
 
     Run i goes to fold i modulo FOLDS, so every fold spans the whole time. The start temperature of a held-out run is
     its own (fitted to it), as in training: the comparison is about the flows, and all candidates are treated alike.
+    Only the knots `judged` (n,) are predicted: of each run the beginning, by default all of it.
     """
-    order = np.cumsum(runs.first) - 1
+    order = _fold_order(runs)
+    judged = np.ones(len(runs), dtype=bool) if judged is None else judged
     mean = np.full(len(runs), np.nan)
     for held in range(min(FOLDS, int(order[-1]) + 1)):
         in_fold = order % FOLDS == held
-        rest = runs.where(~in_fold)
+        rest, ahead = runs.where(~in_fold), in_fold & judged
+        if not ahead.any():
+            continue
         if fixed:
             at_rates = fit_at_rates(rest, shape, begin)
-            mean[in_fold] = predict(runs.where(in_fold), shape, at_rates.linear, begin, at_rates.sigma)
+            mean[ahead] = predict(runs.where(ahead), shape, at_rates.linear, begin, at_rates.sigma)
         else:
             fit = fit_free_run(rest, shape, begin=begin)
-            mean[in_fold] = predict(runs.where(in_fold), shape, fit.linear, fit.rates, fit.sigma)
-    rows = np.flatnonzero(np.isfinite(runs.reading))
+            mean[ahead] = predict(runs.where(ahead), shape, fit.linear, fit.rates, fit.sigma)
+    rows = np.flatnonzero(judged & np.isfinite(runs.reading))
     return HeldOutErrors((runs.reading - mean)[rows], np.unique(order[rows], return_inverse=True)[1])
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.discrepancy.network import measure as network_measure
 from benchmarks.discrepancy.network import thermal
 from benchmarks.discrepancy.network.baseline import left_over, visible
 from benchmarks.discrepancy.network.cases import HIDDEN, plant_of, specs
@@ -17,6 +18,7 @@ from benchmarks.discrepancy.network.measure import COUNTS, drawn_order, judged, 
 from benchmarks.discrepancy.network.thermal import CONTACT, SEAT, Addition, NetworkRun, courses
 from benchmarks.discrepancy.runner import Case, Outcome
 from benchmarks.discrepancy.seal import Label, write_labels
+from benchmarks.discrepancy.visible import Family
 from sim.effects import EFFECTS
 
 ROOM = Path(thermal.__file__).parent
@@ -47,7 +49,9 @@ def test_at_a_steady_load_all_heat_leaves_through_the_housing() -> None:
     assert last == pytest.approx(18.0 + heat / 60.0 + SEAT * heat / CONTACT["outer-housing"], abs=0.01)
 
 
-def test_a_measurement_draws_its_order_and_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+def test_a_measurement_draws_its_order_and_goes_on_where_it_was_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     order = drawn_order("final")
     assert [spec.identifier for spec in order] == [spec.identifier for spec in drawn_order("final")]
     assert len({spec.identifier for spec in order}) == sum(COUNTS.values()) == 500
@@ -82,8 +86,10 @@ def test_a_measurement_draws_its_order_and_goes_on_where_it_was_stopped(tmp_path
     assert asked == [spec.identifier for spec in first[:1]]
     measure(first, tmp_path, agrees, limit=1.0, seconds=100.0)
     assert asked == [spec.identifier for spec in first]
+    monkeypatch.setattr(network_measure, "family_of", lambda _model: Family((0, 1, 1, 1, 1), (-1,) * 5))
     table = tables(judged(first, tmp_path))
     assert table.startswith("3 cases") and "errors and cases over the limit | 0.0 %" in table
+    assert "| model without a gain: current-heating named | 0.0 % | 0.0-70.8 | 0/3 |" in table
 
 
 @pytest.fixture(scope="module")

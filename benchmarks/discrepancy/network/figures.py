@@ -59,6 +59,13 @@ def rows(judged: Sequence[Judged]) -> list[Row]:
     found.append(row("outside: unexplained", outside, lambda one: one.answer.verdict == "unexplained"))
     seen = [one for one in outside if one.label.ratio >= VISIBLE * 0.9]
     found.append(row("outside, visible: unexplained", seen, lambda one: one.answer.verdict == "unexplained"))
+    # Strictly a wrong name, above; of such a model it is a right one.
+    gainless = [one for one in judged if one.gainless]
+    found.append(row("model without a gain: current-heating named", gainless, current_heating))
+    able = [one for one in judged if not one.gainless]
+    found.append(row("model with a gain, clean: named", [one for one in able if one.clean], claimed))
+    acting = [one for one in able if one.stratum in ("singles", "pairs")]
+    found.append(row("model with a gain, singles and pairs: wrong first name", acting, lambda one: one.wrong_first))
     claims = [one for one in judged if one.answer.claims]
     found.append(row("named while the held-out free run grows", claims, grows))
     found.append(row("errors and cases over the limit", judged, lambda one: one.outcome.status != "done"))
@@ -69,6 +76,16 @@ def grows(one: Judged) -> bool:
     """The free run over the held-out part is further off with the name than without it."""
     before, after = one.answer.errors
     return after > before
+
+
+def claimed(one: Judged) -> bool:
+    """Something was named."""
+    return one.answer.claims
+
+
+def current_heating(one: Judged) -> bool:
+    """The heat of the current was named."""
+    return "current-heating" in one.answer.names
 
 
 def too_little(one: Judged) -> bool:

@@ -13,6 +13,7 @@ from zlib import crc32
 
 import numpy as np
 
+from benchmarks.discrepancy.bearings import family_of
 from benchmarks.discrepancy.judging import Judged, answer
 from benchmarks.discrepancy.network.cases import SETS, NetworkSpec, make, specs
 from benchmarks.discrepancy.runner import RESULTS, Diagnose, Outcome, case
@@ -78,7 +79,8 @@ def judged(order: Sequence[NetworkSpec], out: Path) -> list[Judged]:
     for spec in order:
         if (path := _result(results, spec)).exists():
             outcome = Outcome(**json.loads(path.read_text(encoding="utf-8")))
-            found.append(Judged(labels[spec.identifier], outcome, answer(outcome)))
+            gainless = max(family_of(case(out, spec.identifier).model).gains) < 0
+            found.append(Judged(labels[spec.identifier], outcome, answer(outcome), gainless))
     return found
 
 

@@ -35,6 +35,7 @@ from sim.learning import (
     free_runs,
     in_order,
     initial_law,
+    judged_part,
     learn_plain,
     level_signals,
     machine_spread,
@@ -231,6 +232,7 @@ def _select(
     # All candidates on the same knots and the same folds: their likelihoods differ by what they are, not by the draw.
     few = sampled(runs, CHOICE_BUDGET)
     cut = folds(few)
+    judged = judged_part(cut) if cut is not None else None
     rivals = distinct(candidates, base)
     scores: Scores = []
     rates = []
@@ -238,7 +240,9 @@ def _select(
         report(f"trying: {candidate.label}", 0.1 + 0.5 * number / len(rivals))
         _, shape, _ = build(candidate, base)
         fit = fit_free_run(few, shape)
-        held = cross_validate(cut, shape, fit.rates) if cut is not None else None
+        held = None
+        if cut is not None and judged is not None:
+            held = cross_validate(cut, shape, fit.rates, judged=judged)
         scores.append((candidate, held, shape.centre.size + shape.rate_centre.size, training_errors(few, fit)))
         rates.append(fit.rates)
     held_out = [held for _, held, _, _ in scores if held is not None]

@@ -26,6 +26,7 @@ from sim.learning import (
     fit_stays,
     folds,
     initial_law,
+    judged_part,
     learn_plain,
     machine_spread,
     next_stay,
@@ -375,12 +376,13 @@ def _confirmed(plan: FitPlan, answers: tuple[Identified, ...], teacher: Teacher)
         return mixed
     few = sampled(placed(teacher.runs, plan.hypothesis.place), BUDGET)
     cut = folds(few)
+    judged = judged_part(cut) if cut is not None else None
     scores = []
     where = positions(teacher, plan.hypothesis.place, len(plan.kinds))
     for rival in (plan, mixed):
-        if cut is not None:
+        if cut is not None and judged is not None:
             shape, _ = flow_shape(plan.flowing.hypothesis, teacher, where, plan.modelled, rival.kinds)
-            scores.append(cross_validate(cut, shape, fit_free_run(few, shape).rates, fixed=True))
+            scores.append(cross_validate(cut, shape, fit_free_run(few, shape).rates, fixed=True, judged=judged))
     # The uniform plan counts as the simpler one, whatever the number of rates: mixed flows have to earn their place.
     if len(scores) == 2 and scores[1].score > scores[0].score and choose(scores, [1, 2]) == 1:
         return mixed
