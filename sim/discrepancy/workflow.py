@@ -16,6 +16,7 @@ from sim.discrepancy.evidence import candidates_of, effect_of, traces_of
 from sim.discrepancy.fitting import (
     Fitted,
     Named,
+    anchored,
     catalogue,
     fit,
     frame_of,
@@ -85,7 +86,7 @@ def diagnose(
 
     # The last cycles are held out from everything but the proof: not even the screen may have seen them.
     first_held_out = cycles[max(round((1.0 - HELD_OUT) * cycles.size), LEAST_CYCLES - 1)]
-    training = on(frame_of(record), record.where(record.cycle < first_held_out))
+    training = anchored(on(frame_of(record), record.where(record.cycle < first_held_out)))
     held_out = record.where(record.cycle >= first_held_out).by_cycles()
 
     # The refit comes first: what parameters that have moved explain is no missing effect.

@@ -1,7 +1,7 @@
 """The given model's own parameters: which there are, what is believed of them, and what each does to a target.
 
-The given values are the centre of a weak belief, so that a location hardly visited keeps them. Locations of equal rate
-share it, and so do those of equal gains, as the learner left them.
+The given values are the centre of a weak belief; where a record hardly shows a location (`anchored`) they are kept.
+Locations of equal rate share it, and so do those of equal gains, as the learner left them.
 """
 
 from dataclasses import dataclass, replace
@@ -9,11 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.fitting.record import Record
-from sim.learning import RATES, FitShape, ParameterNames, Prior, loads, shape_of
+from sim.engine import linear_recursion
+from sim.learning import RATES, FitShape, ParameterNames, Prior, loads, shape_of, steps
 from sim.sha import Array, Model, mode_parameter
 
 TARGET_SPREAD, DRIFT_SPREAD, FACTOR_SPREAD, LOG_RATE_SPREAD, GAIN_SPREAD = 40.0, 0.02, 10.0, 1.5, 1.0
 """How far the plant's parameters are believed to lie from the given ones: degC, degC/s, degC, 1, shares of a gain."""
+SHOWN = 0.1
+"""A location is shown where the temperature has gone this share of the way to a new target of it, at least once."""
+ANCHORED = 1e-3
+"""Share of its spread to which a parameter is held that no location shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,3 +93,30 @@ def _centred(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:
 def on(frame: Frame, record: Record) -> Frame:
     """The same parameters over another record of the same model."""
     return Frame(record, frame.shape, frame.names, loads(record.runs, frame.shape))
+
+
+def anchored(frame: Frame) -> Frame:
+    """The frame with the given values kept in locations that its record hardly shows, of m as of rates and gains.
+
+    What the free run is off by in a short visit, a tenth of a degree, is divided by the share of the way that the
+    temperature goes meanwhile: 20 s at a time constant of 20 min would move a target by six degrees, and the cycles
+    that are held out may stay there for an hour. A rate or gain that several locations share is kept where none is
+    shown.
+    """
+    runs, shape = frame.record.runs, frame.shape
+    decay, pull = steps(runs, shape, shape.rate_centre)
+    shown: set[tuple[str, int]] = set()
+    for place in np.unique(runs.place):
+        # Of a flow without a target to relax to nothing is said: it counts as shown.
+        way = linear_recursion(decay, np.where(runs.place == place, pull, 0.0), 0.0)
+        if RATES.get(shape.kinds[place]) != "k" or way.max() >= SHOWN:
+            numbers = shape.target[place], *shape.gain[place]
+            shown |= {("linear", int(number)) for number in numbers} | {("rate", int(shape.rate[place]))}
+    linear = np.array([("linear", number) in shown for number in range(shape.centre.size)], dtype=bool)
+    rates = np.array([("rate", number) in shown for number in range(shape.rate_centre.size)], dtype=bool)
+    kept = replace(
+        shape,
+        spread=np.where(linear, shape.spread, ANCHORED * shape.spread),
+        rate_spread=np.where(rates, shape.rate_spread, ANCHORED * shape.rate_spread),
+    )
+    return replace(frame, shape=kept)
