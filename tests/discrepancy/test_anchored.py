@@ -1,0 +1,40 @@
+"""What the fitted cycles hardly show of a model is kept as it was given."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.discrepancy.fitting import anchored, fit, frame_of, record_of
+from sim.discrepancy.fitting.baseline import Frame
+from sim.sha.events import encode
+from tests.discrepancy.plants import ALPHABET, TARGETS, model, plant
+
+
+def frame_with_high(rows: int) -> Frame:
+    """Two days at low current but for so many rows at high one, in the middle of a run; the reading knows of none."""
+    trace = plant(5, days=2)
+    low = np.minimum(trace.signals["Assorbimento"], 150.0)
+    begin = int(np.flatnonzero(np.diff(trace.signals["MarciaDecanter"]) > 0)[1]) + 60
+    low[begin : begin + rows] = 250.0
+    changed = replace(trace, signals={**trace.signals, "Assorbimento": low}, events=())
+    return frame_of(record_of(model(), [replace(changed, events=encode(changed, ALPHABET))], ()))
+
+
+def test_a_location_of_two_minutes_keeps_its_target() -> None:
+    frame = frame_with_high(4)
+    kept = anchored(frame)
+    high = frame.names.targets.index("HIGH")
+    narrower = kept.shape.spread / frame.shape.spread
+    assert narrower[high] == pytest.approx(1e-3)
+    assert np.delete(narrower, high) == pytest.approx(1.0)
+    # LOW shows the rate that it shares with HIGH.
+    assert kept.shape.rate_spread == pytest.approx(frame.shape.rate_spread)
+    assert fit(kept).state.linear[high] == pytest.approx(TARGETS["HIGH"][0], abs=0.1)
+    assert abs(fit(frame).state.linear[high] - TARGETS["HIGH"][0]) > 2.0
+
+
+def test_a_location_of_a_quarter_of_an_hour_is_fitted() -> None:
+    frame = frame_with_high(30)
+    assert anchored(frame).shape.spread == pytest.approx(frame.shape.spread)
+    assert fit(anchored(frame)).state.linear[frame.names.targets.index("HIGH")] < TARGETS["HIGH"][0] - 5.0
