@@ -156,8 +156,11 @@ def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
             continue
         # A heat that depends on the temperature is taken along the smoothed reading, not along the free run: where
         # something is missing the free run is wrong, and a thermostat would open in it at the wrong times.
-        heat, loss = heat_and_loss(record, effects[0], smooth)
-        added = filtered(fitted.frame, state, heat - loss * smooth)[:, 0]
+        heat = np.zeros(len(record.runs))
+        for effect in effects:
+            gained, lost = heat_and_loss(record, effect, smooth)
+            heat += gained - lost * smooth
+        added = filtered(fitted.frame, state, heat)[:, 0]
         out.append(record.windowed(as_read(fitted.frame, state, added)))
     return np.column_stack(out)
 

@@ -59,6 +59,13 @@ def _friction(
     )
 
 
+def _rooms(log: MachineLog) -> Sequence[Params]:
+    """About the room's mean, with the same coupling at rest and with a weaker one: what turns fans the air about it."""
+    shape = {"reference": log.usual("ambient", running=False)}
+    shares = (1.0, 0.4) if 0.0 < np.mean(log.running) < 1.0 else ()
+    return [{**shape, "at_rest": share} for share in shares] or [shape]
+
+
 def _late(effect: Effect, signals: Signals, late: Callable[[Array], Array]) -> Array:
     """gain (late(I^power) - reference), the reference counting only as far as there has been a current."""
     p = effect.params
@@ -170,7 +177,10 @@ HEATING = (
             sign=1.0,
             experiment="log the room for three days, with a night at rest",
             look="the room: ventilation, sun on the housing, a heat source beside the machine",
-            shapes=lambda log: [{"reference": log.usual("ambient", running=False)}],
+            shapes=_rooms,
+            refine={"at_rest": (0.1, 1.5)},
+            widths={"at_rest": 1.0},
+            at_rest="at_rest",
         ),
     ),
 )

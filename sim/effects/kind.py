@@ -266,7 +266,8 @@ class EffectCandidate:
     those of a shape (in degC) that every fit moves together with the strength.
     `once`: the strength is itself a time, so that twice of it is not twice the effect. A shape may have parameters that
     the kind has not: what they stand for is another effect (`besides`: (kind, parameters) from the whole shape), or
-    that optional signals are left unread (`unread`, where it is not 0). `rival`: it is held beside the others so that
+    that optional signals are left unread (`unread`, where it is not 0), or which share of the strength acts where the
+    machine rests (`at_rest`; 1 where a shape has it not). `rival`: it is held beside the others so that
     none of them is taken for it, and has no name itself; the kinds given there are special cases of it.
     """
 
@@ -286,6 +287,7 @@ class EffectCandidate:
     once: bool = False
     besides: Callable[[Params], tuple[str, Mapping[str, float]] | None] | None = None
     unread: str = ""
+    at_rest: str = ""
     rival: tuple[str, ...] = ()
 
 

@@ -48,12 +48,14 @@ def plant(
     offset: float = 0.0,
     bowl: float = 0.0,
     winding: float = 0.0,
+    room: float = 0.0,
     runs_on: bool = False,
     period: float = PERIOD,
 ) -> Trace:
     """`days` days of three cycles, or one run of them all. `pump` 1/s cools towards 19 degC, `churning` degC/s dies
     away after each start over 400 s as a logistic, `winding` degC/s at 200 A goes with the square of the current and
-    comes through two masses of 120 s and 60 s, `offset` degC is read too much from 40 % of the time on. A row
+    comes through two masses of 120 s and 60 s, `room` is the share of all heat
+    that is lost to a room of its own days, `offset` degC is read too much from 40 % of the time on. A row
     each `period` s."""
     rng = np.random.default_rng(seed)
     size = int(days * 86400 / period)
@@ -61,6 +63,7 @@ def plant(
     temperature = np.empty(size)
     x, heat, friction, since, warmed = 17.0, 0.0, 1.0, 1e9, 0.0
     copper, rotor = 0.0, 0.0
+    days_of_room = 17.0 + 6.0 * np.sin(2.0 * np.pi * period * np.arange(size) / 86400.0 + seed)
     feed = np.repeat(np.random.default_rng([seed, 1]).uniform(10.0, 40.0, size // 200 + 1), 200)[:size]
     for row in range(size):
         temperature[row] = x
@@ -70,6 +73,7 @@ def plant(
         keep = np.exp(-period / 400.0)
         heat = keep * heat + 4e-4 * np.sqrt(1 - keep**2) * rng.standard_normal()
         drive = k * (target - x) + on[row] * ((friction - 1) * k * (target - 17.0) + heat)
+        drive += room * k * (days_of_room[row] - 17.0)
         drive -= pump * pumping[row] * (x - 19.0)
         drive += churning * on[row] / (1 + np.exp(min((since - 400.0) / 100.0, 50.0)))
         warmed += period / 150.0 * (pumping[row] * (feed[row] - 22.0) - warmed)
@@ -88,6 +92,8 @@ def plant(
         "TAmbiente": 17.0 + np.cumsum(0.02 * rng.standard_normal(size)),
         "T": np.round(read, 1),
     }
+    if room:
+        signals["TAmbiente"] = days_of_room
     if bowl:
         signals["TFango"] = feed
     trace = Trace(f"plant{seed}", 1.7e9 + period * np.arange(size), signals, origin="a test's plant", synthetic=True)

@@ -144,6 +144,22 @@ def test_a_feed_that_acts_by_itself_and_not_by_the_difference_from_the_bearing_i
     assert found.held_out is not None and found.held_out.rmse_after < 0.5 * found.held_out.rmse_before
 
 
+def test_a_room_that_counts_for_more_while_the_machine_runs_is_told_with_its_share_at_rest() -> None:
+    outcome = diagnose(model(), [plant(6, room=0.5)], seed=0)
+    found = outcome.diagnosis
+    assert (found.verdict, [one.name for one in found.effects]) == ("named", ["ambient-coupling"])
+    # Heat is lost at 1/3600 s at rest and at 1/1500 s running.
+    assert found.effects[0].params["gain"] == pytest.approx(0.5 / 1500, rel=0.25)
+    assert found.effects[0].params["at_rest"] == pytest.approx(1500 / 3600, rel=0.3)
+    assert found.held_out is not None and found.held_out.excess_removed is not None
+    assert found.held_out.excess_removed > 0.95
+    assert outcome.fitted is not None
+    turning, resting = augmented(outcome.fitted).sha.effects
+    assert (turning.kind, turning.locations) == ("ambient-coupling", ("LOW", "HIGH"))
+    assert (resting.kind, resting.locations) == ("ambient-coupling", ("OFF",))
+    assert resting.params["gain"] == pytest.approx(turning.params["gain"] * found.effects[0].params["at_rest"])
+
+
 def test_a_machine_that_runs_on_is_diagnosed_by_pieces_of_its_run() -> None:
     found = diagnose(model(), [plant(3, days=2, pump=2e-4, runs_on=True)], seed=0).diagnosis
     assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])

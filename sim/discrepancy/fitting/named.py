@@ -57,10 +57,21 @@ def named_of(model: Model) -> tuple[Named, ...]:
 
 
 def effects_of(named: Named, model: Model) -> tuple[Effect, ...]:
-    """A named effect as the automaton takes it, and what else its shape stands for (the blur of a dead time: a lag)."""
-    besides = named.entry.candidate.besides
-    more = None if besides is None else besides(named.params)
-    return (effect_of(named, model), *(() if more is None else (Effect(*more),)))
+    """A named effect as the automaton takes it, and what else its shape stands for.
+
+    That is a lag for the blur of a dead time, and the same effect of another strength where the machine rests.
+    """
+    candidate, effect = named.entry.candidate, effect_of(named, model)
+    more = None if candidate.besides is None else candidate.besides(named.params)
+    share = named.params.get(candidate.at_rest, 1.0)
+    if share != 1.0 and named.existing is None:
+        running = set(running_locations(model))
+        where = effect.locations or tuple(location.name for location in model.sha.locations)
+        turns, rests = (tuple(name for name in where if (name in running) == runs) for runs in (True, False))
+        if turns and rests:
+            resting = {**effect.params, candidate.strength: share * named.strength}
+            return replace(effect, locations=turns), replace(effect, params=resting, locations=rests)
+    return (effect, *(() if more is None else (Effect(*more),)))
 
 
 def effect_of(named: Named, model: Model) -> Effect:
