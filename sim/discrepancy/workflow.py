@@ -16,6 +16,7 @@ from sim.discrepancy.evidence import candidates_of, effect_of, traces_of
 from sim.discrepancy.fitting import (
     Fitted,
     Named,
+    Record,
     anchored,
     catalogue,
     fit,
@@ -29,7 +30,17 @@ from sim.discrepancy.fitting import (
 )
 from sim.discrepancy.gap import excess, floor_of, sensor_noise
 from sim.discrepancy.held_out import compared
-from sim.discrepancy.judging import doubts, left_over, matters, systematic, untested, verdict_of
+from sim.discrepancy.judging import (
+    NamingResult,
+    doubts,
+    dubious,
+    immaterial,
+    left_over,
+    matters,
+    systematic,
+    untested,
+    verdict_of,
+)
 from sim.discrepancy.law_search import candidate_laws
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
@@ -42,6 +53,8 @@ HELD_OUT = 0.3
 LEAST_CYCLES = 4
 """Cycles below which nothing is said: three to fit, one to judge by."""
 MOST_NAMES = 3
+MOST_OF_A_GAP = 0.5
+"""Share of the held-out excess that a small effect must remove to be what the gap is made of."""
 
 Progress = Callable[[str, float], None]
 
@@ -100,6 +113,7 @@ def diagnose(
     # Both fits are held against a floor that neither has chosen: their own noise has swallowed what they could not
     # explain.
     floor = floor_of(model, traces, laid_out, base)
+    path = _with_the_gap_itself(path, held_out, seed, floor.error)
     beyond = excess(base, floor), excess(path.fitted, floor)
     after = path.fitted
     ceiling_after = ceiling(after, seed) if path.taken else ceiling_before
@@ -199,6 +213,24 @@ def measured_signals(model: Model, traces: Sequence[Trace]) -> tuple[str, ...]:
     present = present_roles(traces, {name: name for name in names})
     inputs = [driving.signal for location in model.sha.locations for driving in location.flow.inputs]
     return tuple(dict.fromkeys([*inputs, *present]))
+
+
+def _with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor: float) -> NamingResult:
+    """The path with the certain effect that was refused as too small, where the held-out gap is that effect.
+
+    What it does to the fitted cycles says little of what the model's parameters, which have made room for it there, are
+    off by elsewhere.
+    """
+    step, _ = path.steps[-1]
+    if path.taken or not immaterial(step) or dubious(step) or step.best is None or step.best.fitted is None:
+        return path
+    held, _, _ = compared(path.base, step.best.fitted, held_out, seed, floor)
+    removed, interval = held.excess_removed, held.ci95
+    if not matters(held, sensor_noise(path.base.frame.record)) or removed is None or interval is None:
+        return path
+    if removed < MOST_OF_A_GAP or interval[0] <= 0:
+        return path
+    return replace(path, fitted=step.best.fitted, steps=((step, ""),))
 
 
 def _too_little(model: Model, cycles: int) -> Diagnosis:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.discrepancy import evidence, judging, workflow
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.fitting.baseline import frame_of
 from sim.discrepancy.fitting.free_run_fit import fit
@@ -158,6 +159,19 @@ def test_a_room_that_counts_for_more_while_the_machine_runs_is_told_with_its_sha
     assert (turning.kind, turning.locations) == ("ambient-coupling", ("LOW", "HIGH"))
     assert (resting.kind, resting.locations) == ("ambient-coupling", ("OFF",))
     assert resting.params["gain"] == pytest.approx(turning.params["gain"] * found.effects[0].params["at_rest"])
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.5, "named"), (1.5, "unexplained")])
+def test_what_the_held_out_gap_is_made_of_is_named_however_little_it_does_to_the_fitted_cycles(
+    share: float, verdict: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (evidence, judging, workflow):
+        monkeypatch.setattr(module, "immaterial", lambda _step: True)
+    monkeypatch.setattr(workflow, "MOST_OF_A_GAP", share)
+    found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0).diagnosis
+    assert found.verdict == verdict
+    assert [one.name for one in found.effects] == ["pump-cooling"] * (verdict == "named")
+    assert [one.name for one in found.traces] == ["pump-cooling"] * (verdict != "named")
 
 
 def test_a_machine_that_runs_on_is_diagnosed_by_pieces_of_its_run() -> None:
