@@ -5,6 +5,11 @@ folder a machine; one of ten and more makes half as much heat again. Each fleet 
 of its own with one worker and with two: processor time and the greatest memory of it and its workers, wall time, and
 how the processor time of the machines alone grows with their number. What ten thousand machines would cost is that
 time for one, ten thousand times: on paper, as no such fleet was studied.
+
+With --law nothing is learned: offsets are drawn, machine by machine and group by group, that scatter and are known as
+those of the learned fleet of ten are, and every error is an estimate from eight runs. Printed is the share of ordinary
+fleets in which any machine is said to stand out, and how often an odd one is named: running, at rest only, or in one
+load stage only (which is half of its running).
 """
 
 import csv
@@ -15,11 +20,13 @@ import sys
 import tempfile
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
+from sim.learning import SURE, GroupTargets, outstanding
 from sim.plant import production
 from sim.plant.decanter import DecanterPlant
 from sim.sha import Trace
@@ -27,6 +34,18 @@ from sim.traces import write_trace
 
 ODD_FROM, ODD_HEAT, SCATTER = 10, 1.5, 0.05
 ON_PAPER = 10_000
+RUNS, ERRORS_DIFFER = 8, 0.5
+"""Runs that an error comes from, and by how much the logarithms of the true errors differ between machines."""
+REST, RUNNING, LOW, HIGH = "OFF", "ON", "ON/100-200", "ON/200-300"
+KNOWN_AS = {REST: (0.1, 0.16), RUNNING: (0.55, 0.35), LOW: (1.2, 0.8), HIGH: (1.0, 0.7)}
+"""By group: what machines differ by, and the standard error of a machine's offset (degC)."""
+ODD = {
+    "running": {RUNNING: 1.0, LOW: 1.0, HIGH: 1.0},
+    "at rest only": {REST: 1.0},
+    "one stage only": {RUNNING: 0.5, HIGH: 1.0},
+}
+"""Where an odd machine is odd, and which share of that each group shows."""
+DEGREES = (2.0, 3.0, 5.0)
 
 
 def machine(number: int, heat: float, days: int, seed: int) -> Trace:
@@ -48,7 +67,7 @@ def write_fleet(folder: Path, size: int, days: int, seed: int) -> str:
     return odd
 
 
-def studied(folder: Path, out: Path, jobs: int) -> tuple[dict[str, object], float, float]:
+def studied(folder: Path, out: Path, jobs: int) -> tuple[dict[str, Any], float, float]:
     """What the command says, the processor time of it and all its workers (s), and the wall time (s)."""
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), monotonic()
     command = ["model", "fleet", str(folder), "--out", str(out), "--jobs", str(jobs), "--json"]
@@ -60,12 +79,48 @@ def studied(folder: Path, out: Path, jobs: int) -> tuple[dict[str, object], floa
     return json.loads(done.stdout), spent, monotonic() - begin
 
 
+def drawn(rng: np.random.Generator, size: int, odd: dict[str, float]) -> dict[str, dict[str, GroupTargets]]:
+    """What the machines of a fleet say of themselves; the first is off by so many degrees in each group of `odd`."""
+    fleet = {f"m{number:03d}": dict[str, GroupTargets]() for number in range(size)}
+    for group, (differ, error) in KNOWN_AS.items():
+        true = error * np.exp(ERRORS_DIFFER * rng.standard_normal(size))
+        offset = rng.normal(0.0, np.hypot(differ, true))
+        offset[0] += odd.get(group, 0.0)
+        told = true * np.sqrt(rng.chisquare(RUNS - 1, size) / (RUNS - 1))
+        for own, one, its in zip(fleet.values(), offset.tolist(), told.tolist(), strict=True):
+            own[group] = GroupTargets(one, its, RUNS)
+    return fleet
+
+
+def law(sizes: list[int], fleets: int, seed: int) -> list[Figure]:
+    """False findings of ordinary fleets beside the stated rate, and how often an odd machine is named."""
+    rng, figures = np.random.default_rng(seed), list[Figure]()
+    for size in sizes:
+        found = [outstanding(drawn(rng, size, {})) for _ in range(fleets)]
+        rate = 100.0 * float(np.mean([bool(each) for each in found]))
+        figures.append(Figure(f"{size} machines alike: fleets with a finding", rate, "%", "stated", 100.0 * SURE))
+        for where, shares in ODD.items():
+            for degrees in DEGREES:
+                odd = {group: share * degrees for group, share in shares.items()}
+                found = [outstanding(drawn(rng, size, odd)) for _ in range(max(fleets // 10, 1))]
+                named = 100.0 * float(np.mean(["m000" in each for each in found]))
+                others = 100.0 * float(np.mean([bool(set(each) - {"m000"}) for each in found]))
+                figures.append(Figure(f"  odd {where}, {degrees:g} degC: named", named, "%", "others", others))
+    return figures
+
+
 @click.command(help=__doc__)
 @click.option("--sizes", default="1,10,100", show_default=True, help="Machines of each fleet.")
 @click.option("--days", default=4, show_default=True, type=click.IntRange(1), help="Of record of each machine.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0))
+@click.option("--law", "drawn_only", is_flag=True, help="Of drawn offsets; nothing is learned.")
+@click.option("--fleets", default=5000, show_default=True, type=click.IntRange(1), help="Drawn, with --law.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
-def main(sizes: str, days: int, seed: int, as_json: bool) -> None:
+def main(sizes: str, days: int, seed: int, drawn_only: bool, fleets: int, as_json: bool) -> None:
+    if drawn_only:
+        wanted = [size for each in sizes.split(",") if (size := int(each)) >= ODD_FROM]
+        give("which machine stands out, of drawn offsets", law(wanted, fleets, seed), as_json=as_json)
+        return
     figures, growth = [], list[tuple[int, float]]()
     for size in (int(each) for each in sizes.split(",")):
         with tempfile.TemporaryDirectory(prefix="decanter-fleet-") as scratch:
@@ -82,6 +137,10 @@ def main(sizes: str, days: int, seed: int, as_json: bool) -> None:
                 figures.append(Figure("  most memory of a process", max(float(row["peak_mb"]) for row in rows), "MB"))
                 found = said["outstanding"]
                 figures.append(Figure("  stand out, of them false", len(found), "", "false", len(set(found) - {odd})))
+                if odd in found:
+                    lead = found[odd][0]
+                    name = f"  odd one {lead['where']}: beyond the others"
+                    figures.append(Figure(name, lead["beyond"], "degC", "they differ by", lead["differ"]))
                 if jobs == 1:
                     growth.append((size, alone))
     if len(growth) > 1:

@@ -1,7 +1,7 @@
 """What may act on top of the flows: kinds of effects as one table, and what every engine needs of them."""
 
 from sim.effects.check import check_effect, check_effects, check_sha
-from sim.effects.correction import corrected, in_sensor_scale, of_machine
+from sim.effects.correction import corrected, in_sensor_scale, of_machine, with_targets
 from sim.effects.exchange import ABSOLUTE_ZERO, in_scale_of_x, is_gradual, radiation_tangent
 from sim.effects.expressed import SINCE, TEMPERATURE, cells, enclosure, steepest_loss
 from sim.effects.expression import Expression, compiled, parse
@@ -101,5 +101,6 @@ __all__ = [
     "signals_of",
     "steepest_loss",
     "unknown",
+    "with_targets",
     "without",
 ]

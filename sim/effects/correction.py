@@ -8,7 +8,7 @@ readings, limits and quantiles are all of T', and the sensor's noise, which is m
 automaton's range becomes [k low + b, k high + b].
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from math import log
 from typing import Any
@@ -55,10 +55,7 @@ def of_machine(model: Model, name: str) -> Model:
         known = ", ".join(model.machines) or "none"
         raise ValueError(f"the model knows no machine {name!r}; it knows {known}")
     own, sha, type_wide = model.machines[name], model.sha, model.correction
-    locations = tuple(
-        replace(location, **_shifted(sha, location, own.targets)) if location.flow.kind in RELAXING else location
-        for location in sha.locations
-    )
+    locations = with_targets(sha, own.targets).locations
     # Drawn once for each machine: of a known one only the error of what was learned is left to be drawn.
     effects = tuple(
         replace(effect, params={**effect.params, "sigma": own.targets_error})
@@ -79,6 +76,20 @@ def of_machine(model: Model, name: str) -> Model:
         provenance=replace(model.provenance, settings={**model.provenance.settings, "machine": name}),
         machines={},
     )
+
+
+def with_targets(sha: SHA, targets: float, names: Collection[str] | None = None) -> SHA:
+    """The automaton whose targets lie `targets` (degC) higher in the locations of these `names`, or in all.
+
+    Flows without a target stay as they are. Raises ValueError where a target's law cannot be shifted.
+    """
+    locations = tuple(
+        replace(location, **_shifted(sha, location, targets))
+        if location.flow.kind in RELAXING and (names is None or location.name in names)
+        else location
+        for location in sha.locations
+    )
+    return replace(sha, locations=locations)
 
 
 def _shifted(sha: SHA, location: Location, targets: float) -> dict[str, Any]:

@@ -8,7 +8,15 @@ if TYPE_CHECKING:
     from sim.learning.calibrate import Coverage, HeldOutForecasts, Scored, coverage_of, score_forecasts
     from sim.learning.correction import FORMS, LearnedCorrection, corrected_model, learn_correction
     from sim.learning.data import in_order
-    from sim.learning.fleet import outstanding, own_targets
+    from sim.learning.fleet import (
+        SURE,
+        GroupTargets,
+        StandsOut,
+        grouped_targets,
+        outstanding,
+        own_targets,
+        target_groups,
+    )
     from sim.learning.free_run import (
         RATES,
         FitShape,
@@ -82,6 +90,7 @@ __all__ = [
     "LEAST_SHARE",
     "PERSISTENCE",
     "RATES",
+    "SURE",
     "SWITCH_STEPS",
     "TREND",
     "Bite",
@@ -90,6 +99,7 @@ __all__ = [
     "FitShape",
     "FreeRunFit",
     "FreeRuns",
+    "GroupTargets",
     "HeldOutErrors",
     "HeldOutForecasts",
     "Indices",
@@ -104,6 +114,7 @@ __all__ = [
     "ParameterNames",
     "Prior",
     "Scored",
+    "StandsOut",
     "announcements",
     "bare_sha",
     "believed",
@@ -124,6 +135,7 @@ __all__ = [
     "fit_stays",
     "folds",
     "free_runs",
+    "grouped_targets",
     "huber_scale",
     "in_order",
     "initial_law",
@@ -153,6 +165,7 @@ __all__ = [
     "splits",
     "spread_of",
     "steps",
+    "target_groups",
     "thinned",
     "training_errors",
     "with_inputs",

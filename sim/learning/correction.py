@@ -21,6 +21,7 @@ from sim.engine import errors, measured, moments, open_loop, open_loop_schedule
 from sim.learning.data import resolution, without_spikes
 from sim.learning.free_run import HUBER
 from sim.learning.held_out import huber_scale
+from sim.learning.runs import Indices
 from sim.learning.structure import LearningError
 from sim.sha import Array, Correction, Model, Trace, content_hash, joint_hash, shown_unit
 
@@ -106,7 +107,7 @@ def learn_correction(
     if not forms:
         raise LearningError("no form of correction was asked for; give gain, affine or both")
     report = progress or (lambda _stage, _share: None)
-    runs, skipped = _runs(traces, model.temperature)
+    runs, skipped = correction_runs(traces, model.temperature)
     if len(runs) < 2:
         raise LearningError(
             f"{len(runs)} usable run(s) of {model.temperature!r} in {len(traces)} traces: a correction is judged by "
@@ -136,7 +137,7 @@ def learn_correction(
     return LearnedCorrection(correction, tuple(fit for fit, _ in fits), chosen.form if chosen else None, skipped)
 
 
-def _runs(traces: Sequence[Trace], temperature: str) -> tuple[list[Trace], tuple[str, ...]]:
+def correction_runs(traces: Sequence[Trace], temperature: str) -> tuple[list[Trace], tuple[str, ...]]:
     """The runs, each beginning at its first reading, without isolated spikes; the traces that are left out."""
     runs, skipped = [], []
     for trace in traces:
@@ -170,15 +171,24 @@ def _readings(trace: Trace, temperature: str) -> int:
     return int(np.count_nonzero(np.isfinite(trace.signals[temperature])))
 
 
+def unlimited(bare: Model) -> Model:
+    """Without limits and clamp, which a course that is affine in its start and its targets cannot have."""
+    return replace(bare, sha=replace(bare.sha, max_rate=inf, low=-inf, high=inf))
+
+
+def fitted_readings(readings: int) -> Indices:
+    """The readings of a run that enter a fit: never its first, from which it starts, evenly MOST_READINGS at most."""
+    return np.unique(np.linspace(1, readings - 1, min(readings - 1, MOST_READINGS)).astype(np.intp))
+
+
 def _regressors(bare: Model, run: Trace) -> _Regressors:
-    # Limits and the clamp are taken away: only without them is the course affine in its start.
-    free = replace(bare, sha=replace(bare.sha, max_rate=inf, low=-inf, high=inf))
+    free = unlimited(bare)
     times, values = measured(run, bare.temperature)
     steps = open_loop_schedule(free, run, "resync")
     mean = moments(steps, float(values[0])).mean
     # D(t) as the difference between two courses whose starts are one degree apart.
     forgotten = 1.0 - (moments(steps, float(values[0]) + 1.0).mean - mean)
-    keep = np.unique(np.linspace(1, times.size - 1, min(times.size - 1, MOST_READINGS)).astype(int))
+    keep = fitted_readings(times.size)
     row = np.searchsorted(steps.times, times[keep], side="right") - 1
     start = (1.0 - forgotten[row]) * values[0]
     return _Regressors(values[keep] - start, mean[row] - start, forgotten[row])
@@ -190,8 +200,17 @@ def _solve(form: Form, rows: Sequence[_Regressors]) -> tuple[float, float] | Non
     offset = np.concatenate([row.offset for row in rows])
     columns = {"offset": [offset], "gain": [gain], "affine": [gain, offset]}[form]
     left = left - gain if form == "offset" else left
-    scale = [max(float(np.sqrt(np.mean(column**2))), 1e-12) for column in columns]
-    X = np.column_stack([column / size for column, size in zip(columns, scale, strict=True)])
+    found = robust_fit(columns, left)
+    if found is None:
+        return None
+    values = found.tolist()
+    return (1.0, values[0]) if form == "offset" else (values[0], values[1] if form == "affine" else 0.0)
+
+
+def robust_fit(columns: Sequence[Array], left: Array) -> Array | None:
+    """(p,) the factors of `columns` (each (n,)) in `left`, by Huber's loss; None where they cannot be told apart."""
+    scale = np.array([max(float(np.sqrt(np.mean(column**2))), 1e-12) for column in columns])
+    X = np.column_stack(columns) / scale
     if not np.any(X) or np.linalg.cond(X) > WORST_CONDITION:
         return None
     weight, solved = np.ones(left.size), np.zeros(len(columns))
@@ -203,8 +222,13 @@ def _solve(form: Form, rows: Sequence[_Regressors]) -> tuple[float, float] | Non
         weight = np.minimum(1.0, limit / np.maximum(error, limit * 1e-9))
         if np.allclose(before, solved, rtol=1e-9, atol=1e-12):
             break
-    values = (solved / np.array(scale)).tolist()
-    return (1.0, values[0]) if form == "offset" else (values[0], values[1] if form == "affine" else 0.0)
+    return np.asarray(solved / scale)
+
+
+def jackknife_error(left_out: Array) -> Array:
+    """(p,) the standard errors of what was fitted, from the fits that each lack one run, (runs, p)."""
+    count = len(left_out)
+    return np.asarray(np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0)))
 
 
 def _fit(
@@ -220,9 +244,8 @@ def _fit(
             reason = f"a gain of {whole[0]:.3g} is no calibration ({LEAST_GAIN:g} to {MOST_GAIN:g}): learn a new model"
         figures = (nan, nan, float(before.mean()), nan, nan, nan, count, readings)
         return CorrectionFit(form, Correction(), *figures, accepted=False, reason=reason), np.full(count, nan)
-    # The jackknife's variance: (n - 1)/n times the squares of the fits that each lack one run.
     left_out = np.array([part for part in parts if part is not None])
-    spread = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
+    spread = jackknife_error(left_out)
     # Each run is judged by the fit that lacks it. A fit without one run may lie beyond a possible gain: it is held in.
     held_in = [Correction(min(max(part[0], LEAST_GAIN), MOST_GAIN), part[1]) for part in left_out.tolist()]
     after = np.array([_error(replace(bare, correction=each), run) for each, run in zip(held_in, runs, strict=True)])

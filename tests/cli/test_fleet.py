@@ -51,7 +51,11 @@ def command(plant: Path, out: str, *words: object) -> str:
 def test_the_odd_machine_is_found_and_each_has_its_own_targets_in_the_types_model(plant: Path) -> None:
     said = only_object(command(plant, "out", "--json"))
     assert list(said["outstanding"]) == ["odd"] and not said["failed"]
-    assert said["machines"][0]["machine"] == "odd" and said["machines"][0]["stands out"]
+    assert said["machines"][0]["machine"] == "odd" and "running" in said["machines"][0]["stands out"]
+    assert {row["stands out"] for row in said["machines"][1:]} == {"no"}
+    places = said["outstanding"]["odd"]
+    assert {"at rest", "running"} <= {place["where"] for place in places}
+    assert all(place["beyond"] > 5 * place["differ"] for place in places)
     assert said["machines"][0]["corrected"] < 0.5 * said["machines"][0]["type"]
     model = read_model(Path(said["model"]))
     assert set(model.machines) == set(OFFSETS)

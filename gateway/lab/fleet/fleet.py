@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -15,15 +16,18 @@ import numpy as np
 from drivers.named_files import writing
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
 from gateway.entry import Exit, fail, interruptible, sentences
+from gateway.lab.fleet.places import place_words
 from gateway.lab.fleet.sources import sources_in
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.show import spread_sentence
+from sim.learning import MachineSpread, StandsOut, spread_of
 from sim.sha import shown_unit
-from sim.traces import load_map
+from sim.traces import load_map, units
 from sim.validation import held
 from sim.workers import cluster, processes
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 TABLE, PICTURE = "fleet.csv", "fleet.png"
@@ -89,8 +93,9 @@ def fleet(
                 nullcontext(processes(count)) if address is None else cluster(address) as workers,
             ):
                 found = study(request, workers, (lambda _: None) if as_json else click.echo, report)
-                write_table(found, out / TABLE)
-                draw(found, out / PICTURE)
+                words = place_words(found.model.alphabet, units(column_map))
+                write_table(found, words, out / TABLE)
+                draw(found, words, out / PICTURE)
     except KeyboardInterrupt:
         what = f"what was done lies in {out / RESULTS}, and the same command goes on"
         fail(f"stopped before the end; {what}", Exit.INTERRUPTED)
@@ -101,13 +106,16 @@ def fleet(
         "picture": str(out / PICTURE),
         "unit": unit,
         "spread": asdict(found.spread),
-        "outstanding": found.outstanding,
+        "outstanding": {
+            name: [{"where": words[one.group], **asdict(one)} for one in places]
+            for name, places in found.outstanding.items()
+        },
         "failed": failed,
-        "machines": rows_of(found),
+        "machines": rows_of(found, words),
     }
 
     def show() -> None:
-        rows = [{name: row[name] for name in row if name not in COSTS} for row in rows_of(found)[:MOST_NAMED]]
+        rows = [{name: row[name] for name in row if name not in COSTS} for row in rows_of(found, words)[:MOST_NAMED]]
         title = f"{len(found.results)} machines: targets off the type's, held-out free-run errors, in {unit}"
         table(title, list(rows[0]), [list(row.values()) for row in rows])
         if len(found.results) > len(rows):
@@ -117,10 +125,8 @@ def fleet(
         else:
             apart, ahead = f"{found.spread.between:.3g} {unit}", f"{found.spread.sigma:.3g} {unit}"
             click.echo(f"machines: {apart} between them, {ahead} for the next one")
-        for name, chance in found.outstanding.items():
-            offset = found.spread.offsets[name]
-            sentence = f"{name} stands out: its targets lie {offset:+.3g} {unit} off the type's (chance {chance:.1g})"
-            click.secho(sentence, fg="yellow")
+        for name in found.outstanding:
+            click.secho(outstanding_sentence(found, name, words, unit), fg="yellow")
         if not found.outstanding:
             click.echo("no machine stands out")
         click.echo(f"model of the type, with each machine's own: {out / MODEL}\npicture: {out / PICTURE}")
@@ -128,8 +134,21 @@ def fleet(
     emit(data, show, as_json_line=as_json)
 
 
-def rows_of(found: FleetFindings) -> list[dict[str, Any]]:
-    """A row a machine, the one furthest from the type first, those that failed last."""
+def outstanding_sentence(found: FleetFindings, name: str, words: Mapping[str, str], unit: str) -> str:
+    """Where a machine stands out, in plant words, and by how much; the place where that is least likely leads."""
+    parts = [
+        f"{words[one.group]}: targets {one.beyond:+.2g} {unit} beyond the others' mean, which differ by "
+        f"{one.differ:.2g} {unit} (chance {one.chance:.1g})"
+        for one in found.outstanding[name]
+    ]
+    return f"{name} stands out {'; also '.join(parts)}"
+
+
+def rows_of(found: FleetFindings, words: Mapping[str, str]) -> list[dict[str, Any]]:
+    """A row a machine: those that stand out, then the one furthest from the type first, those that failed last.
+
+    `words` are those of the groups of locations.
+    """
 
     def row(name: str) -> dict[str, Any]:
         result = found.results[name]
@@ -140,7 +159,7 @@ def rows_of(found: FleetFindings) -> list[dict[str, Any]]:
             "hours": round(result.hours, 1),
             "targets": None if result.offset is None else round(result.offset, 2),
             "+-": None if result.error is None else round(result.error, 2),
-            "stands out": name in found.outstanding,
+            "stands out": ", ".join(words[one.group] for one in found.outstanding.get(name, ())) or "no",
             **errors,
             "verdict": result.verdict,
             "effects": " ".join(result.effects),
@@ -151,49 +170,69 @@ def rows_of(found: FleetFindings) -> list[dict[str, Any]]:
 
     failed = [name for name, result in found.results.items() if result.offset is None]
     judged = {name: abs(result.offset) for name, result in found.results.items() if result.offset is not None}
-    rows = [row(name) for name in [*sorted(judged, key=lambda name: -judged[name]), *failed]]
+    order = sorted(judged, key=lambda name: (name not in found.outstanding, -judged[name]))
+    rows = [row(name) for name in [*order, *failed]]
     # What nothing is said of in any row is no column.
     told = [key for key in rows[0] if any(each[key] not in (None, "") for each in rows)]
     return [{key: each[key] for key in told} for each in rows]
 
 
-def write_table(found: FleetFindings, path: Path) -> None:
+def write_table(found: FleetFindings, words: Mapping[str, str], path: Path) -> None:
     """All machines as CSV. Raises OSError."""
-    rows = rows_of(found)
+    rows = rows_of(found, words)
     with writing(path), path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
 
 
-def draw(found: FleetFindings, path: Path) -> None:
-    """The machines' targets with their errors, and the band in which nine of ten machines of the type are expected."""
+def draw(found: FleetFindings, words: Mapping[str, str], path: Path) -> None:
+    """The machines' targets with their errors, and the band in which nine of ten machines of the type are expected.
+
+    Beside them the targets of each group of locations in which a machine stands out.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    spread = found.spread
-    names = sorted(spread.offsets, key=lambda name: spread.offsets[name])
-    figure: Figure = Figure(figsize=(10, 1.8 + min(0.22 * len(names), 9.0)), layout="constrained")
+    groups = sorted({one.group for places in found.outstanding.values() for one in places})
+    striking = {group: {name for name, each in found.outstanding.items() if group in _groups(each)} for group in groups}
+    names = sorted(found.spread.offsets, key=lambda name: found.spread.offsets[name])
+    size = (10 + 4 * len(groups), 1.8 + min(0.22 * len(names), 9.0))
+    figure: Figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    place = np.arange(len(names))
-    offset, error = (np.array([each[name] for name in names]) for each in (spread.offsets, spread.errors))
-    if spread.sigma > 0:
-        mean = float(np.average(offset, weights=1.0 / (spread.between**2 + error**2)))
-        reach = 1.645 * spread.sigma
-        axes.axvspan(mean - reach, mean + reach, color=BAND, label="90 % of machines of this type", zorder=0)
-    for striking, colour, label in ((False, PLAIN, "machine, 90 % interval"), (True, STRIKING, "stands out")):
-        rows = np.array([(name in found.outstanding) == striking for name in names], dtype=bool)
-        if rows.any():
-            axes.errorbar(
-                offset[rows], place[rows], xerr=1.645 * error[rows], fmt="o", color=colour, ms=4, lw=1, label=label
-            )
+    whole, *others = figure.subplots(1, 1 + len(groups), squeeze=False, sharey=True)[0]
+    unit = shown_unit(found.model.unit)
+    _panel(whole, found.spread, names, set(found.outstanding))
+    whole.set_xlabel(f"targets above the type's, {unit}")
+    for axes, group in zip(others, groups, strict=True):
+        known = {name: each for name in names if (each := found.results[name].grouped.get(group)) is not None}
+        spread = spread_of(
+            {name: each.offset for name, each in known.items()}, {name: each.error for name, each in known.items()}
+        )
+        _panel(axes, spread, names, striking[group])
+        axes.set_xlabel(f"{words[group]}, {unit}")
     named = [number for number, name in enumerate(names) if len(names) <= MOST_NAMED or name in found.outstanding]
-    axes.set_yticks(named, [names[number] for number in named])
-    axes.axvline(0.0, color="#555555", lw=0.8)
-    axes.set_xlabel(f"targets above the type's, {shown_unit(found.model.unit)}")
-    axes.set_title(f"{len(names)} machines of a type")
-    axes.grid(axis="x", alpha=0.3)
-    axes.legend(loc="lower right")
+    whole.set_yticks(named, [names[number] for number in named])
+    whole.set_title(f"{len(names)} machines of a type")
+    whole.legend(loc="lower right")
     with writing(path):
         figure.savefig(path, dpi=130)
+
+
+def _groups(places: Sequence[StandsOut]) -> set[str]:
+    return {one.group for one in places}
+
+
+def _panel(axes: Axes, spread: MachineSpread, names: Sequence[str], striking: Collection[str]) -> None:
+    """Offsets with 90 % intervals over the band of the type; a machine keeps its row in all panels."""
+    offset, error = (np.array([each.get(name, np.nan) for name in names]) for each in (spread.offsets, spread.errors))
+    if spread.sigma > 0:
+        weight = 1.0 / (spread.between**2 + error**2)
+        mean, reach = float(np.nansum(offset * weight) / np.nansum(weight)), 1.645 * spread.sigma
+        axes.axvspan(mean - reach, mean + reach, color=BAND, label="90 % of machines of this type", zorder=0)
+    for wanted, colour, label in ((False, PLAIN, "machine, 90 % interval"), (True, STRIKING, "stands out")):
+        rows = np.flatnonzero([(name in striking) == wanted for name in names])
+        if rows.size:
+            axes.errorbar(offset[rows], rows, xerr=1.645 * error[rows], fmt="o", color=colour, ms=4, lw=1, label=label)
+    axes.axvline(0.0, color="#555555", lw=0.8)
+    axes.grid(axis="x", alpha=0.3)

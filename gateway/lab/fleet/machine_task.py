@@ -13,7 +13,7 @@ from gateway.lab.spent import peak_megabytes
 from sim.discrepancy import diagnose
 from sim.effects import of_machine
 from sim.engine import errors, open_loop
-from sim.learning import LearningError, believed, own_targets
+from sim.learning import GroupTargets, LearningError, believed, grouped_targets, own_targets
 from sim.learning.bins import learn_bins
 from sim.sha import Alphabet, Model, Trace, encode
 from sim.traces import ColumnMap
@@ -42,7 +42,8 @@ class FleetTask:
 class MachineResult:
     """What came of a machine; `failure` says why nothing did.
 
-    `offset` and `error` (degC): how far its targets lie from its type's, and the standard error. `held_out` (degC): the
+    `offset` and `error` (degC): how far its targets lie from its type's, and the standard error; `grouped` has the same
+    by group of locations, as far as its runs tell it. `held_out` (degC): the
     mean absolute free-run error on the last part of its record of the `type`, of the type `corrected` by what the
     rest of its record told, and of a model of its `own`. `verdict` and `effects` are the diagnosis' of the corrected
     type. `cpu_s` and `peak_mb` are what that took, in the process that did it.
@@ -54,6 +55,7 @@ class MachineResult:
     hours: float = 0.0
     offset: float | None = None
     error: float | None = None
+    grouped: dict[str, GroupTargets] = field(default_factory=dict)
     held_out: dict[str, float] = field(default_factory=dict)
     verdict: str = ""
     effects: tuple[str, ...] = ()
@@ -105,6 +107,7 @@ def _judged(task: FleetTask) -> MachineResult:
         hours=sum(float(np.ptp(trace.times)) for trace in traces) / 3600.0,
         offset=fit.correction.offset,
         error=fit.offset_error,
+        grouped=grouped_targets(model, first),
         held_out={what: _error(each, last) for what, each in candidates.items()},
         own=own,
         **found,

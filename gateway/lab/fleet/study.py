@@ -22,7 +22,7 @@ from gateway.lab.fleet.sources import MachineSource
 from gateway.lab.json_rows import append_row, read_rows
 from sim.artefacts import model_hash, read_model
 from sim.artefacts.formats import write_model_directory
-from sim.learning import MachineSpread, believed, outstanding, spread_of
+from sim.learning import GroupTargets, MachineSpread, StandsOut, believed, outstanding, spread_of
 from sim.learning.bins import learn_bins
 from sim.sha import Model, Trace, shown_unit
 from sim.traces import ColumnMap, with_thresholds
@@ -30,7 +30,7 @@ from sim.workers import Workers
 
 Progress = Callable[[str, float], None]
 
-FORMAT = 1
+FORMAT = 2
 RESULTS, SAMPLE, MACHINES, MODEL = "results.jsonl", "sample", "machines", "model"
 
 
@@ -52,13 +52,13 @@ class FleetRequest:
 class FleetFindings:
     """The `model` of the type with each machine's own, all `results` by machine, the `spread` of the targets.
 
-    `outstanding`: the machines whose targets stand out, with the chance of that if all were alike.
+    `outstanding`: the machines whose targets stand out, and in which groups of locations, the least likely first.
     """
 
     model: Model
     results: Mapping[str, MachineResult]
     spread: MachineSpread
-    outstanding: Mapping[str, float]
+    outstanding: Mapping[str, Sequence[StandsOut]]
 
 
 def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], progress: Progress) -> FleetFindings:
@@ -67,7 +67,7 @@ def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], 
     Raises ValueError where no model of the type can be learned or every machine fails, OSError.
     """
     file = request.out / RESULTS
-    kept = read_rows(file)
+    kept = [row for row in read_rows(file) if row.get("format") == FORMAT]
     model, between = type_model(request, kept, progress)
     keys = {
         source.machine: _key(source.content(), model_hash(model), request.own, request.diagnosis, request.seed)
@@ -141,7 +141,8 @@ def conclusions(request: FleetRequest, model: Model, results: Mapping[str, Machi
     sha = replace(model.sha, effects=(*others, *spread.effects))
     whole = replace(model, sha=sha, machines=machines)
     write_model_directory(request.out / MODEL, whole)
-    return FleetFindings(whole, results, spread, outstanding(spread))
+    grouped = {name: result.grouped for name, result in known.items()}
+    return FleetFindings(whole, results, spread, outstanding(grouped))
 
 
 def sentence(result: MachineResult, unit: str) -> str:
@@ -157,7 +158,8 @@ def sentence(result: MachineResult, unit: str) -> str:
 def result_of(row: Mapping[str, Any]) -> MachineResult:
     """A result as it was kept."""
     fields = {name: row[name] for name in MachineResult.__dataclass_fields__ if name != "own"}
-    return MachineResult(**{**fields, "effects": tuple(row["effects"])})
+    grouped = {group: GroupTargets(**each) for group, each in row["grouped"].items()}
+    return MachineResult(**{**fields, "effects": tuple(row["effects"]), "grouped": grouped})
 
 
 def _key(*parts: object) -> str:
