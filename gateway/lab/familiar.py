@@ -33,7 +33,11 @@ ErrorPair = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class FreeRunError:
-    """Root mean squares (degC) along a cycle: of the free run's error, of half its 90 % band, of the departure."""
+    """Root mean squares (degC) along a cycle: the free run's `error`, and by how much the temperature `moved`.
+
+    `allowed` (degC) is half its 90 % band where the errors are: `error` is above it where the root mean square of each
+    reading's error over its own band is above 1. A wide band elsewhere allows nothing.
+    """
 
     error: float
     allowed: float
@@ -58,8 +62,8 @@ def free_run_error(model: Model, cycle: Trace) -> FreeRunError | None:
     factor = np.maximum(factors_at(model.calibration, ages), 1.0)
     allowed = Z90 * factor * np.sqrt(run.variance[places] + model.sensor_sigma**2)
     off, moved = readings - run.mean[places], readings - measured[known][0]
-    error, band, move = (sqrt(float(np.mean(values**2))) for values in (off, allowed, moved))
-    return FreeRunError(error, band, move)
+    error, beyond, move = (sqrt(float(np.mean(values**2))) for values in (off, off / allowed, moved))
+    return FreeRunError(error, error / beyond if beyond else float(allowed[0]), move)
 
 
 def features_of(model: Model, trace: Trace, begin: float = -inf, end: float = inf) -> CyclePoints:

@@ -58,6 +58,30 @@ def test_cycles_are_counted_while_they_are_beyond_the_models_own_band() -> None:
     assert last.error == pytest.approx(2.0, abs=0.02) and last.limit == pytest.approx(1.645, abs=0.001)
 
 
+def test_a_wide_band_in_one_place_hides_no_error_in_another() -> None:
+    rule, drift = rule_of(two_modes(), None), CycleDrift()
+    assert rule is not None
+    for cycle in range(4):
+        begin = EPOCH + cycle * CYCLE
+        drift = follow_cycle(rule, drift, prediction(begin, 0.0, events=("W_ON",)))
+        for scan in range(1, SCANS):
+            drift = follow_cycle(rule, drift, prediction(begin + scan, 3.0))
+        drift = follow_cycle(rule, drift, prediction(begin + SCANS, 1.0, events=("W_OFF",), sigma=30.0))
+        for scan in range(1, SCANS):  # a long rest of which the model has seen next to nothing
+            drift = follow_cycle(rule, drift, prediction(begin + SCANS + scan, 1.0, sigma=30.0))
+    assert drift.running == 3
+    assert drift.limit is not None and drift.error is not None
+    # What is allowed is said of where the errors are, not of the rest.
+    assert drift.limit == pytest.approx(1.645, rel=0.1) and drift.error > drift.limit
+
+
+def test_a_cycle_without_any_error_or_without_a_band_says_so() -> None:
+    assert (after([0.0]).error, after([0.0]).limit, after([0.0]).running) == (0.0, None, 0)
+    rule, drift = rule_of(two_modes(), None), replace(CycleDrift(), begun=EPOCH)
+    assert rule is not None
+    assert follow_cycle(rule, drift, prediction(EPOCH + 1, 2.0, sigma=0.0)) == drift
+
+
 def test_a_configured_limit_takes_the_place_of_the_band() -> None:
     assert after([0.5, 0.5, 0.5], limit=0.4).running == 3
     assert after([5.0, 5.0, 5.0], limit=6.0).running == 0

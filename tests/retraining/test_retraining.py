@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.tag import Quality, Sample, Tag
+from gateway.lab.familiar import free_run_error
 from gateway.lab.retraining import cutting, judging, shadow, study
 from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
@@ -24,7 +25,7 @@ from gateway.store import open_historian
 from sim.artefacts import current, load, promote, read_familiarity, version_directory, versions
 from sim.artefacts.formats import save
 from sim.ranking import METHODS, Taught
-from sim.sha import Distribution, Location, Model, Trace, content_hash
+from sim.sha import Distribution, Location, Model, Trace, content_hash, encode
 from tests.cli.support import decanter, only_object, refused
 from tests.gateway.support import TEMPERATURE, one_machine, two_modes
 
@@ -59,6 +60,25 @@ def plant(cycles: int = CYCLES, begin: float = BEGIN) -> Trace:
     load = np.where(running > 0, 150.0 + 2.0 * rng.normal(size=times.size), 0.0)
     noise = 0.05 * rng.normal(size=times.size)
     return Trace("plant", times, {"MarciaDecanter": running, "Assorbimento": load, TEMPERATURE: temperature + noise})
+
+
+def test_a_wide_band_at_rest_hides_no_error_while_the_machine_runs() -> None:
+    trace = plant(cycles=1)
+    cycle = replace(trace, events=encode(trace, two_modes().alphabet))
+    found = {}
+    for target in (HOT, HOT - 12.0):
+        model = heated(target)
+        places = tuple(
+            replace(place, distribution=Distribution("normal", {"mu": 20.0, "sigma": 80.0}))
+            if place.name == "off"
+            else place
+            for place in model.sha.locations
+        )
+        found[target] = free_run_error(replace(model, sha=replace(model.sha, locations=places)), cycle)
+    right, wrong = found[HOT], found[HOT - 12.0]
+    assert right is not None and wrong is not None
+    assert right.error < right.allowed and wrong.error > wrong.allowed
+    assert wrong.allowed < 8.0, "what is allowed where the errors are, and not at rest"
 
 
 def written(path: Path, *traces: Trace) -> Path:

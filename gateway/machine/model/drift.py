@@ -1,9 +1,10 @@
 """Drift: whether the model's free run is too far off on several cycles running, by its own band or by a set limit.
 
 A cycle goes from one start of the machine to the next. Its free run begins with the first reading after the start and
-is never corrected; its error is the root mean square over the cycle's readings. The limit is the configured one, or the
-rms half width of the 90 % band that the model itself gives to that free run, widened by its calibration. A model that
-is right passes that on one cycle in ten at most, and on three running once in a thousand.
+is never corrected. Each reading's error is divided by what is allowed there: the configured limit, or half the 90 %
+band that the model itself gives to the free run at that moment, widened by its calibration. A cycle is beyond its limit
+where the root mean square of that is above 1: a wide band in one location hides no error in another. A model that is
+right passes that on one cycle in ten at most, and on three running once in a thousand.
 """
 
 from collections.abc import Mapping
@@ -39,9 +40,10 @@ class DriftRule:
 class CycleDrift:
     """What is known up to now; plain values, so that JSON can carry them.
 
-    `running` counts the cycles at the end that were beyond their limit, `error` and `limit` (degC) are those of the
-    last whole cycle (None before one). Of the present cycle: `begun` (s UTC, None before the first start), the newest
-    symbol of the switch, `readings`, and the sums of squares `missed` and `allowed` (degC^2).
+    `running` counts the cycles at the end that were beyond their limit, `error` (degC, root mean square) and `limit`
+    (`cycle_limit`) are those of the last whole cycle (None before one). Of the present cycle: `begun` (s UTC, None
+    before the first start), the newest symbol of the switch, `readings`, and the sums of squares of the errors,
+    `missed` (degC^2), and of the errors over what was allowed, `beyond`.
     """
 
     running: int = 0
@@ -51,7 +53,7 @@ class CycleDrift:
     symbol: str = ""
     readings: int = 0
     missed: float = 0.0
-    allowed: float = 0.0
+    beyond: float = 0.0
 
 
 def rule_of(model: Model, limit: float | None) -> DriftRule | None:
@@ -64,6 +66,14 @@ def rule_of(model: Model, limit: float | None) -> DriftRule | None:
     return DriftRule(switch.rising, switch.falling, limit, horizons, factors)
 
 
+def cycle_limit(missed: float, beyond: float) -> float | None:
+    """What is allowed (degC) where a cycle's errors are, to which the root mean square of these is held.
+
+    From the sums of squares of the errors (degC^2) and of the errors over what was allowed; None without any error.
+    """
+    return sqrt(missed / beyond) if beyond > 0 else None
+
+
 def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction) -> CycleDrift:
     """What is known after a scan: a start closes the cycle before it, a good reading counts to the present one."""
     for event in prediction.events:
@@ -72,8 +82,8 @@ def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction)
             # counts nor breaks a run: a cycle that was begun by mistake must not clear the alarm.
             running, error, limit = drift.running, drift.error, drift.limit
             if drift.begun is not None and drift.readings >= LEAST:
-                error, limit = sqrt(drift.missed / drift.readings), sqrt(drift.allowed / drift.readings)
-                running = drift.running + 1 if error > limit else 0
+                error, limit = sqrt(drift.missed / drift.readings), cycle_limit(drift.missed, drift.beyond)
+                running = drift.running + 1 if drift.beyond > drift.readings else 0
             drift = replace(
                 drift,
                 running=running,
@@ -82,7 +92,7 @@ def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction)
                 begun=event.time,
                 readings=0,
                 missed=0.0,
-                allowed=0.0,
+                beyond=0.0,
             )
         if event.symbol in (rule.starts, rule.stops):
             drift = replace(drift, symbol=event.symbol)
@@ -95,7 +105,9 @@ def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction)
         # The free run's age is the horizon of its forecast: the factor that the band needs there, held at the ends.
         factor = float(np.interp(p.time - drift.begun, rule.horizons, rule.factors)) if rule.horizons else 1.0
         allowed = Z90 * factor * p.free_sigma
-    # Squares are summed, so that a cycle is judged by its root mean square against that of its band.
+        if allowed <= 0.0:
+            return drift
+    missed = p.measured - p.free_run
     return CycleDrift(
         running=drift.running,
         error=drift.error,
@@ -103,8 +115,8 @@ def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction)
         begun=drift.begun,
         symbol=drift.symbol,
         readings=drift.readings + 1,
-        missed=drift.missed + (p.measured - p.free_run) ** 2,
-        allowed=drift.allowed + allowed**2,
+        missed=drift.missed + missed**2,
+        beyond=drift.beyond + (missed / allowed) ** 2,
     )
 
 
