@@ -44,7 +44,8 @@ def augmented(
     new = replace(
         model,
         sha=sha,
-        sensor_sigma=fitted.sensor_sigma,
+        sensor_sigma=float(np.hypot(fitted.sensor_sigma, fitted.noise.lasting)),
+        sensor_memory=sensor_memory(fitted),
         calibration={},
         provenance=Provenance(
             method="diagnose",
@@ -84,6 +85,12 @@ def _fitted(fitted: Fitted, location: Location, place: int) -> Location:
         flow=Flow(flow.kind, params, inputs),
         distribution=Distribution("normal", {"mu": mean, "sigma": sigma}),
     )
+
+
+def sensor_memory(fitted: Fitted) -> float:
+    """s: the model's own, or that of the error of the reading that lasts, where this is the greater part of it."""
+    noise = fitted.noise
+    return noise.fades if noise.lasting > fitted.sensor_sigma else fitted.frame.record.model.sensor_memory
 
 
 def process_noise(fitted: Fitted, k: float) -> float:

@@ -112,7 +112,11 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
     evidence = [_evidence(screened, number) for number in screened.best().values()]
     # The screen orders well but judges too low (its noise has swallowed a part of the effect): the first few are fitted
     # jointly, and only a gain of a joint refit can become a name.
-    confirmed = [confirm(before, likely) for likely in evidence[:CONFIRMED] if likely.gain >= WORTH]
+    likely = [each for each in evidence[:CONFIRMED] if each.gain >= WORTH]
+    # A rival is weighed against its special cases: they are fitted wherever it is.
+    special = {name for rival in likely for name in rival.entry.candidate.rival}
+    likely += [each for each in evidence[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
+    confirmed = [confirm(before, each) for each in likely]
     names = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in names]
     order = tuple(sorted(without_idle_rivals([*confirmed, *rest]), key=lambda each: -each.gain))
@@ -181,13 +185,30 @@ def confirm(before: Fitted, evidence: EffectEvidence) -> EffectEvidence:
         moved = projector.made_room(column)[: before.own]
         # The linear problem does not hold for a rate that changes by more than a factor e; Newton's steps go on.
         moved[rates:] = np.clip(moved[rates:], -1.0, 1.0)
-        fitted = fit(before.frame, [*before.state.named, named], before, moved=moved, rounds=3, iterations=8)
+        together = [*before.state.named, named]
+        fits = [fit(before.frame, together, begin, moved=moved, rounds=3, iterations=8) for begin in begins(before)]
+        fitted = max(fits, key=lambda each: each.likelihood)
         last = fitted.state.named[-1]
         shape = Shape(evidence.entry, shape.signals, _without_strength(last))
         gain = fitted.likelihood - before.likelihood - evidence.entry.burden
         size = amplitude(before, shape, last)
         alternatives.append(replace(evidence, shape=shape, gain=gain, amplitude=size, fitted=fitted))
     return max(alternatives, key=lambda alternative: alternative.gain)
+
+
+def begins(before: Fitted) -> tuple[Fitted, ...]:
+    """The fits that a joint refit begins from: the one before, and where that is of a rough plant, of a quiet one too.
+
+    Where an error of the reading may last, the likelihood has two tops: a rough plant with a good sensor, and a quiet
+    plant with a poor one. From the first no step would see what the effects do together in the second.
+    """
+    noise, rates = before.noise, before.grid.k[before.grid.k > 0]
+    # A process that moves the plant, at its own rate, by no more than a window's mean errs by.
+    process = noise.sensor * float(np.sqrt(2.0 * np.median(rates))) if rates.size else 0.0
+    if noise.lasting <= 0 or noise.process <= process:
+        return (before,)
+    lasting = max(float(np.sqrt(np.mean(before.residual**2))), noise.sensor)
+    return before, replace(before, noise=replace(noise, process=process, lasting=lasting))
 
 
 def amplitude(before: Fitted, shape: Shape, named: Named) -> float:

@@ -180,6 +180,7 @@ def diagnose(
             "rough_sigma": noise.rough,
             "cycle_scatter": noise.cycle,
             "rough_memory_s": noise.memory,
+            "lasting_sigma": noise.lasting,
             **{key: gap.median for key, gap in pairs if gap is not None},
         },
         model_before=model.sha.name,

@@ -1,5 +1,7 @@
 """The likelihood of a rough plant's residuals against brute force, and its draws against its own covariance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -10,6 +12,8 @@ from sim.learning.runs import Indices
 from sim.sha.trace import Array, Mask
 
 NOISE = NoiseModel(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)
+LASTING = replace(NOISE, lasting=0.2, fades=80.0)
+"""The same with an error of the reading that lasts for a step or two."""
 
 
 def small_grid(seed: int = 1, size: int = 40) -> Grid:
@@ -61,23 +65,28 @@ def dense(grid: Grid, noise: NoiseModel) -> Array:
         state[:, here] = state[here, :].T
         state[here, here] = move @ state[before, before] @ move.T + move @ both[:2, 2:] + np.diag([grid.late[row], 0.0])
     heats = np.column_stack([grid.heats * noise.cycle, grid.shared, grid.inrush])
-    return np.asarray(state[::2, ::2] + heats @ heats.T + noise.sensor**2 * np.eye(size))
+    time, run = np.cumsum(np.where(grid.first, 0.0, grid.dt)), np.cumsum(grid.first)
+    fades = np.exp(-np.abs(time[:, None] - time) / noise.fades) * (run[:, None] == run)
+    error = noise.sensor**2 * np.eye(size) + noise.lasting**2 * fades
+    return np.asarray(state[::2, ::2] + heats @ heats.T + error)
 
 
-def test_weighing_and_determinant_are_those_of_the_dense_covariance() -> None:
+@pytest.mark.parametrize("noise", [NOISE, LASTING])
+def test_weighing_and_determinant_are_those_of_the_dense_covariance(noise: NoiseModel) -> None:
     grid = small_grid()
-    covariance = dense(grid, NOISE)
+    covariance = dense(grid, noise)
     columns = np.random.default_rng(0).standard_normal((grid.dt.size, 3))
-    whitener = Whitener(grid, NOISE)
+    whitener = Whitener(grid, noise)
     np.testing.assert_allclose(whitener.weigh(columns), np.linalg.solve(covariance, columns), rtol=1e-6, atol=1e-9)
     assert whitener.logdet == pytest.approx(np.linalg.slogdet(covariance)[1], abs=1e-6)
 
 
-def test_draws_have_the_covariance_that_they_are_weighed_by() -> None:
+@pytest.mark.parametrize("noise", [NOISE, LASTING])
+def test_draws_have_the_covariance_that_they_are_weighed_by(noise: NoiseModel) -> None:
     grid = small_grid()
-    drawn = Whitener(grid, NOISE).draw(np.random.default_rng(3), 6000)
+    drawn = Whitener(grid, noise).draw(np.random.default_rng(3), 6000)
     starts = np.flatnonzero(grid.first)
-    covariance = dense(grid, NOISE)
+    covariance = dense(grid, noise)
     # A run's first deviation is drawn as 0, the diffuse start being no part of a plant's noise.
     conditional = covariance - sum(
         DIFFUSE * np.outer(c, c) for c in (_decay_from(grid, int(start)) for start in starts)
@@ -105,6 +114,14 @@ def test_the_smoothed_residual_is_closer_to_the_truth_than_the_reading() -> None
     read = truth + 0.05 * rng.standard_normal(truth.size)
     smoothed = Whitener(grid, NOISE).smoothed(read)
     assert np.std(smoothed - truth) < 0.9 * np.std(read - truth)
+
+
+def test_an_error_that_lasts_is_no_part_of_what_is_smoothed() -> None:
+    grid = small_grid()
+    covariance, residual = dense(grid, LASTING), np.random.default_rng(7).standard_normal(grid.dt.size)
+    errors = covariance - dense(grid, replace(LASTING, sensor=0.0, lasting=0.0))
+    expected = residual - errors @ np.linalg.solve(covariance, residual)
+    np.testing.assert_allclose(Whitener(grid, LASTING).smoothed(residual), expected, atol=1e-8)
 
 
 def test_the_noise_is_found_again_from_its_own_draws() -> None:

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.discrepancy import naming
 from sim.discrepancy.fitting import frame_of, heat_and_loss, on, record_of, rivals
 from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import Named, effect_of
-from sim.discrepancy.naming import step, without_idle_rivals
+from sim.discrepancy.naming import begins, step, without_idle_rivals
 from sim.discrepancy.workflow import diagnose
 from sim.engine.schedules import schedule
 from tests.discrepancy.plants import PERIOD, model, plant
@@ -41,6 +42,27 @@ def test_a_rival_that_does_no_better_than_its_special_case_is_that_case() -> Non
     for ahead, left in ((5.0, 1), (7.0, 2)):
         evidence = [special, replace(rival, gain=special.gain + ahead)]
         assert len(without_idle_rivals(evidence)) == left
+
+
+def test_a_rivals_special_cases_are_fitted_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(naming, "CONFIRMED", 1)
+    record = record_of(model(), [plant(3, days=2, winding=0.01)], ("Assorbimento",))
+    special = rivals()[0].candidate.rival
+    few = [entry for entry in catalogue() if entry.name in special]
+    found = step(fit(on(frame_of(record), record)), [*few, *rivals()], CURRENT, 0)
+    assert {each.entry.name for each in found.evidence if each.confirmed} == {*special, "late-current-heating"}
+
+
+def test_where_the_plant_is_rough_and_the_sensor_may_err_for_long_a_fit_begins_from_a_quiet_plant_too() -> None:
+    record = record_of(model(), [plant(3, days=1)], ("Assorbimento",))
+    fitted = fit(on(frame_of(record), record))
+    rough = replace(fitted, noise=replace(fitted.noise, process=0.1))
+    assert begins(rough) == (rough,)
+    lasting = replace(rough, noise=replace(rough.noise, lasting=0.3))
+    same, quiet = begins(lasting)
+    assert same is lasting and quiet.state is lasting.state
+    assert quiet.noise.process < 0.01 and quiet.noise.lasting > 0
+    assert begins(quiet) == (quiet,)
 
 
 def test_the_heat_of_a_winding_is_no_lag_of_the_sensor() -> None:

@@ -83,11 +83,12 @@ def first_noise(model: Model, record: Record) -> NoiseModel:
     process = [location.flow.params.get("noise", 0.0) for location in model.sha.locations]
     seen = [value for value in process if value > 0]
     sensor = max(model.sensor_sigma, 0.02) / np.sqrt(readings_in_window(record))
-    sensor = max(float(sensor), rounding(model, record))
+    step = rounding(model, record)
+    sensor = max(float(sensor), step)
     white = float(np.median(seen)) if seen else 0.006
     heats = of_feature(model.sha, "disturbance")
     if not heats:
-        return NoiseModel(sensor=sensor, process=white / 2, rough=3e-4, cycle=0.01)
+        return NoiseModel(sensor=sensor, process=white / 2, rough=3e-4, cycle=0.01, lasting=step)
     learned = heats[0].params  # an automaton has one at most
     return NoiseModel(
         sensor=sensor,
@@ -96,6 +97,7 @@ def first_noise(model: Model, record: Record) -> NoiseModel:
         cycle=0.01,
         memory=learned["memory"],
         rest=AT_REST,
+        lasting=step,
     )
 
 
@@ -209,7 +211,8 @@ def largest_change(before: NoiseModel, after: NoiseModel) -> float:
         (after.sensor, after.process, after.rough, after.cycle, after.memory),
         strict=True,
     )
-    return max(abs(float(np.log(new / old))) for old, new in pairs)
+    lasts = [(before.lasting, after.lasting), (before.fades, after.fades)] if after.lasting > 0 else []
+    return max(abs(float(np.log(new / old))) for old, new in (*pairs, *lasts))
 
 
 def _newton_steps(

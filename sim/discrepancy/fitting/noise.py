@@ -2,14 +2,16 @@
 
 A residual r (measured - free run) of a model with the right flows obeys, between windows of readings,
 
-    dx/dt = -k x + h + s dW,    r = x + c w + v,    h an Ornstein-Uhlenbeck heat,    c a scatter of each cycle
+    dx/dt = -k x + h + s dW,    r = x + c w + u + v,    h an Ornstein-Uhlenbeck heat,    c a scatter of each cycle
 
 where k is the location's rate (0 where the flow does not relax), w what the cycle's friction heat does to the reading,
-v the sensor's noise; x starts anew with each run. A recorder knows a switch to a row only: what the heat did between
-that and its row's end is a jump of x there (`Grid.late`, `Grid.shared`). What h does over a step is the law of the
-model's own disturbance (`sim.effects.disturbance_step`), and where the given model has one, the fit begins from it. The
-precision is banded, so that weighing any number of columns by the inverse covariance costs one banded Cholesky
-decomposition (Rue & Held 2005, ch. 2), and the scatter of the cycles is a random effect on top (Woodbury).
+v the sensor's noise; x starts anew with each run. u is an error of the reading that lasts, such a process too: where
+readings stand on the steps of their rounding, what hides below a step hides as long as it stands. A recorder knows a
+switch to a row only: what the heat did between that and its row's end is a jump of x there (`Grid.late`,
+`Grid.shared`). What h does over a step is the law of the model's own disturbance (`sim.effects.disturbance_step`), and
+where the given model has one, the fit begins from it. The precision is banded, so that weighing any number of columns
+by the inverse covariance costs one banded Cholesky decomposition (Rue & Held 2005, ch. 2), and the scatter of the
+cycles is a random effect on top (Woodbury).
 """
 
 from collections.abc import Callable
@@ -19,6 +21,7 @@ import numpy as np
 import scipy
 
 from sim.effects import DisturbanceStep, disturbance_step
+from sim.engine import linear_recursion
 from sim.learning import Indices
 from sim.sha import Array, Mask
 
@@ -29,6 +32,8 @@ LEAST_HEAT, LEAST_PROCESS = 1e-7, 1e-5
 SHORTEST, LONGEST = float(np.log(60.0)), float(np.log(1800.0))
 """The rough heat's memory (log s): longer, it would imitate the slow effects that are looked for. Where the model has
 learned a longer one, that is the bound."""
+BRIEFEST, SLOWEST = float(np.log(5.0)), float(np.log(120.0))
+"""The memory of an error that lasts (log s): longer, it would imitate effects on the sensor and at starts."""
 MOST_SCATTER = float(np.log(0.05))
 """The scatter of a cycle's friction (log): more of it would make up for wrong targets, cycle by cycle."""
 
@@ -38,7 +43,7 @@ class NoiseModel:
     """Standard deviations: `sensor` degC, `process` degC/sqrt(s), `rough` degC/s with the `memory` (s), `cycle` (1).
 
     `cycle` is the relative scatter of the friction heat from cycle to cycle, `rest` the share of the rough heat that
-    acts at rest (0 to 1).
+    acts at rest (0 to 1). `lasting` (degC) is u, an error of the reading with the memory `fades` (s); 0: there is none.
     """
 
     sensor: float
@@ -47,6 +52,8 @@ class NoiseModel:
     cycle: float
     memory: float = 600.0
     rest: float = 0.5
+    lasting: float = 0.0
+    fades: float = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,16 +90,20 @@ def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
 class Whitener:
     """The inverse covariance of the windows under one `NoiseModel`.
 
-    V = H S H' + sensor^2 + Z Z', with S the covariance of the states (x, h), of which only the banded inverse is
-    formed, and Z a column a cycle, one for what is shared by all switches between rows, and one for the inrush. Both
-    steps are Woodbury's identity; V itself (m x m) is never formed.
+    V = H S H' + sensor^2 + Z Z', with S the covariance of the states (x, h), or (x, h, u), of which only the banded
+    inverse is formed, and Z a column a cycle, one for what is shared by all switches between rows, and one for the
+    inrush. Both steps are Woodbury's identity; V itself (m x m) is never formed.
     """
 
     def __init__(self, grid: Grid, noise: NoiseModel) -> None:
         self.grid, self.noise = grid, noise
         posterior, self._prior_logdet = _precision(grid, noise)
-        # Each window is one reading of its x: the sensor's precision comes to every other diagonal entry.
-        posterior[0, ::2] += 1.0 / noise.sensor**2
+        self._states = 3 if noise.lasting > 0 else 2
+        # Each window is one reading of its x, or of x + u: the sensor's precision comes to the entries of these.
+        posterior[0, :: self._states] += 1.0 / noise.sensor**2
+        if noise.lasting > 0:
+            posterior[2, ::3] += 1.0 / noise.sensor**2
+            posterior[0, 2::3] += 1.0 / noise.sensor**2
         self._factor = scipy.linalg.cholesky_banded(posterior, lower=True, overwrite_ab=True, check_finite=False)
         self._heats = np.column_stack([grid.heats * noise.cycle, grid.shared, grid.inrush])
         self._weighed_heats = self._within(self._heats)
@@ -115,8 +126,16 @@ class Whitener:
         return float(sensor + banded + 2.0 * np.log(np.diag(self._root)).sum())
 
     def smoothed(self, residual: Array) -> Array:
-        """(m,) the residual without the sensor's noise: its mean given all readings, degC."""
-        return np.asarray(residual - self.noise.sensor**2 * self.weigh(residual[:, None])[:, 0])
+        """(m,) the residual without the errors of the reading, white and lasting: its mean given all readings, degC."""
+        noise, weighed = self.noise, self.weigh(residual[:, None])[:, 0]
+        error = noise.sensor**2 * weighed
+        if noise.lasting > 0:
+            # What lasts has the covariance lasting^2 e^(-|t - t'| / fades), whose product is a sum from either side.
+            keep = _lasting_steps(self.grid, noise)[0]
+            earlier = linear_recursion(keep, weighed, 0.0)
+            later = linear_recursion(np.append(0.0, keep[:0:-1]), weighed[::-1], 0.0)[::-1]
+            error = error + noise.lasting**2 * (earlier + later - weighed)
+        return np.asarray(residual - error)
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """(m, count) residuals of a plant that has nothing but this noise."""
@@ -137,15 +156,24 @@ class Whitener:
                 heat = heat_step.keep[row] * heat + new
             out[row] = deviation
         scatter = self._heats @ rng.standard_normal((self._heats.shape[1], count))
-        return out + scatter + noise.sensor * rng.standard_normal(size)
+        return out + scatter + self._lasting(rng, size) + noise.sensor * rng.standard_normal(size)
+
+    def _lasting(self, rng: np.random.Generator, size: tuple[int, int]) -> Array | float:
+        """Draws of the error that lasts; no draw where there is none."""
+        if self.noise.lasting <= 0:
+            return 0.0
+        keep, fresh = _lasting_steps(self.grid, self.noise)
+        return linear_recursion(keep[:, None], np.sqrt(fresh)[:, None] * rng.standard_normal(size), np.zeros(size[1]))
 
     def _within(self, columns: Array) -> Array:
         """The inverse covariance without the cycles' scatter, by the posterior of the states given the columns."""
-        precision = 1.0 / self.noise.sensor**2
-        pushed = np.zeros((2 * self.grid.dt.size, columns.shape[1]), order="F")
-        pushed[::2] = columns * precision
+        precision, states = 1.0 / self.noise.sensor**2, self._states
+        pushed = np.zeros((states * self.grid.dt.size, columns.shape[1]), order="F")
+        read = range(0, states, 2)  # x and u
+        for part in read:
+            pushed[part::states] = columns * precision
         solved = scipy.linalg.cho_solve_banded((self._factor, True), pushed, overwrite_b=True, check_finite=False)
-        return np.asarray(columns * precision - solved[::2] * precision)
+        return np.asarray(columns * precision - sum(solved[part::states] for part in read) * precision)
 
 
 def _steps(grid: Grid, noise: NoiseModel) -> tuple[Array, Array, DisturbanceStep]:
@@ -159,7 +187,8 @@ def _steps(grid: Grid, noise: NoiseModel) -> tuple[Array, Array, DisturbanceStep
 
 
 def _precision(grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
-    """(4, 2m) the banded precision of the states (x, h) at the windows, lower form, and its log-determinant."""
+    """(4, 2m) the banded precision of the states (x, h) at the windows, lower form, and its log-determinant; (5, 3m)
+    with the error that lasts."""
     m = grid.dt.size
     decay, variance, step = _steps(grid, noise)
     heat = max(noise.rough, LEAST_HEAT) ** 2
@@ -184,25 +213,51 @@ def _precision(grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
     band[3, 0::2][before] -= b * f11
     band[1, 1::2][before] -= a * f12 + b * f22
     band[2, 1::2][before] -= b * f12 + d * f22
-    return band, float(-np.log(determinant).sum())
+    logdet = float(-np.log(determinant).sum())
+    return _with_lasting(band, logdet, grid, noise) if noise.lasting > 0 else (band, logdet)
+
+
+def _with_lasting(band: Array, logdet: float, grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
+    """The banded precision of (x, h) with the error that lasts as a third state, which goes its own way."""
+    keep, fresh = _lasting_steps(grid, noise)
+    own = 1.0 / fresh
+    out = np.zeros((5, 3 * grid.dt.size))
+    # A window's three entries: what lay within (x, h) moves on by one row where it reaches into the next window.
+    out[0, 0::3], out[0, 1::3] = band[0, 0::2], band[0, 1::2]
+    out[1, 0::3], out[2, 1::3] = band[1, 0::2], band[1, 1::2]
+    out[3, 0::3], out[3, 1::3] = band[2, 0::2], band[2, 1::2]
+    out[4, 0::3] = band[3, 0::2]
+    out[0, 2::3] = own
+    out[0, 2:-3:3] += keep[1:] ** 2 * own[1:]
+    out[3, 2:-3:3] = -keep[1:] * own[1:]
+    return out, logdet - float(np.log(fresh).sum())
+
+
+def _lasting_steps(grid: Grid, noise: NoiseModel) -> tuple[Array, Array]:
+    """(what is left of the error that lasts, the variance (degC^2) of what comes anew) in the step to each window."""
+    keep = np.where(grid.first, 0.0, np.exp(-grid.dt / noise.fades))
+    return keep, noise.lasting**2 * -np.expm1(np.where(grid.first, -np.inf, -2.0 * grid.dt / noise.fades))
 
 
 @dataclass(frozen=True, slots=True)
 class WindowBelief:
-    """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory.
+    """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory, and of
+    lasting and fades where the centre has an error that lasts.
 
     The sensor's is not below `least` (degC).
     """
 
     centre: NoiseModel
     spread: tuple[float, float, float, float, float] = (1.0, 2.0, 2.0, 1.5, 0.7)
+    lasts: tuple[float, float] = (2.0, 0.7)
     least: float = 0.0
 
 
 def vector(noise: NoiseModel) -> Array:
-    """Unbounded coordinates: logarithms, and the logit of `rest`."""
+    """Unbounded coordinates: logarithms, and the logit of `rest`; those of the error that lasts where there is one."""
     logs = np.log([noise.sensor, noise.process, noise.rough, noise.cycle, noise.memory])
-    return np.append(logs, np.log(noise.rest / (1.0 - noise.rest)))
+    lasts = np.log([noise.lasting, noise.fades]) if noise.lasting > 0 else np.empty(0)
+    return np.concatenate([logs, [np.log(noise.rest / (1.0 - noise.rest))], lasts])
 
 
 def noise_of(point: Array) -> NoiseModel:
@@ -215,6 +270,7 @@ def noise_of(point: Array) -> NoiseModel:
         cycle=cycle,
         memory=memory,
         rest=float(1.0 / (1.0 + np.exp(-point[5]))),
+        **(dict(zip(("lasting", "fades"), np.exp(point[6:]).tolist(), strict=True)) if point.size > 6 else {}),
     )
 
 
@@ -223,7 +279,7 @@ def fit_noise(
 ) -> tuple[NoiseModel, float]:
     """(the noise of least `objective` (minus a log-likelihood) plus the belief's, and that sum), from `begin`."""
     centre = vector(belief.centre)
-    spread = np.array([*belief.spread, 1.0])
+    spread = np.array([*belief.spread, 1.0, *(belief.lasts if centre.size > 6 else ())])
     start = vector(begin)
 
     def cost(point: Array) -> float:
@@ -235,6 +291,8 @@ def fit_noise(
     bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
     bounds[3] = bounds[3][0], MOST_SCATTER
     bounds[4] = SHORTEST, max(LONGEST, centre[4])
+    if centre.size > 6:
+        bounds[7] = BRIEFEST, SLOWEST
     optimum = scipy.optimize.minimize(
         cost,
         np.clip(start, [low for low, _ in bounds], [high for _, high in bounds]),
