@@ -31,6 +31,8 @@ ONE_CHAIN = frozenset({"dead-time", "sensor-lag"})
 MARGIN, ALIKE = 6.0, 0.01
 """Nats by which a name must beat every rival, and the share of its gain for one of its class: by so little a shape
 that is not quite the plant's may win over its twin."""
+GOOD_PART = 1.0 / 3.0
+"""Share of the gain of a rival from which a special case of it may stand for it."""
 INVISIBLE = 0.05
 
 
@@ -124,11 +126,21 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
 
 
 def without_idle_rivals(evidence: Sequence[EffectEvidence]) -> list[EffectEvidence]:
-    """The evidence without rivals that do no better than a special case of themselves: those are that."""
+    """The evidence without rivals for which a special case of themselves can stand.
+
+    That is one that does as well; or one that says a good part of it and goes better than every other name: what is
+    missing is then that, in another form.
+    """
+    nameable = [each for each in evidence if not each.entry.candidate.rival]
 
     def idle(rival: EffectEvidence) -> bool:
-        special = [each.gain for each in evidence if each.entry.name in rival.entry.candidate.rival]
-        return rival.gain - max(special, default=-np.inf) < max(MARGIN, ALIKE * rival.gain)
+        special = [each for each in nameable if each.entry.name in rival.entry.candidate.rival]
+        if not special:
+            return False
+        top = max(special, key=lambda each: each.gain)
+        others = max((each.gain for each in nameable if each is not top), default=0.0)
+        stands = top.confirmed and top.gain >= GOOD_PART * rival.gain and top.gain >= others + MARGIN
+        return stands or rival.gain - top.gain < max(MARGIN, ALIKE * rival.gain)
 
     return [each for each in evidence if not (each.entry.candidate.rival and idle(each))]
 

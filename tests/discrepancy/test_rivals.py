@@ -44,6 +44,27 @@ def test_a_rival_that_does_no_better_than_its_special_case_is_that_case() -> Non
         assert len(without_idle_rivals(evidence)) == left
 
 
+def test_a_special_case_stands_for_its_rival_where_it_says_a_good_part_and_goes_better_than_every_other_name() -> None:
+    record = record_of(model(), [plant(3, days=1)], ("Assorbimento",))
+    base = fit(on(frame_of(record), record))
+    wanted = ("quadratic-current-heating", "sensor-lag")
+    few = [entry for entry in catalogue() if entry.name in wanted]
+    by_name = {each.entry.name: each for each in step(base, [*few, *rivals()], CURRENT, 0).evidence}
+    special, lag = (replace(by_name[name], fitted=base) for name in wanted)
+    rival = replace(special, entry=rivals()[0])
+
+    def kept(of_special: float, of_rival: float, of_lag: float) -> bool:
+        gains = ((special, of_special), (rival, of_rival), (lag, of_lag))
+        left = without_idle_rivals([replace(each, gain=gain) for each, gain in gains])
+        return any(each.entry.candidate.rival for each in left)
+
+    assert not kept(150.0, 345.0, 126.0)
+    assert kept(100.0, 345.0, 50.0)
+    assert kept(150.0, 345.0, 146.0)
+    unfitted = [replace(special, gain=150.0, fitted=None), replace(rival, gain=345.0)]
+    assert len(without_idle_rivals(unfitted)) == 2
+
+
 def test_a_rivals_special_cases_are_fitted_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(naming, "CONFIRMED", 1)
     record = record_of(model(), [plant(3, days=2, winding=0.01)], ("Assorbimento",))
