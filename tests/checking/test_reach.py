@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sim.checking.proof.bounds import BEYOND, Bounds, find_bounds, noise_band
 from sim.checking.proof.envelope import Assumptions, Envelope, Sojourn, UnboundedInput, envelopes, quantiles
 from sim.checking.proof.structure import Move, moves
-from sim.checking.proof.word import parse_word, word_text
+from sim.checking.proof.word import MOST_CHARACTERS, parse_word, word_text
 from sim.checking.proof.word_replay import replay
 from sim.effects.correction import in_sensor_scale
 from sim.engine.schedules import resync_targets, schedule
@@ -96,7 +96,10 @@ def test_a_refuting_word_read_from_its_text_leaves_the_range_in_the_replay_and_k
         if one.word is None:  # a growth of hundredths of a degree a stay takes more stays than are tried
             assert one.grows
             continue
-        done = replay(model, parse_word(word_text(one.word)), assumed.policy)
+        text = word_text(one.word)
+        if len(text) > MOST_CHARACTERS:  # a rise so slow that the word is longer than the commands take
+            continue
+        done = replay(model, parse_word(text), assumed.policy)
         assert (done.highest > RANGE[1]) if one.up else (done.lowest < RANGE[0])
         first = done.leaves(*RANGE)
         assert first is not None and first.location == one.location

@@ -18,7 +18,7 @@ TARGET_SPREAD, DRIFT_SPREAD, FACTOR_SPREAD, LOG_RATE_SPREAD, GAIN_SPREAD = 40.0,
 SHOWN = 0.1
 """A location is shown where the temperature has gone this share of the way to a new target of it, at least once."""
 ANCHORED = 1e-3
-"""Share of its spread to which a parameter is held that no location shows."""
+"""Share of its spread to which a rate or gain is held that no location shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,27 +96,31 @@ def on(frame: Frame, record: Record) -> Frame:
 
 
 def anchored(frame: Frame) -> Frame:
-    """The frame with the given values kept in locations that its record hardly shows, of m as of rates and gains.
+    """The frame with the given values believed in locations that its record hardly shows.
 
     What the free run is off by in a short visit, a tenth of a degree, is divided by the share of the way that the
     temperature goes meanwhile: 20 s at a time constant of 20 min would move a target by six degrees, and the cycles
-    that are held out may stay there for an hour. A rate or gain that several locations share is kept where none is
-    shown.
+    that are held out may stay there for an hour. Such a target lies as near to the given one as the model itself says
+    (the standard deviation of its law, which is wide where it saw little or has only borrowed). A rate or gain is kept
+    where no location that has it is shown.
     """
-    runs, shape = frame.record.runs, frame.shape
+    runs, shape, locations = frame.record.runs, frame.shape, frame.record.model.sha.locations
     decay, pull = steps(runs, shape, shape.rate_centre)
+    spread = shape.spread.copy()
     shown: set[tuple[str, int]] = set()
     for place in np.unique(runs.place):
         # Of a flow without a target to relax to nothing is said: it counts as shown.
         way = linear_recursion(decay, np.where(runs.place == place, pull, 0.0), 0.0)
+        target = shape.target[place]
         if RATES.get(shape.kinds[place]) != "k" or way.max() >= SHOWN:
-            numbers = shape.target[place], *shape.gain[place]
-            shown |= {("linear", int(number)) for number in numbers} | {("rate", int(shape.rate[place]))}
-    linear = np.array([("linear", number) in shown for number in range(shape.centre.size)], dtype=bool)
-    rates = np.array([("rate", number) in shown for number in range(shape.rate_centre.size)], dtype=bool)
-    kept = replace(
-        shape,
-        spread=np.where(linear, shape.spread, ANCHORED * shape.spread),
-        rate_spread=np.where(rates, shape.rate_spread, ANCHORED * shape.rate_spread),
-    )
+            shown |= {("gain", int(gain)) for gain in shape.gain[place]} | {("rate", int(shape.rate[place]))}
+        elif target >= 0:
+            own = max(float(np.sqrt(mode_parameter(locations[place])[1])), ANCHORED * spread[target])
+            spread[target] = min(spread[target], own)
+    gains = np.arange(len(frame.names.targets), spread.size)
+    for gain in gains:
+        if ("gain", int(gain)) not in shown:
+            spread[gain] *= ANCHORED
+    rates = np.array([("rate", rate) in shown for rate in range(shape.rate_spread.size)], dtype=bool)
+    kept = replace(shape, spread=spread, rate_spread=np.where(rates, shape.rate_spread, ANCHORED * shape.rate_spread))
     return replace(frame, shape=kept)
