@@ -115,10 +115,13 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
     # The screen orders well but judges too low (its noise has swallowed a part of the effect): the first few are fitted
     # jointly, and only a gain of a joint refit can become a name.
     likely = [each for each in evidence[:CONFIRMED] if each.gain >= WORTH]
-    # A rival is weighed against its special cases: they are fitted wherever it is.
-    special = {name for rival in likely for name in rival.entry.candidate.rival}
-    likely += [each for each in evidence[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
     confirmed = [confirm(before, each) for each in likely]
+    # A rival that could win is weighed against its special cases: they are fitted too, wherever the screen has them.
+    top = max((each.gain for each in confirmed), default=0.0)
+    near = top - max(MARGIN, ALIKE * top)
+    special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.rival}
+    rest = [each for each in evidence[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
+    confirmed += [confirm(before, each) for each in rest]
     names = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in names]
     order = tuple(sorted(without_idle_rivals([*confirmed, *rest]), key=lambda each: -each.gain))
