@@ -11,7 +11,7 @@ from sim.checking.proof.counterexample import BEYOND, escape, variants
 from sim.checking.proof.envelope import Assumptions, Envelope, Range, envelopes, start_range, worn_for
 from sim.checking.proof.reach import Bound, Graph, Side, climb, intervals, make_graph, side_of
 from sim.checking.proof.structure import moves
-from sim.checking.proof.word import TimedWord, parse_word, word_text
+from sim.checking.proof.word import MOST_CHARACTERS, TimedWord, parse_word, word_text
 from sim.checking.proof.word_replay import offset_range, replay
 from sim.effects import dead_time, in_sensor_scale, of_feature, without
 from sim.sha import RELAXING, Location, Model, alphabet_symbols, drawn_temperature, mean, mode_parameter
@@ -201,7 +201,10 @@ def _escape(model: Model, side: Side, bound: Bound, *, start: float, within: Ran
     word = escape(bare, side.sign * start, side.sign * (within[int(up)] - shift))
     # Through the text and back: what is shown has 12 digits, and it is those that must leave the range.
     for variant in () if word is None else variants(model, side.graph, word, worn_for(assumptions)):
-        read = parse_word(word_text(variant))
+        text = word_text(variant)
+        if len(text) > MOST_CHARACTERS:
+            continue  # too long to be shown, or to be read by the commands
+        read = parse_word(text)
         try:
             visit = replay(model, read, assumptions.policy).leaves(*within)
         except ValueError:
