@@ -120,8 +120,8 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
     top = max((each.gain for each in confirmed), default=0.0)
     near = top - max(MARGIN, ALIKE * top)
     special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.rival}
-    rest = [each for each in evidence[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
-    confirmed += [confirm(before, each) for each in rest]
+    behind = [each for each in evidence[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
+    confirmed += [confirm(before, each) for each in behind]
     names = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in names]
     order = tuple(sorted(without_idle_rivals([*confirmed, *rest]), key=lambda each: -each.gain))

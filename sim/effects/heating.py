@@ -62,8 +62,9 @@ def _friction(
 def _rooms(log: MachineLog) -> Sequence[Params]:
     """About the room's mean, with the same coupling at rest and with a weaker one: what turns fans the air about it."""
     shape = {"reference": log.usual("ambient", running=False)}
-    shares = (1.0, 0.4) if 0.0 < np.mean(log.running) < 1.0 else ()
-    return [{**shape, "at_rest": share} for share in shares] or [shape]
+    if not 0.0 < np.mean(log.running) < 1.0:
+        return [shape]
+    return [{**shape, "at_rest": share} for share in (1.0, 0.4)]
 
 
 def _late(effect: Effect, signals: Signals, late: Callable[[Array], Array]) -> Array:

@@ -61,9 +61,13 @@ def rows(judged: Sequence[Judged]) -> list[Row]:
     found.append(row("outside, visible: unexplained", seen, lambda one: one.answer.verdict == "unexplained"))
     # Strictly a wrong name, above; of such a model it is a right one.
     gainless = [one for one in judged if one.gainless]
-    found.append(row("model without a gain: current-heating named", gainless, current_heating))
+    found.append(
+        row("model without a gain: current-heating named", gainless, lambda one: "current-heating" in one.answer.names)
+    )
     able = [one for one in judged if not one.gainless]
-    found.append(row("model with a gain, clean: named", [one for one in able if one.clean], claimed))
+    found.append(
+        row("model with a gain, clean: named", [one for one in able if one.clean], lambda one: one.answer.claims)
+    )
     acting = [one for one in able if one.stratum in ("singles", "pairs")]
     found.append(row("model with a gain, singles and pairs: wrong first name", acting, lambda one: one.wrong_first))
     claims = [one for one in judged if one.answer.claims]
@@ -76,16 +80,6 @@ def grows(one: Judged) -> bool:
     """The free run over the held-out part is further off with the name than without it."""
     before, after = one.answer.errors
     return after > before
-
-
-def claimed(one: Judged) -> bool:
-    """Something was named."""
-    return one.answer.claims
-
-
-def current_heating(one: Judged) -> bool:
-    """The heat of the current was named."""
-    return "current-heating" in one.answer.names
 
 
 def too_little(one: Judged) -> bool:

@@ -1,6 +1,7 @@
 """The given model's own parameters: which there are, what is believed of them, and what each does to a target.
 
-The given values are the centre of a weak belief; where a record hardly shows a location (`anchored`) they are kept.
+The given values are the centre of a weak belief; where a record hardly shows a location the belief is stronger
+(`anchored`).
 Locations of equal rate share it, and so do those of equal gains, as the learner left them.
 """
 
@@ -107,20 +108,17 @@ def anchored(frame: Frame) -> Frame:
     runs, shape, locations = frame.record.runs, frame.shape, frame.record.model.sha.locations
     decay, pull = steps(runs, shape, shape.rate_centre)
     spread = shape.spread.copy()
-    shown: set[tuple[str, int]] = set()
+    shown = np.zeros(len(locations), dtype=bool)
     for place in np.unique(runs.place):
-        # Of a flow without a target to relax to nothing is said: it counts as shown.
         way = linear_recursion(decay, np.where(runs.place == place, pull, 0.0), 0.0)
+        # Of a flow without a target to relax to nothing is said: it counts as shown.
+        shown[place] = RATES.get(shape.kinds[place]) != "k" or way.max() >= SHOWN
         target = shape.target[place]
-        if RATES.get(shape.kinds[place]) != "k" or way.max() >= SHOWN:
-            shown |= {("gain", int(gain)) for gain in shape.gain[place]} | {("rate", int(shape.rate[place]))}
-        elif target >= 0:
+        if not shown[place] and target >= 0:
             own = max(float(np.sqrt(mode_parameter(locations[place])[1])), ANCHORED * spread[target])
             spread[target] = min(spread[target], own)
     gains = np.arange(len(frame.names.targets), spread.size)
-    for gain in gains:
-        if ("gain", int(gain)) not in shown:
-            spread[gain] *= ANCHORED
-    rates = np.array([("rate", rate) in shown for rate in range(shape.rate_spread.size)], dtype=bool)
-    kept = replace(shape, spread=spread, rate_spread=np.where(rates, shape.rate_spread, ANCHORED * shape.rate_spread))
+    spread[gains] *= np.where(np.isin(gains, shape.gain[shown]), 1.0, ANCHORED)
+    rates = np.isin(np.arange(shape.rate_spread.size), shape.rate[shown])
+    kept = replace(shape, spread=spread, rate_spread=shape.rate_spread * np.where(rates, 1.0, ANCHORED))
     return replace(frame, shape=kept)
