@@ -93,12 +93,12 @@ def learn_before(set_: str, one: Machine, folder: Path, days: int = 3) -> Path:
 
 
 def learn(traces: Path, out: Path, seed: int) -> None:
-    """`decanter model learn --method bins --traces TRACES --out OUT`, by its own functions."""
+    """`decanter model learn --method bins --traces TRACES --out OUT`, by its own functions, without bands."""
     from gateway.lab.learn import learn_from, write
     from gateway.lab.traces.load import load
 
     loaded, column_map = load([str(traces)], "decanter")
-    write(out, learn_from(loaded, column_map, name="decanter", seed=seed, report=None))
+    write(out, learn_from(loaded, column_map, name="decanter", seed=seed, report=None, bands=False))
 
 
 def family_of(model: Path) -> Family:

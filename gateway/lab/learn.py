@@ -136,8 +136,9 @@ def learn_from(
     seed: int,
     report: Any = None,
     temperature: str | None = None,
+    bands: bool = True,
 ) -> Learned:
-    """A model of the traces by the map's alphabet, of its temperature or the one given."""
+    """A model of the traces by the map's alphabet, of its temperature or the one given, with its `bands` or without."""
     from sim.learning.bins import learn_bins
 
     return learn_bins(
@@ -146,6 +147,7 @@ def learn_from(
         temperature or column_map.temperature,
         name=name,
         seed=seed,
+        bands=bands,
         progress=report,
     )
 

@@ -200,9 +200,13 @@ def confirm(before: Fitted, evidence: EffectEvidence) -> EffectEvidence:
         moved = projector.made_room(column)[: before.own]
         # The linear problem does not hold for a rate that changes by more than a factor e; Newton's steps go on.
         moved[rates:] = np.clip(moved[rates:], -1.0, 1.0)
-        together = [*before.state.named, named]
-        fits = [fit(before.frame, together, begin, moved=moved, rounds=3, iterations=8) for begin in begins(before)]
-        fitted = max(fits, key=lambda each: each.likelihood)
+        together, starts, left = [*before.state.named, named], begins(before), 3
+        if len(starts) > 1:
+            # Where there are two, one round tells which of them leads to the higher top.
+            tried = [fit(before.frame, together, start, moved=moved, rounds=1, iterations=8) for start in starts]
+            best = max(tried, key=lambda each: each.likelihood)
+            together, starts, moved, left = list(best.state.named), (best,), np.zeros(before.own), 2
+        fitted = fit(before.frame, together, starts[0], moved=moved, rounds=left, iterations=8)
         last = fitted.state.named[-1]
         shape = Shape(evidence.entry, shape.signals, _without_strength(last))
         gain = fitted.likelihood - before.likelihood - evidence.entry.burden

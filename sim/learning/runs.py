@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ WINDOWS = 20
 """Into which what is too long is cut (`sampled`, `stretches`)."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FreeRuns:
     """n knots of several free runs, one after the other; a knot ends the step of `dt` seconds that leads to it.
 
@@ -39,7 +40,7 @@ class FreeRuns:
     def __len__(self) -> int:
         return self.time.size
 
-    @property
+    @cached_property
     def first(self) -> Mask:
         """(n,) whether a knot begins a run."""
         return np.asarray(np.diff(self.run, prepend=-1) != 0)

@@ -77,7 +77,9 @@ def test_weighing_and_determinant_are_those_of_the_dense_covariance(noise: Noise
     covariance = dense(grid, noise)
     columns = np.random.default_rng(0).standard_normal((grid.dt.size, 3))
     whitener = Whitener(grid, noise)
-    np.testing.assert_allclose(whitener.weigh(columns), np.linalg.solve(covariance, columns), rtol=1e-6, atol=1e-9)
+    weighed = np.linalg.solve(covariance, columns)
+    np.testing.assert_allclose(whitener.weigh(columns), weighed, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(whitener.gram(columns), columns.T @ weighed, rtol=1e-6, atol=1e-9)
     assert whitener.logdet == pytest.approx(np.linalg.slogdet(covariance)[1], abs=1e-6)
 
 

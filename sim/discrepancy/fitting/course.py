@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from sim.discrepancy.fitting.baseline import Frame
-from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, on_sensor
+from sim.discrepancy.fitting.effects import as_sensed, follows_course, heat_and_loss, on_sensor
 from sim.discrepancy.fitting.named import Named, effects_of
 from sim.discrepancy.fitting.noise import Grid, decay_and_pull
 from sim.engine import linear_recursion
@@ -110,6 +110,7 @@ def _driven(
     _, own_pull = decay_and_pull(k, runs.dt)
     # The flow's own push is that of a constant heat over the step, so that heats add up and losses join the rate.
     own_heat = np.where(first, 0.0, own_push / np.maximum(own_pull, 1e-12))
+    followed = any(follows_course(effect) for effect in effects)
     for _ in range(ITERATIONS):
         loss, heat = np.zeros(len(runs)), own_heat.copy()
         # Heat that depends on the course is taken at the middle of the step: second order in dt, as the trapezoid is.
@@ -121,7 +122,7 @@ def _driven(
         decay, pull = decay_and_pull(k + loss, runs.dt)
         before = course
         course = linear_recursion(np.where(first, 0.0, decay), np.where(first, own_push, pull * heat), 0.0)
-        if not np.isfinite(course).all() or np.max(np.abs(course - before)) < STILL:
+        if not followed or not np.isfinite(course).all() or np.max(np.abs(course - before)) < STILL:
             break
     return course, loss, heat - own_heat
 

@@ -36,6 +36,11 @@ def on_sensor(effect: Effect) -> bool:
     return isinstance(law, Structural) and law.feature in ON_SENSOR
 
 
+def follows_course(effect: Effect) -> bool:
+    """Whether an effect's heat or loss depends on the temperature itself."""
+    return isinstance(kind_of(effect).law, Structural) and not on_sensor(effect)
+
+
 def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array, Array]:
     """(heat, loss) of each step (n,), degC/s and 1/s, as dX/dt += heat - loss X along a course (n,) degC.
 

@@ -8,6 +8,7 @@ strengths of the effects are maximised.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -17,7 +18,7 @@ from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
 from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
-from sim.effects import of_feature
+from sim.effects import DisturbanceStep, disturbance_step, of_feature
 from sim.engine import repeat_factor
 from sim.sha import Array, Model
 
@@ -163,20 +164,19 @@ def fit(
     # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
     belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
     noise = belief.centre if begin is None else begin.noise
-    state = at(frame, np.concatenate([own, added]), start, named)
+    point = _around(frame, at(frame, np.concatenate([own, added]), start, named), start, reading)
     for _ in range(rounds):
-        state = _newton_steps(frame, state, start=start, reading=reading, noise=noise, prior=prior)
-        point = _around(frame, state, start, reading)
+        point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
         before = noise
         noise, cost = noise_around(point, frame, belief, noise, iterations)
         if largest_change(before, noise) < SETTLED:
             break
     whitener = Whitener(point.grid, noise)
-    inverse = np.linalg.inv(point.columns.T @ whitener.weigh(point.columns) + np.diag(np.maximum(prior, 1e-12)))
+    inverse = np.linalg.inv(whitener.gram(point.columns) + np.diag(np.maximum(prior, 1e-12)))
     covariance = np.asarray(inverse, dtype=float)
     return Fitted(
         frame=frame,
-        state=state,
+        state=point.state,
         start=start,
         noise=noise,
         grid=point.grid,
@@ -197,9 +197,14 @@ def noise_around(
     # different effects have the same integral and their likelihoods differ by what the effects explain.
     own = sum(frame.count)
     columns, prior, off = point.columns[:, :own], frame.prior, point.off[:own]
+    grid = point.grid
+
+    @lru_cache(maxsize=2)
+    def rough(memory: float) -> DisturbanceStep:  # most trials have the memory of the one before
+        return disturbance_step(memory, grid.k, grid.dt)
 
     def cost(trial: NoiseModel) -> float:
-        return -restricted(Whitener(point.grid, trial), columns, point.residual, prior, off)
+        return -restricted(Whitener(grid, trial, rough(trial.memory)), columns, point.residual, prior, off)
 
     return fit_noise(cost, belief, noise, iterations)
 
@@ -216,40 +221,38 @@ def largest_change(before: NoiseModel, after: NoiseModel) -> float:
 
 
 def _newton_steps(
-    frame: Frame, state: CourseState, *, start: Array, reading: Array, noise: NoiseModel, prior: Array
-) -> CourseState:
+    frame: Frame, point: _Point, *, start: Array, reading: Array, noise: NoiseModel, prior: Array
+) -> _Point:
     """A few damped Gauss-Newton steps (Nocedal & Wright 2006, ch. 10): a step limit, then backtracking.
 
     The penalised squares r' V^-1 r + (b - b0)' P (b - b0) go down with every step that is taken. Second derivatives are
     left out: the free run is linear in most parameters, and its residual is small where it matters.
     """
-    point = _around(frame, state, start, reading)
     for _ in range(NEWTON):
-        whitener = Whitener(point.grid, noise)
-        both = whitener.weigh(np.column_stack([point.residual, point.columns]))
-        normal = point.columns.T @ both[:, 1:] + np.diag(np.maximum(prior, 1e-12))
-        step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal), point.columns.T @ both[:, 0] - prior * point.off)
+        state, whitener = point.state, Whitener(point.grid, noise)
+        gram = whitener.gram(np.column_stack([point.residual, point.columns]))
+        normal = gram[1:, 1:] + np.diag(np.maximum(prior, 1e-12))
+        step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal), gram[1:, 0] - prior * point.off)
         # The whole step is shortened, not single parts of it: it must stay a descent direction.
         strengths = [size for named in state.named for size in _longest(named)]
         longest = np.concatenate([LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior), strengths])
         step = step * min(1.0, 1.0 / float(np.max(np.abs(step) / longest, initial=1.0)))
         # Backtracking, five lengths at most. If none helps, the linear problem does not describe the plant here.
-        before = float(point.residual @ both[:, 0] + point.off @ (prior * point.off))
+        before = float(gram[0, 0] + point.off @ (prior * point.off))
         for _half in range(5):
             moved = at(frame, _allowed(state, state.parameters + step), start, state.named, state.course)
             residual = reading - frame.record.windowed(moved.mean)
             off = point.off + np.where(np.arange(step.size) < sum(frame.count), step, 0.0)
-            after = float(residual @ whitener.weigh(residual[:, None])[:, 0] + off @ (prior * off))
+            after = float(whitener.gram(residual[:, None])[0, 0] + off @ (prior * off))
             if np.isfinite(after) and after <= before + 1e-6:
                 break
             step = 0.5 * step
         if not np.isfinite(after) or after > before:
             break
-        state = moved
-        point = _around(frame, state, start, reading)
+        point = _around(frame, moved, start, reading)
         if before - after < 0.02:  # a hundredth of a nat: no decision is that fine
             break
-    return state
+    return point
 
 
 def _longest(named: Named) -> list[float]:
@@ -274,10 +277,9 @@ def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array
     """The log-likelihood with the parameters integrated out around the free run (their belief included)."""
     # Laplace's integral, exact for the linear problem around the free run: with N = C' V^-1 C + P the parameters'
     # posterior precision and g the score at the state, -2 ln L = ln |V| + ln |N| - ln |P| + misfit - g' N^-1 g.
-    both = whitener.weigh(np.column_stack([residual, columns]))
-    normal = columns.T @ both[:, 1:] + np.diag(prior)
-    score = columns.T @ both[:, 0] - prior * off
-    factor = scipy.linalg.cho_factor(normal)
-    misfit = float(residual @ both[:, 0] + off @ (prior * off) - score @ scipy.linalg.cho_solve(factor, score))
+    gram = whitener.gram(np.column_stack([residual, columns]))
+    score = gram[1:, 0] - prior * off
+    factor = scipy.linalg.cho_factor(gram[1:, 1:] + np.diag(prior))
+    misfit = float(gram[0, 0] + off @ (prior * off) - score @ scipy.linalg.cho_solve(factor, score))
     determinant = 2.0 * float(np.log(np.diag(factor[0])).sum()) - float(np.log(prior).sum())
     return -0.5 * (whitener.logdet + determinant + misfit)

@@ -16,9 +16,11 @@ cycles is a random effect on top (Woodbury).
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
+from scipy.linalg.lapack import dtbtrs
 
 from sim.effects import DisturbanceStep, disturbance_step
 from sim.engine import linear_recursion
@@ -87,6 +89,9 @@ def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
     return np.exp(-k * dt), pull
 
 
+_Halved = tuple[Array, Array]
+
+
 class Whitener:
     """The inverse covariance of the windows under one `NoiseModel`.
 
@@ -95,9 +100,11 @@ class Whitener:
     inrush. Both steps are Woodbury's identity; V itself (m x m) is never formed.
     """
 
-    def __init__(self, grid: Grid, noise: NoiseModel) -> None:
+    def __init__(self, grid: Grid, noise: NoiseModel, rough: DisturbanceStep | None = None) -> None:
+        """`rough` is the step of the rough heat at the noise's memory, where it is at hand."""
         self.grid, self.noise = grid, noise
-        posterior, self._prior_logdet = _precision(grid, noise)
+        self._rough = disturbance_step(noise.memory, grid.k, grid.dt) if rough is None else rough
+        posterior, self._prior_logdet = _precision(grid, noise, self._rough)
         self._states = 3 if noise.lasting > 0 else 2
         # Each window is one reading of its x, or of x + u: the sensor's precision comes to the entries of these.
         posterior[0, :: self._states] += 1.0 / noise.sensor**2
@@ -106,15 +113,26 @@ class Whitener:
             posterior[0, 2::3] += 1.0 / noise.sensor**2
         self._factor = scipy.linalg.cholesky_banded(posterior, lower=True, overwrite_ab=True, check_finite=False)
         self._heats = np.column_stack([grid.heats * noise.cycle, grid.shared, grid.inrush])
-        self._weighed_heats = self._within(self._heats)
-        gram = np.eye(self._heats.shape[1]) + self._heats.T @ self._weighed_heats
+        self._halved_heats = self._halved(self._heats)
+        gram = np.eye(self._heats.shape[1]) + self._product(self._halved_heats, self._halved_heats)
         self._root = scipy.linalg.cholesky(gram, lower=True, check_finite=False)
+
+    def gram(self, columns: Array) -> Array:
+        """(c, c) C' V^-1 C of the columns C (m, c), for half of what weighing them costs."""
+        halved = self._halved(columns)
+        across = self._product(self._halved_heats, halved)
+        part = scipy.linalg.solve_triangular(self._root, across, lower=True, check_finite=False)
+        return np.asarray(self._product(halved, halved) - part.T @ part)
 
     def weigh(self, columns: Array) -> Array:
         """V^-1 times the columns (m, c)."""
         inner = self._within(columns)
         part = scipy.linalg.cho_solve((self._root, True), self._heats.T @ inner, check_finite=False)
         return np.asarray(inner - self._weighed_heats @ part)
+
+    @cached_property
+    def _weighed_heats(self) -> Array:
+        return self._within(self._heats)
 
     @property
     def logdet(self) -> float:
@@ -142,7 +160,7 @@ class Whitener:
         grid, noise = self.grid, self.noise
         size = (grid.dt.size, count)
         heat, deviation = np.zeros(count), np.zeros(count)
-        decay, variance, heat_step = _steps(grid, noise)
+        decay, variance, heat_step = _steps(grid, noise, self._rough)
         into, fresh = heat_step.into, np.sqrt(heat_step.dd)
         variance = variance + noise.rough**2 * heat_step.own
         out = np.empty(size)
@@ -168,29 +186,42 @@ class Whitener:
     def _within(self, columns: Array) -> Array:
         """The inverse covariance without the cycles' scatter, by the posterior of the states given the columns."""
         precision, states = 1.0 / self.noise.sensor**2, self._states
-        pushed = np.zeros((states * self.grid.dt.size, columns.shape[1]), order="F")
-        read = range(0, states, 2)  # x and u
-        for part in read:
-            pushed[part::states] = columns * precision
-        solved = scipy.linalg.cho_solve_banded((self._factor, True), pushed, overwrite_b=True, check_finite=False)
-        return np.asarray(columns * precision - sum(solved[part::states] for part in read) * precision)
+        solved = scipy.linalg.cho_solve_banded(
+            (self._factor, True), self._pushed(columns), overwrite_b=True, check_finite=False
+        )
+        return np.asarray(columns * precision - sum(solved[part::states] for part in range(0, states, 2)) * precision)
+
+    def _halved(self, columns: Array) -> _Halved:
+        """The columns and half of that solution: only down the factor of the states' posterior, (states m, c)."""
+        forward, _ = dtbtrs(self._factor, self._pushed(columns), uplo="L", overwrite_b=True)
+        return columns, np.asarray(forward)
+
+    def _pushed(self, columns: Array) -> Array:
+        """(states m, c) what the columns, read as residuals, say of the states."""
+        pushed = np.zeros((self._states * self.grid.dt.size, columns.shape[1]), order="F")
+        for part in range(0, self._states, 2):  # x and u
+            pushed[part :: self._states] = columns / self.noise.sensor**2
+        return pushed
+
+    def _product(self, left: _Halved, right: _Halved) -> Array:
+        """Of two sets of columns under the inverse covariance without the cycles' scatter."""
+        return np.asarray(left[0].T @ right[0] / self.noise.sensor**2 - left[1].T @ right[1])
 
 
-def _steps(grid: Grid, noise: NoiseModel) -> tuple[Array, Array, DisturbanceStep]:
-    """(decay, variance of the process and of late switches, the rough heat) of the step to each window."""
+def _steps(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[Array, Array, DisturbanceStep]:
+    """(decay, variance of the process and of late switches, the rough heat's part of x) of the step to each window."""
     variance = max(noise.process, LEAST_PROCESS) ** 2 * decay_and_pull(2 * grid.k, grid.dt)[1] + grid.late
-    step = disturbance_step(noise.memory, grid.k, grid.dt)
     # Of the heat only a share acts at rest: it is what reaches x, and the heat itself goes on as ever.
     share = noise.rest + (1.0 - noise.rest) * grid.running
-    step = replace(step, carried=share * step.carried, xx=share**2 * step.xx, xd=share * step.xd)
+    step = replace(rough, carried=share * rough.carried, xx=share**2 * rough.xx, xd=share * rough.xd)
     return np.exp(-grid.k * grid.dt), variance, step
 
 
-def _precision(grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
+def _precision(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[Array, float]:
     """(4, 2m) the banded precision of the states (x, h) at the windows, lower form, and its log-determinant; (5, 3m)
     with the error that lasts."""
     m = grid.dt.size
-    decay, variance, step = _steps(grid, noise)
+    decay, variance, step = _steps(grid, noise, rough)
     heat = max(noise.rough, LEAST_HEAT) ** 2
     # A Markov chain's precision has a block of two rows a window and one to its neighbour: with z' = F z + q, cov q =
     # Q, the step to each window adds Q^-1 to its own block, F' Q^-1 F to the block before, -Q^-1 F between them.
