@@ -31,7 +31,9 @@ from sim.sha.trace import Array, Event, Trace
 from tests.rig.pair import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 from tests.rig.stalls import longest_pause
 
-PERIOD = 0.1
+PERIOD = 0.2
+"""A scan's (s). What a block that meets the fault costs, TIMEOUT_S, the rest of a period and SWITCH_AFTER_S, must be less
+than the STALE_PERIODS for which readings are good: otherwise all events are told again, after an unknown one."""
 SWITCH_AFTER_S = 0.1
 RETURN_AFTER_S = 0.5
 TIMEOUT_S = 0.3
@@ -63,8 +65,9 @@ class Outcome:
     """What a run came to; times in real seconds.
 
     `switch_s`: from a fault's beginning to the switch-over; `waited_s`: how much longer that scan took than others may;
-    `gap_s`: the longest time between two good readings of the temperature. `delays` are the events' (s). `still_s` is
-    the longest time in which the PLC did not get to its next row: far more than a row's and the computer stood still.
+    `gap_s`: the longest time between two good readings of the temperature, `scan_s` between two scans, whatever they
+    read. `delays` are the events' (s). `still_s` is the longest time in which the PLC did not get to its next row: far
+    more than a row's and the computer stood still.
     """
 
     standby: str
@@ -72,6 +75,7 @@ class Outcome:
     returns: int
     switch_s: tuple[float, ...]
     gap_s: float
+    scan_s: float
     still_s: float
     events: int
     lost: tuple[str, ...]
@@ -85,11 +89,11 @@ class Outcome:
 
 
 def busy_trace(seconds: float, step: float = 0.05) -> Trace:
-    """The restless trace with the machine switching each 0.7 s, and the current through all bins in 4 s."""
+    """The restless trace with the machine switching each 0.9 s, and the current through all bins in 6 s."""
     plain = restless_trace(seconds, step)
-    phase: Array = plain.times / 4.0 % 1.0
+    phase: Array = plain.times / 6.0 % 1.0
     signals = dict(plain.signals)
-    signals[RUNNING] = np.floor(plain.times / 0.7) % 2
+    signals[RUNNING] = np.floor(plain.times / 0.9) % 2
     signals[CURRENT] = 5.0 + 340.0 * (1.0 - np.abs(2.0 * phase - 1.0))
     return Trace("busy", plain.times, signals, origin="made for a test of redundant links", synthetic=True)
 
@@ -184,6 +188,7 @@ def _judged(rig: Rig, standby: str, switch_overs: int, returns: int) -> Outcome:
         returns,
         switch_times(recording, rig.historian),
         float(np.max(np.diff(good))),
+        float(np.max(np.diff(np.unique([sample.time for sample in read])))),
         longest_pause(recording),
         len(delays) + len(lost),
         lost,
