@@ -32,7 +32,7 @@ from tests.rig.pair import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gatew
 from tests.rig.stalls import longest_pause
 
 PERIOD = 0.2
-"""A scan's (s). What a block that meets the fault costs, TIMEOUT_S, the rest of a period and SWITCH_AFTER_S, must be less
+"""A scan's (s). A block that meets the fault costs TIMEOUT_S, the rest of a period and SWITCH_AFTER_S. It must be less
 than the STALE_PERIODS for which readings are good: otherwise all events are told again, after an unknown one."""
 SWITCH_AFTER_S = 0.1
 RETURN_AFTER_S = 0.5
