@@ -24,6 +24,7 @@ from gateway.machine.records import Keeper
 from gateway.store import open_historian
 from sim.artefacts import current, load, promote, read_familiarity, version_directory, versions
 from sim.artefacts.formats import save
+from sim.learning.semi_markov import sojourns
 from sim.ranking import METHODS, Taught
 from sim.sha import Distribution, Location, Model, Trace, content_hash, encode
 from tests.cli.support import decanter, only_object, refused
@@ -192,6 +193,27 @@ def test_the_historian_is_cut_at_starts_and_at_gaps_once(
         again = cycle_of(source, plain, other)
         assert again is not None and content_hash(again) == rows[3].content
         assert cycle_of(source, replace(plain, content="0" * 64), other) is None
+
+
+def test_a_rest_is_seen_to_end_though_the_next_cycle_is_not_learned_from(
+    request_of: RetrainingRequest, library: CycleLibrary
+) -> None:
+    source = source_of(request_of, BEGIN)
+    cut_and_rate(request_of, library, source, silent)
+    rows = library.cycles()
+    assert [row.until for row in rows[: CYCLES - 1]] == [row.begin for row in rows[1:CYCLES]]
+    assert rows[CYCLES - 1].until < rows[CYCLES].begin, "a gap ended it, and nobody knows when its rest did"
+    alone = [library.readings(row.content) for row in rows[: CYCLES - 1 : 2]]
+    pairs = [(alone[0], library.readings(rows[1].content))]
+    assert [len(joined(traces, 30.0)) for traces in (alone, *pairs)] == [len(alone), 1]
+    rests = [
+        stay
+        for trace in joined(alone, 30.0)
+        for stay in sojourns(source.model, encoded(trace, source.model))
+        if stay.location == "off"
+    ]
+    assert len(rests) == len(alone)
+    assert all(stay.to == "on" and stay.end - stay.start == pytest.approx(REST, abs=STEP) for stay in rests)
 
 
 def test_a_machine_that_is_never_stopped_has_cycles_too(
@@ -392,6 +414,8 @@ def test_traces_that_follow_one_another_are_learned_from_as_one() -> None:
     parts = [whole.between(a, b) for a, b in ((0, BEGIN + 1200), (BEGIN + 1200, BEGIN + 2400), (BEGIN + 2500, np.inf))]
     made = joined(list(reversed(parts)), 30.0)
     assert [trace.times.size for trace in made] == [240, 110]
+    shared = [whole.between(BEGIN, BEGIN + 1201), *parts[1:]]
+    assert [trace.times.size for trace in joined(shared, 30.0)] == [240, 110], "the row that two have comes once"
     assert made[0].signals[TEMPERATURE].tolist() == whole.signals[TEMPERATURE][:240].tolist()
 
 

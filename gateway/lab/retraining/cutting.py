@@ -65,8 +65,9 @@ def cut_new(
                 pieces.pop()
                 after = begun
         rows: list[CycleRow] = []
+        closed = {piece.name: _closed(piece, chunk, source.model.alphabet.gap) for piece in pieces}
         for piece in pieces:
-            row = _rated(source, piece, chunk, reference, difficult)
+            row = _rated(source, piece, closed[piece.name], chunk, reference, difficult)
             if row is None:
                 continue
             rows.append(row)
@@ -75,10 +76,9 @@ def cut_new(
         count += len(rows)
         library.add(rows, after)
         # After their rows: a kill between the two leaves a row without readings, which the historian still has.
-        traces = {piece.name: piece for piece in pieces}
         for row in rows:
             if row.rating != "ordinary":
-                library.keep(row.name, replace(traces[row.name], events=()))
+                library.keep(row.name, closed[row.name])
         if at_end:
             break
         cursor = after
@@ -101,6 +101,17 @@ def _pieces(source: CycleSource, start: float, end: float) -> tuple[list[Trace],
     return [piece for piece in named if piece.times[0] >= start], chunk
 
 
+def _closed(cycle: Trace, chunk: Trace, gap: float) -> Trace:
+    """The cycle with the row that ended it, the first of the next one, without events; itself where a gap ended it.
+
+    Without that row no rest would ever be seen to end where the next cycle is not learned from too.
+    """
+    begin, last = float(cycle.times[0]), float(cycle.times[-1])
+    later = chunk.times[np.searchsorted(chunk.times, last, side="right") :]
+    end = float(later[0]) if later.size and later[0] - last <= gap else last
+    return replace(chunk.between(begin, nextafter(end, inf)), name=cycle.name, events=())
+
+
 def _name(machine: str | None, cycle: Trace) -> str:
     moment = datetime.fromtimestamp(float(cycle.times[0]), UTC).strftime("%Y%m%dT%H%M%SZ")
     return f"{machine}-{moment}" if machine else moment
@@ -118,11 +129,12 @@ def cycle_of(source: CycleSource, row: CycleRow, library: CycleLibrary) -> Trace
 def _rated(
     source: CycleSource,
     cycle: Trace,
+    closed: Trace,
     chunk: Trace,
     reference: FamiliarityReference | None,
     difficult: Sequence[Array],
 ) -> CycleRow | None:
-    """The row of a cycle; None for one with too few readings."""
+    """The row of a cycle, whose readings are those of `closed`; None for one with too few readings."""
     model = source.model
     measured = cycle.signals.get(model.temperature)
     if measured is None or np.count_nonzero(np.isfinite(measured)) < LEAST:
@@ -142,10 +154,10 @@ def _rated(
     return CycleRow(
         name=cycle.name,
         begin=begin,
-        until=until,
-        rows=int(cycle.times.size),
+        until=float(closed.times[-1]),
+        rows=int(closed.times.size),
         # Of what is read back: a cycle's readings are the same whenever they are asked for.
-        content=content_hash(cycle),
+        content=content_hash(closed),
         region=_region(model, cycle),
         rating=rating,
         words=words,

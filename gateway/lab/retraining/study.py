@@ -390,16 +390,21 @@ def learned_model(record: TrainingRecord, training: Sequence[Trace], alphabet: A
 
 
 def joined(traces: Sequence[Trace], gap: float) -> list[Trace]:
-    """The traces in the order of time, those of the same signals that follow within `gap` s as one."""
+    """The traces in the order of time, those of the same signals that follow within `gap` s as one.
+
+    The row that ended a cycle is the first of the next one: it comes once.
+    """
     groups: list[list[Trace]] = []
     for trace in sorted(traces, key=lambda each: (each.times[0], each.name)):
         before = groups[-1][-1] if groups else None
-        follows = before is not None and 0 < trace.times[0] - before.times[-1] <= gap
+        follows = before is not None and 0 <= trace.times[0] - before.times[-1] <= gap
         if (
             before is not None
             and follows
             and (set(trace.signals), set(trace.bad)) == (set(before.signals), set(before.bad))
         ):
+            if before.times[-1] == trace.times[0]:
+                groups[-1][-1] = before.between(float(before.times[0]), float(trace.times[0]))
             groups[-1].append(trace)
         else:
             groups.append([trace])
