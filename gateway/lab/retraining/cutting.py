@@ -67,7 +67,9 @@ def cut_new(
         rows: list[CycleRow] = []
         closed = {piece.name: _closed(piece, chunk, source.model.alphabet.gap) for piece in pieces}
         for piece in pieces:
-            row = _rated(source, piece, closed[piece.name], chunk, reference, difficult)
+            row = _rated(
+                source, piece, closed=closed[piece.name], chunk=chunk, reference=reference, difficult=difficult
+            )
             if row is None:
                 continue
             rows.append(row)
@@ -129,6 +131,7 @@ def cycle_of(source: CycleSource, row: CycleRow, library: CycleLibrary) -> Trace
 def _rated(
     source: CycleSource,
     cycle: Trace,
+    *,
     closed: Trace,
     chunk: Trace,
     reference: FamiliarityReference | None,
