@@ -20,10 +20,11 @@ from benchmarks.figures import Figure, give
 from drivers.tag import Quality, Sample
 from gateway.machine.model.along import recorded_scans
 from gateway.machine.model.outlook import Outlook
-from gateway.machine.model.predict import Z90, Predictor
+from gateway.machine.model.predict import Predictor
 from gateway.machine.model.twin import TwinBearing, combined
 from gateway.machine.reading import Scan
 from gateway.settings import ForecastSection
+from sim.forecast import Z90
 from sim.learning.bins import learn_bins
 from sim.plant import production
 from sim.sha import Model, Trace

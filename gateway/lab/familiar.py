@@ -19,13 +19,12 @@ from sim.familiarity import (
     error_curve,
     fit_reference,
 )
-from sim.forecast import factors_at
+from sim.forecast import Z90, factors_at
 from sim.sha import Array, Model, Switch, Trace
 from sim.traces import split_cycles
 
 LEAST = 20
 """Readings below which a cycle says nothing."""
-Z90 = 1.6448536269514722
 
 ErrorPair = tuple[float, float]
 """A cycle's strangeness, and the relative error that a model's free run had along it."""

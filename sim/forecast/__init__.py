@@ -2,6 +2,7 @@
 
 from sim.forecast.band_widening import factors_at
 from sim.forecast.calibration import (
+    Z90,
     Calibration,
     Horizon,
     PendingForecast,
@@ -32,6 +33,7 @@ __all__ = [
     "FORECASTS",
     "LEVELS",
     "ONE_STEP",
+    "Z90",
     "Calibration",
     "Forecast",
     "Horizon",

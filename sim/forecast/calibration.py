@@ -32,7 +32,8 @@ MOST_SHIFT = 1.5
 LEAST_FACTOR, MOST_FACTOR = 0.2, 10.0
 """Bounds of a factor: beyond them the model is wrong, and no widening makes it right."""
 
-_Z90 = 1.6448536269514722
+Z90 = 1.6448536269514722
+"""Half the width of a 90 % band in standard deviations."""
 _EDGES = np.geomspace(0.01, 100.0, 65)
 _BINS = len(_EDGES) + 1
 
@@ -152,7 +153,7 @@ def settle(state: Calibration, time: float, temperature: float) -> Calibration:
             faded = [count * fade for count in counts]
             z = deviation(waiting, temperature)
             faded[int(np.searchsorted(_EDGES, z))] += gained
-            inside = z <= _Z90 * waiting.factor
+            inside = z <= Z90 * waiting.factor
             shift += GAIN * gained * ((0.0 if inside else 1.0) - MISS)
             shift, held = min(max(shift, -MOST_SHIFT), MOST_SHIFT), held * fade + gained * inside
             counts, worth, last = tuple(faded), worth * fade + gained, max(last, waiting.due)
@@ -188,7 +189,7 @@ def deviation(matured: PendingForecast, temperature: float) -> float:
     error = temperature - matured.median
     side = matured.high - matured.median if error >= 0 else matured.median - matured.low
     if side > 0:
-        return _Z90 * abs(error) / side
+        return Z90 * abs(error) / side
     return 0.0 if error == 0 else inf
 
 
@@ -197,7 +198,7 @@ def factor(state: Calibration, horizon: float, *, integral: bool = True) -> floa
     learned = state.horizons[horizon]
     if learned.worth <= 0:
         return learned.prior
-    seen = _bounded(_quantile(learned) / _Z90)
+    seen = _bounded(_quantile(learned) / Z90)
     # Weighed on the scale of logarithms: twice too wide and twice too narrow are equally wrong.
     share = learned.worth / (learned.worth + state.weight)
     shift = learned.shift if integral else 0.0

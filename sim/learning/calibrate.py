@@ -7,7 +7,7 @@ from math import exp, inf, log, nan
 import numpy as np
 
 from sim.engine import Belief, Tracker, compiled, observe, on_event, start, with_inputs
-from sim.forecast import LEVELS, forecast, weighted
+from sim.forecast import LEVELS, Z90, forecast, weighted
 from sim.learning.outcomes import Outcomes, outcomes_of
 from sim.learning.plain import PERSISTENCE
 from sim.scores import crps_quantiles
@@ -28,7 +28,6 @@ PRIOR = 6.0
 LEAST_ODDS = 1e-3
 LEAST, MOST = 0.5, 5.0
 """Bounds of a factor: what lies outside is a model that does not fit, which a band cannot mend."""
-_Z90 = 1.6448536269514722
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +109,7 @@ def _score(tracker: Tracker, belief: Belief, readings: Outcomes, rng: np.random.
         error = (outcomes[horizon] or 0.0) - median[column]
         # The law need not be symmetric: an error counts in units of the half of the band on whose side it lies.
         edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
-        z = float(_Z90 * abs(error) / max(edge, 1e-9))
+        z = float(Z90 * abs(error) / max(edge, 1e-9))
         crps = float(crps_quantiles(LEVELS, fan.quantiles[:, column], outcomes[horizon] or 0.0))
         scored.append(Scored(horizon, belief.time + horizon, z, crps))
     return scored
@@ -197,9 +196,9 @@ def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
         # The span that the forecasts cover, gaps cut to one horizon: beyond that they have nothing in common anyway.
         independent = 1.0 + float(np.minimum(np.diff(due), horizon).sum()) / horizon
         level = min(0.9 * (1.0 + 1.0 / independent), 0.97)
-        seen = min(max(float(np.quantile(z, level)) / _Z90, LEAST), MOST)
+        seen = min(max(float(np.quantile(z, level)) / Z90, LEAST), MOST)
         factor = exp((independent * log(seen) + SURE * log(UNSURE)) / (independent + SURE))
-        covered, crps = float(np.mean(z <= _Z90)), float(np.mean([each.crps for each in forecasts]))
+        covered, crps = float(np.mean(z <= Z90)), float(np.mean([each.crps for each in forecasts]))
         table.append(
             Coverage(
                 horizon=horizon,

@@ -14,6 +14,7 @@ import scipy
 
 from sim.effects import of_machine
 from sim.engine import linear_recursion
+from sim.forecast import Z90
 from sim.learning.correction import learn_correction
 from sim.learning.free_run import FitShape, FreeRunFit, steps
 from sim.learning.noise import NoiseLevels
@@ -29,7 +30,6 @@ LEAST_TOLD = 100.0
 """degC: a run whose offset is not known better than this says nothing of its machine."""
 LEAST_ERROR = 1e-3
 """degC: no offset is known better, whatever its runs say."""
-_Z95 = 1.6448536269514722
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ def small_sample(count: int) -> float:
     """
     if count < 1:
         return small_sample(1)
-    return float(scipy.special.stdtrit(count, 0.95)) / _Z95 * float(np.sqrt(1.0 + 1.0 / count))
+    return float(scipy.special.stdtrit(count, 0.95)) / Z90 * float(np.sqrt(1.0 + 1.0 / count))
 
 
 def machine_spread(

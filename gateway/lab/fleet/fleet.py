@@ -20,6 +20,7 @@ from gateway.lab.fleet.places import place_words
 from gateway.lab.fleet.sources import sources_in
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.show import spread_sentence
+from sim.forecast import Z90
 from sim.learning import MachineSpread, StandsOut, spread_of
 from sim.sha import shown_unit
 from sim.traces import load_map, units
@@ -228,11 +229,11 @@ def _panel(axes: Axes, spread: MachineSpread, names: Sequence[str], striking: Co
     offset, error = (np.array([each.get(name, np.nan) for name in names]) for each in (spread.offsets, spread.errors))
     if spread.sigma > 0:
         weight = 1.0 / (spread.between**2 + error**2)
-        mean, reach = float(np.nansum(offset * weight) / np.nansum(weight)), 1.645 * spread.sigma
+        mean, reach = float(np.nansum(offset * weight) / np.nansum(weight)), Z90 * spread.sigma
         axes.axvspan(mean - reach, mean + reach, color=BAND, label="90 % of machines of this type", zorder=0)
     for wanted, colour, label in ((False, PLAIN, "machine, 90 % interval"), (True, STRIKING, "stands out")):
         rows = np.flatnonzero([(name in striking) == wanted for name in names])
         if rows.size:
-            axes.errorbar(offset[rows], rows, xerr=1.645 * error[rows], fmt="o", color=colour, ms=4, lw=1, label=label)
+            axes.errorbar(offset[rows], rows, xerr=Z90 * error[rows], fmt="o", color=colour, ms=4, lw=1, label=label)
     axes.axvline(0.0, color="#555555", lw=0.8)
     axes.grid(axis="x", alpha=0.3)

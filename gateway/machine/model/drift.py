@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from gateway.machine.model.predict import Z90, ScanPrediction
+from gateway.machine.model.predict import ScanPrediction
+from sim.forecast import Z90
 from sim.sha import Model, Switch
 
 LEAST = 20

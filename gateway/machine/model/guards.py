@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from gateway.machine.model.drift import CycleDrift, follow_cycle, restored, rule_of
-from gateway.machine.model.predict import Z90, Predictor, ScanPrediction
-from sim.forecast import FORECASTS, ONE_STEP, Calibration, Forecast, Review, follow, follow_forecasts, share
+from gateway.machine.model.predict import Predictor, ScanPrediction
+from sim.forecast import FORECASTS, ONE_STEP, Z90, Calibration, Forecast, Review, follow, follow_forecasts, share
 from sim.sha import Model
 from sim.strict_json import uncopied
 

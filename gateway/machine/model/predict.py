@@ -23,11 +23,9 @@ from sim.engine import (
     with_inputs,
     with_machine_offset,
 )
+from sim.forecast import Z90
 from sim.sha import UNKNOWN, Encoder, EncoderState, Event, Model, Switch
 from sim.strict_json import uncopied
-
-Z90 = 1.6448536269514722
-"""Half the width of a 90 % band in standard deviations."""
 
 Zone = Literal["none", "green", "yellow", "red"]
 ZONES: tuple[Zone, ...] = ("none", "green", "yellow", "red")

@@ -15,7 +15,7 @@ from gateway.machine.model.guards import Guards
 from gateway.machine.model.loading import LoadedModel
 from gateway.machine.model.outlook import FinishedForecast, Outlook, limit_probability
 from gateway.machine.model.pickup import Pickup, ReadyModel
-from gateway.machine.model.predict import Z90, Predictor, ScanPrediction
+from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.model.twin import TwinBearing, combined
 from gateway.machine.model.virtual_sensor import VirtualReading, VirtualSensor
 from gateway.machine.reading import Scan
@@ -23,7 +23,7 @@ from gateway.settings import Config
 from gateway.store import HistorianView, saved_state
 from sim.artefacts import is_store, read_finding, version_directory, versions
 from sim.files import ArtefactError
-from sim.forecast import Forecast
+from sim.forecast import Z90, Forecast
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
