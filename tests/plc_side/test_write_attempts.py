@@ -37,6 +37,8 @@ NODE, SDO_REQUEST = 1, 0x601
 SDO_READS = {0x40, 0x60, 0x70, 0x80, 0xA0, 0xA1, 0xA2, 0xA3}
 """First bytes of SDO requests that read: initiate and segments of an upload, abort, block upload."""
 RAW_WRITES = 0x201, 0x280, 0x281
+PATIENT_S = 5.0
+"""A reply's deadline where only its coming is asked."""
 
 
 @dataclass
@@ -220,7 +222,7 @@ async def test_the_recorder_sees_what_is_in_the_write_map(plant: Plant) -> None:
     for link in LINKS:
         device = device_of(link)
         block = next(step for step in vectors(device.writeback) if step.words)
-        settings = {**device.settings, **plant.settings(link)}
+        settings = {**device.settings, **plant.settings(link), "timeout": PATIENT_S}
         driver = open_driver(device.driver, settings, clock=time.time, write_map=device.writeback.words)
         await driver.open()
         try:
