@@ -85,3 +85,9 @@ def test_a_gradual_thermostat_cools_from_where_it_opens_on() -> None:
     assert 0.1 < np.mean(state.loss > 0) < 0.9
     again = at(frame, np.concatenate([frame.centre, valve.point]), start, [valve], state.course)
     np.testing.assert_allclose(again.course, state.course, atol=1e-6)
+
+
+def test_a_fit_that_would_begin_with_a_loss_below_nothing_does_not_run_away() -> None:
+    frame = frame_of(record_of(model(), [plant(3, opening(wax, 6e-4, lag=20.0), days=2)], ()))
+    course = fit(frame, [gradual(41.0, -0.02)], rounds=1, iterations=1).state
+    assert np.max(np.abs(course.mean)) < 200.0 and course.named[0].strength > 0

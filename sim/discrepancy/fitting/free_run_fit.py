@@ -164,7 +164,8 @@ def fit(
     # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
     belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
     noise = belief.centre if begin is None else begin.noise
-    point = _around(frame, at(frame, np.concatenate([own, added]), start, named), start, reading)
+    first = _allowed(named, np.concatenate([own, added]))
+    point = _around(frame, at(frame, first, start, named), start, reading)
     for _ in range(rounds):
         point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
         before = noise
@@ -240,7 +241,7 @@ def _newton_steps(
         # Backtracking, five lengths at most. If none helps, the linear problem does not describe the plant here.
         before = float(gram[0, 0] + point.off @ (prior * point.off))
         for _half in range(5):
-            moved = at(frame, _allowed(state, state.parameters + step), start, state.named, state.course)
+            moved = at(frame, _allowed(state.named, state.parameters + step), start, state.named, state.course)
             residual = reading - frame.record.windowed(moved.mean)
             off = point.off + np.where(np.arange(step.size) < sum(frame.count), step, 0.0)
             after = float(whitener.gram(residual[:, None])[0, 0] + off @ (prior * off))
@@ -260,12 +261,12 @@ def _longest(named: Named) -> list[float]:
     return [max(LARGEST_SHARE * abs(named.strength), 1e-15), *[STRIDE] * (len(named.free) - 1)]
 
 
-def _allowed(state: CourseState, point: Array) -> Array:
-    """The point with strengths of the wrong sign put to a tiny one of the right sign."""
+def _allowed(effects: Sequence[Named], point: Array) -> Array:
+    """The point with strengths of the wrong sign put to a tiny one of the right sign: a loss below 0 runs away."""
     out = point.copy()
-    number = point.size - sum(len(named.free) for named in state.named)
+    number = point.size - sum(len(named.free) for named in effects)
     # A strength at 0 or beyond would stay there: the sensitivity to an effect that is off tells nothing of its shape.
-    for named in state.named:
+    for named in effects:
         least = 1e-3 * abs(named.strength)
         if named.entry.sign > 0:
             out[number] = min(max(out[number], least), named.entry.candidate.most)
