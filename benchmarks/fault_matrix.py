@@ -13,7 +13,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from math import inf, isfinite
 from pathlib import Path
 from types import MappingProxyType
@@ -284,9 +283,14 @@ def judged_row(
 
 def _late_scans(read: Iterable[Sample]) -> list[float]:
     """When scans came so late that nothing proves whether the PLC's memory lived in between: what they read is rightly
-    not good, and that is the busy computer's part and not the fault's."""
+    not good, and that is the busy computer's part and not the fault's.
+
+    A scan right after a late one is as late: the former count of the heartbeat was read two scans ago.
+    """
     times = sorted({sample.time for sample in read if sample.tag == TEMPERATURE})
-    return [after for before, after in pairwise(times) if after - before > (STALE_PERIODS - 0.5) * PERIOD]
+    one, two = (STALE_PERIODS - 0.5) * PERIOD, STALE_PERIODS * PERIOD
+    before = [times[0], *times] if times else []
+    return [c for a, b, c in zip(before, times, times[1:], strict=False) if c - b > one or c - a > two]
 
 
 def _under_way(read: Sequence[Sample], moment: float) -> float:

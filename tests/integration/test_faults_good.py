@@ -119,8 +119,9 @@ def test_a_scan_that_came_too_late_to_prove_anything_is_the_computers_and_not_th
         read += [Sample("TFango", 40.0, Quality.LAST_USABLE, moment) for moment in moments]
         return judged_row(fault, (9.7, 10.5), 11.0, read=read, unconfirmed=moments, wrong=())
 
-    late, punctual = row(10.701), row(10.801)
-    assert (late.not_good, late.unconfirmed) == ({}, 0)
+    # The one right after it has nothing newer to prove it than what was read before the late one.
+    late, next_one, punctual = row(10.701), row(10.801), row(10.901)
+    assert (late.not_good, late.unconfirmed) == (next_one.not_good, next_one.unconfirmed) == ({}, 0)
     assert (punctual.not_good, punctual.unconfirmed) == ({"TFango": 1}, 1)
     # A fault that holds back replies makes scans late itself: there it is what is noticed.
     assert row(10.701, fault="wrong transaction").detected_s == pytest.approx(1.001)
