@@ -115,9 +115,10 @@ def test_a_block_that_meets_the_fault_after_its_scan_has_read_is_the_faults() ->
 
 def test_a_scan_that_came_too_late_to_prove_anything_is_the_computers_and_not_the_faults() -> None:
     def row(*moments: float, fault: str = "split reply") -> Row:
-        read = [Sample("TCuscinettiRiduttore", 40.0, Quality.GOOD, moment) for moment in (9.8, 9.9, 10.7, 10.8, 10.9)]
+        scans = (9.8, 9.9, 10.7, 10.8, 10.9, 11.0)
+        read = [Sample("TCuscinettiRiduttore", 40.0, Quality.GOOD, moment) for moment in scans]
         read += [Sample("TFango", 40.0, Quality.LAST_USABLE, moment) for moment in moments]
-        return judged_row(fault, (9.7, 10.5), 11.0, read=read, unconfirmed=moments, wrong=())
+        return judged_row(fault, (9.7, 10.5), 11.1, read=read, unconfirmed=moments, wrong=())
 
     # The one right after it has nothing newer to prove it than what was read before the late one.
     late, next_one, punctual = row(10.701), row(10.801), row(10.901)
