@@ -65,9 +65,8 @@ class Outcome:
     """What a run came to; times in real seconds.
 
     `switch_s`: from a fault's beginning to the switch-over; `waited_s`: how much longer that scan took than others may;
-    `gap_s`: the longest time between two good readings of the temperature, `scan_s` between two scans, whatever they
-    read. `delays` are the events' (s). `still_s` is the longest time in which the PLC did not get to its next row: far
-    more than a row's and the computer stood still.
+    `gap_s`: the longest time between two good readings of the temperature. `delays` are the events' (s). `still_s` is
+    the longest time in which the PLC did not get to its next row: far more than a row's and the computer stood still.
     """
 
     standby: str
@@ -75,7 +74,6 @@ class Outcome:
     returns: int
     switch_s: tuple[float, ...]
     gap_s: float
-    scan_s: float
     still_s: float
     events: int
     lost: tuple[str, ...]
@@ -188,7 +186,6 @@ def _judged(rig: Rig, standby: str, switch_overs: int, returns: int) -> Outcome:
         returns,
         switch_times(recording, rig.historian),
         float(np.max(np.diff(good))),
-        float(np.max(np.diff(np.unique([sample.time for sample in read])))),
         longest_pause(recording),
         len(delays) + len(lost),
         lost,

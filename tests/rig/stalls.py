@@ -1,6 +1,6 @@
 """Real time that a computer did not give: what was too slow is measured again where the record shows such a stall."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -36,25 +36,6 @@ def recovered_in_time(matrix: Matrix, folder: Path, within: Mapping[str, float],
             if not late(row := rows[fault], limit) or paused(read_recording(at / "plc.jsonl"), row) < STILL_S:
                 break
             (at := folder / f"{fault} again {number}").mkdir()
-            other = again(at, fault)
-            assert (other.examples, other.outside, other.repeated) == ((), 0, 0)
-            (rows[fault],) = other.rows
-    return replace(matrix, rows=tuple(rows.values()))
-
-
-def costless(matrix: Matrix, folder: Path, faults: Sequence[str], again: Again) -> Matrix:
-    """The matrix of `folder`, with another row for each of the faults, which cost nothing, that cost something.
-
-    What a request of theirs cost may have been the computer's doing, which no record shows where it held up the gateway
-    alone; then it is not so each time.
-    """
-    rows = {row.fault: row for row in matrix.rows}
-    for fault in faults:
-        for number in range(1, TRIES):
-            row = rows[fault]
-            if row.detected_s is None and not row.not_good and not row.unconfirmed:
-                break
-            (at := folder / f"{fault} once more {number}").mkdir()
             other = again(at, fault)
             assert (other.examples, other.outside, other.repeated) == ((), 0, 0)
             (rows[fault],) = other.rows

@@ -105,7 +105,7 @@ def _driven(
     """(course, loss, heat) with the effects; `flow` is (decay, what the flow adds, k) without them."""
     record = frame.record
     runs = record.runs
-    first = runs.first  # a property that looks at all runs: not in the loop
+    first = runs.first
     _, own_push, k = flow
     _, own_pull = decay_and_pull(k, runs.dt)
     # The flow's own push is that of a constant heat over the step, so that heats add up and losses join the rate.
