@@ -193,7 +193,8 @@ def show_months(years: Sequence[Year]) -> None:
     table("By month", columns, rows)
     for year in years:
         for each in year.happenings:
-            click.echo(f"day {each.day:.0f}: {each.kind} {each.version}: {each.words}")
+            what = f"{each.kind} {each.version}".rstrip()
+            click.echo(f"day {each.day:.0f}: {what}: {each.words}")
         for promotion in year.promotions:
             click.echo(
                 f"promotion of day {promotion.day:.0f}: CRPS at 900 s over the next {promotion.days} days "

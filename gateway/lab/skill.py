@@ -81,13 +81,15 @@ def skill_rows(
     forecasts: ForecastSection,
     scan_period: float = 1.0,
     ask_period: float = 0.0,
+    since: float = -inf,
     report: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[SkillRow]:
     """What all methods forecast along a trace, for the moments whose outcome was read.
 
     `models` are methods of ours: a model and the members beside it. The `others` are asked when the first of ours has
     forecast, at most every `ask_period` s since some of them are slow; every `forecasts.period` s without any of ours.
-    Raises ValueError where a method cannot follow the trace.
+    No forecast is made before `since` (s, of the trace's clock). Raises ValueError where a method cannot follow the
+    trace.
     """
     if temperature not in trace.signals:
         raise ValueError(f"trace {trace.name!r}: has no signal {temperature!r}, which is to be forecast")
@@ -117,6 +119,7 @@ def skill_rows(
             trace,
             forecasts,
             scan_period=scan_period,
+            since=since,
             progress=lambda share, method=method: report(f"{trace.name}: {method}", share),  # type: ignore[misc]
         )
         for forecast in made:
@@ -124,7 +127,7 @@ def skill_rows(
         origins = origins or [forecast.time for forecast in made]
     past = scanned(trace, temperature, alphabet, scan_period)
     if not models and past.times.size:
-        due = np.arange(past.times[0], past.times[-1], forecasts.period)
+        due = np.arange(max(past.times[0], since), past.times[-1], forecasts.period)
         origins = past.times[np.unique(np.searchsorted(past.times, due))].tolist()
     asked = -inf
     for number, origin in enumerate(origins):

@@ -13,7 +13,7 @@ import pytest
 from drivers.tag import Quality, Sample, Tag
 from gateway.lab.familiar import free_run_error
 from gateway.lab.retraining import cutting, judging, shadow, study
-from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
+from gateway.lab.retraining.cutting import CycleSource, and_after, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
 from gateway.lab.retraining.judging import NEW, PRESENT, compared, scores_along, verdict_on
 from gateway.lab.retraining.report import coverage_figure
@@ -551,6 +551,29 @@ def test_a_damaged_library_and_too_few_cycles_are_one_sentence(
     refused(decanter(*given), 2, "5 new cycles are too few to learn from and to judge by; it takes 16")
     (tmp_path / "few" / "cycles.sqlite").write_bytes(b"no database" * 100)
     refused(decanter(*given), 2, "cannot be used as a library of cycles")
+
+
+def test_what_is_foretold_at_the_end_of_a_cycle_is_judged_by_what_came_in_the_next(
+    request_of: RetrainingRequest, library: CycleLibrary
+) -> None:
+    source = source_of(request_of, BEGIN)
+    cut_and_rate(request_of, library, source, silent)
+    rows, model = library.cycles(), source.model
+    cycle = library.readings(rows[3].content)
+    followed, end = and_after(source, cycle, 900.0), float(cycle.times[-1])
+    assert followed.times[-1] == end + 900.0 and content_hash(followed.between(BEGIN, end + STEP)) == rows[3].content
+
+    def forecasts(trace: Trace) -> dict[float, int]:
+        found = scores_along(encoded(trace, model), model, None, seed=0, report=silent, until=end)
+        return {row["horizon"]: row["forecasts"] for row in found if row["method"] == PRESENT}
+
+    alone, with_next = forecasts(cycle), forecasts(followed)
+    assert alone[900.0] < alone[60.0] < with_next[60.0] == with_next[900.0]
+    # Nothing follows on a hole, and what the historian has otherwise is not joined to it.
+    last = library.readings(rows[CYCLES - 1].content)
+    assert content_hash(and_after(source, last, 900.0)) == rows[CYCLES - 1].content
+    other = replace(cycle, signals={**cycle.signals, TEMPERATURE: cycle.signals[TEMPERATURE] + 1.0})
+    assert and_after(source, other, 900.0) is other
 
 
 def test_a_cycle_scores_the_same_horizons_for_both_models(historian: Path, store: Path) -> None:

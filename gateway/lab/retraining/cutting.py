@@ -128,6 +128,20 @@ def cycle_of(source: CycleSource, row: CycleRow, library: CycleLibrary) -> Trace
     return trace if content_hash(trace) == row.content else None
 
 
+def and_after(source: CycleSource, cycle: Trace, seconds: float) -> Trace:
+    """The readings of a cycle, with what the historian has of the `seconds` after it; itself where that has it no more.
+
+    Whoever judges forecasts needs it: of those that were made before the end of a rest, the outcome of one that went on
+    lies in its cycle and that of one that soon ended in the next. Without these a model by which rests never end is the
+    better one.
+    """
+    begin, last = float(cycle.times[0]), float(cycle.times[-1])
+    found = to_trace(source.historian, start=begin, end=nextafter(last + seconds, inf), machine=source.machine)
+    if content_hash(found.between(begin, nextafter(last, inf))) != content_hash(cycle):
+        return cycle
+    return replace(found, name=cycle.name, machine=cycle.machine)
+
+
 def _rated(
     source: CycleSource,
     cycle: Trace,

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import accumulate
+from math import inf
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +21,9 @@ LEVEL = 0.05
 """The chance at most that any horizon of a set is called better or worse where both models are alike."""
 WORSE = 1.05
 """A CRPS so many times the present model's is worse even where the cycles are too few to tell it apart."""
+HORIZONS = ForecastSection().horizons
+LONGEST_HORIZON = max(HORIZONS)
+"""s: the outcome of a cycle's last forecast comes so long after it."""
 LEAST_PERIOD, MOST_FORECASTS = 60.0, 40
 """s between two forecasts, and how many of them a cycle gets at most."""
 
@@ -32,28 +36,34 @@ def scores_along(
     seed: int,
     report: Callable[[str, float], None],
     most: int = MOST_FORECASTS,
+    until: float = inf,
 ) -> list[dict[str, Any]]:
     """A row for each horizon (s) and method along a trace: how many forecasts, CRPS and MAE (degC), coverage.
 
-    A trace gets `most` forecasts at most.
+    The forecasts are those that are made `until` then (s), `most` at most; what comes after it is their outcome. They
+    lie evenly, from a moment on that is drawn: where each cycle began with one, some part of a cycle, such as its last
+    minutes, would never be judged.
 
     Without a `new` model the present one is alone beside persistence. Methods are compared at the moments at which all
     of them have a forecast. Raises ValueError for a trace that a model cannot follow.
     """
-    horizons = ForecastSection().horizons
-    lasts = float(trace.times[-1] - trace.times[0])
-    section = ForecastSection(horizons=horizons, period=max(LEAST_PERIOD, lasts / most), seed=seed)
+    begin = float(trace.times[0])
+    lasts = min(float(trace.times[-1]), until) - begin
+    period = max(LEAST_PERIOD, lasts / most)
+    first = begin + period * np.random.default_rng((seed, abs(int(begin)))).random()
     rows = common(
         skill_rows(
             trace,
             present.temperature,
             present.alphabet,
             models={PRESENT: [present]} | ({} if new is None else {NEW: [new]}),
-            others={PERSISTENCE: partial(persist, horizons=horizons)},
-            forecasts=section,
+            others={PERSISTENCE: partial(persist, horizons=HORIZONS)},
+            forecasts=ForecastSection(horizons=HORIZONS, period=period, seed=seed),
+            since=first,
             report=report,
         )
     )
+    rows = [row for row in rows if row.origin <= lasts]
     return [
         {"trace": trace.name, "horizon": horizon, "method": method, **asdict(skill(own))}
         for (horizon, method), own in sorted(grouped(rows, lambda row: (row.horizon, row.method)).items())

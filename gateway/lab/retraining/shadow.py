@@ -13,9 +13,15 @@ import click
 
 from gateway.console import emit, historian_machine_option, json_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
-from gateway.lab.retraining.cutting import CycleSource, Progress, cut_new, cycle_of
+from gateway.lab.retraining.cutting import CycleSource, Progress, and_after, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
-from gateway.lab.retraining.judging import MOST_FORECASTS, HorizonComparison, compared, scores_along
+from gateway.lab.retraining.judging import (
+    LONGEST_HORIZON,
+    MOST_FORECASTS,
+    HorizonComparison,
+    compared,
+    scores_along,
+)
 from gateway.lab.retraining.study import encoded
 from gateway.lab.retraining.training_record import created_of, read_record
 from gateway.store import machines, reading
@@ -93,7 +99,9 @@ def side_by_side(
     for row in live:
         trace = cycle_of(source, row, library)
         if trace is not None:
-            scores += scores_along(encoded(trace, present), old, new, seed=seed, report=report, most=most)
+            followed = encoded(and_after(source, trace, LONGEST_HORIZON), present)
+            until = float(trace.times[-1])
+            scores += scores_along(followed, old, new, seed=seed, report=report, most=most, until=until)
     comparisons = compared(LIVE, scores, seed=seed)
     worse = [each for each in comparisons if each.told_apart == "worse"]
     better = [each for each in comparisons if each.told_apart == "better"]

@@ -26,9 +26,9 @@ from gateway.lab.familiar import (
     reference_of,
     strange_words,
 )
-from gateway.lab.retraining.cutting import CycleSource, cut_new, cycle_of
+from gateway.lab.retraining.cutting import CycleSource, and_after, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import RATINGS, CycleLibrary, CycleRow
-from gateway.lab.retraining.judging import MOST_FORECASTS, compared, scores_along, verdict_on
+from gateway.lab.retraining.judging import LONGEST_HORIZON, MOST_FORECASTS, compared, scores_along, verdict_on
 from gateway.lab.retraining.report import Retraining, report_files
 from gateway.lab.retraining.training_record import RECORD, TrainingRecord, code_hash, read_record, software
 from gateway.store import moment_of
@@ -219,13 +219,17 @@ def retrain(
         rows = library.step(study, f"judged {content}")
         if rows is None:
             share = 0.4 + 0.4 * number / len(judged)
-            trace = at_hand if at_hand is not None else encoded(library.readings(content), present)
+            cycle = at_hand if at_hand is not None else library.readings(content)
+            until = float(cycle.times[-1])
+            trace = cycle if at_hand is not None else encoded(and_after(source, cycle, LONGEST_HORIZON), present)
 
             def tell(what: str, _share: float, share: float = share) -> None:
                 report(what, share)
 
             try:
-                rows = scores_along(trace, present, new, seed=request.seed, report=tell, most=request.forecasts)
+                rows = scores_along(
+                    trace, present, new, seed=request.seed, report=tell, most=request.forecasts, until=until
+                )
             except ValueError as error:
                 notes.append(f"{trace.name} cannot be judged: {error}")
                 rows = []

@@ -65,14 +65,15 @@ def forecasts_along(
     scan_period: float = 1.0,
     levels: tuple[float, ...] = DENSE,
     limit: float = inf,
+    since: float = -inf,
     progress: Callable[[float], None] | None = None,
     seen: Callable[[ScanPrediction], None] | None = None,
 ) -> list[Forecast]:
     """Every forecast that the gateway would have made along `trace` with the first of `models`, the others its members.
 
     The fans are at `levels`, which hold LEVELS; `limit` (degC) is the one whose chance they tell, and `seen` is
-    given the prediction of each scan. Raises ValueError for a trace without a signal that a model reads, and what a
-    model raises.
+    given the prediction of each scan. None is made before `since` (s, of the trace's clock). Raises ValueError for a
+    trace without a signal that a model reads, and what a model raises.
     """
     first = models[0]
     predictor = Predictor(first, first.temperature)
@@ -104,7 +105,8 @@ def forecasts_along(
             if prediction.reset:
                 outlook.void()
             outlook.follow(scan, prediction.measured)
-            outlook.begin(scan.time, known=prediction.known and prediction.inputs_good, measured=prediction.measured)
+            known = prediction.known and prediction.inputs_good and scan.time >= since
+            outlook.begin(scan.time, known=known, measured=prediction.measured)
             # The trace's clock stands still meanwhile: a forecast is done before the next scan, on any machine.
             await outlook.finished()
             if (finished := outlook.collect()) is not None:
