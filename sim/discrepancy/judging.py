@@ -9,7 +9,7 @@ from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, Verdict
 from sim.discrepancy.fitting import CatalogueEntry, Fitted
 from sim.discrepancy.gap import Excess, sensor_noise
 from sim.discrepancy.held_out import HeldOutRun
-from sim.discrepancy.naming import MARGIN, NEAR, NamingStep
+from sim.discrepancy.naming import MARGIN, NEAR, NamingStep, likeness
 from sim.sha import shown_unit
 
 ROBUST, SPREAD, OVERWHELMING = 1.0, 3.0, 20.0
@@ -17,7 +17,8 @@ ROBUST, SPREAD, OVERWHELMING = 1.0, 3.0, 20.0
 overwhelming (nats)."""
 FURTHER, LEFTOVER, LEFTOVER_OF_RIVAL = 5.0, 0.02, 0.3
 """What a further name needs beyond the first one's threshold (nats): an effect whose shape is not quite right leaves
-something behind, of the order of these shares of its gain, the greater one where the further name looks like it."""
+something behind, of the order of these shares of its gain: from the lesser one, where the shape of the further name
+does not look like it (`NEAR`), up to the greater one, where both are the same."""
 MATERIAL = 0.5
 """Sensor sigmas (rms) from which something matters: an effect, by what it does beyond what the model's parameters
 imitate, and a gap, by what the held-out free run errs by beyond the floor. Less than half of what one reading errs by
@@ -68,8 +69,8 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
     needed = 0.0
     for step in earlier:
         if step.best is not None:
-            alike = abs(step.cosines.get(best.entry.name, 0.0)) >= NEAR
-            needed = max(needed, step.best.gain * (LEFTOVER_OF_RIVAL if alike else LEFTOVER))
+            alike = max(likeness(step, best) - NEAR, 0.0) / (1.0 - NEAR)
+            needed = max(needed, step.best.gain * (LEFTOVER + alike * (LEFTOVER_OF_RIVAL - LEFTOVER)))
     if earlier and best.gain < max(candidate.threshold + FURTHER, needed):
         return f"adds {best.gain:.1f} nats, no more than the effects before may have left behind"
     return ""

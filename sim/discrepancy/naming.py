@@ -31,8 +31,6 @@ ONE_CHAIN = frozenset({"dead-time", "sensor-lag"})
 MARGIN, ALIKE = 6.0, 0.01
 """Nats by which a name must beat every rival, and the share of its gain for one of its class: by so little a shape
 that is not quite the plant's may win over its twin."""
-GOOD_PART = 1.0 / 3.0
-"""Share of the gain of a rival from which a special case of it may stand for it."""
 INVISIBLE = 0.05
 
 
@@ -129,21 +127,11 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
 
 
 def without_idle_rivals(evidence: Sequence[EffectEvidence]) -> list[EffectEvidence]:
-    """The evidence without rivals for which a special case of themselves can stand.
-
-    That is one that does as well; or one that says a good part of it and goes better than every other name: what is
-    missing is then that, in another form.
-    """
-    nameable = [each for each in evidence if not each.entry.candidate.rival]
+    """The evidence without rivals that do no better than a special case of themselves."""
 
     def idle(rival: EffectEvidence) -> bool:
-        special = [each for each in nameable if each.entry.name in rival.entry.candidate.rival]
-        if not special:
-            return False
-        top = max(special, key=lambda each: each.gain)
-        others = max((each.gain for each in nameable if each is not top), default=0.0)
-        stands = top.confirmed and top.gain >= GOOD_PART * rival.gain and top.gain >= others + MARGIN
-        return stands or rival.gain - top.gain < max(MARGIN, ALIKE * rival.gain)
+        special = [each.gain for each in evidence if each.entry.name in rival.entry.candidate.rival]
+        return rival.gain - max(special, default=-np.inf) < max(MARGIN, ALIKE * rival.gain)
 
     return [each for each in evidence if not (each.entry.candidate.rival and idle(each))]
 
@@ -260,6 +248,13 @@ def _cosines(before: Fitted, evidence: Sequence[EffectEvidence]) -> dict[str, fl
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     cosine: Array = normal[0] / (size * size[0])
     return {each.entry.name: float(cosine[number]) for number, each in enumerate(evidence) if number}
+
+
+def likeness(step: NamingStep, further: EffectEvidence) -> float:
+    """The size of the cosine of a step's best effect with the shape that a later step found of another one."""
+    if step.best is None:
+        return 0.0
+    return abs(_cosines(step.before, (step.best, further))[further.entry.name])
 
 
 def entries_besides(named: Sequence[Named], entries: Sequence[CatalogueEntry] = ()) -> tuple[CatalogueEntry, ...]:

@@ -25,7 +25,7 @@ from sim.effects.expression import (
     substituted,
     uppaal_text,
 )
-from sim.effects.kind import ExpressedBound, HeldLaw, Params, Signals, TextLaw, TextWriter
+from sim.effects.kind import ExpressedBound, HeldLaw, LatePart, Params, Signals, TextLaw, TextWriter
 from sim.sha import Array, Effect
 
 TEMPERATURE, SINCE = "temperature", "since"
@@ -47,6 +47,12 @@ class ExpressedLaws(TypedDict):
 def expressed(heat: str) -> ExpressedLaws:
     """Law, bound and text of a held heat written as one line. Raises ExpressionError."""
     return {"law": held_law(heat), "bound": ExpressedBound(parse(heat)), "uppaal": text_law(heat)}
+
+
+def late_part(heat: str, *, lag: str) -> LatePart:
+    """The part of a heat that comes through the lag of that name, written as one line. Raises ExpressionError."""
+    law = held_law(heat).heat_and_loss
+    return LatePart(lag=lag, source=lambda effect, signals: law(effect, signals)[0], heat=parse(heat))
 
 
 def heat_and_loss(tree: Expression) -> tuple[Expression, Expression]:

@@ -1,11 +1,10 @@
 """Heats that follow a signal: currents, frictions and the room. Each is one line, held while its signal is."""
 
 from collections.abc import Callable, Sequence
-from itertools import product
 
 import numpy as np
 
-from sim.effects.expressed import expressed
+from sim.effects.expressed import expressed, late_part
 from sim.effects.kind import (
     EffectCandidate,
     EffectKind,
@@ -22,6 +21,9 @@ from sim.effects.roles import AMBIENT, CURRENT, SPEED, TORQUE, VIBRATION
 from sim.sha import Array, Effect
 
 REFERENCE = Parameter(unit="of the signal", rescaled="stays")
+LAGS = (15.0, 30.0, 60.0, 120.0, 240.0, 480.0)
+"""Lags (s) of a heat of the current that a diagnosis begins from; it searches on within `LAG_RANGE`."""
+LAG_RANGE = (2.0, 1500.0)
 
 
 def _knees(log: MachineLog) -> Sequence[Params]:
@@ -68,19 +70,20 @@ def _rooms(log: MachineLog) -> Sequence[Params]:
 
 
 def _late(effect: Effect, signals: Signals, late: Callable[[Array], Array]) -> Array:
-    """gain (late(I^power) - reference), the reference counting only as far as there has been a current."""
+    """gain (late(I) - reference), the reference counting only as far as there has been a current."""
     p = effect.params
     current = np.maximum(signals[effect.signals["current"]], 0.0)
-    return np.asarray(p["gain"] * (late(current ** p["power"]) - p["reference"] * (current > 0)))
+    return np.asarray(p["gain"] * (late(current) - p["reference"] * (current > 0)))
 
 
 def _lates(log: MachineLog) -> Sequence[Params]:
-    on = log.running > 0.5
-    current = np.maximum(log.signals["current"][on], 0.0) if on.any() else np.zeros(1)
-    return [
-        {"power": power, "reference": float(np.mean(current**power)), "lag": lag}
-        for power, lag in product((1.0, 2.0), (15.0, 30.0, 60.0, 120.0, 240.0, 480.0))
-    ]
+    """About the current's mean, at each of the lags."""
+    return [{**shape, "lag": lag} for shape in about_usual("current")(log) for lag in LAGS]
+
+
+def _losses(log: MachineLog) -> Sequence[Params]:
+    """At once, which has no lag to be refined, and late."""
+    return [*about_usual("current")(log), *_lates(log)]
 
 
 HEATING = (
@@ -108,16 +111,19 @@ HEATING = (
         parameters={
             "gain": Parameter(unit="degC/s per squared unit of the signal", rescaled="scaled"),
             "reference": REFERENCE,
+            "lag": Parameter(unit="s", low=0.0, default=0.0, rescaled="stays"),
         },
         roles=Roles(needed=(CURRENT,)),
         acts="running",
         **expressed("gain * (current ^ 2 - reference ^ 2)"),
+        late=late_part("gain * current ^ 2", lag="lag"),
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="dwell at three currents or more, each until the temperature settles",
             look="the motor and its cables: losses in copper, loose or hot terminals",
-            shapes=about_usual("current"),
+            shapes=_losses,
+            refine={"lag": LAG_RANGE},
         ),
     ),
     EffectKind(
@@ -188,12 +194,11 @@ HEATING = (
 
 LATE_CURRENT = EffectKind(
     name="late-current-heating",
-    # heat gain (L - reference), dL/dt = (current^power - L) / lag
+    # heat gain (L - reference), dL/dt = (current - L) / lag
     meaning="heat of the current that comes some time after it",
     parameters={
-        "gain": Parameter(unit="degC/s per unit of the power", rescaled="scaled"),
+        "gain": Parameter(unit="degC/s per unit of the signal", rescaled="scaled"),
         "reference": REFERENCE,
-        "power": Parameter(unit="1", low=0.1, high=5.0, rescaled="stays"),
         "lag": Parameter(unit="s", positive=True, rescaled="stays"),
     },
     roles=Roles(needed=(CURRENT,)),
@@ -208,9 +213,9 @@ LATE_CURRENT = EffectKind(
         "first",
         look="the motor and its cables: heat that is made there and reaches the measured part later",
         shapes=_lates,
-        refine={"lag": (2.0, 1500.0)},
-        rival=("current-heating", "quadratic-current-heating"),
+        refine={"lag": LAG_RANGE},
+        rival=("current-heating",),
     ),
 )
-"""A winding or a rotor that warms first. A lag of the sensor does nearly the same to a machine that is heated by its
-current alone, so that the one is never named where the other explains as much."""
+"""Heat of the current itself that comes late. A model whose targets follow the current has that heat already, and its
+lag is not told from the sensor's: so neither is named where the other explains as much."""

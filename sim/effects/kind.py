@@ -126,10 +126,29 @@ class VaryingLaw:
 class LateLaw:
     """dX/dt += heat(effect, signals, late), with late(column) a column through a first-order lag of `lag` seconds.
 
-    For a rival, which a diagnosis holds beside the names: no engine executes it, and each refuses it by its name.
+    For a rival, which a diagnosis holds beside the names: no engine executes it, and each refuses it by its name. A
+    kind with a name has a `LatePart`.
     """
 
     heat: Callable[[Effect, Signals, Callable[[Array], Array]], Array]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatePart:
+    """The part of a held heat that comes through a first-order lag, whose parameter (s) `lag` names: 0 is at once.
+
+    `source(effect, signals)` is that part (degC/s) as the law holds it where the effect acts, NaN where a signal is not
+    read. To what the law holds there is added, wherever the effect goes on (`kinds.goes_on_in`),
+
+        dX/dt += D,    D = late - source,    d late/dt = (source - late) / lag
+
+    with late = source at the first reading. So it follows from the signals alone (`sim.effects.late`). `heat` is the
+    source as an expression; what else the law holds does not change with the signals.
+    """
+
+    lag: str
+    source: Callable[[Effect, Signals], Array]
+    heat: Expression
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,8 +317,8 @@ class EffectCandidate:
 class EffectKind:
     """One kind of effect. Raises ValueError, naming it, where its parts do not fit one another.
 
-    `meaning` is the one phrase that says what it is. `consistent` gives what is wrong with parameters that are each in
-    their range ("": nothing).
+    `meaning` is the one phrase that says what it is, `late` what of its heat may come through a lag. `consistent` gives
+    what is wrong with parameters that are each in their range ("": nothing).
     """
 
     name: str
@@ -311,6 +330,7 @@ class EffectKind:
     bound: BoundLaw
     uppaal: UppaalLaw
     candidate: EffectCandidate | None
+    late: LatePart | None = None
     consistent: Callable[[Params], str] = lambda _: ""
 
     def __post_init__(self) -> None:
@@ -336,6 +356,8 @@ class EffectKind:
             return "has the bound of a loss, and no parameter 'loss'"
         if isinstance(self.bound, VaryingBound) and not isinstance(self.law, VaryingLaw):
             return "has the bound of a varying law, and another law"
+        if self.late is not None and (self.late.lag not in self.parameters or not isinstance(self.law, HeldLaw)):
+            return f"has a part that comes late, which asks for a held law and a parameter {self.late.lag!r}"
         if self.candidate is not None and self.candidate.strength not in self.parameters:
             return f"is scaled by {self.candidate.strength!r}, which is no parameter of it"
         return ""

@@ -9,12 +9,19 @@ import numpy as np
 
 from sim.effects.exchange import BENDING, FLOWING, HOUSING
 from sim.effects.heating import HEATING, LATE_CURRENT
-from sim.effects.kind import EffectKind, Feature, Structural, VaryingBound
+from sim.effects.kind import (
+    EffectKind,
+    EffectRefusal,
+    Feature,
+    Structural,
+    UppaalLaw,
+    VaryingBound,
+)
 from sim.effects.lines import LineError, kind_of_line
 from sim.effects.random import RANDOM
 from sim.effects.sensing import SENSING
 from sim.effects.varying import VARYING
-from sim.sha import SHA, Array, Effect, EffectLine
+from sim.sha import SHA, Array, Effect, EffectLine, Location
 
 EFFECTS: dict[str, EffectKind] = {
     kind.name: kind for kind in (*HEATING, *FLOWING, HOUSING, *VARYING, *SENSING, *BENDING, *RANDOM)
@@ -23,6 +30,8 @@ EFFECTS: dict[str, EffectKind] = {
 
 RIVALS: dict[str, EffectKind] = {LATE_CURRENT.name: LATE_CURRENT}
 """Kinds that a diagnosis holds beside the others, and that no engine executes."""
+
+_LATE = EffectRefusal("with a lag what the signals were counts, which is no part of the state")
 
 ROLES: dict[str, str] = {
     role.name: role.signal
@@ -64,14 +73,36 @@ def parameter(effect: Effect, name: str) -> float:
     return default
 
 
+def lag_of(effect: Effect) -> float:
+    """Seconds by which a part of the effect's heat comes late; 0 where all of it is there at once."""
+    late = kind_of(effect).late
+    return 0.0 if late is None else parameter(effect, late.lag)
+
+
+def text_of(effect: Effect) -> UppaalLaw:
+    """The text of an effect, or why there is none."""
+    return _LATE if lag_of(effect) > 0 else kind_of(effect).uppaal
+
+
 def acts_in(effect: Effect, location: str) -> bool:
     """True where the effect acts in the location of that name."""
     return not effect.locations or location in effect.locations
 
 
+def goes_on_in(effect: Effect, location: Location) -> bool:
+    """True where what comes late of the effect is felt: in all locations, since it goes on after a stop.
+
+    But a constant flow holds a temperature of which nothing is known: what is added there would only add up.
+    """
+    return lag_of(effect) > 0 and (location.flow.kind != "constant" or acts_in(effect, location.name))
+
+
 def signals_of(sha: SHA, location: str | None = None) -> tuple[str, ...]:
-    """The signals that the effects acting in a location (in any, by default) read, each once, in their order."""
-    acting = [effect for effect in sha.effects if location is None or acts_in(effect, location)]
+    """The signals that the effects acting in a location (in any, by default) read, each once, in their order.
+
+    Those of a heat that comes late are read everywhere, as what comes is known from all of them.
+    """
+    acting = [each for each in sha.effects if location is None or acts_in(each, location) or lag_of(each) > 0]
     return tuple(dict.fromkeys(signal for effect in acting for signal in effect.signals.values()))
 
 

@@ -271,7 +271,10 @@ def with_inputs(model: Model | Tracker, belief: Belief, time: float, signals: Ma
 
 def _held(tracker: Tracker, belief: Belief, news: Mapping[str, float]) -> Belief:
     held = {**belief.signals, **news}
-    return belief.holding(held, tracker.modes[belief.location].offset(held))
+    moved = belief.holding(held, tracker.modes[belief.location].offset(held))
+    if tracker.plant is None or not tracker.plant.late:
+        return moved
+    return replace(moved, hidden=state_estimate.holding(tracker.plant, belief, held))
 
 
 def _delayed(belief: Belief, delayed: Delayed) -> Belief:

@@ -33,7 +33,8 @@ class Hidden:
 
     `mean` (d + 1) and `covariance` (d + 1, d + 1) are those of the d states and of m, `opened` says whether the mean's
     thermostat is open, `since` has for each start-up effect the time of its event (None before any), `pending` what a
-    dead time holds back, in the order in which it is due.
+    dead time holds back, in the order in which it is due. `late` has for each effect with a part that comes late its
+    deviation (degC/s; `sim.effects.late`).
     """
 
     mean: tuple[float, ...]
@@ -41,6 +42,7 @@ class Hidden:
     opened: bool = False
     since: tuple[float | None, ...] = ()
     pending: tuple[Delayed, ...] = ()
+    late: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +185,7 @@ def belief_of(saved: Mapping[str, Any]) -> Belief:
             opened=hidden["opened"],
             since=tuple(hidden["since"]),
             pending=tuple(Delayed(**item) for item in hidden["pending"]),
+            late=tuple(hidden.get("late", ())),  # a belief saved before there were any has none
         )
     return Belief(
         **{

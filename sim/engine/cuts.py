@@ -1,16 +1,17 @@
 """Where stays must be cut into segments, besides events, outputs and changed signals, for the stated accuracy.
 
 A heat that varies by itself is cut at the knots of its law, a drive that fades with the age where it has fallen by a
-fifth: between two cuts each is close to a parabola (`terms`). Where thermostat or radiation act no segment is longer
-than a part of the fastest time constant of X there (`longest`), which bounds what a tangent or a missed excursion can
-be wrong by.
+fifth, what comes late at steps that grow as it fades: between two cuts each is close to a parabola (`terms`). Where
+thermostat or radiation act no segment is longer than a part of the fastest time constant of X there (`longest`), which
+bounds what a tangent or a missed excursion can be wrong by.
 """
 
 from dataclasses import dataclass
+from math import exp
 
 import numpy as np
 
-from sim.effects import ABSOLUTE_ZERO, VaryingLaw, kind_of, parameter, unknown
+from sim.effects import ABSOLUTE_ZERO, SETTLED, VaryingLaw, kind_of, lag_of, parameter, unknown
 from sim.engine.plant import Acting, Indices, Plant
 from sim.engine.terms import held
 from sim.sha import Array, Effect, flows
@@ -18,17 +19,33 @@ from sim.sha import Array, Effect, flows
 _FALL, _FALLS = 1.25, 160
 """By how much a drive that fades has fallen from one cut to the next, and after how many there is nothing left of it: a
 share of 1e-15."""
+_LATE, _SLOWER = 0.25, 3.0
+"""The first segment after a change of what comes late, in lags, and in how many lags the segments grow by a factor e:
+their error goes with the third power of their length."""
 _SWITCHED, _RADIATING = 0.2, 0.1
 """Parts of X's fastest time constant that a segment is long at most, under a thermostat and under radiation."""
 _WARM = 100.0 - ABSOLUTE_ZERO
 """The temperature (K) at which radiation's speed is taken."""
 
 
+def _faded() -> Array:
+    ages, age = list[float](), _LATE
+    while age < SETTLED:
+        ages.append(age)
+        age += _LATE * exp(age / _SLOWER)
+    return np.array(ages)
+
+
+_FADED = _faded()
+"""The ages, in lags, at which what comes late is cut after a change."""
+
+
 @dataclass(frozen=True, slots=True)
 class Stays:
     """S stays one after the other: begin, end and entry in absolute s, location; each (S,).
 
-    `starts` has for each start-up effect the ascending times of its event.
+    `starts` has for each start-up effect the ascending times of its event, `changed` for each late one those (absolute
+    s) at which its source changes.
     """
 
     begins: Array
@@ -36,6 +53,7 @@ class Stays:
     entered: Array
     location: Indices
     starts: tuple[Array, ...]
+    changed: tuple[Array, ...]
 
 
 def cuts(plant: Plant, stays: Stays) -> Array:
@@ -45,6 +63,14 @@ def cuts(plant: Plant, stays: Stays) -> Array:
         times.append(_within(_knots(acting.effect, starts), stays, acting))
     for acting in plant.wears:
         times.append(_within(_knots(acting.effect, np.empty(0)), stays, acting))
+    for acting, changed in zip(plant.late, stays.changed, strict=True):
+        ages = lag_of(acting.effect) * _FADED
+        # From one change to the next: what was before it has been cut so finely already, and is in D with it.
+        row, cut = _counted(
+            np.zeros(changed.size, dtype=np.intp),
+            np.searchsorted(ages, np.diff(changed, append=stays.ends[-1:]), side="left"),
+        )
+        times.append(_within(changed[row] + ages[cut], stays, acting))
     for index in plant.fading:
         flow = plant.sha.locations[index].flow
         rows = np.flatnonzero((stays.location == index) & (stays.ends > stays.begins))

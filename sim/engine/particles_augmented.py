@@ -4,16 +4,16 @@ The two are a pair because the plain one is twice as fast on plain models (`benc
 holds them against each other.
 
 Every run has its own states, m, signals and thermostat. The steps are those of the common grid and of the run's jumps;
-they are not cut further, so a start-up's heat is a parabola inside each, and radiation is linearised about the present
-temperature with the rest taken at each step's start.
+they are not cut further, so a start-up's heat and what comes late are a parabola inside each, and radiation is
+linearised about the present temperature with the rest taken at each step's start.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 
 import numpy as np
 
-from sim.effects import dead_time, sensor_offsets
+from sim.effects import dead_time, late_jumps, late_kept, late_source, sensor_offsets
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.kernel import move
 from sim.engine.particles import PathRuns, bridges, draw_states, drawn_temperatures, merge
@@ -105,6 +105,7 @@ def augmented_path_runs(
         offset=offset.reshape(-1),
         signals={name: column.reshape(-1) for name, column in signals.items()},
         since=tuple(since),
+        late=tuple(column.reshape(-1) for column in _late(plant, belief, signals, dt)),
     )
     drawn = drawn_temperatures(tracker, paths, first, rng)
     about = np.full(dt.size, float(s[:, 0].mean())) if plant.radiation is not None else None
@@ -158,6 +159,25 @@ def _signals(
                 now[begin >= each.due - belief.time] = each.signals[name]
         values[name] = np.where(stay == 0, now, value[stay, columns])
     return values
+
+
+def _late(plant: Plant, belief: Belief, signals: Mapping[str, Array], dt: Array) -> list[Array]:
+    """(S, N) what comes late of each such effect at each step's start: as the belief has it, then along the signals."""
+    known = belief.hidden.late if belief.hidden is not None else ()
+    columns = []
+    for effect, deviation in zip((acting.effect for acting in plant.late), known, strict=True):
+        now = {name: np.array(belief.signals.get(name, np.nan)) for name in effect.signals.values()}
+        source, kept = late_source(effect, signals), late_kept(effect, dt)
+        jumps = late_jumps(
+            np.vstack([np.broadcast_to(late_source(effect, now), source[:1].shape), source[:-1]]), source
+        )
+        column = np.empty(dt.shape)
+        at: Array = np.full(dt.shape[1], deviation)
+        for row in range(dt.shape[0]):
+            column[row] = at = at + jumps[row]
+            at = at * kept[row]
+        columns.append(column)
+    return columns
 
 
 def _meets(sha: SHA, event: str) -> Mask:

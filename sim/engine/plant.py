@@ -18,7 +18,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.effects import FEATURES, Feature, HeldLaw, Structural, VaryingLaw, acts_in, kind_of, unknown
+from sim.effects import (
+    FEATURES,
+    Feature,
+    HeldLaw,
+    Structural,
+    VaryingLaw,
+    acts_in,
+    goes_on_in,
+    kind_of,
+    lag_of,
+    unknown,
+)
 from sim.sha import FLOWS, RELAXING, SHA, Array, Effect, Mask
 
 Indices = NDArray[np.intp]
@@ -39,7 +50,8 @@ class Plant:
     `fading` are the locations whose drive falls with the age instead (`FlowKind.fading`). `couplings` (L, 2) (1/s) are
     those of X to the housing and to the machine's offset.
     `lags` first-order lags of the rate `lag_rate` (1/s) follow X. `steady` are the effects with a held law, `startups`
-    those that vary since an event, `wears` those that vary with the time alone.
+    those that vary since an event, `wears` those that vary with the time alone. `late` are those of `steady` with a
+    part that comes late, where that goes on.
     """
 
     sha: SHA
@@ -54,6 +66,7 @@ class Plant:
     steady: tuple[Acting, ...]
     startups: tuple[Acting, ...]
     wears: tuple[Acting, ...]
+    late: tuple[Acting, ...]
     thermostat: Acting | None
     radiation: Acting | None
     disturbance: Effect | None
@@ -69,7 +82,7 @@ class Plant:
     @property
     def steady_linear(self) -> bool:
         """Whether all steps are affine with numbers that stay while the signals do."""
-        varying = self.startups or self.wears or self.fading
+        varying = self.startups or self.wears or self.late or self.fading
         return self.linear and not varying
 
     @property
@@ -144,6 +157,11 @@ def compile_plant(sha: SHA) -> Plant:
         steady=tuple(held),
         startups=tuple(startups),
         wears=tuple(wears),
+        late=tuple(
+            Acting(acting.effect, np.array([goes_on_in(acting.effect, location) for location in sha.locations]))
+            for acting in held
+            if lag_of(acting.effect) > 0
+        ),
         thermostat=features.get("thermostat"),
         radiation=features.get("radiation"),
         disturbance=disturbance.effect if disturbance else None,

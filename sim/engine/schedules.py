@@ -8,11 +8,21 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.effects import check_effects, dead_time, in_sensor_scale, refuse, signals_of
+from sim.effects import (
+    check_effects,
+    dead_time,
+    in_sensor_scale,
+    late_jumps,
+    late_kept,
+    late_source,
+    refuse,
+    signals_of,
+)
 from sim.engine.cuts import Stays, cuts
 from sim.engine.plant import compile_plant
+from sim.engine.recursion import SHORT, linear_recursion
 from sim.engine.terms import Segments
-from sim.sha import SHA, UNKNOWN, Array, Coefficients, Event, Mask, Model, Trace, flows, transitions
+from sim.sha import SHA, UNKNOWN, Array, Coefficients, Effect, Event, Mask, Model, Trace, flows, transitions
 
 Policy = Literal["reject", "ignore", "resync"]
 """What an event without an edge does: ValueError; nothing; a jump to where its symbol leads most often."""
@@ -101,7 +111,8 @@ def schedule(
     begin = float(times[0]) if start is None else float(start)
     readings = inputs if inputs is not None else Trace("no inputs", np.empty(0), {})
     if not sha.effects:
-        return _steps(sha, _walk(sha, events, begin, float(times[-1]), policy), times, readings)
+        walk = _walk(sha, events, begin, float(times[-1]), policy)
+        return _steps(sha, walk, times, readings.times, _readings(sha, walk.location, readings))
     check_effects(sha)
     delay = dead_time(sha)
     # A dead time is a shift of all that acts; from here on times are those at which things act.
@@ -113,9 +124,15 @@ def schedule(
         np.array([event.time for event in acting if event.symbol == startup.effect.event], dtype=float)
         for startup in plant.startups
     )
-    stays = Stays(walk.begins, np.append(walk.begins[1:], end), walk.entered, walk.location, starts)
+    held = _readings(sha, walk.location, later)
+    late = tuple(_Late.of(acting.effect, later.times, held) for acting in plant.late)
+    changed = tuple(each.changed for each in late)
+    stays = Stays(
+        walk.begins, np.append(walk.begins[1:], end), walk.entered, walk.location, starts=starts, changed=changed
+    )
     finer = np.unique(cuts(plant, stays))
-    return _steps(sha, walk, times, later, finer=finer[(finer > walk.begins[0]) & (finer < end)], starts=starts)
+    finer = finer[(finer > walk.begins[0]) & (finer < end)]
+    return _steps(sha, walk, times, later.times, held, finer=finer, starts=starts, late=late)
 
 
 def since_last(times: Array, starts: Array) -> Array:
@@ -123,21 +140,51 @@ def since_last(times: Array, starts: Array) -> Array:
     return np.asarray(times - np.append(starts, -np.inf)[np.searchsorted(starts, times, side="right") - 1])
 
 
+@dataclass(frozen=True, slots=True)
+class _Late:
+    """What comes late along readings: its `deviation` (degC/s) after each change of its source, `changed` (s) when.
+
+    The deviation begins with a row of 0, from before any change.
+    """
+
+    effect: Effect
+    changed: Array
+    deviation: Array
+
+    @classmethod
+    def of(cls, effect: Effect, clock: Array, held: dict[str, Array]) -> "_Late":
+        """Along the readings `held` from the times `clock` on."""
+        source = late_source(effect, held)
+        jumps = late_jumps(source[:-1], source[1:])
+        rows = np.flatnonzero(jumps)
+        changed = clock[1:][rows]
+        kept = late_kept(effect, np.diff(changed, prepend=changed[:1]))
+        deviation = linear_recursion(kept, jumps[rows], 0.0, loop=rows.size <= SHORT)
+        return cls(effect, changed, np.append(0.0, deviation))
+
+    def at(self, times: Array) -> Array:
+        """D at each of the times, after the readings of that instant."""
+        row = np.searchsorted(self.changed, times, side="right")
+        return self.deviation[row] * late_kept(self.effect, times - np.append(-np.inf, self.changed)[row])
+
+
 def _steps(
     sha: SHA,
     walk: "_Walk",
     times: Array,
-    inputs: Trace,
+    clock: Array,
+    held: dict[str, Array],
     *,
     finer: Array | None = None,
     starts: tuple[Array, ...] = (),
+    late: tuple[_Late, ...] = (),
 ) -> Schedule:
     """Sorts the three kinds of boundaries; a step lies between each and the next.
 
-    With effects, `finer` are the times at which they cut further and `starts` the events of each start-up effect.
+    `held` are the readings at the times `clock`. With effects, `finer` are the times at which they cut further,
+    `starts` the events of each start-up effect, and `late` what comes late.
     """
-    held = _readings(sha, walk.location, inputs)
-    inner = _input_cuts(sha, walk, inputs.times, held, times)
+    inner = _input_cuts(sha, walk, clock, held, times)
     if finer is not None:
         inner = np.union1d(inner, finer[~(_among(finer, times) | _among(finer, walk.begins))])
     # A stable sort of events, then cuts, then outputs is their order at one instant: what is written out at the time of
@@ -159,7 +206,7 @@ def _steps(
         entry=entry,
         age=marks[:-1] - walk.entered[stay],
         dt=np.diff(marks),
-        offset=_offsets(sha, location, marks[:-1], inputs.times, held),
+        offset=_offsets(sha, location, marks[:-1], clock, held),
         output=output,
         checked=ends != 1,
         unmatched=walk.unmatched,
@@ -167,7 +214,7 @@ def _steps(
     if finer is None:
         return steps
     begin = marks[:-1]
-    row = np.searchsorted(inputs.times, begin, side="right") - 1  # row -1, before the clock begins, meets a NaN
+    row = np.searchsorted(clock, begin, side="right") - 1  # row -1, before the clock begins, meets a NaN
     segments = Segments(
         location=location,
         time=begin,
@@ -176,6 +223,7 @@ def _steps(
         offset=steps.offset,
         signals={name: np.append(column, np.nan)[row] for name, column in held.items()},
         since=tuple(since_last(begin, times_of_event) for times_of_event in starts),
+        late=tuple(each.at(begin) for each in late),
     )
     return replace(steps, segments=segments)
 

@@ -5,12 +5,13 @@ radiation is linearised about the mean, the thermostat is where the mean's is. `
 taken; the functions here take beliefs whose `hidden` states belong to the plant.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import floor, inf, log2
 
 import numpy as np
 
-from sim.effects import sensor_offset, signals_of
+from sim.effects import late_jumps, late_kept, late_source, sensor_offset, signals_of
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.cuts import Stays, cuts
 from sim.engine.moments_augmented import DrawnMoments, mean_course, start_covariance, start_state
@@ -35,7 +36,7 @@ def at_reading(plant: Plant, belief: Belief) -> Belief:
     mean[:d] = start_state(plant, belief.x, sensor_offset(plant.sha, belief.time))
     covariance[:d, :d] = start_covariance(plant, belief.xx)
     mean[d], covariance[d, d] = belief.m, belief.mm
-    hidden = belief.hidden or Hidden((), (), since=(None,) * len(plant.startups))
+    hidden = belief.hidden or Hidden((), (), since=(None,) * len(plant.startups), late=(0.0,) * len(plant.late))
     if plant.machine is not None and hidden.mean:
         # What is known of this machine is known still, whatever its temperature is.
         place = plant.offset_state
@@ -87,7 +88,9 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
     # drawn, and the range is looked at once, at its end, as a schedule does at an output.
     starts = tuple(np.array([] if since is None else [since]) for since in hidden.since)
     begin, end, entry = (np.array([at]) for at in (belief.time, time, belief.entered))
-    inner = cuts(plant, Stays(begin, end, entry, np.array([place]), starts))
+    # As if all that comes late had changed just now: the cuts are then fine enough for what is left of it.
+    changed = tuple(begin[: int(deviation != 0)] for deviation in hidden.late)
+    inner = cuts(plant, Stays(begin, end, entry, np.array([place]), starts=starts, changed=changed))
     marks = np.unique(np.concatenate([[belief.time, time], inner]))
     begins = marks[:-1]
     n = begins.size
@@ -99,6 +102,10 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
         offset=np.full(n, belief.offset),
         signals={name: np.full(n, belief.signals.get(name, np.nan)) for name in signals_of(plant.sha)},
         since=tuple(begins - (-inf if since is None else since) for since in hidden.since),
+        late=tuple(
+            deviation * late_kept(acting.effect, begins - belief.time)
+            for acting, deviation in zip(plant.late, hidden.late, strict=True)
+        ),
     )
     nothing, never = np.zeros(n), np.zeros(n, dtype=np.bool_)
     last = never.copy()
@@ -124,7 +131,11 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
     later = replace(belief, time=time, clamps=belief.clamps + course.clamps)
     # Rounding makes the product slightly unsymmetric, and that grows from step to step.
     covariance = (covariance + covariance.T) / 2.0
-    return _with_states(plant, later, mean, covariance, replace(hidden, opened=course.valve))
+    left = tuple(
+        deviation * float(late_kept(acting.effect, np.asarray(time - belief.time)))
+        for acting, deviation in zip(plant.late, hidden.late, strict=True)
+    )
+    return _with_states(plant, later, mean, covariance, replace(hidden, opened=course.valve, late=left))
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,6 +255,18 @@ def since_event(plant: Plant, belief: Belief, symbol: str) -> Hidden:
     return replace(hidden, since=since)
 
 
+def holding(plant: Plant, belief: Belief, signals: Mapping[str, float]) -> Hidden:
+    """The hidden states when `signals` hold from now on: what comes late jumps with its source."""
+    hidden, _, _ = _states(belief)
+    names = dict.fromkeys(name for acting in plant.late for name in acting.effect.signals.values())
+    before, after = ({name: np.array(each.get(name, np.nan)) for name in names} for each in (belief.signals, signals))
+    late = tuple(
+        deviation + float(late_jumps(late_source(acting.effect, before), late_source(acting.effect, after)))
+        for acting, deviation in zip(plant.late, hidden.late, strict=True)
+    )
+    return replace(hidden, late=late)
+
+
 def _states(belief: Belief) -> tuple[Hidden, Array, Array]:
     """The hidden states, with copies of their mean and covariance."""
     if belief.hidden is None:
@@ -258,7 +281,14 @@ def _with_states(
     d, read = plant.size, plant.sensed
     time = belief.time if time is None else time
     means, rows = mean.tolist(), covariance.tolist()
-    states = Hidden(tuple(means), tuple(map(tuple, rows)), hidden.opened, hidden.since, hidden.pending)
+    states = Hidden(
+        mean=tuple(means),
+        covariance=tuple(map(tuple, rows)),
+        opened=hidden.opened,
+        since=hidden.since,
+        pending=hidden.pending,
+        late=hidden.late,
+    )
     return belief.estimated(
         time=time,
         x=means[read] + sensor_offset(plant.sha, time),

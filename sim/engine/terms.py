@@ -1,8 +1,8 @@
 """What flows and effects do in each segment: its loss and its heat, from signals, ages and time.
 
-Inside a segment a varying heat (start-up, wear, the drive of a flow that fades) is the parabola through its values at
-the three Gauss points, which is exact to the sixth order of the segment's length where the loss is slow, and no worse
-than the parabola's own error where it is fast. `cuts` makes the segments short enough for that.
+Inside a segment a varying heat (start-up, wear, what comes late, the drive of a flow that fades) is the parabola
+through its values at the three Gauss points, which is exact to the sixth order of the segment's length where the loss
+is slow, and no worse than the parabola's own error where it is fast. `cuts` makes the segments short enough for that.
 """
 
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.effects import HeldLaw, VaryingLaw, kind_of, unknown
+from sim.effects import HeldLaw, VaryingLaw, kind_of, late_kept, unknown
 from sim.engine.plant import Indices, Plant
 from sim.sha import Array, Effect, Mask, flows
 
@@ -26,7 +26,8 @@ class Segments:
 
     `time` (absolute s) and `age` (s since the location was entered) are those at the start, `dt` the length in s,
     `offset` what the flow's inputs add to its target (degC). `signals` are the values that effects read, NaN before the
-    first reading; `since` has for each start-up effect the seconds since its event at the start, inf before any.
+    first reading; `since` has for each start-up effect the seconds since its event at the start, inf before any, `late`
+    for each late one its deviation D (degC/s) there (`sim.effects.late`).
     """
 
     location: Indices
@@ -36,6 +37,7 @@ class Segments:
     offset: Array
     signals: Mapping[str, Array]
     since: tuple[Array, ...]
+    late: tuple[Array, ...]
 
     def rows(self, rows: slice | Indices | Mask) -> "Segments":
         """Some of the segments."""
@@ -47,6 +49,7 @@ class Segments:
             offset=self.offset[rows],
             signals={name: column[rows] for name, column in self.signals.items()},
             since=tuple(column[rows] for column in self.since),
+            late=tuple(column[rows] for column in self.late),
         )
 
 
@@ -78,7 +81,7 @@ def terms(plant: Plant, segments: Segments) -> Terms:
         active = acting.mask[place] & np.isfinite(gained) & np.isfinite(lost)
         loss = loss + np.where(active, lost, 0.0)
         heat = heat + np.where(active, gained, 0.0)
-    if not (plant.fading or plant.startups or plant.wears):
+    if not (plant.fading or plant.startups or plant.wears or plant.late):
         return Terms(loss, heat[:, None], plant.drive[place][:, None])
     # Each column is a Gauss point; the parabola through the three is found by one small inverse, made once.
     v = segments.dt[:, None] * GAUSS
@@ -88,6 +91,8 @@ def terms(plant: Plant, segments: Segments) -> Terms:
         heats += acting.mask[place][:, None] * varying(acting.effect, time, since[:, None] + v)
     for acting in plant.wears:
         heats += acting.mask[place][:, None] * varying(acting.effect, time, time)
+    for acting, deviation in zip(plant.late, segments.late, strict=True):
+        heats += (acting.mask[place] * deviation)[:, None] * late_kept(acting.effect, v)
     drives = np.repeat(plant.drive[place][:, None], 3, axis=1)
     for index in plant.fading:
         rows = place == index

@@ -13,7 +13,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from sim.effects import VaryingLaw, kind_of
+from sim.effects import VaryingLaw, kind_of, lag_of
 from sim.engine import (
     BLOCK_ROWS,
     Belief,
@@ -192,7 +192,8 @@ def _points(tracker: Tracker, horizon: float) -> int:
             for acting in tracker.plant.startups
             if isinstance(law := kind_of(acting.effect).law, VaryingLaw)
         ]
-        fastest = max(fastest, float(relaxation(tracker.plant).max()), *starts)
+        fades = [1.0 / lag_of(acting.effect) for acting in tracker.plant.late]
+        fastest = max(fastest, float(relaxation(tracker.plant).max()), *starts, *fades)
     return int(min(max(ceil(horizon * fastest / 0.1), LEAST_GRID), MOST_GRID))
 
 

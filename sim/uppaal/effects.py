@@ -7,7 +7,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects import EffectRefusal, Structural, TextLaw, acts_in, kind_of, of_feature, parameter, unknown
+from sim.effects import EffectRefusal, Structural, TextLaw, acts_in, of_feature, parameter, text_of, unknown
 from sim.engine import Plant, compile_plant
 from sim.sha import SHA, Effect
 from sim.uppaal.document import Arrow, number
@@ -181,7 +181,7 @@ class _Writer:
 
     def _heat(self, effect: Effect) -> str:
         """The term of a rate, with its sign; "" for what acts on the sensor alone. Raises ValueError."""
-        match kind_of(effect).uppaal:
+        match text_of(effect):
             case TextLaw(term=term):
                 return term(self, effect)
             case Structural(feature="housing"):

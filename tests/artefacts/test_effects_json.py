@@ -19,7 +19,7 @@ from sim.files import ArtefactError
 from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
-from tests.sha.effect_reference import EFFECTS, plant
+from tests.sha.effect_reference import EFFECTS, LATE, plant
 
 ALL = tuple({effect.kind: effect for effects in EFFECTS.values() for effect in effects}.values())
 
@@ -28,7 +28,7 @@ def model(*effects: Effect) -> Model:
     return Model(plant("driven", effects), Alphabet((Switch("on", "W_ON", "W_OFF"),)), "T", 0.1)
 
 
-@pytest.mark.parametrize("effect", ALL, ids=lambda effect: effect.kind)
+@pytest.mark.parametrize("effect", [*ALL, *LATE["late heat"]], ids=lambda effect: effect.kind)
 def test_a_model_with_an_effect_is_read_back_as_it_was(effect: Effect) -> None:
     again = parse_model(model_text(model(effect)))
     assert again == model(effect)

@@ -13,9 +13,9 @@ from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
-from tests.sha.effect_reference import EFFECTS, TOGETHER, course, plant
+from tests.sha.effect_reference import EFFECTS, LATE, TOGETHER, course, plant
 
-EVERY = {**EFFECTS, **TOGETHER}
+EVERY = {**EFFECTS, **TOGETHER, **LATE}
 ALPHABET = Alphabet((Switch("on", "W_ON", "W_OFF"),))
 RUNS = 1500
 BEGIN = 1.0e6

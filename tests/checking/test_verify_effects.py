@@ -22,13 +22,13 @@ from sim.sha.automaton import Distribution, Effect
 from sim.sha.events import Alphabet, Switch, alphabet_symbols
 from sim.sha.model import Correction, Model, Stay
 from sim.sha.trace import Event, Trace
-from tests.sha.effect_reference import EFFECTS, TOGETHER, plant, without_noise
+from tests.sha.effect_reference import EFFECTS, LATE, TOGETHER, plant, without_noise
 from tests.sha.models import normal
 
 RANGES = {"I": (50.0, 200.0), "M": (-5.0, 40.0), "Ta": (10.0, 30.0), "P": (0.0, 1.0)}
 RUNS = 2
 ALPHABET = Alphabet((Switch("on", "W_ON", "W_OFF"),))
-EVERY = {**EFFECTS, **TOGETHER}
+EVERY = {**EFFECTS, **TOGETHER, **LATE}
 
 
 def model_of(name: str, kind: str = "exponential", **more: object) -> Model:

@@ -6,17 +6,25 @@ import numpy as np
 import pytest
 
 from sim.discrepancy import naming
+from sim.discrepancy.augment import augmented
+from sim.discrepancy.diagnosis import Diagnosis
 from sim.discrepancy.fitting import frame_of, heat_and_loss, on, record_of, rivals
 from sim.discrepancy.fitting.candidates import catalogue
+from sim.discrepancy.fitting.effects import deviation
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import Named, effect_of
-from sim.discrepancy.naming import begins, step, without_idle_rivals
+from sim.discrepancy.naming import begins, likeness, step, without_idle_rivals
 from sim.discrepancy.workflow import diagnose
+from sim.engine.moment_equations import moments
 from sim.engine.schedules import schedule
-from tests.discrepancy.plants import PERIOD, model, plant
+from sim.engine.simulation import simulate
+from sim.sha.automaton import Effect, Flow
+from sim.sha.events import encode
+from sim.sha.trace import Trace
+from tests.discrepancy.plants import ALPHABET, PERIOD, model, plant, random_model, simulated
 
 CURRENT = {"current": "Assorbimento"}
-LATE = {"gain": 1e-7, "reference": 3e4, "power": 2.0, "lag": 300.0}
+LATE = {"gain": 1e-5, "reference": 200.0, "lag": 300.0}
 
 
 def test_late_heat_goes_on_after_a_stop_and_no_engine_executes_it() -> None:
@@ -35,34 +43,13 @@ def test_late_heat_goes_on_after_a_stop_and_no_engine_executes_it() -> None:
 def test_a_rival_that_does_no_better_than_its_special_case_is_that_case() -> None:
     record = record_of(model(), [plant(3, days=2)], ("Assorbimento",))
     base = fit(on(frame_of(record), record))
-    few = [entry for entry in catalogue() if entry.name == "quadratic-current-heating"]
+    few = [entry for entry in catalogue() if entry.name == "current-heating"]
     found = step(base, [*few, *rivals()], CURRENT, 0).before
     (special,) = step(found, few, CURRENT, 0).evidence
     (rival,) = (replace(special, entry=entry, gain=special.gain) for entry in rivals())
     for ahead, left in ((5.0, 1), (7.0, 2)):
         evidence = [special, replace(rival, gain=special.gain + ahead)]
         assert len(without_idle_rivals(evidence)) == left
-
-
-def test_a_special_case_stands_for_its_rival_where_it_says_a_good_part_and_goes_better_than_every_other_name() -> None:
-    record = record_of(model(), [plant(3, days=1)], ("Assorbimento",))
-    base = fit(on(frame_of(record), record))
-    wanted = ("quadratic-current-heating", "sensor-lag")
-    few = [entry for entry in catalogue() if entry.name in wanted]
-    by_name = {each.entry.name: each for each in step(base, [*few, *rivals()], CURRENT, 0).evidence}
-    special, lag = (replace(by_name[name], fitted=base) for name in wanted)
-    rival = replace(special, entry=rivals()[0])
-
-    def kept(of_special: float, of_rival: float, of_lag: float) -> bool:
-        gains = ((special, of_special), (rival, of_rival), (lag, of_lag))
-        left = without_idle_rivals([replace(each, gain=gain) for each, gain in gains])
-        return any(each.entry.candidate.rival for each in left)
-
-    assert not kept(150.0, 345.0, 126.0)
-    assert kept(100.0, 345.0, 50.0)
-    assert kept(150.0, 345.0, 146.0)
-    unfitted = [replace(special, gain=150.0, fitted=None), replace(rival, gain=345.0)]
-    assert len(without_idle_rivals(unfitted)) == 2
 
 
 def test_a_rivals_special_cases_are_fitted_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,6 +73,92 @@ def test_where_the_plant_is_rough_and_the_sensor_may_err_for_long_a_fit_begins_f
     assert begins(quiet) == (quiet,)
 
 
-def test_the_heat_of_a_winding_is_no_lag_of_the_sensor() -> None:
-    found = diagnose(model(), [plant(2, winding=0.006)], seed=0).diagnosis
-    assert {name for effect in found.effects for name in effect.members} <= {"quadratic-current-heating"}
+def test_what_the_diagnosis_gives_a_step_is_what_the_engine_executes() -> None:
+    """In linear flows of no slope the temperature is the sum of the heats: nothing else can hide a difference."""
+    made = model()
+    still = tuple(
+        replace(place, flow=Flow("linear", {"noise": 0.0, "m": 0.0}), distribution=None) for place in made.sha.locations
+    )
+    effect = Effect(
+        "quadratic-current-heating", {"gain": 1e-8, "reference": 200.0, "lag": 75.0}, CURRENT, ("LOW", "HIGH")
+    )
+    made = replace(made, sha=replace(made.sha, locations=still, effects=(effect,), low=-1e9, high=1e9))
+    trace = plant(1, days=2)
+    record = record_of(replace(made, sha=replace(made.sha, effects=())), [trace], ("Assorbimento",))
+    found = record.runs.dt * heat_and_loss(record, effect, np.zeros(len(record.runs)))[0]
+    course = moments(schedule(made, trace.events, record.runs.time, inputs=trace, policy="resync"), 0.0).mean
+    within = ~record.runs.first[1:]
+    assert np.abs((found[1:] - np.diff(course))[within]).max() < 1e-6 * np.abs(np.diff(course)).max()
+
+
+def test_a_run_begins_with_nothing_that_comes_late_and_what_was_not_read_adds_nothing() -> None:
+    trace = plant(1, days=2)
+    current = np.where(trace.times < trace.times[0] + 6 * 3600.0, np.nan, trace.signals["Assorbimento"])
+    record = record_of(model(), [replace(trace, signals={**trace.signals, "Assorbimento": current})], ("Assorbimento",))
+    effect = Effect("quadratic-current-heating", {"gain": 1e-8, "reference": 200.0, "lag": 75.0}, CURRENT, ("LOW",))
+    late = deviation(record, effect)
+    begun = int(np.flatnonzero(np.isfinite(record.signal("Assorbimento")))[0])
+    assert not late[: begun + 1].any() and late[begun:].any()
+
+
+def named(found: Diagnosis) -> dict[str, dict[str, float]]:
+    assert found.verdict == "named", found.sentence
+    return {effect.name: dict(effect.params) for effect in found.effects}
+
+
+def test_the_heat_of_a_winding_is_named_with_its_lag() -> None:
+    """Two masses of 120 s and 60 s, rows of 30 s: one mass of their sum is the nearest form."""
+    found = diagnose(model(), [plant(2, winding=0.006)], seed=0)
+    (params,) = named(found.diagnosis).values()
+    assert 120.0 < params["lag"] < 240.0
+    assert params["gain"] * 200.0**2 == pytest.approx(0.006, rel=0.25)
+    assert found.fitted is not None
+    (effect,) = augmented(found.fitted).sha.effects
+    assert effect.params["lag"] == params["lag"]
+
+
+def heated(lag: float) -> Trace:
+    """Days at many currents, of the very automaton with a quadratic heat that comes so late."""
+    rng, rough = np.random.default_rng(5), random_model(2e-4, 400.0, 0.2)
+    effect = Effect(
+        "quadratic-current-heating", {"gain": 2e-7, "reference": 200.0, "lag": lag}, CURRENT, ("LOW", "HIGH")
+    )
+    trace = simulated(rough, 3)
+    levels = np.repeat(rng.uniform(80.0, 330.0, trace.times.size // 40 + 1), 40)[: trace.times.size]
+    signals = {**trace.signals, "Assorbimento": levels * trace.signals["MarciaDecanter"]}
+    driven = replace(trace, signals=signals, events=())
+    driven = replace(driven, events=encode(driven, ALPHABET))
+    source = replace(rough.sha, effects=(*rough.sha.effects, effect))
+    course = simulate(schedule(source, driven.events, driven.times, inputs=driven, policy="resync"), 17.0, 1, rng)
+    read = course.temperatures[0] + rough.sensor_sigma * rng.standard_normal(driven.times.size)
+    return replace(driven, signals={**signals, "T": np.round(read, 1)})
+
+
+@pytest.mark.parametrize(("lag", "least", "most"), [(0.0, 0.0, 10.0), (60.0, 50.0, 70.0)])
+def test_the_lag_that_is_named_is_that_of_the_plant(lag: float, least: float, most: float) -> None:
+    found = named(diagnose(random_model(2e-4, 400.0, 0.2), [heated(lag)], seed=0).diagnosis)
+    assert found.keys() == {"quadratic-current-heating"}
+    assert least <= found["quadratic-current-heating"].get("lag", 0.0) < most
+
+
+def test_a_further_name_looks_like_an_earlier_one_by_the_shape_that_it_has_there() -> None:
+    """Only with a long lag does heat of the current look like a sensor that lags."""
+    lag = Effect("sensor-lag", {"tau": 150.0, "order": 2.0})
+    record = record_of(model(), [simulated(random_model(2e-4, 400.0, 0.2, lag), 3, days=2)], ("Assorbimento",))
+    wanted = ("sensor-lag", "quadratic-current-heating")
+    few = [entry for entry in catalogue() if entry.name in wanted]
+    found = step(fit(on(frame_of(record), record)), few, CURRENT, 0)
+    by_name = {each.entry.name: each for each in found.evidence}
+    assert found.best is by_name["sensor-lag"]
+    heat = by_name["quadratic-current-heating"]
+    alike = [
+        likeness(found, replace(heat, shape=replace(heat.shape, params={"reference": 200.0, **late})))
+        for late in ({}, {"lag": 15.0}, {"lag": 150.0})
+    ]
+    assert alike[0] < 0.6 and alike == sorted(alike) and alike[2] > 0.8
+
+
+def test_a_sensor_that_lags_is_told_as_one() -> None:
+    lag = Effect("sensor-lag", {"tau": 150.0, "order": 2.0})
+    trace = simulated(random_model(2e-4, 400.0, 0.2, lag), 3)
+    assert "sensor-lag" in named(diagnose(random_model(2e-4, 400.0, 0.2), [trace], seed=0).diagnosis)

@@ -127,6 +127,7 @@ class StrangePart:
 def test_a_kind_is_complete_or_is_not_constructed() -> None:
     parts: dict[str, Any] = {name: getattr(HUMIDITY_HEATING, name) for name in HUMIDITY_HEATING.__slots__}
     parts.pop("consistent")
+    parts.pop("late")  # without it nothing of the heat comes late
     for name in parts:
         with pytest.raises(TypeError, match=name):
             type(HUMIDITY_HEATING)(**{key: value for key, value in parts.items() if key != name})

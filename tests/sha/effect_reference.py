@@ -30,6 +30,7 @@ def _radiation(e: Effect, x: float, u: float, t: float, s: dict[str, float]) -> 
 HEATS: dict[str, Heat] = {
     "current-heating": _with("current", lambda p, i: p["gain"] * (i - p["reference"])),
     "quadratic-current-heating": _with("current", lambda p, i: p["gain"] * (i * i - p["reference"] ** 2)),
+    "late heat": _with("current", lambda p, i: p["gain"] * i * i),
     "current-saturation": _with("current", lambda p, i: -p["gain"] * max(i - p["knee"], 0.0)),
     "torque-friction": _with("torque", _power),
     "speed-friction": _with("speed", _power),
@@ -81,7 +82,9 @@ def reference(sha: SHA, events: Sequence[Event], outputs: Array, inputs: Trace, 
     clock = sorted(t for t in marks if outputs[0] <= t <= outputs[-1])
     moves = {(edge.source, edge.symbol): edge.target for edge in sha.edges}
     known = sha.by_name
-    state = np.full(2 + order, x0 - offset(outputs[0]))
+    state = np.full(3 + order, x0 - offset(outputs[0]))
+    late = next((e for e in sha.effects if "lag" in e.params), None)
+    before = dict.fromkeys(inputs.signals, nan)
     here, entered, started, opened, read = sha.initial, clock[0], -inf, False, []
     pending = list(delayed)
     for begin, end in zip(clock, [*clock[1:], clock[-1]], strict=True):
@@ -92,6 +95,10 @@ def reference(sha: SHA, events: Sequence[Event], outputs: Array, inputs: Trace, 
         row = int(np.searchsorted(inputs.times + delay, begin, side="right")) - 1
         signals = {name: float(column[row]) if row >= 0 else nan for name, column in inputs.signals.items()}
         read += [state[-1 if lag else 0] + offset(begin)] * int(np.sum(outputs == begin))
+        if late is not None and not isfinite(before[late.signals["current"]]):
+            # At its first reading the heat is what it is late behind; before, a state that nothing reads.
+            state[1] = np.nan_to_num(HEATS["late heat"](late, 0.0, 0.0, 0.0, signals))
+        before = signals
         if end > begin:
             place = (sha, known[here], signals, entered, started)
             state, opened = _piece(place, state, begin, end, opened)
@@ -105,24 +112,29 @@ def _piece(place: tuple, state: Array, begin: float, end: float, opened: bool) -
     thermostat, lag, housing = by.get("thermostatic-cooling"), by.get("sensor-lag"), by.get("housing-thermal-mass")
     there = [e for e in sha.effects if not e.locations or location.name in e.locations]
     acting = [e for e in there if all(isfinite(signals[name]) for name in e.signals.values())]
+    late = next((e for e in sha.effects if "lag" in e.params), None)
+    source = HEATS["late heat"](late, 0.0, 0.0, 0.0, signals) if late is not None else nan
     # The solver asks for the slope some thousand times: what stays in the piece is looked up once.
     m = location.distribution.params["mu"] if location.distribution else 0.0
     heats = [(HEATS[e.kind], e) for e in acting if e.kind in HEATS]
     cooled, housed = thermostat is not None and thermostat in acting, housing is not None and housing in acting
 
     def slope(t: float, s: Array) -> Array:
-        x, h, *lags = s.tolist()
+        x, warm, h, *lags = s.tolist()
         dx = drift(location.flow, x, m, t - entered, signals)
         dx += sum(heat(e, x, t - started, t, signals) for heat, e in heats)
         if cooled and opened:
             dx -= thermostat.params["loss"] * (x - thermostat.params["sink"])
-        dh = 0.0
+        dh = warmed = 0.0
+        if isfinite(source):
+            warmed = (source - warm) / late.params["lag"]
+            dx += warm - source
         if housing is not None:
             dh = (x - h) / housing.params["tau"]
             dx += housing.params["coupling"] * (h - x) if housed else 0.0
         rates = zip([x, *lags], lags, strict=False)
         lagged = [(a - b) * lag.params["order"] / lag.params["tau"] for a, b in rates] if lag is not None else []
-        return np.array([dx, dh, *lagged])
+        return np.array([dx, warmed, dh, *lagged])
 
     while begin < end:
         stops = []
@@ -191,6 +203,19 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
     "radiation-loss": (Effect("radiation-loss", {"gain": 2e-11, "surroundings": 20.0}),),
     "radiation to ambient": (Effect("radiation-loss", {"gain": 2e-11}, {"ambient": "Ta"}, ("on",)),),
 }
+
+# Heat that goes on after a stop: neither bounded nor exported.
+LATE: dict[str, tuple[Effect, ...]] = {
+    "late heat": (
+        Effect("quadratic-current-heating", {"gain": 4e-6, "reference": 80.0, "lag": 70.0}, {"current": "I"}, ("on",)),
+    ),
+}
+LATE["late heat, housing, lag, dead time"] = (
+    *LATE["late heat"],
+    *EFFECTS["housing-thermal-mass"],
+    *EFFECTS["sensor-lag 3"],
+    *EFFECTS["dead-time"],
+)
 
 # Effects whose mean is 0: tests/effects/test_random.py holds their laws against numerical integration.
 RANDOM: dict[str, Effect] = {

@@ -14,7 +14,7 @@ from sim.sha.automaton import SHA, Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model
 from tests.sha.effect_reference import EFFECTS as CASES
-from tests.sha.effect_reference import RANDOM, TOGETHER, course, plant
+from tests.sha.effect_reference import LATE, RANDOM, TOGETHER, course, plant
 
 PUMP = Effect("pump-cooling", {"loss": 0.01, "sink": 20.0}, {"pump": "P"})
 LAG = Effect("sensor-lag", {"tau": 5.0, "order": 2.0})
@@ -96,7 +96,7 @@ def test_what_cannot_do_effects_says_so_in_one_sentence() -> None:
         step_coefficients(schedule(plant("linear", (LAG,)), [], np.array([0.0, 1.0])))
 
 
-@pytest.mark.parametrize("effects", [*CASES.values(), *TOGETHER.values()])
+@pytest.mark.parametrize("effects", [*CASES.values(), *TOGETHER.values(), *LATE.values()])
 def test_a_corrected_model_reads_the_corrected_temperatures(effects: tuple[Effect, ...]) -> None:
     gain, offset = 1.3, -4.0
     sha = plant("driven", effects)

@@ -32,9 +32,9 @@ from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
 from sim.sha.trace import Array, Event, Trace
-from tests.sha.effect_reference import EFFECTS, FLOWS, TOGETHER, course, plant
+from tests.sha.effect_reference import EFFECTS, FLOWS, LATE, TOGETHER, course, plant
 
-ALL = EFFECTS | TOGETHER
+ALL = EFFECTS | TOGETHER | LATE
 
 
 def tracker_of(kind: str, effects: tuple[Effect, ...], sensor: float = 0.1) -> Tracker:

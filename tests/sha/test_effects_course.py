@@ -13,10 +13,10 @@ from sim.sha.automaton import SHA, Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
-from tests.sha.effect_reference import EFFECTS, FLOWS, TOGETHER, course, plant, reference, without_noise
+from tests.sha.effect_reference import EFFECTS, FLOWS, LATE, TOGETHER, course, plant, reference, without_noise
 from tests.sha.models import EVERYWHERE, normal
 
-ALL = EFFECTS | TOGETHER
+ALL = EFFECTS | TOGETHER | LATE
 EXACT, LINEARISED = 3e-5, 3e-4
 OUTPUTS = np.concatenate([np.arange(0.0, 500.0, 10.0), [650.0, 900.0, 1390.0, 1400.0]])
 

@@ -14,10 +14,10 @@ from sim.sha.automaton import Distribution, Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model, Stay
 from sim.sha.trace import Event, Trace
-from tests.sha.effect_reference import EFFECTS, TOGETHER, course, plant
+from tests.sha.effect_reference import EFFECTS, LATE, TOGETHER, course, plant
 from tests.sha.models import normal
 
-LINEAR = {name: each for name, each in (EFFECTS | TOGETHER).items() if "thermostat" not in name}
+LINEAR = {name: each for name, each in (EFFECTS | TOGETHER | LATE).items() if "thermostat" not in name}
 RUNS = 4000
 FIVE_SIGMA = 5.0
 
@@ -65,10 +65,11 @@ def test_each_run_has_a_thermostat_of_its_own() -> None:
         ("thermostatic-cooling", "driven"),
         ("radiation-loss", "driven"),
         ("pump, housing, lag, dead time", "driven"),
+        ("late heat", "driven"),
     ],
 )
 def test_a_forecast_with_known_events_has_the_quantiles_of_the_simulation(name: str, kind: str) -> None:
-    tracker = compile_model(model(kind, (EFFECTS | TOGETHER)[name]))
+    tracker = compile_model(model(kind, (EFFECTS | TOGETHER | LATE)[name]))
     held = {"I": 150.0, "Ta": 15.0, "P": 1.0, "M": 10.0}
     future = [Event(100.0, "W_ON"), Event(700.0, "W_OFF")]
     fan = forecast(

@@ -128,12 +128,20 @@ def quantiles(law: Distribution, z: float) -> Range:
 def envelopes(model: Model, assumptions: Assumptions, moves: Sequence[Move]) -> tuple[Envelope, ...]:
     """The envelope of each location, in the automaton's order; `moves` are all that can happen (`structure.moves`)."""
     announced, sojourn, late = _last_announced(model, moves), assumptions.sojourn, dead_time(model.sha)
+    signals = {
+        name: partial(_signal, model, name, assumptions=assumptions, known=known) for name, known in announced.items()
+    }
+
+    def everywhere(signal: str) -> Range:
+        low, high = zip(*(limits(signal) for limits in signals.values()), strict=True)
+        return min(low), max(high)
+
     rooms: list[Envelope] = []
     for location in model.sha.locations:
         law, fresh = drawn_parameter(location), drawn_temperature(location)
         middle = mode_parameter(location)[0]
         m = (middle, middle) if law is None else quantiles(law, assumptions.z)
-        signal = partial(_signal, model, location.name, assumptions=assumptions, known=announced[location.name])
+        signal = signals[location.name]
         inputs = {driver.signal: signal(driver.signal) for driver in location.flow.inputs}
         stay, lasting = model.semi_markov.get(location.name), ANY
         if isinstance(sojourn, tuple) or (sojourn == "law" and stay is not None):
@@ -148,7 +156,15 @@ def envelopes(model: Model, assumptions: Assumptions, moves: Sequence[Move]) -> 
                 inputs=inputs,
                 sojourn=lasting,
                 fresh=None if fresh is None else quantiles(fresh, assumptions.z),
-                forcing=forcing_of(model.sha, location, m, signal, horizon=worn_for(assumptions), z=assumptions.z),
+                forcing=forcing_of(
+                    model.sha,
+                    location,
+                    m,
+                    signal,
+                    everywhere=everywhere,
+                    horizon=worn_for(assumptions),
+                    z=assumptions.z,
+                ),
             )
         )
     return tuple(rooms)

@@ -18,13 +18,16 @@ from sim.effects import (
     ExpressedBound,
     Expression,
     Feature,
+    LatePart,
     LossBound,
     Structural,
     VaryingBound,
     acts_in,
     cells,
     enclosure,
+    goes_on_in,
     kind_of,
+    lag_of,
     names_in,
     parameter,
     steepest_loss,
@@ -77,13 +80,20 @@ class UnboundedEffect(ValueError):
 
 
 def forcing_of(
-    sha: SHA, location: Location, m: Range, ranges: Callable[[str], Range], *, horizon: float, z: float
+    sha: SHA,
+    location: Location,
+    m: Range,
+    ranges: Callable[[str], Range],
+    *,
+    everywhere: Callable[[str], Range],
+    horizon: float,
+    z: float,
 ) -> Forcing | None:
     """What acts in the location; None where nothing does. `ranges` gives that of each signal that is read there.
 
-    `m` is the range of the mode parameter, `horizon` (s) how long wear goes on, `z` how many standard deviations what
-    is random keeps to. Raises UnboundedEffect, naming the kind, where an effect cannot be bounded: what is not bounded
-    is never left out.
+    `everywhere` gives a signal's range over all locations, where what comes late may come from. `m` is the range of the
+    mode parameter, `horizon` (s) how long wear goes on, `z` how many standard deviations what is random keeps to.
+    Raises UnboundedEffect, naming the kind, where an effect cannot be bounded: what is not bounded is never left out.
     """
     heats: list[tuple[Effect, Expression]] = []
     losses: list[tuple[Effect, Loss]] = []
@@ -93,7 +103,16 @@ def forcing_of(
     least = most = 0.0
     nothing = True
     for effect in sha.effects:
-        bound = kind_of(effect).bound
+        bound, late = kind_of(effect).bound, kind_of(effect).late
+        if late is not None and lag_of(effect) > 0:
+            if not goes_on_in(effect, location):
+                continue
+            low, high = _late(effect, late, None if acts_in(effect, location.name) else ranges, everywhere)
+            least, most = least + low, most + high
+            for side in (0, 1):
+                told[side].update({name: ranges(name)[side] for name in effect.signals.values()})
+            nothing = False
+            continue
         match bound:
             case Structural(feature="dead time" | "sensor lag" | "sensor offset"):
                 continue  # they move no heat; `bounds` adds them to what the sensor may read
@@ -234,6 +253,29 @@ def _heated(
         high = high + float(np.max(sum(each[1] for each in inside)))
         chosen[0][name], chosen[1][name] = float(grid[total.argmin()]), float(grid[total.argmax()])
     return low, high, chosen
+
+
+def _late(
+    effect: Effect, late: LatePart, ranges: Callable[[str], Range] | None, everywhere: Callable[[str], Range]
+) -> Range:
+    """(least, greatest) heat of an effect with a lag where it acts, or of its deviation where it does not (`ranges`).
+
+    What comes late is a mean of what its source ever was, so that it lies in the hull of all of that. Where the effect
+    acts, the source itself falls out of the sum.
+    """
+
+    def hull(tree: Expression, limits: Callable[[str], Range]) -> Range:
+        box = cells({role: limits(signal) for role, signal in effect.signals.items()})
+        low, high = enclosure(tree, effect.params, box)
+        return float(np.min(low)), float(np.max(high))
+
+    if ranges is None:
+        bound = kind_of(effect).bound
+        if not isinstance(bound, ExpressedBound):
+            raise UnboundedEffect(str(unknown("the verification", effect.kind, bound)))
+        return hull(bound.heat, everywhere)
+    (least, most), (low, high) = hull(late.heat, everywhere), hull(late.heat, ranges)
+    return least - high, most - low
 
 
 def _written(

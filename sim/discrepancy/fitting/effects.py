@@ -16,9 +16,15 @@ from sim.effects import (
     Structural,
     VaryingLaw,
     acts_in,
+    goes_on_in,
     in_scale_of_x,
     is_gradual,
     kind_of,
+    lag_of,
+    late_jumps,
+    late_kept,
+    late_mean,
+    late_source,
     parameter,
     radiation_tangent,
     unknown,
@@ -44,8 +50,8 @@ def follows_course(effect: Effect) -> bool:
 def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array, Array]:
     """(heat, loss) of each step (n,), degC/s and 1/s, as dX/dt += heat - loss X along a course (n,) degC.
 
-    Nothing acts outside the effect's locations, or before its signals were read. Raises ValueError, naming the kind,
-    for a law that is not known here.
+    Nothing acts outside the effect's locations but what comes late, or before its signals were read. Raises ValueError,
+    naming the kind, for a law that is not known here.
     """
     runs = record.runs
     signals = {name: record.signal(name) for name in effect.signals.values()}
@@ -79,9 +85,24 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
             loss, heat = radiation_tangent(gain=effect.params["gain"], zero=zero, about=course, around=around)
         case law:
             raise unknown("a diagnosis", effect.kind, law)
-    present = np.array([acts_in(effect, location.name) for location in record.model.sha.locations])[runs.place]
+    locations = record.model.sha.locations
+    present = np.array([acts_in(effect, location.name) for location in locations])[runs.place]
     acting = present & np.isfinite(heat) & np.isfinite(loss)
-    return np.where(acting, heat, 0.0), np.where(acting, loss, 0.0)
+    heat, loss = np.where(acting, heat, 0.0), np.where(acting, loss, 0.0)
+    if lag_of(effect) > 0:
+        felt = np.array([goes_on_in(effect, location) for location in locations])[runs.place]
+        heat = heat + np.where(felt, deviation(record, effect), 0.0)
+    return heat, loss
+
+
+def deviation(record: Record, effect: Effect) -> Array:
+    """(n,) degC/s: the mean over each step of what comes late (`sim.effects.late`), nothing at a run's begin."""
+    runs = record.runs
+    source = late_source(effect, {name: record.signal(name) for name in effect.signals.values()})
+    jumps = late_jumps(np.concatenate([source[:1], source[:-1]]), source)
+    kept = np.concatenate([[0.0], late_kept(effect, runs.dt[:-1])])
+    begins = linear_recursion(np.where(runs.first, 0.0, kept), np.where(runs.first, 0.0, jumps), 0.0)
+    return begins * late_mean(effect, runs.dt)
 
 
 def as_sensed(record: Record, effect: Effect, course: Array) -> Array:
