@@ -138,7 +138,7 @@ class LatePart:
     """The part of a held heat that comes through a first-order lag, whose parameter (s) `lag` names: 0 is at once.
 
     `source(effect, signals)` is that part (degC/s) as the law holds it where the effect acts, NaN where a signal is not
-    read. To what the law holds there is added, wherever the effect goes on (`kinds.goes_on_in`),
+    read. To what the law holds there is added, in all locations, since it goes on after a stop,
 
         dX/dt += D,    D = late - source,    d late/dt = (source - late) / lag
 

@@ -21,7 +21,7 @@ from sim.effects.lines import LineError, kind_of_line
 from sim.effects.random import RANDOM
 from sim.effects.sensing import SENSING
 from sim.effects.varying import VARYING
-from sim.sha import SHA, Array, Effect, EffectLine, Location
+from sim.sha import SHA, Array, Effect, EffectLine
 
 EFFECTS: dict[str, EffectKind] = {
     kind.name: kind for kind in (*HEATING, *FLOWING, HOUSING, *VARYING, *SENSING, *BENDING, *RANDOM)
@@ -87,14 +87,6 @@ def text_of(effect: Effect) -> UppaalLaw:
 def acts_in(effect: Effect, location: str) -> bool:
     """True where the effect acts in the location of that name."""
     return not effect.locations or location in effect.locations
-
-
-def goes_on_in(effect: Effect, location: Location) -> bool:
-    """True where what comes late of the effect is felt: in all locations, since it goes on after a stop.
-
-    But a constant flow holds a temperature of which nothing is known: what is added there would only add up.
-    """
-    return lag_of(effect) > 0 and (location.flow.kind != "constant" or acts_in(effect, location.name))
 
 
 def signals_of(sha: SHA, location: str | None = None) -> tuple[str, ...]:

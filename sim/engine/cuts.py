@@ -63,14 +63,14 @@ def cuts(plant: Plant, stays: Stays) -> Array:
         times.append(_within(_knots(acting.effect, starts), stays, acting))
     for acting in plant.wears:
         times.append(_within(_knots(acting.effect, np.empty(0)), stays, acting))
-    for acting, changed in zip(plant.late, stays.changed, strict=True):
-        ages = lag_of(acting.effect) * _FADED
+    for effect, changed in zip(plant.late, stays.changed, strict=True):
+        ages = lag_of(effect) * _FADED
         # From one change to the next: what was before it has been cut so finely already, and is in D with it.
         row, cut = _counted(
             np.zeros(changed.size, dtype=np.intp),
             np.searchsorted(ages, np.diff(changed, append=stays.ends[-1:]), side="left"),
         )
-        times.append(_within(changed[row] + ages[cut], stays, acting))
+        times.append(changed[row] + ages[cut])
     for index in plant.fading:
         flow = plant.sha.locations[index].flow
         rows = np.flatnonzero((stays.location == index) & (stays.ends > stays.begins))

@@ -165,7 +165,7 @@ def _late(plant: Plant, belief: Belief, signals: Mapping[str, Array], dt: Array)
     """(S, N) what comes late of each such effect at each step's start: as the belief has it, then along the signals."""
     known = belief.hidden.late if belief.hidden is not None else ()
     columns = []
-    for effect, deviation in zip((acting.effect for acting in plant.late), known, strict=True):
+    for effect, deviation in zip(plant.late, known, strict=True):
         now = {name: np.array(belief.signals.get(name, np.nan)) for name in effect.signals.values()}
         source, kept = late_source(effect, signals), late_kept(effect, dt)
         jumps = late_jumps(

@@ -25,7 +25,6 @@ from sim.effects import (
     Structural,
     VaryingLaw,
     acts_in,
-    goes_on_in,
     kind_of,
     lag_of,
     unknown,
@@ -51,7 +50,7 @@ class Plant:
     those of X to the housing and to the machine's offset.
     `lags` first-order lags of the rate `lag_rate` (1/s) follow X. `steady` are the effects with a held law, `startups`
     those that vary since an event, `wears` those that vary with the time alone. `late` are those of `steady` with a
-    part that comes late, where that goes on.
+    part that comes late, which goes on in all locations.
     """
 
     sha: SHA
@@ -66,7 +65,7 @@ class Plant:
     steady: tuple[Acting, ...]
     startups: tuple[Acting, ...]
     wears: tuple[Acting, ...]
-    late: tuple[Acting, ...]
+    late: tuple[Effect, ...]
     thermostat: Acting | None
     radiation: Acting | None
     disturbance: Effect | None
@@ -157,11 +156,7 @@ def compile_plant(sha: SHA) -> Plant:
         steady=tuple(held),
         startups=tuple(startups),
         wears=tuple(wears),
-        late=tuple(
-            Acting(acting.effect, np.array([goes_on_in(acting.effect, location) for location in sha.locations]))
-            for acting in held
-            if lag_of(acting.effect) > 0
-        ),
+        late=tuple(acting.effect for acting in held if lag_of(acting.effect) > 0),
         thermostat=features.get("thermostat"),
         radiation=features.get("radiation"),
         disturbance=disturbance.effect if disturbance else None,

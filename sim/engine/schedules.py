@@ -125,7 +125,7 @@ def schedule(
         for startup in plant.startups
     )
     held = _readings(sha, walk.location, later)
-    late = tuple(_Late.of(acting.effect, later.times, held) for acting in plant.late)
+    late = tuple(_Late.of(effect, later.times, held) for effect in plant.late)
     changed = tuple(each.changed for each in late)
     stays = Stays(
         walk.begins, np.append(walk.begins[1:], end), walk.entered, walk.location, starts=starts, changed=changed

@@ -103,8 +103,8 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
         signals={name: np.full(n, belief.signals.get(name, np.nan)) for name in signals_of(plant.sha)},
         since=tuple(begins - (-inf if since is None else since) for since in hidden.since),
         late=tuple(
-            deviation * late_kept(acting.effect, begins - belief.time)
-            for acting, deviation in zip(plant.late, hidden.late, strict=True)
+            deviation * late_kept(effect, begins - belief.time)
+            for effect, deviation in zip(plant.late, hidden.late, strict=True)
         ),
     )
     nothing, never = np.zeros(n), np.zeros(n, dtype=np.bool_)
@@ -132,8 +132,8 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
     # Rounding makes the product slightly unsymmetric, and that grows from step to step.
     covariance = (covariance + covariance.T) / 2.0
     left = tuple(
-        deviation * float(late_kept(acting.effect, np.asarray(time - belief.time)))
-        for acting, deviation in zip(plant.late, hidden.late, strict=True)
+        deviation * float(late_kept(effect, np.asarray(time - belief.time)))
+        for effect, deviation in zip(plant.late, hidden.late, strict=True)
     )
     return _with_states(plant, later, mean, covariance, replace(hidden, opened=course.valve, late=left))
 
@@ -258,11 +258,11 @@ def since_event(plant: Plant, belief: Belief, symbol: str) -> Hidden:
 def holding(plant: Plant, belief: Belief, signals: Mapping[str, float]) -> Hidden:
     """The hidden states when `signals` hold from now on: what comes late jumps with its source."""
     hidden, _, _ = _states(belief)
-    names = dict.fromkeys(name for acting in plant.late for name in acting.effect.signals.values())
+    names = dict.fromkeys(name for effect in plant.late for name in effect.signals.values())
     before, after = ({name: np.array(each.get(name, np.nan)) for name in names} for each in (belief.signals, signals))
     late = tuple(
-        deviation + float(late_jumps(late_source(acting.effect, before), late_source(acting.effect, after)))
-        for acting, deviation in zip(plant.late, hidden.late, strict=True)
+        deviation + float(late_jumps(late_source(effect, before), late_source(effect, after)))
+        for effect, deviation in zip(plant.late, hidden.late, strict=True)
     )
     return replace(hidden, late=late)
 

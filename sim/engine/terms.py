@@ -91,8 +91,8 @@ def terms(plant: Plant, segments: Segments) -> Terms:
         heats += acting.mask[place][:, None] * varying(acting.effect, time, since[:, None] + v)
     for acting in plant.wears:
         heats += acting.mask[place][:, None] * varying(acting.effect, time, time)
-    for acting, deviation in zip(plant.late, segments.late, strict=True):
-        heats += (acting.mask[place] * deviation)[:, None] * late_kept(acting.effect, v)
+    for effect, deviation in zip(plant.late, segments.late, strict=True):
+        heats += deviation[:, None] * late_kept(effect, v)
     drives = np.repeat(plant.drive[place][:, None], 3, axis=1)
     for index in plant.fading:
         rows = place == index

@@ -192,7 +192,7 @@ def _points(tracker: Tracker, horizon: float) -> int:
             for acting in tracker.plant.startups
             if isinstance(law := kind_of(acting.effect).law, VaryingLaw)
         ]
-        fades = [1.0 / lag_of(acting.effect) for acting in tracker.plant.late]
+        fades = [1.0 / lag_of(effect) for effect in tracker.plant.late]
         fastest = max(fastest, float(relaxation(tracker.plant).max()), *starts, *fades)
     return int(min(max(ceil(horizon * fastest / 0.1), LEAST_GRID), MOST_GRID))
 

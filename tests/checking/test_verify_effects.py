@@ -71,7 +71,8 @@ def test_no_random_run_with_random_signals_leaves_the_proven_interval(kind: str,
     rng = np.random.default_rng(3)
     for number, name in enumerate(EVERY):
         # Bounds of a transient take longest to find: each effect's with a rate limit or without.
-        for rate in (inf, 0.05) if kind != "transient" else (0.05 if number % 2 else inf,):
+        every = (inf, 0.05) if kind != "transient" else (0.05 if number % 2 else inf,)
+        for rate in every if name not in LATE else (inf,):
             model = model_of(name, kind, max_rate=rate)
             given = assumed(model, sojourn=sojourn, start=(15.0, 60.0))
             found = find_bounds(model, -500.0, 500.0, given)
@@ -156,6 +157,39 @@ def test_start_up_heat_can_be_kept_at_its_greatest_by_starting_again_and_again()
     assert reach == pytest.approx(55.0 + 0.1 / 0.004)
     word = " ".join(["@0,T=60", *(f"W_ON@{10.0 * n + 1.0} W_OFF@{10.0 * n + 10.0}" for n in range(40)), "@401"])
     assert 70.0 < replay(model, parse_word(word)).highest < reach
+
+
+def late(lag: float, **more: object) -> Model:
+    """A quadratic heat of at most 0.02 degC/s in `on`, late by `lag` s."""
+    effect = Effect(
+        "quadratic-current-heating", {"gain": 5e-7, "reference": 0.0, "lag": lag}, {"current": "I"}, ("on",)
+    )
+    sha = replace(without_noise(plant("exponential", (effect,))), **more)  # type: ignore[arg-type]
+    return Model(sha, ALPHABET, "T", 0.1, normal(22.0, 0.0))
+
+
+def test_what_comes_late_adds_to_a_bound_no_more_than_what_may_be_on_its_way() -> None:
+    given = Assumptions(inputs={"I": (0.0, 200.0)})
+    (_, at_once), (_, lagged) = (find_bounds(late(lag), 0.0, 150.0, given).intervals["on"] for lag in (0.0, 90.0))
+    assert at_once == pytest.approx(55.0 + 0.02 / 0.004)
+    assert at_once < lagged < at_once + 90.0 * 0.02 + 1e-9
+    assert find_bounds(late(90.0), 0.0, 150.0, given).intervals["off"][1] > 22.0
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        ({"max_rate": 0.05}, "under a greatest rate"),
+        (
+            {"locations": tuple(replace(place, entry="resample") for place in plant("exponential", ()).locations)},
+            "where a location draws the temperature anew",
+        ),
+    ],
+)
+def test_a_lag_that_cannot_be_bounded_is_refused_by_its_name(more: dict[str, object], why: str) -> None:
+    found = verify(late(90.0, **more), assumptions=Assumptions(inputs={"I": (0.0, 200.0)}))
+    assert not found.deployable
+    assert f"'quadratic-current-heating' are not bounded with a lag {why}" in found.reasons[0]
 
 
 # ------------------------------------------------------------------ deployment

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.artefacts.model_json import model_text, parse_model
+from sim.checking.proof.verification import verify
 from sim.discrepancy import naming
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.diagnosis import Diagnosis
@@ -16,6 +18,7 @@ from sim.discrepancy.fitting.named import Named, effect_of
 from sim.discrepancy.naming import begins, likeness, step, without_idle_rivals
 from sim.discrepancy.workflow import diagnose
 from sim.engine.moment_equations import moments
+from sim.engine.open_loop_run import errors, open_loop
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
 from sim.sha.automaton import Effect, Flow
@@ -108,13 +111,17 @@ def named(found: Diagnosis) -> dict[str, dict[str, float]]:
 
 def test_the_heat_of_a_winding_is_named_with_its_lag() -> None:
     """Two masses of 120 s and 60 s, rows of 30 s: one mass of their sum is the nearest form."""
-    found = diagnose(model(), [plant(2, winding=0.006)], seed=0)
+    trace = plant(2, winding=0.006)
+    found = diagnose(model(), [trace], seed=0)
     (params,) = named(found.diagnosis).values()
     assert 120.0 < params["lag"] < 240.0
     assert params["gain"] * 200.0**2 == pytest.approx(0.006, rel=0.25)
     assert found.fitted is not None
-    (effect,) = augmented(found.fitted).sha.effects
-    assert effect.params["lag"] == params["lag"]
+    made = parse_model(model_text(augmented(found.fitted, readings=[trace])))
+    assert made.sha.effects[0].params["lag"] == pytest.approx(params["lag"])
+    assert verify(made).deployable
+    before, after = (errors(open_loop(each, trace), trace, "T").at_samples.rmse for each in (model(), made))
+    assert after < 0.2 * before
 
 
 def heated(lag: float) -> Trace:

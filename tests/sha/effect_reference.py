@@ -204,7 +204,7 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
     "radiation to ambient": (Effect("radiation-loss", {"gain": 2e-11}, {"ambient": "Ta"}, ("on",)),),
 }
 
-# Heat that goes on after a stop: neither bounded nor exported.
+# Heat that goes on after a stop, which is not exported.
 LATE: dict[str, tuple[Effect, ...]] = {
     "late heat": (
         Effect("quadratic-current-heating", {"gain": 4e-6, "reference": 80.0, "lag": 70.0}, {"current": "I"}, ("on",)),
@@ -215,6 +215,13 @@ LATE["late heat, housing, lag, dead time"] = (
     *EFFECTS["housing-thermal-mass"],
     *EFFECTS["sensor-lag 3"],
     *EFFECTS["dead-time"],
+)
+
+LATE["late heat, thermostat, radiation"] = (
+    *LATE["late heat"],
+    *EFFECTS["thermostatic-cooling"],
+    *EFFECTS["radiation-loss"],
+    *EFFECTS["pump-cooling"],
 )
 
 # Effects whose mean is 0: tests/effects/test_random.py holds their laws against numerical integration.

@@ -103,18 +103,6 @@ def test_a_short_lag_is_nearly_none() -> None:
     assert 0.0 < np.abs(found - at_once).max() < 0.01
 
 
-def test_where_nothing_is_known_of_the_temperature_nothing_adds_up() -> None:
-    made = sha(late(60.0))
-    still = replace(made.locations[0], flow=Flow("constant", {"noise": 0.0}))
-    events = [Event(0.0, "W_ON"), Event(1000.0, "W_OFF")]
-    inputs = Trace("t", np.array([0.0, 1000.0]), {"I": np.array([300.0, 0.0])})
-    found = moments(
-        schedule(replace(made, locations=(still, made.locations[1])), events, [0.0, 1000.0, 1500.0], inputs=inputs),
-        20.0,
-    )
-    assert found.mean[2] == found.mean[1]
-
-
 def test_what_was_not_read_makes_no_jump() -> None:
     assert late_jumps(np.array([np.nan, 1.0, 1.0]), np.array([1.0, 3.0, np.nan])).tolist() == [0.0, -2.0, 0.0]
 

@@ -94,11 +94,21 @@ def find_bounds(
         places = zip(rooms, model.sha.locations, strict=True)
         rooms = tuple(_kindest(room, location, (low, high), doubt) for room, location in places)
     graph = make_graph(rooms, onward, model.sha.initial, model.sha.max_rate)
-    # The claim is about what the sensor reads, the graph about X: a reading less what the sensor reads too much.
+    # The claim is about what the sensor reads, the graph about X and what is to come: a reading less what the sensor
+    # reads too much, and more by what comes late. At the start that is as the signals are there.
     least, most = offset_range(model.sha)
-    (top, upper), (bottom, lower) = _bound(graph, start[1] - least, up=True), _bound(graph, start[0] - most, up=False)
+    (cold, warm), (begin_cold, begin_warm) = _coming(graph)
+    begins = start[0] - most + begin_cold, start[1] - least + begin_warm
+    least, most = least - warm, most - cold
+    if assumptions.start is None and model.initial is None:
+        # Where a run may begin anywhere in the range, it does so with what is to come.
+        begins = max(begins[0], start[0] - least), min(begins[1], start[1] - most)
+    top, upper = _bound(graph, begins[1], up=True)
+    bottom, lower = _bound(graph, begins[0], up=False)
     escapes = [
-        _escape(model, side, bound, start=start[int(up)], within=(low, high), assumptions=assumptions)
+        _escape(
+            model, side, bound, start=start[int(up)], within=(low, high), off=(least, most), assumptions=assumptions
+        )
         for side, bound, up in ((top, upper, True), (bottom, lower, False))
         if bound.peak.max() > (high - most if up else least - low) + BEYOND
     ]
@@ -120,6 +130,12 @@ def find_bounds(
         escapes=tuple(escapes),
         settled=settled,
     )
+
+
+def _coming(graph: Graph) -> tuple[Range, Range]:
+    """degC: what may be to come of all that comes late, anywhere, and at the start."""
+    forcing = graph.envelopes[graph.initial].forcing
+    return ((0.0, 0.0), (0.0, 0.0)) if forcing is None else (forcing.coming, forcing.settled)
 
 
 _ROUNDS = 200
@@ -179,7 +195,9 @@ def _nearest(room: Envelope, middle: float, border: float, doubt: float, *, up: 
 
     def beyond(m: float) -> bool:
         drift = replace(room, m=(m, m)).drift(up)
-        reach = middle if drift is None else drift.rest[0] if up else drift.rest[1]
+        # Where X settles nothing is to come any more: all of it is there.
+        later = room.forcing.coming[int(up)] if room.forcing is not None else 0.0
+        reach = middle if drift is None else (drift.rest[0] if up else drift.rest[1]) - later
         return reach > border if up else reach < border
 
     if not beyond(middle):
@@ -192,10 +210,15 @@ def _nearest(room: Envelope, middle: float, border: float, doubt: float, *, up: 
     return end
 
 
-def _escape(model: Model, side: Side, bound: Bound, *, start: float, within: Range, assumptions: Assumptions) -> Escape:
-    """The way out on one side; a word counts only when its text, read and replayed, really leaves."""
+def _escape(
+    model: Model, side: Side, bound: Bound, *, start: float, within: Range, off: Range, assumptions: Assumptions
+) -> Escape:
+    """The way out on one side; a word counts only when its text, read and replayed, really leaves.
+
+    A reading lies `off` (degC) the graph's temperatures.
+    """
     up = side.sign > 0
-    shift = offset_range(model.sha)[int(up)]
+    shift = off[int(up)]
     reach = side.sign * float(np.max(bound.peak)) + shift
     bare = side_of(side.graph, up=up)  # a housing as hot as can be would lead ways that no run can go
     word = escape(bare, side.sign * start, side.sign * (within[int(up)] - shift))

@@ -47,6 +47,12 @@ class DriftBound:
         """The piece of a temperature; at a knot the one to its right."""
         return self.pairs[bisect_right(self.knots, x)]
 
+    def shifted(self, by: float) -> "DriftBound":
+        """That of X + `by` (degC)."""
+        if by == 0.0:
+            return self
+        return DriftBound(tuple(knot + by for knot in self.knots), tuple((a + b * by, b) for a, b in self.pairs))
+
     def mirrored(self) -> "DriftBound":
         """That of -X."""
         return DriftBound(

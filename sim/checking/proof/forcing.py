@@ -8,6 +8,7 @@ anything was, a thermostat that may be open or closed does the more.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import isfinite
 
 import numpy as np
 
@@ -25,7 +26,6 @@ from sim.effects import (
     acts_in,
     cells,
     enclosure,
-    goes_on_in,
     kind_of,
     lag_of,
     names_in,
@@ -34,7 +34,7 @@ from sim.effects import (
     unknown,
 )
 from sim.engine import held
-from sim.sha import FLOWS, RELAXING, SHA, Array, Effect, Flow, Location, flows
+from sim.sha import FLOWS, RELAXING, SHA, Array, Effect, Flow, Location, drawn_temperature, flows
 
 Range = tuple[float, float]
 
@@ -63,6 +63,9 @@ class Forcing:
 
     `signals` are the values that give the least and the greatest drift, as far as constant ones can. `around` (degC) is
     the range of what is radiated to.
+
+    `coming` (degC) is what may be on its way of all that comes late, lag times late, wherever the machine was before,
+    and `settled` the same where the signals have been as they may be here for ever.
     """
 
     heat: Range
@@ -73,6 +76,8 @@ class Forcing:
     thermostat: Effect | None = None
     radiation: Effect | None = None
     around: Range = (0.0, 0.0)
+    coming: Range = (0.0, 0.0)
+    settled: Range = (0.0, 0.0)
 
 
 class UnboundedEffect(ValueError):
@@ -100,19 +105,18 @@ def forcing_of(
     written: list[tuple[DriftBound, DriftBound]] = []
     told: tuple[dict[str, float], dict[str, float]] = ({}, {})
     features: dict[Feature, Effect] = {}
+    coming = settled = (0.0, 0.0)
     least = most = 0.0
     nothing = True
     for effect in sha.effects:
         bound, late = kind_of(effect).bound, kind_of(effect).late
         if late is not None and lag_of(effect) > 0:
-            if not goes_on_in(effect, location):
-                continue
-            low, high = _late(effect, late, None if acts_in(effect, location.name) else ranges, everywhere)
-            least, most = least + low, most + high
+            _refuse_late(sha, effect)
+            own, anywhere = (_warmth(effect, late, limits) for limits in (ranges, everywhere))
+            settled, coming = added_ranges(settled, own), added_ranges(coming, anywhere)
             for side in (0, 1):
                 told[side].update({name: ranges(name)[side] for name in effect.signals.values()})
             nothing = False
-            continue
         match bound:
             case Structural(feature="dead time" | "sensor lag" | "sensor offset"):
                 continue  # they move no heat; `bounds` adds them to what the sensor may read
@@ -176,13 +180,17 @@ def forcing_of(
         thermostat=features.get("thermostat"),
         radiation=radiation,
         around=around,
+        coming=coming,
+        settled=settled,
     )
 
 
 def drift_of(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float | None) -> DriftBound:
-    """The greatest (`up`) or the least drift in X, for a mode parameter within `m`.
+    """The greatest (`up`) or the least drift in Y = X + what is to come, for a mode parameter within `m`.
 
-    `housing` (degC) is the highest or lowest temperature that the housing may have; None leaves it out.
+    With d late/dt = (source - late) / lag the sum Y = X + lag late moves as X would if all came at once: what is late
+    has no rate of its own in it, and never adds up. Y is X itself where nothing comes late. `housing` (degC) is the
+    highest or lowest Y that there may be; None leaves it out.
     """
     side = int(up)
     parts = [_alone(flow, m, forcing.heat, side), *(both[side] for both in forcing.written)]
@@ -193,7 +201,9 @@ def drift_of(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float
         below, above = (most, least) if up else (least, most)
         parts.append(DriftBound((sink,), ((below * sink, below), (above * sink, above))))
     if forcing.coupling and housing is not None:
-        parts.append(DriftBound((), ((forcing.coupling * housing, forcing.coupling),)))
+        # A housing has the mean of what X was, which is Y less what was to come.
+        warm = housing - forcing.coming[1 - side]
+        parts.append(DriftBound((), ((forcing.coupling * warm, forcing.coupling),)))
     if forcing.thermostat is not None:
         # Open at `opens` and above, closed at `closes` and below, and between the two whichever bounds the drift: it
         # warms where its sink lies above X, so that the sink's place among the thresholds decides.
@@ -210,7 +220,8 @@ def drift_of(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float
             parts.append(DriftBound((sink, opens), (cooled, idle, cooled)))
     if forcing.radiation is not None:
         parts.append(_radiated(forcing.radiation, forcing.around[side], up=up))
-    return added(parts)
+    # A drift never rises with X, and X is at least Y less all that may be to come.
+    return added(parts).shifted(forcing.coming[side])
 
 
 def _alone(flow: Flow, m: Range, heat: Range, side: int) -> DriftBound:
@@ -255,27 +266,24 @@ def _heated(
     return low, high, chosen
 
 
-def _late(
-    effect: Effect, late: LatePart, ranges: Callable[[str], Range] | None, everywhere: Callable[[str], Range]
-) -> Range:
-    """(least, greatest) heat of an effect with a lag where it acts, or of its deviation where it does not (`ranges`).
+def _refuse_late(sha: SHA, effect: Effect) -> None:
+    """Raises UnboundedEffect where the sum of X and what is to come is not moved by the drift alone (`drift_of`)."""
+    drawn = any(drawn_temperature(place) is not None for place in sha.locations)
+    if drawn or isfinite(sha.max_rate):
+        why = "where a location draws the temperature anew" if drawn else "under a greatest rate"
+        raise UnboundedEffect(f"effects of the kind {effect.kind!r} are not bounded with a lag {why}")
 
-    What comes late is a mean of what its source ever was, so that it lies in the hull of all of that. Where the effect
-    acts, the source itself falls out of the sum.
-    """
 
-    def hull(tree: Expression, limits: Callable[[str], Range]) -> Range:
-        box = cells({role: limits(signal) for role, signal in effect.signals.items()})
-        low, high = enclosure(tree, effect.params, box)
-        return float(np.min(low)), float(np.max(high))
+def _warmth(effect: Effect, late: LatePart, ranges: Callable[[str], Range]) -> Range:
+    """degC: the lag times the least and the greatest source, which is what may be to come where signals are so."""
+    box = cells({role: ranges(signal) for role, signal in effect.signals.items()})
+    low, high = enclosure(late.heat, effect.params, box)
+    return lag_of(effect) * float(np.min(low)), lag_of(effect) * float(np.max(high))
 
-    if ranges is None:
-        bound = kind_of(effect).bound
-        if not isinstance(bound, ExpressedBound):
-            raise UnboundedEffect(str(unknown("the verification", effect.kind, bound)))
-        return hull(bound.heat, everywhere)
-    (least, most), (low, high) = hull(late.heat, everywhere), hull(late.heat, ranges)
-    return least - high, most - low
+
+def added_ranges(one: Range, other: Range) -> Range:
+    """The least and the greatest sum."""
+    return one[0] + other[0], one[1] + other[1]
 
 
 def _written(

@@ -16,7 +16,6 @@ from sim.effects import (
     Structural,
     VaryingLaw,
     acts_in,
-    goes_on_in,
     in_scale_of_x,
     is_gradual,
     kind_of,
@@ -85,14 +84,10 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
             loss, heat = radiation_tangent(gain=effect.params["gain"], zero=zero, about=course, around=around)
         case law:
             raise unknown("a diagnosis", effect.kind, law)
-    locations = record.model.sha.locations
-    present = np.array([acts_in(effect, location.name) for location in locations])[runs.place]
+    present = np.array([acts_in(effect, location.name) for location in record.model.sha.locations])[runs.place]
     acting = present & np.isfinite(heat) & np.isfinite(loss)
-    heat, loss = np.where(acting, heat, 0.0), np.where(acting, loss, 0.0)
-    if lag_of(effect) > 0:
-        felt = np.array([goes_on_in(effect, location) for location in locations])[runs.place]
-        heat = heat + np.where(felt, deviation(record, effect), 0.0)
-    return heat, loss
+    late = deviation(record, effect) if lag_of(effect) > 0 else nothing
+    return np.where(acting, heat, 0.0) + late, np.where(acting, loss, 0.0)
 
 
 def deviation(record: Record, effect: Effect) -> Array:
