@@ -94,7 +94,7 @@ async def look(url: str, machine: str, folder: Path) -> dict[str, Any]:
                 f"Forecast/{TEMPERATURE}/usable",
                 f"Alarm/over limit {TEMPERATURE}/state",
             )
-            while not seen or any(seen[path].Value.Value is None for path in paths):
+            while not seen or any(seen[path].Value.Value in (None, "none") for path in paths):
                 seen = {path: await value(path) for path in paths}
         seen["machines"] = [
             (await one.read_browse_name()).Name

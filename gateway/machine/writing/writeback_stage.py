@@ -123,7 +123,9 @@ class WritebackStage:
         """
         for block in self.blocks:
             block.take_counts(scan)
-        if scan.time - self._signed >= SIGN_SECONDS:
+        # One after the other: where a disk is slow, or the clock jumps, heads come later, and never in another order.
+        signing = self._signing is not None and not self._signing.done()
+        if scan.time - self._signed >= SIGN_SECONDS and not signing:
             self._sign(scan.time)
         # Taking back comes first: no block of an arming that is over may follow it.
         if over := self._disarming(scan.time, unverified):

@@ -8,6 +8,7 @@ import sqlite3
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from gateway.machine.writing import ArmingError, clear_for_arming, countersign, places_of
+from gateway.machine.writing.witnessing import HeadWitnessing
 from gateway.plant.app import run
 from gateway.settings import Config
 from gateway.status import ControlError, connect
@@ -290,13 +292,40 @@ def test_a_torn_line_of_heads_is_no_harm_and_a_changed_one_shows(tmp_path: Path)
     assert "not signed rightly" in examine(places).problem
 
 
+HOURS = {**ARMED_BY_FILE, "writeback__minutes": 480.0, "scan__period": 600.0}
+
+
+class SigningClock(JumpClock):
+    """A clock that does not jump while a head is being signed."""
+
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
+        while any(task.get_name() == "signing" for task in asyncio.all_tasks()):
+            await asyncio.sleep(0.001)
+        await super().sleep_until(moment, stop)
+
+
 async def test_heads_are_signed_every_hour(tmp_path: Path) -> None:
-    keys = {**ARMED_BY_FILE, "writeback__minutes": 480.0, "scan__period": 600.0}
-    config, clock = config_in(tmp_path, **keys), JumpClock()
+    config, clock = config_in(tmp_path, **HOURS), SigningClock()
     await go(config, clock, 30)
     times = [json.loads(line)["time"] for line in config.audit_heads.read_text().splitlines()]
     gaps = [later - before for before, later in pairwise(times)]
     assert len(times) >= 6 and max(gaps) <= 4200.0
+
+
+async def test_heads_come_one_after_the_other_where_the_clock_jumps_while_one_is_signed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = HeadWitnessing.sign
+
+    def slowly(self: HeadWitnessing, now: float) -> None:
+        sleep(0.05 if now == EPOCH + 3600.0 else 0.0)
+        real(self, now)
+
+    monkeypatch.setattr(HeadWitnessing, "sign", slowly)
+    config = config_in(tmp_path, **HOURS)
+    await go(config, JumpClock(), 100)
+    times = [json.loads(line)["time"] for line in config.audit_heads.read_text().splitlines()]
+    assert len(times) >= 3 and times == sorted(times)
 
 
 @pytest.mark.parametrize("bad", ["a\nb", "a\x1b[2Jb", "a\u2028b", "a\x9bb", "a\ud800b"])
