@@ -447,6 +447,41 @@ def test_a_version_that_is_better_at_the_longest_horizon_is_not_rolled_back_for_
     assert current(store) == (second if stays else first) and ("and better at 900 s" in found.sentence) is stays
 
 
+@pytest.mark.parametrize(("first", "later", "promoted"), [(0.7, 1.5, True), (1.0, 0.7, False)])
+def test_a_candidate_is_judged_by_its_first_live_cycles_and_no_others(
+    first: float,
+    later: float,
+    promoted: bool,
+    store: Path,
+    historian: Path,
+    library: CycleLibrary,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    judged: list[float] = []
+
+    def judge(trace: Trace, *_: Any, **__: Any) -> list[dict[str, Any]]:
+        begin = float(trace.times[0])
+        judged.append(begin)
+        worth = first if begin < BEGIN + 8 * (RUN + REST) else later
+        row = {"trace": f"{begin:.0f}", "horizon": 60.0, "coverage": 0.9}
+        return [row | {"method": name, "crps": crps} for name, crps in ((PRESENT, 1.0), (NEW, worth))]
+
+    monkeypatch.setattr(shadow, "scores_along", judge)
+    candidate = save(store, heated(HOT), created=BEGIN - 0.5)
+
+    def ask() -> shadow.SideBySide:
+        return shadow.side_by_side(
+            store, historian, library, machine="decanter", version=candidate, promotes=True, seed=0, report=silent
+        )
+
+    monkeypatch.setattr(shadow, "TRIAL", CYCLES + 4)
+    assert "too few to tell; it takes 20" in ask().sentence and not judged
+    monkeypatch.setattr(shadow, "TRIAL", 8)
+    found = ask()
+    assert len(judged) == found.cycles == 8 and max(judged) < BEGIN + 8 * (RUN + REST)
+    assert bool(found.promoted) is promoted
+
+
 def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_worse_one_is_rolled_back(
     tmp_path: Path, historian: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,6 +31,8 @@ from sim.sha import shown_unit
 LIVE = "live cycles"
 LEAST, MOST = 8, 24
 """Live cycles that a paired test needs, and how many of the newest it takes."""
+TRIAL = 16
+"""The live cycles, the first since both versions were made, by which a candidate is promoted or not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,8 +73,9 @@ def side_by_side(
 
     The current version is judged against `version` (default: the one that ran before). With `roll_back` that one is
     promoted again where the current one is worse at some horizon. With `promotes` `version` is judged instead, and
-    promoted where it is better at some horizon and worse at none, as a retraining proposes. A cycle has `most`
-    forecasts at most. Raises ValueError where there is no such version.
+    promoted where it is better at some horizon and worse at none, as a retraining proposes: on its first TRIAL cycles
+    and no others, so that it is judged once, however often a timer asks. A cycle has `most` forecasts at most. Raises
+    ValueError where there is no such version.
     """
     running = current(store)
     record = read_record(version_directory(store, running))
@@ -94,9 +97,10 @@ def side_by_side(
         row
         for row in library.cycles()
         if row.begin >= since and not row.excluded and row.error is not None and row.content not in seen
-    ][-MOST:]
+    ]
+    live, needed = (live[:TRIAL], TRIAL) if promotes else (live[-MOST:], LEAST)
     scores: list[dict[str, Any]] = []
-    for row in live:
+    for row in live if len(live) == TRIAL or not promotes else ():
         trace = cycle_of(source, row, library)
         if trace is not None:
             followed = encoded(and_after(source, trace, LONGEST_HORIZON), present)
@@ -106,8 +110,8 @@ def side_by_side(
     worse = [each for each in comparisons if each.told_apart == "worse"]
     better = [each for each in comparisons if each.told_apart == "better"]
     promoted = ""
-    if len(live) < LEAST:
-        sentence = f"{len(live)} cycles since both were made are too few to tell; it takes {LEAST}"
+    if len(live) < needed:
+        sentence = f"{len(live)} cycles since both were made are too few to tell; it takes {needed}"
     elif worse:
         sentence = f"{judged} is worse than {stood} at {', '.join(f'{each.horizon:g} s' for each in worse)}"
         # Better is told from the longest horizon on, and that is what warns: less right a minute ahead is no harm then.
@@ -161,8 +165,8 @@ def shadow_command(
 
     VERSION is a candidate that waits for its promotion, or the one that ran before, which is the default: then
     --roll-back promotes it again if the current one is worse on live cycles by the paired test. With --promote a
-    candidate is promoted if it is better by that test at some horizon and worse at none. Neither version has been
-    learned from these cycles.
+    candidate is promoted if it is better by that test at some horizon and worse at none, on its first 16 live cycles.
+    Neither version has been learned from these cycles.
     """
     if promotes and (roll_back or version is None):
         raise click.UsageError("--promote needs the VERSION that waits for it, and excludes --roll-back")
