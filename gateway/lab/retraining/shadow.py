@@ -100,7 +100,7 @@ def side_by_side(
     ]
     live, needed = (live[:TRIAL], TRIAL) if promotes else (live[-MOST:], LEAST)
     scores: list[dict[str, Any]] = []
-    for row in live if len(live) == TRIAL or not promotes else ():
+    for row in () if promotes and len(live) < needed else live:
         trace = cycle_of(source, row, library)
         if trace is not None:
             followed = encoded(and_after(source, trace, LONGEST_HORIZON), present)
@@ -165,8 +165,8 @@ def shadow_command(
 
     VERSION is a candidate that waits for its promotion, or the one that ran before, which is the default: then
     --roll-back promotes it again if the current one is worse on live cycles by the paired test. With --promote a
-    candidate is promoted if it is better by that test at some horizon and worse at none, on its first 16 live cycles.
-    Neither version has been learned from these cycles.
+    candidate is promoted if it is better by that test at some horizon and worse at none, once, on its first live
+    cycles. Neither version has been learned from these cycles.
     """
     if promotes and (roll_back or version is None):
         raise click.UsageError("--promote needs the VERSION that waits for it, and excludes --roll-back")
