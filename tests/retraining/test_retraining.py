@@ -14,7 +14,7 @@ from drivers.tag import Quality, Sample, Tag
 from gateway.lab.familiar import free_run_error
 from gateway.lab.retraining import cutting, judging, shadow, study
 from gateway.lab.retraining.cutting import CycleSource, and_after, cut_new, cycle_of
-from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
+from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
 from gateway.lab.retraining.judging import NEW, PRESENT, compared, scores_along, verdict_on
 from gateway.lab.retraining.report import coverage_figure
 from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, encoded, joined, new_cycles, source_of, sparse
@@ -334,6 +334,52 @@ def test_where_room_is_short_regions_take_turns_and_the_error_of_the_present_mod
     assert len(newest) > 1 and set(newest.values()) <= trained
     rest = [row.name for row in left if row.region == rows[5].region]
     assert {name for name in trained if name in rest} == set(rest[-(len(trained) - len(newest) + 1) :])
+
+
+def _row(number: int, region: str) -> CycleRow:
+    """A day's only cycle, 100 scans in a `region`, with the error that lets it be run."""
+    begin = BEGIN + 86_400.0 * number
+    return CycleRow(
+        name=f"c{number:03d}",
+        begin=begin,
+        until=begin + 3600.0,
+        rows=100,
+        content=f"{number:064x}",
+        region=region,
+        rating="ordinary",
+        words="",
+        strangeness=None,
+        error=0.1,
+        allowed=1.0,
+        moved=1.0,
+        model="0001",
+        points=np.empty((0, 0)),
+    )
+
+
+def test_a_plant_that_was_changed_is_judged_and_learned_by_its_newest_cycles(
+    request_of: RetrainingRequest, library: CycleLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A year of cycles: a region of the winter alone, and two that the plant is always in.
+    rows = [_row(n, "winter" if n < 100 else ("load", "idling")[n % 2]) for n in range(365)]
+    library.add(rows, rows[-1].until)
+    readings = Trace("cycle", BEGIN + np.arange(100.0), {TEMPERATURE: np.full(100, 30.0)})
+    monkeypatch.setattr(study, "cycle_of", lambda *_: readings)
+    monkeypatch.setattr(library, "keep", lambda *_: None)
+    monkeypatch.setattr(study, "new_cycles", lambda *_: library.cycles())
+    source = source_of(request_of, BEGIN)
+    held, trained = (
+        [int(name[1:]) for name, _ in study.choose_cycles(replace(request_of, rows=2000), library, source)[part]]
+        for part in ("held_out", "training")
+    )
+    # Evenly over the newest 48, of which 12 are held out.
+    assert len(held) == 12 and held[0] == 317 and held[-1] == 364 and max(np.diff(held)) <= 5
+    # Twenty have room: the newest of the winter, all others from the newest forty that are left.
+    assert len(trained) == 20 and trained[0] == 99
+    assert trained[1] >= 365 - 12 - 40 and not set(trained) & set(held)
+    # Where there is room for all nothing is left out.
+    every = study.choose_cycles(replace(request_of, rows=100_000), library, source)["training"]
+    assert len(every) == 365 - 12
 
 
 def test_a_cycle_before_the_last_one_of_the_training_is_no_news(

@@ -59,6 +59,10 @@ HELD_OUT, LEAST_HELD_OUT = 12, 8
 """New cycles that are held out at most, and how many a paired test needs to say anything."""
 ENOUGH = 2 * LEAST_HELD_OUT
 """New cycles below which a retraining is refused."""
+JUDGING = 4 * HELD_OUT
+"""The newest of the new cycles, a quarter of which is held out: a model is to forecast the plant as it is now."""
+RECENT = 2.0
+"""Times the room of a training that the cycles have together that are learned from before any older one."""
 FALLEN = 0.2
 """The share of new cycles badly predicted from which settings are searched anew; where a model is right it is 0.1."""
 SPARSE = 10.0
@@ -187,7 +191,7 @@ def retrain(
     chosen = library.step(study, "sets")
     if chosen is None:
         report("choosing cycles", 0.1)
-        chosen = _chosen(request, library, source)
+        chosen = choose_cycles(request, library, source)
         library.done(study, "sets", chosen)
     training = [replace(trace, events=()) for trace in _former(request, chosen)]
     training += [library.readings(content) for _, content in chosen["training"]]
@@ -301,20 +305,22 @@ def encoded(trace: Trace, model: Model) -> Trace:
     return replace(trace, events=encode(replace(trace, events=()), model.alphabet))
 
 
-def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSource) -> dict[str, Any]:
+def choose_cycles(request: RetrainingRequest, library: CycleLibrary, source: CycleSource) -> dict[str, Any]:
     """Which cycles are held out and which are learned from, (name, content hash) each; all of them are kept by then.
 
-    Held out are new cycles evenly over ratings and time. The training takes cycles of each region of operation in turn,
-    the newest before the older, then the traces of former training, until it has as many rows as it may have.
+    Held out are some of the newest new cycles, evenly over ratings and time. The training takes cycles of each region
+    of operation in turn, the newest before the older, then the traces of former training, until it has as many rows as
+    it may have.
     """
     fresh = new_cycles(library, source.model)
-    count = min(max(len(fresh) // 4, LEAST_HELD_OUT), HELD_OUT, len(fresh) // 2)
+    latest = fresh[-JUDGING:]
+    count = min(max(len(latest) // 4, LEAST_HELD_OUT), HELD_OUT, len(latest) // 2)
     if count < LEAST_HELD_OUT:
         raise ValueError(
             f"{library.folder}: {len(fresh)} new cycles are too few to learn from and to judge by; it takes "
             f"{ENOUGH}, so let the gateway run on"
         )
-    ordered = sorted(fresh, key=lambda row: (RATINGS.index(row.rating), row.begin))
+    ordered = sorted(latest, key=lambda row: (RATINGS.index(row.rating), row.begin))
     places = np.unique(np.linspace(0, len(ordered) - 1, count).round().astype(int)).tolist()
     held = {ordered[place].name for place in places}
     rest = [row for row in library.cycles() if not row.excluded and row.error is not None and row.name not in held]
@@ -322,7 +328,8 @@ def _chosen(request: RetrainingRequest, library: CycleLibrary, source: CycleSour
     former, left = list[str](), request.rows
     # No library has them, so that they are older than all that it has.
     earlier = sorted(request.former, key=lambda trace: float(trace.times[0]), reverse=True)
-    candidates: list[CycleRow | Trace] = [*(row for row in ordered if row.name in held), *_in_turn(rest), *earlier]
+    candidates: list[CycleRow | Trace] = [row for row in ordered if row.name in held]
+    candidates += [*_in_turn(rest, request.rows), *earlier]
     for row in candidates:
         if isinstance(row, Trace):
             if row.times.size <= left:
@@ -349,18 +356,23 @@ def _former(request: RetrainingRequest, chosen: dict[str, Any]) -> list[Trace]:
     return [trace for trace in request.former if content_hash(trace) in chosen["former"]]
 
 
-def _in_turn(cycles: Sequence[CycleRow]) -> list[CycleRow]:
+def _in_turn(cycles: Sequence[CycleRow], room: int) -> list[CycleRow]:
     """The cycles, given in the order of time, so that any number of first ones has all regions, and of each the newest.
 
-    How wrong the present model was is no reason to be learned from: a model of those cycles alone is wrong the other
-    way (record 0182).
+    One that is older than the newest RECENT times `room` rows (scans) comes after all of these, but for the newest of a
+    region that the plant has not been in since: a plant that was changed is learned as it is, and nothing that it once
+    did is forgotten (record 0195). How wrong the present model was is no reason to be learned from: a model of those
+    cycles alone is wrong the other way (record 0182).
     """
     turn: dict[str, int] = {}
-    placed: list[tuple[int, CycleRow]] = []
+    placed: list[tuple[bool, int, CycleRow]] = []
+    rows = 0
     for row in reversed(cycles):
-        placed.append((turn.setdefault(row.region, 0), row))
+        number = turn.setdefault(row.region, 0)
+        placed.append((number > 0 and rows >= RECENT * room, number, row))
         turn[row.region] += 1
-    return [row for _, row in sorted(placed, key=lambda each: each[0])]
+        rows += row.rows
+    return [row for *_, row in sorted(placed, key=lambda each: each[:2])]
 
 
 def _searched(
