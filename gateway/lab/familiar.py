@@ -98,6 +98,16 @@ def familiarity(reference: FamiliarityReference, pairs: Sequence[ErrorPair], *, 
     return Familiarity(reference, curve, held_out)
 
 
+def cycles_with_points(model: Model, trace: Trace) -> list[tuple[Trace, Array]]:
+    """The cycles of an encoded trace, each with the features along it, for which what went before counts too."""
+    found: list[tuple[Trace, Array]] = []
+    for piece in split_cycles(trace, model.alphabet, gap=model.alphabet.gap):
+        if piece.times.size:
+            begin, end = float(piece.times[0]), float(piece.times[-1])
+            found.append((piece, features_of(model, trace, begin, end).values))
+    return found
+
+
 def trained_familiarity(model: Model, traces: Sequence[Trace]) -> Familiarity | None:
     """What is familiar to a model that was learned from encoded traces; None where they have too few cycles.
 
@@ -106,12 +116,7 @@ def trained_familiarity(model: Model, traces: Sequence[Trace]) -> Familiarity | 
     """
     if not any(isinstance(channel, Switch) for channel in model.alphabet.channels):
         return None
-    cycles: list[tuple[Trace, Array]] = []
-    for trace in traces:
-        for piece in split_cycles(trace, model.alphabet, gap=model.alphabet.gap):
-            if piece.times.size:
-                begin, end = float(piece.times[0]), float(piece.times[-1])
-                cycles.append((piece, features_of(model, trace, begin, end).values))
+    cycles = [each for trace in traces for each in cycles_with_points(model, trace)]
     reference = reference_of([points for _, points in cycles], [cycle.machine for cycle, _ in cycles])
     if reference is None:
         return None

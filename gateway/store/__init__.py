@@ -74,6 +74,7 @@ if TYPE_CHECKING:
         recent,
         samples,
         stored_rows,
+        tag_names,
         to_trace,
         trend,
     )
@@ -188,6 +189,7 @@ __all__ = [
     "storable",
     "stored_rows",
     "sync_folder",
+    "tag_names",
     "to_trace",
     "trend",
     "trusted_key",

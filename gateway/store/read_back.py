@@ -239,6 +239,11 @@ def row_number(
     return int(packed) + int(connection.execute(query, values).fetchone()[0])
 
 
+def tag_names(connection: sqlite3.Connection, *, machine: str | None = None) -> list[str]:
+    """The machine's tags, in the order in which they came. Raises HistorianError."""
+    return [name for _, name in selected(connection, machine).tags(connection)]
+
+
 def newest_scan(connection: sqlite3.Connection, *, machine: str | None = None) -> float | None:
     """The time (s UTC) of the scan that was stored last, whatever the clock said before; None without one.
 

@@ -3,6 +3,7 @@
     STORE/store.json          says that this is a store
     STORE/versions/0001-1f2e3d4c/   number and start of the model's hash; a model directory with its manifest
     STORE/current             the name of the promoted version
+    STORE/promoted.json       the names of the versions that ran, in the order of their promotions
     STORE/forced.json         who promoted which version although it does not verify, when and why
     STORE/.lock               held while a version is written or promoted
 
@@ -32,6 +33,7 @@ from sim.sha import Model
 
 STORE_FILE = "store.json"
 CURRENT = "current"
+PROMOTED = "promoted.json"
 FORCED = "forced.json"
 VERSIONS = "versions"
 
@@ -104,9 +106,25 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
                 # The record goes first: a kill between the two leaves a reason without a promotion, never the reverse.
                 known = {name: asdict(record) for name, record in _forces(store).items()}
                 replace_durably(store / FORCED, json.dumps(known | {version: asdict(force)}, indent=2) + "\n")
+            before = ran(store)
             replace_durably(store / CURRENT, version + "\n")
+            # It goes last: a kill between the two is made good by the next promotion, as `ran` begins with what runs.
+            if before[-1:] != (version,):
+                replace_durably(store / PROMOTED, json.dumps({"ran": [*before, version]}, indent=1) + "\n")
     except OSError as error:
         raise refused(store, error) from None
+
+
+def ran(store: Path) -> tuple[str, ...]:
+    """The versions that ran, in the order of their promotions, the current one last; none before a promotion.
+
+    Of a store of a former release only the current one is known. Raises ArtefactError.
+    """
+    file = store / PROMOTED
+    known = [each.text() for each in parse_json(read_text(file), file).get("ran").each()] if file.is_file() else []
+    # By what the file says: one that names a version which is gone must not stand in the way of the next promotion.
+    running = [read_text(store / CURRENT).strip()] if (store / CURRENT).is_file() else []
+    return tuple(known) if known[-1:] == running else (*known, *running)
 
 
 def forced(path: Path, version: str | None = None) -> Force | None:

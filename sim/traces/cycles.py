@@ -4,19 +4,28 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from math import inf
+from math import ceil, inf
 
 import numpy as np
 
 from sim.sha import DECANTER, UNKNOWN, Alphabet, Event, Switch, Trace
 
 
-def split_cycles(trace: Trace, alphabet: Alphabet = DECANTER, gap: float = inf, lead: bool = False) -> list[Trace]:
+def split_cycles(
+    trace: Trace,
+    alphabet: Alphabet = DECANTER,
+    gap: float = inf,
+    lead: bool = False,
+    *,
+    at: Sequence[float] = (),
+    longest: float = inf,
+) -> list[Trace]:
     """The cycles of an encoded trace: each goes from a start to the next one, or to the first row after a gap.
 
     A start is the rising symbol of the alphabet's first switch, unless the last that was heard of that switch was also
     rising: after "unknown" it only says that the machine still runs. Rows more than `gap` seconds apart are not in one
-    cycle; what follows them is a cycle of its own. `lead` gives the rows before the first start too. A cycle's events
+    cycle; what follows them is a cycle of its own. `lead` gives the rows before the first start too. It is also cut at
+    the moments `at` (s), and every `longest` s where nothing else cuts. A cycle's events
     begin with what was known at its cut, in alphabet order, as an encoder's would that started there. Each is named
     trace-1, trace-2 ... Raises ValueError when the alphabet has no switch.
     """
@@ -36,6 +45,14 @@ def split_cycles(trace: Trace, alphabet: Alphabet = DECANTER, gap: float = inf, 
     cuts = sorted({*starts, *breaks, *([float(trace.times[0])] if lead else [])})
     if not lead:
         cuts = [cut for cut in cuts if starts and cut >= starts[0]]
+    cuts = sorted({*cuts, *at})
+    if longest < inf:
+        ends = [*cuts[1:], float(trace.times[-1])]
+        cuts = [
+            cut + longest * part
+            for cut, end in zip(cuts, ends, strict=True)
+            for part in range(max(ceil((end - cut) / longest), 1))
+        ]
     times = [event.time for event in trace.events]
     bounds = [*(bisect_left(times, cut) for cut in cuts), len(times)]
     channels = {

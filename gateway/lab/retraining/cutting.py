@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import pairwise
 from math import inf, nan, nextafter
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from gateway.lab.familiar import LEAST, features_of, free_run_error, strange_words
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, Rating
-from gateway.store import newest_scan, oldest_scan, reading, to_trace
+from gateway.store import newest_scan, oldest_scan, reading, stored_rows, tag_names, to_trace
 from sim.familiarity import LONGEST, FamiliarityReference
 from sim.sha import Array, Bins, Model, Switch, Trace, content_hash, encode
 from sim.traces import split_cycles
@@ -18,6 +19,7 @@ from sim.traces import split_cycles
 Progress = Callable[[str, float], None]
 SPAN = 2 * 86_400.0
 """Seconds of the historian that are in memory at a time."""
+SET_BACK = "the clock was set back during it: what came before and after lies in one another"
 BEFORE = 3600.0
 """What is read before a piece: features look back as far."""
 
@@ -41,29 +43,41 @@ def cut_new(
 ) -> int:
     """Cut what the historian has beyond the library's cursor; how many cycles came. Those that teach are kept.
 
-    A cycle that is not over waits for the next time. Raises HistorianError.
+    A cycle that is not over waits for the next time; one of more than LONGEST is cut there. Raises HistorianError, and
+    ValueError where the historian has not what the model is made of.
     """
     with reading(source.historian) as connection:
         last = newest_scan(connection, machine=source.machine)
         first = oldest_scan(connection, machine=source.machine)
+        tags = tag_names(connection, machine=source.machine)
     if last is None or first is None:
         return 0
-    cursor = library.fact("cursor")
+    needed = [*(channel.signal for channel in source.model.alphabet.channels), source.model.temperature]
+    lacking = [name for name in needed if name not in tags]
+    if lacking:
+        raise ValueError(f"{source.historian}: has no tag {lacking[0]!r}, which the model is made of")
+    if source.since > last:
+        raise ValueError(
+            f"{source.historian}: nothing is in it since {_utc(source.since)}; its newest scan is of {_utc(last)}"
+        )
+    cursor, within = library.fact("cursor"), bool(library.fact("within"))
+    if cursor is not None and cursor > nextafter(last, inf):
+        # The clock was ahead once, and has been put right: what it says now was never cut.
+        earlier = [row.until for row in library.cycles() if row.until <= last]
+        cursor, within = max(earlier, default=first), False
     cursor = max(source.since if cursor is None else float(cursor), first)
     begin, count = cursor, 0
-    difficult = [row.points for row in library.cycles() if row.rating == "badly predicted"]
+    difficult = [row.points for row in library.cycles() if row.rating == "badly predicted" and not row.excluded]
     while cursor < last:
         report("cutting the historian into cycles", (cursor - begin) / max(last - begin, 1.0))
         until = min(cursor + SPAN, nextafter(last, inf))
-        pieces, chunk = _pieces(source, cursor, until)
+        pieces, chunk = _pieces(source, cursor, until, within=within)
         at_end = until > last
-        after = until
-        if pieces:
-            begun, last_row = float(pieces[-1].times[0]), float(pieces[-1].times[-1])
-            # The last one may go on: it is cut when its end is known. One that a gap has ended does not.
-            if until - last_row <= source.model.alphabet.gap and last_row - begun < LONGEST:
-                pieces.pop()
-                after = begun
+        after, within = until, False
+        # The last one may go on: it is cut when its end is known. One that a gap has ended does not.
+        if pieces and until - float(pieces[-1].times[-1]) <= source.model.alphabet.gap:
+            after, within = float(pieces.pop().times[0]), True
+        twice = _twice(source, cursor, until)
         rows: list[CycleRow] = []
         closed = {piece.name: _closed(piece, chunk, source.model.alphabet.gap) for piece in pieces}
         for piece in pieces:
@@ -72,14 +86,16 @@ def cut_new(
             )
             if row is None:
                 continue
+            if any(row.begin <= high and low <= row.until for low, high in twice):
+                row = replace(row, excluded_by="the program", reason=SET_BACK)
             rows.append(row)
-            if row.rating == "badly predicted":
+            if row.rating == "badly predicted" and not row.excluded:
                 difficult.append(row.points)
         count += len(rows)
-        library.add(rows, after)
+        library.add(rows, after, within=within)
         # After their rows: a kill between the two leaves a row without readings, which the historian still has.
         for row in rows:
-            if row.rating != "ordinary":
+            if row.rating != "ordinary" and not row.excluded:
                 library.keep(row.name, closed[row.name])
         if at_end:
             break
@@ -87,20 +103,38 @@ def cut_new(
     return count
 
 
-def _pieces(source: CycleSource, start: float, end: float) -> tuple[list[Trace], Trace]:
-    """The cycles that begin from `start` to `end`, and all that was read, an hour before included; encoded."""
+def _pieces(source: CycleSource, start: float, end: float, *, within: bool) -> tuple[list[Trace], Trace]:
+    """The cycles that begin from `start` to `end`, and all that was read, an hour before included; encoded.
+
+    `within`: one begins at `start`, whatever the machine does then. A piece in which a tag has no reading yet has none.
+    """
     machine, alphabet = source.machine, source.model.alphabet
     chunk = to_trace(source.historian, start=start - BEFORE, end=end, machine=machine)
     if chunk.times.size < 2:
         return [], chunk
     chunk = replace(chunk, machine=machine or "")
-    lacking = [channel.signal for channel in alphabet.channels if channel.signal not in chunk.signals]
-    if lacking:
-        raise ValueError(f"{source.historian}: has no tag {lacking[0]!r}, which the model's events are made of")
+    if any(channel.signal not in chunk.signals for channel in alphabet.channels):
+        return [], chunk
     chunk = replace(chunk, events=encode(chunk, alphabet))
-    found = split_cycles(chunk, alphabet, gap=alphabet.gap)
+    found = split_cycles(chunk, alphabet, alphabet.gap, at=[start] if within else [], longest=LONGEST)
     named = [replace(piece, name=_name(machine, piece)) for piece in found if piece.times.size]
     return [piece for piece in named if piece.times[0] >= start], chunk
+
+
+def _twice(source: CycleSource, start: float, end: float) -> list[tuple[float, float]]:
+    """The stretches from `start` to `end` that the historian has twice, since the clock was set back (s UTC)."""
+    with reading(source.historian) as connection:
+        rows = stored_rows(connection, "scans", ("time",), start - BEFORE, end, machine=source.machine)
+    arrived = np.array([row[0] for row in rows], dtype=float)
+    begun = (np.flatnonzero(np.diff(arrived) < 0) + 1).tolist()
+    found: list[tuple[float, float]] = []
+    for begin, end in pairwise([*begun, arrived.size]):
+        before, after = arrived[:begin], arrived[begin:end]
+        low, high = float(after[0]), float(min(before.max(), after[-1]))
+        # Rows that another source has written come out of order too; twice is what both have.
+        if np.any((before >= low) & (before <= high)):
+            found.append((low, high))
+    return found
 
 
 def _closed(cycle: Trace, chunk: Trace, gap: float) -> Trace:
@@ -114,18 +148,36 @@ def _closed(cycle: Trace, chunk: Trace, gap: float) -> Trace:
     return replace(chunk.between(begin, nextafter(end, inf)), name=cycle.name, events=())
 
 
+def _utc(time: float) -> str:
+    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
 def _name(machine: str | None, cycle: Trace) -> str:
     moment = datetime.fromtimestamp(float(cycle.times[0]), UTC).strftime("%Y%m%dT%H%M%SZ")
     return f"{machine}-{moment}" if machine else moment
 
 
 def cycle_of(source: CycleSource, row: CycleRow, library: CycleLibrary) -> Trace | None:
-    """The readings of a cycle, not encoded: those that were kept, else the historian's; None where neither has them."""
+    """The readings of a cycle, not encoded: those that were kept, else the historian's; None where neither has them.
+
+    A kept file that is missing or damaged is made again from the historian; ValueError where that has it no more.
+    """
+    lost: ValueError | None = None
     if row.kept:
-        return library.readings(row.content)
+        try:
+            return library.readings(row.content)
+        except ValueError as error:
+            lost = error
     found = to_trace(source.historian, start=row.begin, end=nextafter(row.until, inf), machine=source.machine)
     trace = replace(found, name=row.name, machine=source.machine or "")
-    return trace if content_hash(trace) == row.content else None
+    if content_hash(trace) == row.content:
+        if lost is not None:
+            library.keep(row.name, trace, anew=True)
+        return trace
+    if lost is not None:
+        leave = f"decanter model cycles {library.folder} --exclude {row.name} --reason WHY --by WHO"
+        raise ValueError(f"{lost}; or leave the cycle out: {leave}") from None
+    return None
 
 
 def and_after(source: CycleSource, cycle: Trace, seconds: float) -> Trace:

@@ -23,6 +23,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from sim.familiarity import COLUMNS
+from sim.files import sync_directory
 from sim.sha import Array, Trace, content_hash
 
 Rating = Literal["badly predicted", "rare", "near a difficult one", "ordinary"]
@@ -106,14 +107,18 @@ class CycleLibrary:
 
     # ---------------------------------------------------------------- cycles
 
-    def cycles(self) -> list[CycleRow]:
-        """All cycles in the order of time."""
+    def cycles(self, *, as_cut: bool = False) -> list[CycleRow]:
+        """All cycles in the order of time, or in that in which they were cut, whatever the clock did."""
         names = [each.name for each in fields(CycleRow)]
-        rows = self._connection.execute(f"SELECT {', '.join(names)} FROM cycles ORDER BY begin")  # noqa: S608
+        order = "rowid" if as_cut else "begin"
+        rows = self._connection.execute(f"SELECT {', '.join(names)} FROM cycles ORDER BY {order}")  # noqa: S608
         return [_row(dict(zip(names, row, strict=True))) for row in rows]
 
-    def add(self, cycles: Sequence[CycleRow], cursor: float) -> None:
-        """Take cycles, and that the historian has been cut up to `cursor` (s UTC); a cycle that is there stays."""
+    def add(self, cycles: Sequence[CycleRow], cursor: float, *, within: bool = False) -> None:
+        """Take cycles, and that the historian has been cut up to `cursor` (s UTC); a cycle that is there stays.
+
+        `within`: the next cycle begins at the cursor, whether the machine starts there or not.
+        """
         names = [each.name for each in fields(CycleRow)]
         query = f"INSERT OR IGNORE INTO cycles ({', '.join(names)}) VALUES ({', '.join('?' * len(names))})"  # noqa: S608
         with self._connection:
@@ -121,6 +126,7 @@ class CycleLibrary:
                 points = json.dumps([[x if isfinite(x) else None for x in point] for point in cycle.points.tolist()])
                 self._connection.execute(query, tuple({**cycle.as_plain(), "points": points}[name] for name in names))
             self._put_fact("cursor", cursor)
+            self._put_fact("within", within)
 
     def exclude(self, name: str, by: str, reason: str) -> None:
         """Take a cycle out of what is learned and judged; without `by` take it in again. Raises ValueError."""
@@ -139,11 +145,11 @@ class CycleLibrary:
 
     # ---------------------------------------------------------------- readings
 
-    def keep(self, name: str, trace: Trace) -> None:
-        """Keep the readings of a cycle beyond the historian's retention."""
+    def keep(self, name: str, trace: Trace, *, anew: bool = False) -> None:
+        """Keep the readings of a cycle beyond the historian's retention; `anew`: in place of a file that is damaged."""
         content = content_hash(trace)
         path = self._file(content)
-        if not path.exists():
+        if anew or not path.exists():
             path.parent.mkdir(exist_ok=True)
             beside = path.with_name(f".{path.name}")
             with beside.open("wb") as stream:
@@ -151,6 +157,8 @@ class CycleLibrary:
                 stream.flush()
                 os.fsync(stream.fileno())
             beside.replace(path)
+            # Before the row says so: a power cut must not leave a row without its file.
+            sync_directory(path.parent)
         with self._connection:
             self._connection.execute("UPDATE cycles SET kept = 1 WHERE name = ?", (name,))
 
@@ -231,9 +239,17 @@ def opened_library(
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ValueError(f"{folder}: another process is working on this library; wait for it") from None
-        connection = sqlite3.connect(file)
         try:
-            if connection.execute("PRAGMA user_version").fetchone()[0] == 0:
+            connection = sqlite3.connect(file)
+        except sqlite3.Error as error:
+            raise ValueError(
+                f"{file}: cannot be opened as a library of cycles ({error}); give another folder"
+            ) from None
+        try:
+            layout = connection.execute("PRAGMA user_version").fetchone()[0]
+            if layout > LAYOUT:
+                raise ValueError(f"{file}: has layout {layout}, and this program knows {LAYOUT}; update it")
+            if layout == 0:
                 # In one transaction: a kill in between leaves an empty file, which is a new one.
                 connection.executescript(f"BEGIN;{SCHEMA}PRAGMA user_version = {LAYOUT};COMMIT;")
             library = CycleLibrary(folder, connection)
@@ -244,6 +260,10 @@ def opened_library(
                 elif value is not None and known != value:
                     raise ValueError(f"{folder}: is of the {name} {known!r}, not of {value!r}; give another --library")
             yield library
+        except sqlite3.OperationalError as error:
+            raise ValueError(
+                f"{file}: cannot be read or written ({error}); make room there, or give a folder that may be written"
+            ) from None
         except sqlite3.DatabaseError as error:
             raise ValueError(f"{file}: cannot be used as a library of cycles ({error}); give another folder") from None
         finally:

@@ -77,8 +77,9 @@ class HorizonComparison:
     `crps` and `coverage` are means over the cycles by method; `difference` is that of the CRPS (degC), new minus
     present, cycle by cycle. Its two-sided p-value is corrected for the set's horizons: `p` by Holm, by which the new
     model is worse at any of them; `sequence` by taking them one after the other from the longest, by which it is better
-    (a fixed sequence: the largest p-value so far). What protects a bearing is the longest horizon, and few cycles that
-    show a large gain there must not fail for the minute ahead, at which nothing changes (record 0175).
+    (a fixed sequence: the largest p-value so far, 1 from the first horizon on at which it is not the better one). What
+    protects a bearing is the longest horizon, and few cycles that show a large gain there must not fail for the minute
+    ahead, at which nothing changes (record 0175).
     """
 
     subject: str
@@ -149,7 +150,8 @@ def compared(subject: str, scores: Sequence[Mapping[str, Any]], *, seed: int) ->
         }
         found.append((horizon, means["crps"], means["coverage"], paired(differences, rng)))
     alone = [difference.p for *_, difference in found]
-    in_sequence = list(accumulate(reversed(alone), max))[::-1]
+    better = [difference.p if difference.mean < 0 else 1.0 for *_, difference in found]
+    in_sequence = list(accumulate(reversed(better), max))[::-1]
     return [
         HorizonComparison(
             subject=subject, horizon=horizon, crps=crps, coverage=cover, difference=difference, p=p, sequence=sequence

@@ -161,7 +161,7 @@ def show(found: Retraining, store: Path, place: Path, cost: dict[str, float]) ->
             c.crps["new"],
             c.crps["present"],
             c.difference.mean,
-            c.p,
+            c.shown_p,
             c.told_apart or "no",
         ]
         for c in found.comparisons

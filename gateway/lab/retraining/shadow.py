@@ -24,9 +24,9 @@ from gateway.lab.retraining.judging import (
 )
 from gateway.lab.retraining.study import encoded
 from gateway.lab.retraining.training_record import created_of, read_record
-from gateway.store import machines, reading
-from sim.artefacts import current, load, promote, read_familiarity, version_directory, versions
-from sim.sha import shown_unit
+from gateway.store import machines, newest_scan, reading
+from sim.artefacts import current, load, promote, ran, read_familiarity, version_directory, versions
+from sim.sha import Trace, shown_unit
 
 LIVE = "live cycles"
 LEAST, MOST = 8, 24
@@ -71,27 +71,35 @@ def side_by_side(
 ) -> SideBySide:
     """Both versions on the cycles since the younger of them was made, and what the stated policy makes of it.
 
-    The current version is judged against `version` (default: the one that ran before). With `roll_back` that one is
-    promoted again where the current one is worse at some horizon. With `promotes` `version` is judged instead, and
-    promoted where it is better at some horizon and worse at none, as a retraining proposes: on its first TRIAL cycles
-    and no others, so that it is judged once, however often a timer asks. A cycle has `most` forecasts at most. Raises
-    ValueError where there is no such version.
+    The current version is judged against `version` (default: the one that ran before). With `roll_back` that one, which
+    must have run, is promoted again where the current one is worse at some horizon. With `promotes` `version`, which
+    must not have run, is judged instead, and promoted where it is better at some horizon and worse at none, as a
+    retraining proposes: on its first TRIAL cycles and no others, so that it is judged once, however often a timer asks.
+    A cycle has `most` forecasts at most. Raises ValueError where there is no such version.
     """
     running = current(store)
-    record = read_record(version_directory(store, running))
-    other = version or ("" if record is None else record.parent)
+    other = version or ran_before(store)
     if other == running or other not in versions(store):
+        said = repr(other) if other else "the version before the current one, of which nothing is on record,"
         raise ValueError(
-            f"{store}: {other or 'the version before the current one'!r} is no other version of this store; name "
+            f"{store}: {said} is no other version of this store; name "
             f"one of: {', '.join(name for name in versions(store) if name != running) or 'none yet'}"
+        )
+    known = {*ran(store), ran_before(store)}
+    if roll_back and other not in known:
+        raise ValueError(f"{store}: {other} has never run, and there is no way back to it; judge it with --promote")
+    if promotes and other in known:
+        raise ValueError(
+            f"{store}: {other} has run, and was replaced since: it is no candidate any more; a person may run it again "
+            f"with `decanter model promote {store} {other}`"
         )
     judged, stood = (other, running) if promotes else (running, other)
     new, old = load(store, judged), load(store, stood)
     since = max(created_of(version_directory(store, name)) for name in (running, other))
     present = load(store, running)
     source = CycleSource(historian=historian, machine=machine, model=present, version=running, since=-inf)
-    known = read_familiarity(version_directory(store, running))
-    cut_new(library, source, None if known is None else known.reference, report)
+    familiar = read_familiarity(version_directory(store, running))
+    cut_new(library, source, None if familiar is None else familiar.reference, report)
     seen = {*new.provenance.contents, *old.provenance.contents}
     live = [
         row
@@ -100,18 +108,28 @@ def side_by_side(
     ]
     live, needed = (live[:TRIAL], TRIAL) if promotes else (live[-MOST:], LEAST)
     scores: list[dict[str, Any]] = []
-    for row in () if promotes and len(live) < needed else live:
+    traces = list[Trace]()
+    for row in live:
         trace = cycle_of(source, row, library)
-        if trace is not None:
-            followed = encoded(and_after(source, trace, LONGEST_HORIZON), present)
-            until = float(trace.times[-1])
-            scores += scores_along(followed, old, new, seed=seed, report=report, most=most, until=until)
+        if trace is None:
+            continue
+        traces.append(trace)
+        if promotes:
+            # What judges a candidate outlives the historian's retention, or its verdict would change with that.
+            library.keep(row.name, trace)
+    enough = len(traces) >= needed
+    for trace in traces if enough or not promotes else ():
+        followed = encoded(and_after(source, trace, LONGEST_HORIZON), present)
+        until = float(trace.times[-1])
+        scores += scores_along(followed, old, new, seed=seed, report=report, most=most, until=until)
     comparisons = compared(LIVE, scores, seed=seed)
     worse = [each for each in comparisons if each.told_apart == "worse"]
     better = [each for each in comparisons if each.told_apart == "better"]
     promoted = ""
-    if len(live) < needed:
-        sentence = f"{len(live)} cycles since both were made are too few to tell; it takes {needed}"
+    if not enough:
+        sentence = f"{len(traces)} cycles since both were made are too few to tell; it takes {needed}"
+        if len(traces) < len(live):
+            sentence += f", and {len(live) - len(traces)} are neither kept nor in the historian any more"
     elif worse:
         sentence = f"{judged} is worse than {stood} at {', '.join(f'{each.horizon:g} s' for each in worse)}"
         # Better is told from the longest horizon on, and that is what warns: less right a minute ahead is no harm then.
@@ -133,11 +151,24 @@ def side_by_side(
         runs=promoted or running,
         judged=judged,
         stood=stood,
-        cycles=len(live),
+        cycles=len(traces),
         promoted=promoted,
         sentence=sentence,
         comparisons=tuple(comparisons),
     )
+
+
+def ran_before(store: Path) -> str:
+    """The version that ran before the current one, "" where nothing says which.
+
+    Of a store of a former release it is the one beside which the current one was learned.
+    """
+    running = current(store)
+    former = [name for name in ran(store) if name != running]
+    if former:
+        return former[-1]
+    record = read_record(version_directory(store, running))
+    return "" if record is None else record.parent
 
 
 @click.command("shadow", short_help="Compare two versions on live cycles; promote the better one by a stated policy.")
@@ -173,6 +204,8 @@ def shadow_command(
     with sentences(), progress("comparing") as bar, interruptible(bar) as report:
         temperature = load(store).temperature
         with reading(historian) as connection:
+            if newest_scan(connection, machine=machine) is None:
+                raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
             name = machine if machine is not None else next(iter(dict(machines(connection))))
         place = folder or historian.parent / "cycles" / "-".join(filter(None, (name, temperature)))
         with opened_library(place, machine=name, temperature=temperature) as library:
@@ -195,7 +228,15 @@ def shadow_command(
     def show() -> None:
         columns = ("horizon (s)", "cycles", found.judged, found.stood, "difference", "p", "told apart")
         rows = [
-            [c.horizon, c.difference.n, c.crps["new"], c.crps["present"], c.difference.mean, c.p, c.told_apart or "no"]
+            [
+                c.horizon,
+                c.difference.n,
+                c.crps["new"],
+                c.crps["present"],
+                c.difference.mean,
+                c.shown_p,
+                c.told_apart or "no",
+            ]
             for c in found.comparisons
         ]
         if rows:

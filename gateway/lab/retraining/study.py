@@ -19,10 +19,10 @@ import numpy as np
 
 from gateway.lab.familiar import (
     ErrorPair,
+    cycles_with_points,
     error_pair,
     familiarity,
     familiarity_files,
-    features_of,
     reference_of,
     strange_words,
 )
@@ -31,7 +31,7 @@ from gateway.lab.retraining.cycle_library import RATINGS, CycleLibrary, CycleRow
 from gateway.lab.retraining.judging import LONGEST_HORIZON, MOST_FORECASTS, compared, scores_along, verdict_on
 from gateway.lab.retraining.report import Retraining, report_files
 from gateway.lab.retraining.training_record import RECORD, TrainingRecord, code_hash, read_record, software
-from gateway.store import moment_of
+from gateway.store import moment_of, oldest_scan, reading
 from sim.artefacts import (
     MANIFEST,
     MODEL_FILE,
@@ -138,18 +138,20 @@ def cut_and_rate(request: RetrainingRequest, library: CycleLibrary, source: Cycl
 
 def new_cycles(library: CycleLibrary, model: Model) -> list[CycleRow]:
     """The cycles since the last one that the model was learned from, which nobody has excluded and which can be run."""
-    seen, rows = set(model.provenance.contents), library.cycles()
+    seen, rows = set(model.provenance.contents), library.cycles(as_cut=True)
     # One that was left out of that training is no news: it tells of the plant as it was then.
-    last = max((row.begin for row in rows if row.content in seen), default=-inf)
-    return [row for row in rows if row.begin > last and not row.excluded and row.error is not None]
+    last = max((place for place, row in enumerate(rows) if row.content in seen), default=-1)
+    return [row for row in rows[last + 1 :] if not row.excluded and row.error is not None]
 
 
 def due(library: CycleLibrary, model: Model, *, after: int, drifting: bool, age: float, every: float) -> str:
     """Why it is time to retrain, "" where it is not: `after` new cycles that teach, drift, the last one's age (s)."""
     if drifting:
         return "the drift alarm's condition holds"
-    until = (library.fact("finished") or {}).get("until") or -inf
-    teaching = [row for row in new_cycles(library, model) if row.rating != "ordinary" and row.begin > until]
+    names = [row.name for row in library.cycles(as_cut=True)]
+    finished = (library.fact("finished") or {}).get("last")
+    since = set(names[names.index(finished) + 1 :] if finished in names else names)
+    teaching = [row for row in new_cycles(library, model) if row.rating != "ordinary" and row.name in since]
     if len(teaching) >= after:
         return f"{len(teaching)} new cycles are not ordinary"
     return f"the last retraining is {age / 86_400.0:.3g} days ago" if age >= every else ""
@@ -182,6 +184,8 @@ def retrain(
         "forecasts": request.forecasts,
         "standard": joint_hash(request.standard),
         "former": joint_hash(request.former),
+        # What somebody has taken out since the study began must not be in what it learns from.
+        "excluded": [row.name for row in library.cycles() if row.excluded],
         "code": code_hash(),
     }
     study = library.study(settings)
@@ -216,7 +220,7 @@ def retrain(
     del training
 
     scores: dict[str, list[dict[str, Any]]] = {FRESH: [], STANDARD: []}
-    notes: list[str] = []
+    notes, unjudged = list[str](), list[str]()
     judged: list[tuple[str, Trace | None, str]] = [(FRESH, None, content) for _, content in chosen["held_out"]]
     judged += [(STANDARD, trace, content_hash(trace)) for trace in standard]
     for number, (subject, at_hand, content) in enumerate(judged):
@@ -241,12 +245,17 @@ def retrain(
         if subject == STANDARD and content in (*present.provenance.contents, *new.provenance.contents):
             name = at_hand.name if at_hand is not None else content[:8]
             notes.append(f"{name} of the standard set is training of one of the models: its figures flatter that one")
+        if subject == STANDARD and not rows:
+            unjudged.append(at_hand.name if at_hand is not None else content[:8])
         scores[subject] += rows
     comparisons = [each for subject, rows in scores.items() for each in compared(subject, rows, seed=request.seed)]
 
     report("verifying", 0.8)
     refusals = verify(new).reasons
     propose, sentence = verdict_on(comparisons, refusals, FRESH)
+    if propose and unjudged:
+        propose = False
+        sentence = f"not proposed: {unjudged[0]} of the {STANDARD} judges nothing, as no forecast along it comes due"
     left = library.step(study, "diagnosed")
     if left is None:
         left = "" if not request.diagnosis else _what_is_left(new, library, chosen, request.seed, report)
@@ -272,7 +281,10 @@ def retrain(
         left=left,
         classes=tuple(classes),
         regions=_regions(library, chosen),
-        ratings={rating: sum(row.rating == rating for row in rows_by_name.values()) for rating in RATINGS},
+        ratings={
+            rating: sum(row.rating == rating and not row.excluded for row in rows_by_name.values())
+            for rating in RATINGS
+        },
         training=len(record.training),
         held_out=len(chosen["held_out"]),
         rows=learned["rows"],
@@ -293,8 +305,8 @@ def retrain(
     place.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         replace_durably(place / name, content)
-    last = max((row.begin for row in rows_by_name.values()), default=None)
-    library.set_fact("finished", {"until": last, "at": clock(), "study": study, "version": found.version})
+    last = next((row.name for row in reversed(library.cycles(as_cut=True))), None)
+    library.set_fact("finished", {"last": last, "at": clock(), "study": study, "version": found.version})
     library.close_study(study)
     shutil.rmtree(folder, ignore_errors=True)
     return found
@@ -312,7 +324,12 @@ def choose_cycles(request: RetrainingRequest, library: CycleLibrary, source: Cyc
     of operation in turn, the newest before the older, then the traces of former training, until it has as many rows as
     it may have.
     """
-    fresh = new_cycles(library, source.model)
+    with reading(source.historian) as connection:
+        oldest = oldest_scan(connection, machine=source.machine)
+    # One that nobody has any more must not be drawn: only ordinary ones go.
+    fresh = [
+        row for row in new_cycles(library, source.model) if row.kept or (oldest is not None and row.begin >= oldest)
+    ]
     latest = fresh[-JUDGING:]
     count = min(max(len(latest) // 4, LEAST_HELD_OUT), HELD_OUT, len(latest) // 2)
     if count < LEAST_HELD_OUT:
@@ -321,9 +338,11 @@ def choose_cycles(request: RetrainingRequest, library: CycleLibrary, source: Cyc
             f"{ENOUGH}, so let the gateway run on"
         )
     ordered = sorted(latest, key=lambda row: (RATINGS.index(row.rating), row.begin))
-    places = np.unique(np.linspace(0, len(ordered) - 1, count).round().astype(int)).tolist()
+    # In the middle of each part, not at its ends: the one that is worst predicted would always be among the judges.
+    places = ((np.arange(count) + 0.5) * len(ordered) / count).astype(int).tolist()
     held = {ordered[place].name for place in places}
-    rest = [row for row in library.cycles() if not row.excluded and row.error is not None and row.name not in held]
+    rows = library.cycles(as_cut=True)
+    rest = [row for row in rows if not row.excluded and row.error is not None and row.name not in held]
     notes, sets = list[str](), {"training": list[tuple[str, str]](), "held_out": list[tuple[str, str]]()}
     former, left = list[str](), request.rows
     # No library has them, so that they are older than all that it has.
@@ -332,7 +351,13 @@ def choose_cycles(request: RetrainingRequest, library: CycleLibrary, source: Cyc
     candidates += [*_in_turn(rest, request.rows), *earlier]
     for row in candidates:
         if isinstance(row, Trace):
-            if row.times.size <= left:
+            begin, end = float(row.times[0]), float(row.times[-1])
+            same = row.machine in ("", source.machine)
+            if same and any(begin <= each.until and each.begin <= end for each in rows):
+                notes.append(
+                    f"{row.name} is of a time that the library has cycles of: it is not learned from beside them"
+                )
+            elif row.times.size <= left:
                 former.append(content_hash(row))
                 left -= row.times.size
             continue
@@ -486,8 +511,13 @@ def _familiarity(
     new: Model,
 ) -> tuple[Familiarity | None, list[ClassFigures]]:
     """What is familiar to the new model, and its error on the cycles held out by the class that was expected."""
-    known = [rows[name].points for name, _ in chosen["training"]]
-    known += [features_of(new, encoded(trace, new)).values for trace in request.former]
+    # In the order of time: no library has the traces of former training, so that they are older.
+    known = [
+        points
+        for trace in sorted(_former(request, chosen), key=lambda each: float(each.times[0]))
+        for _, points in cycles_with_points(new, encoded(trace, new))
+    ]
+    known += [rows[name].points for name, _ in chosen["training"]]
     reference = reference_of(known)
     if reference is None:
         return None, []
@@ -505,6 +535,8 @@ def _regions(library: CycleLibrary, chosen: dict[str, Any]) -> tuple[dict[str, A
     trained = {name for name, _ in chosen["training"]}
     found: dict[str, dict[str, Any]] = {}
     for row in library.cycles():
+        if row.excluded:
+            continue
         own = found.setdefault(row.region, {"region": row.region, "cycles": 0, "not ordinary": 0, "in training": 0})
         own["cycles"] += 1
         own["not ordinary"] += row.rating != "ordinary"

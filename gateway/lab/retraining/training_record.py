@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -61,17 +62,20 @@ def created_of(folder: Path) -> float:
     """When the version in `folder` was made (s UTC). Raises ArtefactError."""
     manifest = folder / MANIFEST
     try:
-        return float(json.loads(read_text(manifest))["created"])
-    except (KeyError, TypeError, ValueError) as error:
+        created = float(json.loads(read_text(manifest))["created"])
+        datetime.fromtimestamp(created, UTC)
+        return created
+    except (KeyError, OverflowError, OSError, TypeError, ValueError) as error:
         raise at(manifest, None, f"does not say when the version was made ({error!r}); restore it") from None
 
 
-def code_hash(floor: str = "sim") -> str:
-    """SHA-256 over the sources of a floor, file by file: those that a model is computed by are all of `sim`."""
-    root = Path(__file__).parents[3] / floor
+def code_hash(*folders: str) -> str:
+    """SHA-256 over the sources of folders, file by file; without any over those that a model is computed by."""
     digest = sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    for folder in folders or ("sim", "gateway/lab/retraining"):
+        root = Path(__file__).parents[3] / folder
+        for path in sorted(root.rglob("*.py")):
+            digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
     return digest.hexdigest()
 
 
