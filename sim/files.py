@@ -32,6 +32,22 @@ def read_text(path: Path) -> str:
     return text
 
 
+def check_utf8(path: Path) -> None:
+    """Raises ArtefactError for a path that is no UTF-8, as neither JSON nor a table can hold it."""
+    try:
+        str(path.absolute()).encode()
+    except UnicodeEncodeError:
+        raise at(repr(str(path)), None, "is no UTF-8; rename what in it shows as \\udc..") from None
+
+
+def resolved(path: Path) -> Path:
+    """The path with its links followed. Raises ArtefactError where they lead in a circle."""
+    try:
+        return path.resolve()
+    except RuntimeError:
+        raise at(path, None, "is a link that leads back to itself; give another path") from None
+
+
 def refused(path: Path, error: OSError) -> ArtefactError:
     """The sentence for a file or directory that the system does not let us write."""
     return at(

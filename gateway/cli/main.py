@@ -58,7 +58,11 @@ EXAMPLES = {
 }
 
 
-RENAMED = {"check": "`decanter plc check --offline` for the files alone, `decanter plc check` for the PLC too"}
+RENAMED = {
+    "check": "`decanter plc check --offline` for the files alone, `decanter plc check` for the PLC too",
+    "ingest": "`decanter trace ingest`",
+    "regress": "`decanter model regress`",
+}
 
 
 @click.group(

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from sim.traces.column_map import ClockColumns, ColumnMap, load_map, parse_map
     from sim.traces.cycles import split_cycles
     from sim.traces.load_report import LoadReport, TraceError, listed
+    from sim.traces.readings import unread_hash
     from sim.traces.text_table import SEPARATORS, decode_head
     from sim.traces.trace_file import write_trace
     from sim.traces.traces import files_by_machine, load_traces, units
@@ -41,6 +42,7 @@ __all__ = [
     "round_to",
     "split_cycles",
     "units",
+    "unread_hash",
     "with_thresholds",
     "write_trace",
 ]

@@ -35,7 +35,8 @@ class FileReport:
 
     `aside` rows belong to objects or signals that the map does not name, `merged` of the used ones share their time
     with another, `bad_cells` are cells of used rows whose value cannot be used: they are of bad quality in the trace.
-    `reasons` counts refused rows and bad cells by reason. `warnings` are notes on what was understood otherwise than
+    `columns` are the names in its header, once one is found that has those that the map needs. `reasons` counts refused
+    rows and bad cells by reason. `warnings` are notes on what was understood otherwise than
     the file says it, though no row was lost. `error` says why nothing of the file was used.
     """
 
@@ -50,6 +51,7 @@ class FileReport:
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     error: str = ""
+    columns: tuple[str, ...] = ()
 
     @property
     def used(self) -> int:

@@ -3,6 +3,7 @@
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -40,20 +41,50 @@ class FileReadings:
 
 def read_file(path: Path, column_map: ColumnMap, report: FileReport) -> FileReadings:
     """The readings of one file. Raises TraceError when nothing of it can be used, OSError when it cannot be read."""
+    layout = _layout(path, column_map, report)
+    if column_map.long is None:
+        readings = _read_wide(path, layout, column_map, report)
+    else:
+        readings = _read_long(path, layout, column_map, column_map.long, report)
+    if not readings.times.size:
+        why = f": {report.reasons.most_common(1)[0][0]}" if report.reasons else ""
+        raise TraceError(f"{path}: none of its {report.rows} rows can be used{why or '; there is only a header'}")
+    return readings
+
+
+def unread_hash(path: Path, column_map: ColumnMap) -> str:
+    """SHA-256 (hex) over what a file has beside the columns that a map reads; of a long one over the whole table.
+
+    Numbers count as numbers and other cells without the blanks around them, so that separators, comments, line ends and
+    the order of columns do not count. Raises TraceError for a file that the map does not fit, OSError.
+    """
+    report = FileReport(path)
+    layout = _layout(path, column_map, report)
+    read: set[int | None] = {_needed(layout, names) for names in clock_columns(column_map.clock)}
+    read |= {place_of(layout.header, column_map.names_of(name)) for name in column_map.signals}
+    if column_map.extra:
+        read |= set(range(len(layout.header)))
+    # What a long file says of signals that are not in the map stands in the columns that the map does read.
+    others = [index for index in range(len(layout.header)) if column_map.long is not None or index not in read]
+    digests = {index: sha256(f"{layout.header[index]}\n".encode()) for index in others}
+    for _, rows in read_rows(path, layout, column_map.comment, report):
+        for index, digest in digests.items():
+            cells = [row[index] for row in rows]
+            values, _ = numbers(cells, column_map.decimal)
+            pairs = zip(cells, values.tolist(), strict=True)
+            plain = [repr(value) if value == value else cell.strip() for cell, value in pairs]
+            digest.update("".join(f"{cell}\n" for cell in plain).encode("utf-8", "surrogatepass"))
+    return sha256("".join(sorted(digest.hexdigest() for digest in digests.values())).encode()).hexdigest()
+
+
+def _layout(path: Path, column_map: ColumnMap, report: FileReport) -> TextLayout:
+    """How the file is written, its header found by the columns that the map cannot do without. Raises TraceError."""
     long = column_map.long
     if long is None:
         sources = [() if column_map.temperature in column_map.derived else column_map.names_of(column_map.temperature)]
     else:
         sources = [long.name, long.value, *([long.object] if long.objects else [])]
-    layout = find_layout(path, column_map, [*clock_columns(column_map.clock), *filter(None, sources)], report)
-    if long is None:
-        readings = _read_wide(path, layout, column_map, report)
-    else:
-        readings = _read_long(path, layout, column_map, long, report)
-    if not readings.times.size:
-        why = f": {report.reasons.most_common(1)[0][0]}" if report.reasons else ""
-        raise TraceError(f"{path}: none of its {report.rows} rows can be used{why or '; there is only a header'}")
-    return readings
+    return find_layout(path, column_map, [*clock_columns(column_map.clock), *filter(None, sources)], report)
 
 
 def _chunks(

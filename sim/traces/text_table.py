@@ -107,6 +107,7 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
         report.notes.append(f"its separator is {separator!r}, not {column_map.separator!r} as the map says")
     if not fits:
         report.notes.append(f"it has no header; its columns are taken for {listed(column_map.columns)}")
+    report.columns = header
     return TextLayout(encoding, separator, header, skip, tuple(comments))
 
 

@@ -54,18 +54,25 @@ def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], Loa
 
 
 def files_by_machine(source: Source, column_map: ColumnMap) -> dict[str, list[Path]]:
-    """The files that `load_traces` would read, by the machine that their traces are of."""
+    """The files of traces, by the machine that they are of.
+
+    Of a folder its own and those in the folders below: a file beside the machines' folders must not stand for them all.
+    """
     machines: dict[str, list[Path]] = {}
-    for group in _groups(_files(source, column_map), column_map):
+    for group in _groups(_files(source, column_map, below=True), column_map):
         machines.setdefault(_machine([FileReport(path) for path in group], column_map), []).extend(group)
     return machines
 
 
-def _files(source: Source, column_map: ColumnMap) -> list[Path]:
+def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> list[Path]:
+    """The files that are meant, those in the folders below a folder only where it has none itself, or if `below`."""
     files: list[Path] = []
     for path in (Path(each).expanduser() for each in ([source] if isinstance(source, str | Path) else source)):
         if path.is_dir():
-            files += _csv_files(path.iterdir(), column_map.parts) or _csv_files(path.rglob("*"), column_map.parts)
+            own = _csv_files(path.iterdir(), column_map.parts)
+            files += own
+            if below or not own:
+                files += _csv_files((each for each in path.rglob("*") if each.parent != path), column_map.parts)
         elif not path.exists() and any(mark in str(path) for mark in "*?["):
             # A file may have such a mark in its name: only what is not there is a pattern.
             anchor = Path(path.anchor)

@@ -1,6 +1,9 @@
 """`model regress`: every result once, and what became worse, with models and programs that were made worse."""
 
+import json
+import os
 import shutil
+import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +14,7 @@ import pytest
 from gateway.lab.regression import history as history_module
 from gateway.lab.regression import regress as regress_module
 from gateway.lab.regression.history import opened_history
-from gateway.lab.regression.standard import CodeVersion, code_version
+from gateway.lab.regression.standard import CodeVersion, code_version, commit_of
 from gateway.lab.regression.worse import WorseForecast, regressions_of
 from sim.artefacts import promote
 from sim.artefacts.formats import save, write_model_directory
@@ -171,3 +174,182 @@ def test_wrong_input_has_one_sentence(traces: Path, tmp_path: Path) -> None:
     with opened_history(history):
         refused(decanter(*call), 2, "another process is writing this history")
     assert regress_module.regress.name == "regress"
+
+
+def two_models(models: Path) -> Path:
+    write_model_directory(models / "a", two_modes())
+    write_model_directory(models / "b", replace(two_modes(), sensor_sigma=0.2))
+    return models
+
+
+def worsened(model: Path) -> None:
+    shutil.rmtree(model)
+    write_model_directory(model, misled())
+
+
+def test_what_is_accepted_is_the_models_and_the_seed_of_that_run(traces: Path, tmp_path: Path) -> None:
+    models = two_models(tmp_path / "models")
+    history = ("--standard", traces, "--history", tmp_path / "history.jsonl")
+    assert run(models, traces)[0] == 0 and run(models, traces, "--seed", 1)[0] == 0
+    worsened(models / "a")
+    worsened(models / "b")
+    accepted = decanter("model", "regress", models / "a", *history, "--accept", "another product", "--json")
+    assert accepted.exit_code == 0
+    row = opened_rows(tmp_path / "history.jsonl")[-1]
+    assert (row["kind"], row["models"], row["seed"]) == ("accepted", ["models/a"], 0)
+    code, data = run(models, traces)
+    assert code == 1 and {each.partition(":")[0] for each in data["worse"]} == {"models/b"}
+    code, data = run(models, traces, "--seed", 1)
+    assert code == 1 and {each.partition(":")[0] for each in data["worse"]} == {"models/a", "models/b"}
+
+
+def opened_rows(path: Path) -> list[dict[str, Any]]:
+    with opened_history(path) as history:
+        return history.rows
+
+
+def test_an_old_row_that_does_not_name_what_it_accepts_means_everything(tmp_path: Path) -> None:
+    programs: dict[str, list[float | str]] = {"p0": [1.0, 2.0], "p1": [1.5, 3.0], "p2": [1.5, 3.0]}
+    assert regressions(tmp_path / "told.jsonl", programs)
+    assert regressions(tmp_path / "accepted.jsonl", programs, accepted="p1") == []
+
+
+def test_a_model_that_is_gone_is_reported_where_its_place_is_asked(traces: Path, tmp_path: Path) -> None:
+    models = two_models(tmp_path / "models")
+    assert run(models, traces)[1]["gone"] == []
+    shutil.rmtree(models / "b")
+    # Another place says nothing of it, and does not make it forgotten.
+    alone = decanter(
+        "model", "regress", models / "a", "--standard", traces, "--history", tmp_path / "history.jsonl", "--json"
+    )
+    assert (alone.exit_code, only_object(alone.stdout)["gone"]) == (0, [])
+    shown = decanter("model", "regress", models, "--standard", traces, "--history", tmp_path / "history.jsonl")
+    assert shown.exit_code == 1
+    assert "models/b was in the run of 20" in shown.stdout and "and is not there any more\n" in shown.stdout
+    assert shown.stdout.endswith(f"nothing became worse, 1 gone; history: {tmp_path / 'history.jsonl'}\n")
+
+
+def test_a_version_of_a_store_that_is_gone_is_reported_and_can_be_accepted(traces: Path, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    first = save(store, two_modes(), created=0.0)
+    promote(store, first)
+    second = save(store, replace(two_modes(), sensor_sigma=0.2), created=1.0)
+    run(store, traces)
+    shutil.rmtree(store / "versions" / second)
+    code, data = run(store, traces, "--accept", "it was a trial")
+    assert code == 0 and len(data["gone"]) == 1 and data["gone"][0].startswith(f"store@{second} was in the run of")
+
+
+def test_runs_of_former_versions_that_do_not_say_what_was_asked_count_by_their_models(
+    traces: Path, tmp_path: Path
+) -> None:
+    models, history = two_models(tmp_path / "models"), tmp_path / "history.jsonl"
+    run(models, traces)
+    rows = [{key: row[key] for key in row if key != "places"} for row in opened_rows(history)]
+    history.write_text("".join(f"{json.dumps(row)}\n" for row in rows), encoding="utf-8")
+    shutil.rmtree(models / "b")
+    assert run(models, traces)[1]["gone"][0].startswith("models/b was in the run of")
+
+
+def test_traces_of_the_set_that_are_missing_or_unreadable_make_the_run_fail(traces: Path, tmp_path: Path) -> None:
+    write_model_directory(tmp_path / "m", two_modes())
+    (tmp_path / "set").mkdir()
+    shutil.copy(traces / "t5.csv", tmp_path / "set")
+    (tmp_path / "set/broken.csv").write_text("x\n", encoding="utf-8")
+    listing = tmp_path / "standard.toml"
+    listing.write_text('traces = ["set", "none.csv", "gone/*.csv"]', encoding="utf-8")
+    call = ("model", "regress", tmp_path / "m", "--standard", listing, "--history", tmp_path / "history.jsonl")
+    data = only_object(decanter(*call, "--json").stdout)
+    named = [problem.partition(":")[0] for problem in data["trace_problems"]]
+    assert named == [f"{tmp_path}/gone/*.csv", f"{tmp_path}/set/broken.csv", f"{tmp_path}/none.csv"]
+    shown = decanter(*call)
+    assert shown.exit_code == 1 and decanter(*call, "--accept", "so be it").exit_code == 1
+    said = f"nothing became worse, 3 of the set's traces not read; history: {tmp_path / 'history.jsonl'}\n"
+    assert shown.stdout.endswith(said)
+
+
+def test_a_set_without_a_trace_of_former_runs_says_that_nothing_was_compared(traces: Path, tmp_path: Path) -> None:
+    write_model_directory(tmp_path / "m", two_modes())
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir()
+    second.mkdir()
+    shutil.copy(traces / "t5.csv", first)
+    shutil.copy(traces / "t6.csv", second)
+
+    def notes(standard: Path) -> list[str]:
+        call = ("--standard", standard, "--history", tmp_path / "history.jsonl", "--json")
+        return list(only_object(decanter("model", "regress", tmp_path / "m", *call).stdout)["notes"])
+
+    assert notes(first) == []
+    assert notes(second) == ["compared with no former run: none has these traces"]
+    shutil.copy(traces / "t5.csv", second)
+    assert notes(second) == []
+    (second / "t5.csv").unlink()
+    (said,) = notes(second)
+    assert said.startswith("not in the set any more since the run of 20") and said.endswith(": t5")
+    shutil.copy(traces / "t5.csv", second)
+    notes(second)
+    lines = (second / "t5.csv").read_text(encoding="utf-8").splitlines()
+    (second / "t5.csv").write_text("\n".join(lines[:-2]) + "\n", encoding="utf-8")
+    assert notes(second)[0].endswith(": t5 (it has other readings now)")
+
+
+def test_a_model_that_cannot_be_run_does_not_hinder_the_others(traces: Path, tmp_path: Path) -> None:
+    models = two_models(tmp_path / "models")
+    (models / "b/model.json").write_text("{}", encoding="utf-8")
+    options = ("--standard", traces, "--history", tmp_path / "history.jsonl")
+    shown = decanter("model", "regress", models / "a", models / "b", *options)
+    assert shown.exit_code == 1 and f"models/b: {models / 'b'}" in " ".join(shown.stdout.split())
+    end = f"nothing became worse, 1 not run along every trace; history: {tmp_path / 'history.jsonl'}\n"
+    assert shown.stdout.endswith(end)
+    # Below a folder it may have been so ever since: it is said.
+    below = decanter("model", "regress", models, *options)
+    assert below.exit_code == 0 and below.stdout.endswith(end)
+    refused(decanter("model", "regress", models / "b", *options), 2, str(models / "b"))
+
+
+def test_a_row_of_the_history_that_was_edited_has_one_sentence(traces: Path, tmp_path: Path) -> None:
+    write_model_directory(tmp_path / "m", two_modes())
+    history = tmp_path / "history.jsonl"
+    call = ("model", "regress", tmp_path / "m", "--standard", traces, "--history", history)
+    assert decanter(*call).exit_code == 0
+    result, *_, last = opened_rows(history)
+    for row, change, sentence in (
+        (result, {"scores": None}, "scores: must be a list, got None"),
+        (result, {"scores": [{"method": "present", "crps": 1.0, "coverage": 1.0}]}, "scores[0].horizon: is missing"),
+        (result, {"trace": ["x"]}, "trace: must be text"),
+        (last, {"models": []}, "models: must be a table"),
+        (last, {"seed": "0"}, "seed: must be a whole number"),
+        (last, {"places": "x"}, "places: must be a list"),
+        ({"format": 1, "kind": "accepted", "when": "then"}, {}, "reason: is missing; add it"),
+        ({"format": 1, "kind": "accepted", "when": "then", "reason": "x", "models": "m"}, {}, "models: must be a list"),
+    ):
+        history.write_text(json.dumps(row | change) + "\n", encoding="utf-8")
+        refused(decanter(*call), 2, f"history.jsonl:1: {sentence}", "or take that line out")
+
+
+def test_paths_that_are_no_utf8_or_lead_in_a_circle_are_a_sentence(traces: Path, tmp_path: Path) -> None:
+    models, history = tmp_path / "models", tmp_path / "history.jsonl"
+    write_model_directory(models / "a", two_modes())
+    strange = tmp_path / "set" / os.fsdecode(b"t\xe9.csv")
+    strange.parent.mkdir()
+    shutil.copy(traces / "t5.csv", strange)
+    said = refused(decanter("model", "regress", models, "--standard", strange.parent, "--history", history), 2)
+    assert "t\\udce9.csv': is no UTF-8; rename" in said and not history.exists()
+    write_model_directory(models / os.fsdecode(b"m\xe9"), two_modes())
+    said = refused(decanter("model", "regress", models, "--standard", traces, "--history", history), 2)
+    assert "m\\udce9': is no UTF-8; rename" in said and not history.exists()
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    call = ("model", "regress", models / "a", "--standard", traces, "--history")
+    refused(decanter(*call, tmp_path / "loop/history.jsonl"), 2, "is a link that leads back to itself")
+
+
+def test_the_commit_is_that_of_the_programs_own_checkout_and_of_no_folder_above(tmp_path: Path) -> None:
+    def git(*words: str) -> None:
+        subprocess.run(["git", "-C", str(tmp_path), *words], check=True, capture_output=True)
+
+    git("init")
+    identity = ("-c", "user.name=t", "-c", "user.email=t@example.com", "-c", "commit.gpgsign=false")
+    git(*identity, "commit", "--allow-empty", "-m", "first")
+    (tmp_path / "site-packages").mkdir()
+    assert len(commit_of(tmp_path)) == 10 and commit_of(tmp_path / "site-packages") == ""

@@ -17,7 +17,7 @@ from drivers.named_files import writing
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.fleet.places import place_words
-from gateway.lab.fleet.sources import sources_in
+from gateway.lab.fleet.sources import TABLE, sources_in
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.show import spread_sentence
 from sim.forecast import Z90
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TABLE, PICTURE = "fleet.csv", "fleet.png"
+PICTURE = "fleet.png"
 MOST_NAMED = 40
 """Machines that are named at the axis of the picture; of more only those that stand out are."""
 COSTS = ("cpu_s", "peak_mb")
@@ -112,6 +112,7 @@ def fleet(
             for name, places in found.outstanding.items()
         },
         "failed": failed,
+        "left_out": dict(found.left_out),
         "machines": rows_of(found, words),
     }
 

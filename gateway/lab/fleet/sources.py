@@ -20,6 +20,10 @@ from sim.traces import ColumnMap, files_by_machine, load_traces
 COLUMNS = ("machine", "time", "tag", "value", "quality")
 """What is read of `samples`, as `decanter historian export` and [[northbound.postgres]] write them."""
 URL = ("postgresql://", "postgres://")
+TABLE = "fleet.csv"
+"""The table of all machines in --out, which may lie in the folder that is read."""
+TABLE_HEAD = b"machine,hours,"
+"""With which that table begins, whatever else it has."""
 
 
 class MachineSource(Protocol):
@@ -59,10 +63,21 @@ class SamplesFile:
 
     def traces(self, column_map: ColumnMap) -> list[Trace]:
         arrow = _arrow()
-        table = arrow.parquet.read_table(self.file, columns=list(COLUMNS), filters=[("machine", "=", self.machine)])
-        moments = table["time"].cast(arrow.timestamp("us", tz="UTC")).cast(arrow.int64()).to_numpy() / 1e6
+        try:
+            own = [("machine", "=", self.machine)]
+            table = arrow.parquet.read_table(self.file, columns=list(COLUMNS), filters=own)
+            # Not `safe`: pandas writes nanoseconds, and what is lost of them is nothing here.
+            stamps = table["time"].cast(arrow.timestamp("us", tz="UTC"), safe=False).cast(arrow.int64())
+        except (OSError, arrow.ArrowException) as error:
+            raise ValueError(_unreadable(self.file, error)) from None
+        for name in ("time", "tag", "quality"):
+            if table[name].null_count:
+                raise ValueError(
+                    f"{self.file}: column {name!r}: {table[name].null_count} of {len(table)} rows of machine "
+                    f"{self.machine!r} have none there; give each row its {name}"
+                )
         values = table["value"].to_numpy(zero_copy_only=False).astype(float)
-        rows = zip(table["tag"].to_pylist(), moments, values, table["quality"].to_pylist(), strict=True)
+        rows = zip(table["tag"].to_pylist(), stamps.to_numpy() / 1e6, values, table["quality"].to_pylist(), strict=True)
         return [trace_of(self.machine, rows, str(self.file))]
 
 
@@ -91,10 +106,16 @@ def trace_of(machine: str, rows: Any, origin: str) -> Trace:
     """One trace of rows (tag, time in s UTC, value or None, name of its quality), in any order.
 
     What was read stands until its tag is heard of again, as the historian leaves out what did not change. A reading
-    that was not good is NaN and marked in `bad`; texts are left out. Raises ValueError where there are no rows.
+    that was not good is NaN and marked in `bad`; texts are left out. Raises ValueError where there are no rows, and for
+    a quality that is none.
     """
     by_tag: dict[str, list[tuple[float, float, bool]]] = {}
     for tag, time, value, quality in rows:
+        if quality not in Quality.__members__:
+            raise ValueError(
+                f"{origin}: column 'quality': {quality!r} of tag {tag!r} of machine {machine!r} is no quality; "
+                f"known are {', '.join(Quality.__members__)}"
+            )
         good = Quality[quality].is_good
         if good and value is None:
             continue  # the reading of a text
@@ -131,22 +152,67 @@ def sources_in(place: str, column_map: ColumnMap, schema: str) -> list[MachineSo
 
 
 def _in_files(place: str, column_map: ColumnMap) -> list[MachineSource]:
-    return [TraceFiles(name, tuple(files)) for name, files in files_by_machine(place, column_map).items()]
+    found = {
+        name: tuple(file for file in files if not _is_fleet_table(file))
+        for name, files in files_by_machine(place, column_map).items()
+    }
+    return [TraceFiles(name, files) for name, files in found.items() if files]
+
+
+def _is_fleet_table(file: Path) -> bool:
+    """Whether it is what an earlier command left there of its own, and no machine's: told by name and first columns."""
+    if file.name != TABLE or not file.is_file():
+        return False
+    with file.open("rb") as stream:
+        head = stream.read(len(TABLE_HEAD))
+    return head == TABLE_HEAD
 
 
 def _in_parquet(file: Path) -> list[MachineSource]:
     arrow = _arrow()
+    if not file.exists():
+        raise ValueError(f"{file}: there is no such file; give the path of an existing one")
     try:
-        missing = [name for name in COLUMNS if name not in arrow.parquet.read_schema(file).names]
+        schema = arrow.parquet.read_schema(file)
+        missing = [name for name in COLUMNS if name not in schema.names]
         if missing:
             what = f"it has no column {missing[0]!r}"
             raise ValueError(f"{file}: holds no samples ({what}); write them with `decanter historian export`")
-        table = arrow.parquet.read_table(file, columns=["machine"])
+        names = arrow.parquet.read_table(file, columns=["machine"])["machine"]
     except OSError as error:
-        raise ValueError(f"{file}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+        raise ValueError(_unreadable(file, error)) from None
     except arrow.ArrowInvalid:
         raise ValueError(f"{file}: is no Parquet file") from None
-    return [SamplesFile(str(name), file) for name in table["machine"].unique().to_pylist()]
+    if names.null_count:
+        row = names.is_null().index(True).as_py() + 1
+        raise ValueError(f"{file}: column 'machine': row {row} has none; give each row the name of its machine")
+    for name in COLUMNS:
+        _check_column(file, name, schema.field(name).type, arrow.types)
+    return [SamplesFile(name, file) for name in names.unique().to_pylist()]
+
+
+def _check_column(file: Path, name: str, kind: Any, types: Any) -> None:
+    """Raises ValueError where what the column holds (`kind`, Arrow's type) is not what `samples` has there."""
+    if types.is_dictionary(kind):
+        kind = kind.value_type  # a column of few different texts, as pandas writes its categories
+    if name == "time":
+        right, words = types.is_timestamp(kind), "timestamps"
+    elif name == "value":
+        numbers = types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)
+        right, words = numbers or types.is_null(kind), "numbers (null for a text)"
+    else:
+        right, words = types.is_string(kind) or types.is_large_string(kind), "texts"
+    if not right:
+        raise ValueError(
+            f"{file}: column {name!r}: it holds {kind}, and {words} are needed; write the table as "
+            "`decanter historian export --table samples` does"
+        )
+
+
+def _unreadable(file: Path, error: Exception) -> str:
+    """The sentence for a Parquet file of which the system or Arrow could not read a part."""
+    reason = (getattr(error, "strerror", None) or str(error)).splitlines()[0]
+    return f"{file}: cannot be read ({reason[:1].lower()}{reason[1:]}); give a whole file that this user can read"
 
 
 def _arrow() -> Any:

@@ -6,31 +6,31 @@
     OUT/model/          the model of the type with what each machine has of its own
 
 A kill at any moment costs the machines that were being worked on: the same command goes on with those that are left.
+A machine that cannot teach is left out of the sample and another one drawn for it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 
+from gateway.entry import sentence as error_sentence
+from gateway.lab.fleet.kept import KeptType, keep_result, keep_type, kept_rows, result_of
 from gateway.lab.fleet.machine_task import FleetTask, MachineResult, judged, not_done
 from gateway.lab.fleet.sources import MachineSource
-from gateway.lab.json_rows import append_row, read_rows
 from sim.artefacts import model_hash, read_model
 from sim.artefacts.formats import write_model_directory
-from sim.learning import GroupTargets, MachineSpread, StandsOut, believed, outstanding, spread_of
+from sim.learning import MachineSpread, StandsOut, believed, check_data, outstanding, spread_of, target_groups
 from sim.learning.bins import learn_bins
-from sim.sha import Model, Trace, shown_unit
+from sim.sha import Model, Trace, encode, shown_unit
 from sim.traces import ColumnMap, with_thresholds
 from sim.workers import Workers
 
 Progress = Callable[[str, float], None]
 
-FORMAT = 2
 RESULTS, SAMPLE, MACHINES, MODEL = "results.jsonl", "sample", "machines", "model"
 
 
@@ -53,12 +53,23 @@ class FleetFindings:
     """The `model` of the type with each machine's own, all `results` by machine, the `spread` of the targets.
 
     `outstanding`: the machines whose targets stand out, and in which groups of locations, the least likely first.
+    `left_out`: the machines that were drawn to teach the type and could not, with the reason.
     """
 
     model: Model
     results: Mapping[str, MachineResult]
     spread: MachineSpread
     outstanding: Mapping[str, Sequence[StandsOut]]
+    left_out: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class TypeModel:
+    """The model of the type, the spread of targets (degC) among those that taught it, and who could not, and why."""
+
+    model: Model
+    between: float
+    left_out: Mapping[str, str]
 
 
 def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], progress: Progress) -> FleetFindings:
@@ -67,14 +78,19 @@ def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], 
     Raises ValueError where no model of the type can be learned or every machine fails, OSError.
     """
     file = request.out / RESULTS
-    kept = [row for row in read_rows(file) if row.get("format") == FORMAT]
-    model, between = type_model(request, kept, progress)
+    kept = kept_rows(file)
+    taught = type_model(request, kept.taught, progress)
+    model = taught.model
+    for name, reason in taught.left_out.items():
+        tell(f"{name} is not among the machines that teach the type: {reason}")
     keys = {
         source.machine: _key(source.content(), model_hash(model), request.own, request.diagnosis, request.seed)
         for source in request.sources
     }
-    finished = [row for row in kept if "machine" in row]
-    done = {row["machine"]: result_of(row) for row in finished if row["key"] == keys.get(row["machine"])}
+    groups = target_groups(model.alphabet)
+    done = {
+        row.machine: result_of(place, row, groups) for place, row in kept.machines if row.key == keys.get(row.machine)
+    }
     left = [source for source in request.sources if source.machine not in done]
     if done:
         tell(f"{len(done)} of {len(keys)} machines are done already")
@@ -83,7 +99,7 @@ def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], 
             source=source,
             column_map=request.column_map,
             model=model,
-            between=between,
+            between=taught.between,
             own=request.own,
             diagnosis=request.diagnosis,
             seed=request.seed,
@@ -96,36 +112,77 @@ def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], 
         result = replace(result, own=None)
         # One that failed is tried again by the next command: what stood in its way may be gone.
         if not result.failure:
-            append_row(file, {"format": FORMAT, "key": keys[result.machine], **asdict(result)})
+            keep_result(file, keys[result.machine], result)
         done[result.machine] = result
         tell(sentence(result, shown_unit(model.unit)))
         progress(result.machine, len(done) / len(keys))
-    return conclusions(request, model, dict(sorted(done.items())))
+    return conclusions(request, taught, dict(sorted(done.items())))
 
 
-def type_model(request: FleetRequest, kept: Sequence[Mapping[str, Any]], progress: Progress) -> tuple[Model, float]:
-    """The model of the type, and the spread of targets (degC) among the machines that taught it."""
-    drawn = np.random.default_rng(request.seed).permutation(len(request.sources))[: request.sample]
-    sample = [request.sources[place] for place in sorted(drawn.tolist())]
-    key = _key(*(source.content() for source in sample), request.temperature, request.seed)
+def type_model(request: FleetRequest, kept: KeptType | None, progress: Progress) -> TypeModel:
+    """The model of the type: the one that is kept, if it was learned from this sample, else a new one.
+
+    Raises ValueError where no machine can teach it, OSError.
+    """
+    drawn = np.random.default_rng(request.seed).permutation(len(request.sources)).tolist()
+    order = [request.sources[place] for place in drawn]
     folder = request.out / SAMPLE
-    for row in kept:
-        if row.get("type") == key and (folder / "model.json").is_file():
-            return read_model(folder / "model.json"), float(row["between"])
-    progress(f"the type, from {len(sample)} machines", 0.0)
-    traces, alphabet = list[Trace](), request.column_map.alphabet
-    for source in sample:
-        traces += [replace(trace, machine=source.machine) for trace in source.traces(request.column_map)]
-    alphabet = with_thresholds(alphabet, traces)
+    if (
+        kept is not None
+        and (folder / "model.json").is_file()
+        and kept.type == _sample_key(request, order, kept.left_out)
+    ):
+        return TypeModel(read_model(folder / "model.json"), kept.between, kept.left_out)
+    traces, left_out = _sample(request, order, progress)
+    alphabet = with_thresholds(request.column_map.alphabet, traces)
     traces = [replace(trace, name=f"{trace.machine} {trace.name}", events=()) for trace in traces]
     learned = learn_bins(traces, alphabet, request.temperature, seed=request.seed, name="type")
     write_model_directory(folder, learned.model, learned.values)
-    append_row(request.out / RESULTS, {"format": FORMAT, "type": key, "between": learned.spread.between})
-    return learned.model, learned.spread.between
+    key = _sample_key(request, order, left_out)
+    keep_type(request.out / RESULTS, key, learned.spread.between, left_out)
+    return TypeModel(learned.model, learned.spread.between, left_out)
 
 
-def conclusions(request: FleetRequest, model: Model, results: Mapping[str, MachineResult]) -> FleetFindings:
+def _sample(
+    request: FleetRequest, order: Sequence[MachineSource], progress: Progress
+) -> tuple[list[Trace], dict[str, str]]:
+    """The traces of the first machines in `order` that can teach; those that were to and cannot, with the reason."""
+    usable: dict[str, list[Trace]] = {}
+    left_out: dict[str, str] = {}
+    count = min(request.sample, len(order))
+    for source in order:
+        if len(usable) == count:
+            break
+        progress(f"the type, from {count} machines", 0.0)
+        try:
+            usable[source.machine] = _teaching(source, request)
+        except (ValueError, OSError) as error:
+            left_out[source.machine] = error_sentence(error)
+    if not usable:
+        name, reason = next(iter(left_out.items()))
+        raise ValueError(f"none of {len(left_out)} machines can teach a model of the type; {name}: {reason}")
+    return [trace for name in sorted(usable) for trace in usable[name]], left_out
+
+
+def _teaching(source: MachineSource, request: FleetRequest) -> list[Trace]:
+    """The traces of a machine. Raises ValueError or OSError where they cannot be read or teach nothing."""
+    traces = [replace(trace, machine=source.machine) for trace in source.traces(request.column_map)]
+    alphabet = with_thresholds(request.column_map.alphabet, traces)
+    check_data([replace(trace, events=encode(trace, alphabet)) for trace in traces], request.temperature)
+    return traces
+
+
+def _sample_key(request: FleetRequest, order: Sequence[MachineSource], left_out: Mapping[str, str]) -> str:
+    """Changes when another sample would be taken: so does a machine that was left out and now has other data."""
+    usable = [source for source in order if source.machine not in left_out][: request.sample]
+    others = [source.content() for source in order if source.machine in left_out]
+    taught = [source.content() for source in sorted(usable, key=lambda source: source.machine)]
+    return _key(*taught, request.temperature, request.seed, *others)
+
+
+def conclusions(request: FleetRequest, taught: TypeModel, results: Mapping[str, MachineResult]) -> FleetFindings:
     """What all machines tell together; writes the model of the type with what each has of its own."""
+    model = taught.model
     known = {name: result for name, result in results.items() if result.offset is not None and result.error is not None}
     if not known:
         name, first = next(iter(results.items()))
@@ -142,7 +199,7 @@ def conclusions(request: FleetRequest, model: Model, results: Mapping[str, Machi
     whole = replace(model, sha=sha, machines=machines)
     write_model_directory(request.out / MODEL, whole)
     grouped = {name: result.grouped for name, result in known.items()}
-    return FleetFindings(whole, results, spread, outstanding(grouped))
+    return FleetFindings(whole, results, spread, outstanding(grouped), taught.left_out)
 
 
 def sentence(result: MachineResult, unit: str) -> str:
@@ -153,13 +210,6 @@ def sentence(result: MachineResult, unit: str) -> str:
     errors = ", ".join(f"{what} {error:.2f}" for what, error in result.held_out.items())
     verdict = f"; {result.verdict}: {', '.join(result.effects) or 'nothing'}" if result.verdict else ""
     return f"{result.machine}: {targets}, held-out error {errors} {unit}{verdict}"
-
-
-def result_of(row: Mapping[str, Any]) -> MachineResult:
-    """A result as it was kept."""
-    fields = {name: row[name] for name in MachineResult.__dataclass_fields__ if name != "own"}
-    grouped = {group: GroupTargets(**each) for group, each in row["grouped"].items()}
-    return MachineResult(**{**fields, "effects": tuple(row["effects"]), "grouped": grouped})
 
 
 def _key(*parts: object) -> str:

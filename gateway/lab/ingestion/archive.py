@@ -13,36 +13,67 @@ import fcntl
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from errno import EACCES, EAGAIN, EPERM, EROFS
 from hashlib import file_digest, sha256
 from pathlib import Path
+from signal import SIGURG
 from typing import Any, Literal
 
 from drivers.named_files import regular, writing
-from gateway.lab.ingestion.recognising import PLACES, FileStamps, IngestUnit, RecognisedUnit
-from gateway.lab.json_rows import append_row, read_rows
+from gateway.lab.ingestion.recognising import BESIDE_SQLITE, PLACES, FileStamps, IngestUnit, RecognisedUnit
+from gateway.lab.json_rows import RowKeys, append_row, check_row, read_rows
 from sim.artefacts.formats import FLOW_FILE, SUFFIXES
-from sim.files import at, sync_directory
+from sim.files import ArtefactError, at, sync_directory
+from sim.traces import TraceError, unread_hash
 
 MANIFEST, LOCK, PART = "manifest.jsonl", ".lock", ".part"
 NAMING = (SUFFIXES["source"], SUFFIXES["histogram"])
 """The files that a set is known by."""
 COPIED = 1 << 20
 """Bytes that are copied at a time."""
+NOT_OURS = (EACCES, EPERM, EROFS)
+"""What a system says of a source that this user may read and not remove."""
 
 Verdict = Literal["taken", "completed", "there already", "refused"]
 VERDICTS: tuple[Verdict, ...] = ("taken", "completed", "there already", "refused")
 
 
+class ManifestRow(RowKeys):
+    """What ingestion uses of a row of the manifest; its reader's facts are only there for some kinds."""
+
+    name: str
+    kind: str
+    sha256: str
+    source: str
+    files: dict[str, str]
+    missing: list[str]
+    readings: str = ""
+    rows: int = 0
+    used: int = 0
+    frames: int = 0
+    lines: int = 0
+
+
+class PassingError(ArtefactError):
+    """What stands in the way now and need not at the next look: another process that holds a file or the archive."""
+
+
 @dataclass(frozen=True, slots=True)
 class IngestOutcome:
-    """What became of a unit from `source`: its row of the manifest, or the `sentence` why it was refused."""
+    """What became of a unit from `source`: its row of the manifest, or the `sentence` why it was refused.
+
+    `passes` where the reason of a refusal may be gone at the next look. `unremoved` is the system's word why a source
+    that was to be moved is still there, though its content is in the archive.
+    """
 
     source: Path
     verdict: Verdict
     sentence: str = ""
     row: Mapping[str, Any] = field(default_factory=dict)
+    passes: bool = False
+    unremoved: str = ""
 
 
 class IngestArchive:
@@ -52,27 +83,33 @@ class IngestArchive:
         """Read the manifest. Raises ArtefactError for one that is none; nothing is written where `dry`."""
         self.folder, self.dry = folder, dry
         self._rows: dict[str, Mapping[str, Any]] = {}
-        # By content, by a trace's readings and by where it came from.
-        self._names: dict[tuple[str, str], str] = {}
+        # By content, by a trace's readings, by where it came from, and by name whatever the case of its letters.
+        self._names: dict[tuple[str, str], list[str]] = {}
         for number, row in enumerate(read_rows(folder / MANIFEST), 1):
-            if not isinstance(row.get("name"), str) or not isinstance(row.get("sha256"), str):
-                raise at(folder / MANIFEST, number, "has no name and sha256; restore the manifest from a backup")
+            check_row(folder / MANIFEST, number, row, ManifestRow)
             self._keep(row)
 
     def _keep(self, row: Mapping[str, Any]) -> None:
         self._rows[row["name"]] = row
-        for key in ("sha256", "readings", "source"):
-            if row.get(key):
-                self._names[key, row[key]] = row["name"]
+        for key, value in (*row.items(), ("folded", row["name"].casefold())):
+            if key in ("sha256", "readings", "source", "folded") and value:
+                self._names.setdefault((key, value), []).append(row["name"])
+
+    def _named(self, key: str, value: str) -> list[str]:
+        """The names of what is in the archive with this key, the newest first."""
+        names = dict.fromkeys(reversed(self._names.get((key, value), [])))
+        # What somebody has taken out of the archive may come again.
+        return [name for name in names if self.dry or (self.folder / name).exists()]
 
     def take(self, unit: IngestUnit, known: RecognisedUnit, *, move: bool, when: float) -> IngestOutcome:
         """Copy or move a unit into its place; `when` is in s UTC.
 
-        Raises ArtefactError for one whose content is there under another name, or whose name another content has;
-        OSError where nothing can be read or written.
+        Raises ArtefactError for one whose content is there under another name, or whose name another content has, and
+        where its place cannot be; OSError where nothing can be read or written.
         """
         source, stamp = unit.source, unit.stamp()
         name = Path(PLACES[known.kind], unit.place, source.name).as_posix()
+        self._check_place(unit, name)
         place = self.folder / name if unit.base else (self.folder / name).parent
         hashes = {path.name: file_hash(path) for path in unit.files}
         former = self._rows.get(name)
@@ -87,7 +124,7 @@ class IngestArchive:
         if former is not None and former["sha256"] == content and not lacking:
             verdict: Verdict = "there already"
         else:
-            self._refuse_double(source, name, content, known.readings)
+            self._refuse_double(source, name, content, known)
             verdict = "taken" if former is None else "completed"
             row = {
                 "name": name,
@@ -106,31 +143,49 @@ class IngestArchive:
                     _copy(path, place / path.name, hashes[path.name], self.folder)
                 append_row(self.folder / MANIFEST, row)
             self._keep(row)
-        if move:
-            self._remove(unit, stamp)
-        return IngestOutcome(source, verdict, row=self._rows[name])
+        outcome = IngestOutcome(source, verdict, row=self._rows[name])
+        return replace(outcome, unremoved=self._remove(unit, stamp)) if move else outcome
 
     def again(self, unit: IngestUnit, *, move: bool) -> IngestOutcome | None:
         """The outcome for a unit that came from the same path before with this content, or a part of it; else None.
 
         A move that was killed has left such a part, which nothing else would recognise. Raises OSError.
         """
-        name = self._names.get(("source", str(unit.source.absolute())))
-        if name is None or unit.refusal:
+        names = self._names.get(("source", str(unit.source.absolute())))
+        if names is None or unit.refusal:
             return None
-        row, stamp = self._rows[name], unit.stamp()
+        row, stamp = self._rows[names[-1]], unit.stamp()
         for path in unit.files:
             held = self.folder / row["name"] / path.name if unit.base else self.folder / row["name"]
             if not held.is_file() or file_hash(held) != file_hash(path):
                 return None
-        if move:
-            self._remove(unit, stamp)
-        return IngestOutcome(unit.source, "there already", row=row)
+        outcome = IngestOutcome(unit.source, "there already", row=row)
+        return replace(outcome, unremoved=self._remove(unit, stamp)) if move else outcome
 
-    def _remove(self, unit: IngestUnit, stamp: FileStamps) -> None:
-        """Remove the sources, which were as `stamp` says when they were hashed. Raises ArtefactError."""
+    def _check_place(self, unit: IngestUnit, name: str) -> None:
+        """Raises ArtefactError where something else stands at the place of the unit, on this system or on another."""
+        place = self.folder / name
+        wanted = {each: False for each in (place, *place.parents) if self.folder in each.parents}
+        wanted |= {place / path.name: True for path in unit.files} if unit.base else {place: True}
+        for each, is_file in wanted.items():
+            if each.exists() and each.is_file() != is_file:
+                said = f"{each} is a {'folder' if is_file else 'file'}, where this one needs a " + (
+                    "file" if is_file else "folder"
+                )
+                raise at(unit.source, None, f"{said}; rename one of them")
+        other = next((other for other in self._named("folded", name.casefold()) if other != name), None)
+        if other is not None:
+            said = f"{other} in {self.folder} has this name but for capitals, which not every system tells apart"
+            raise at(unit.source, None, f"{said}; rename this one")
+
+    def _remove(self, unit: IngestUnit, stamp: FileStamps) -> str:
+        """Remove the sources, which were as `stamp` says when they were hashed; the system's word where it does not.
+
+        Raises ArtefactError.
+        """
         if self.dry:
-            return
+            return ""
+        refuse_open(unit)
         if unit.stamp() != stamp:
             raise at(unit.source, None, "was written after it was copied, so it stays; ingest it again when at rest")
         folder = unit.source.parent
@@ -139,25 +194,66 @@ class IngestArchive:
         # file of several sets goes with the last of them.
         for path in sorted(unit.files, key=lambda path: (path.name.endswith(NAMING), path.name.endswith(NAMING[:1]))):
             if not (unit.base and path.name == FLOW_FILE and others):
-                path.unlink()
+                try:
+                    path.unlink()
+                except OSError as error:
+                    if error.errno not in NOT_OURS:
+                        raise
+                    return str(error.strerror)
         sync_directory(folder)
+        return ""
 
-    def _refuse_double(self, source: Path, name: str, content: str, readings: str) -> None:
-        for key, value in (("sha256", content), ("readings", readings)):
-            other = self._names.get((key, value))
-            # What somebody has taken out of the archive may come again.
-            if other in (None, name) or not (self.dry or (self.folder / str(other)).exists()):
-                continue
-            row = self._rows[str(other)]
-            same = "is" if key == "sha256" else "has readings that are, in another form,"
-            said = f"{same} in {self.folder} already as {other} (from {row['source']}); nothing was taken"
-            raise at(source, None, said)
+    def _refuse_double(self, source: Path, name: str, content: str, known: RecognisedUnit) -> None:
+        """Raises ArtefactError for what is in the archive under another name, as it is or in another form."""
+        same = dict.fromkeys(self._named("sha256", content), "is")
+        for other in self._named("readings", known.readings):
+            held = self.folder / other
+            if other not in same and self._alike(source, held if held.exists() else self._rows[other]["source"], known):
+                same[other] = "has readings that are, in another form,"
+        for other, what in same.items():
+            if other != name:
+                said = f"{what} in {self.folder} already as {other} (from {self._rows[other]['source']})"
+                raise at(source, None, f"{said}; nothing was taken")
+
+    @staticmethod
+    def _alike(source: Path, held: str | Path, known: RecognisedUnit) -> bool:
+        """Whether two traces with the same readings are the same in what their map does not read, too."""
+        if known.column_map is None:
+            return True
+        try:
+            return unread_hash(source, known.column_map) == unread_hash(Path(held), known.column_map)
+        except (TraceError, OSError):
+            return False  # another map has read the one that is held, so it has other columns
 
 
 def file_hash(path: Path) -> str:
     """SHA-256 (hex) of a file's content. Raises OSError."""
     with regular(path).open("rb") as stream:
         return file_digest(stream, "sha256").hexdigest()
+
+
+def refuse_open(unit: IngestUnit) -> None:
+    """Raises PassingError for a unit of which another process has a file open for writing, as far as that can be known.
+
+    Raises OSError for a file that is gone or cannot be read.
+    """
+    for path in unit.files:
+        handle = os.open(regular(path), os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            # The system gives a lease for reading (fcntl(2)) on a file that nobody has open for writing, to its owner
+            # and to root. It is given back at once. Who opens the file meanwhile waits so long, and this process gets a
+            # signal, which by default would end it: another one is asked for that is passed over.
+            fcntl.fcntl(handle, fcntl.F_SETSIG, SIGURG)
+            fcntl.fcntl(handle, fcntl.F_SETLEASE, fcntl.F_RDLCK)
+            fcntl.fcntl(handle, fcntl.F_SETLEASE, fcntl.F_UNLCK)
+        except OSError as error:
+            # Of another's file, and where there are no leases, it cannot be known: what changes is seen by its stamp.
+            if error.errno == EAGAIN:
+                database = any(path.with_name(path.name + end).exists() for end in BESIDE_SQLITE)
+                remedy = "ingest a copy that `decanter backup` made" if database else "close it first"
+                raise PassingError(f"{path}: is open for writing by another process; {remedy}") from None
+        finally:
+            os.close(handle)
 
 
 def _of_set(hashes: Mapping[str, str]) -> str:
@@ -191,7 +287,8 @@ def _copy(source: Path, target: Path, expected: str, archive: Path) -> None:
 def opened_archive(folder: Path, *, dry: bool = False) -> Iterator[IngestArchive]:
     """The archive in `folder`, held by this process alone and made where there is none; as it is now where `dry`.
 
-    Raises ArtefactError where another process holds it or it holds something else, OSError where it cannot be written.
+    Raises PassingError where another process holds it, ArtefactError where it holds something else, OSError where it
+    cannot be written.
     """
     if folder.exists() and not folder.is_dir():
         raise at(folder, None, "is a file; give a folder for the archive")
@@ -206,7 +303,7 @@ def opened_archive(folder: Path, *, dry: bool = False) -> Iterator[IngestArchive
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise at(folder, None, "another process is ingesting into this archive; wait for it") from None
+            raise PassingError(f"{folder}: another process is ingesting into this archive; wait for it") from None
         for place in PLACES.values():
             for half in (folder / place).rglob(f".*{PART}"):
                 half.unlink()

@@ -1,10 +1,12 @@
 """`decanter trace ingest`: a folder of files from elsewhere into an archive, once or as long as it is watched."""
 
+import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from errno import EDQUOT, ENOSPC, EROFS
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -14,13 +16,22 @@ import click
 from drivers.errors import DriverError
 from gateway.console import config_dir, emit, json_option, progress, shipped
 from gateway.entry import Exit, interruptible, sentence, sentences
-from gateway.lab.ingestion.archive import VERDICTS, IngestArchive, IngestOutcome, opened_archive
+from gateway.lab.ingestion.archive import (
+    VERDICTS,
+    IngestArchive,
+    IngestOutcome,
+    PassingError,
+    opened_archive,
+    refuse_open,
+)
 from gateway.lab.ingestion.recognising import FileStamps, IngestUnit, recognised, units_in
-from sim.files import at
+from sim.files import at, check_utf8, resolved
 from sim.traces import ColumnMap, load_map
 
 MOST_TOLD = 10_000
 """Outcomes that a watch keeps for its summary: it may run for months."""
+NO_ARCHIVE = (ENOSPC, EDQUOT, EROFS)
+"""What a system says of a disk that takes no file at all; anything else is about the one file."""
 
 
 def ingested(
@@ -31,20 +42,22 @@ def ingested(
     move: bool,
     clock: Callable[[], float],
 ) -> Iterator[IngestOutcome]:
-    """What becomes of each unit, as it comes; `clock` gives s UTC. Raises OSError for what cannot be written."""
+    """What becomes of each unit, as it comes; `clock` gives s UTC. Raises OSError where the disk takes no file."""
     for unit in units:
         try:
-            if (outcome := archive.again(unit, move=move)) is not None:
-                yield outcome
-                continue
-            known = recognised(unit, maps)
+            if not unit.refusal:
+                refuse_open(unit)
+            outcome = archive.again(unit, move=move)
+            if outcome is None:
+                outcome = archive.take(unit, recognised(unit, maps), move=move, when=clock())
         except (DriverError, ValueError, OSError) as error:
-            yield IngestOutcome(unit.source, "refused", sentence(error))
-            continue
-        try:
-            yield archive.take(unit, known, move=move, when=clock())
-        except ValueError as error:
-            yield IngestOutcome(unit.source, "refused", sentence(error))
+            if isinstance(error, OSError) and error.errno in NO_ARCHIVE:
+                raise
+            gone = not all(map(os.path.lexists, unit.files))
+            said = f"{unit.source}: has gone meanwhile; nothing is to be done" if gone else sentence(error)
+            passes = gone or isinstance(error, PassingError)
+            outcome = IngestOutcome(unit.source, "refused", said, passes=passes)
+        yield outcome
 
 
 @dataclass(slots=True)
@@ -79,6 +92,73 @@ class FolderWatch:
             for key in seen.keys() - here:
                 del seen[key]
         return ready
+
+    def again(self, source: Path) -> None:
+        """A unit that was due could not be taken yet: it is due at the next look, too."""
+        self._done.pop(source, None)
+
+
+def watch_folder(
+    folder: Path,
+    archive: Path,
+    maps: dict[str, ColumnMap],
+    *,
+    move: bool,
+    every: float,
+    rest: float,
+    seconds: float,
+    show: Callable[[IngestOutcome], None],
+    keep: Callable[[IngestOutcome], None],
+) -> None:
+    """Take what comes into a folder, looking at it `every` so many s, for so many `seconds` or until Ctrl-C.
+
+    Each outcome goes to `show` and to `keep`. What stands in the way and may pass is shown once and tried again at each
+    look; what still waits at the end is kept as refused. Raises ArtefactError where the archive is none, OSError where
+    its disk takes no file.
+    """
+    end = time.monotonic() + seconds
+    seen = FolderWatch(rest)
+    waiting: dict[Path, IngestOutcome] = {}
+    here: dict[Path, tuple[Path, ...]] = {}
+    # Ctrl-C is how a watch ends: what was taken is told, and no file is half there. It is caught here, so that the exit
+    # code is that of what was refused and not that of a command that was stopped.
+    with suppress(KeyboardInterrupt), interruptible(lambda what, share: None):
+        while True:
+            units, due, passing = list[IngestUnit](), list[IngestUnit](), list[IngestOutcome]()
+            try:
+                units = units_in(folder, archive)
+                due = seen.due(units, time.monotonic())
+                if due:
+                    with opened_archive(archive) as opened:
+                        for outcome in ingested(due, opened, maps, move=move, clock=time.time):
+                            if outcome.passes:
+                                passing.append(outcome)
+                            else:
+                                waiting.pop(outcome.source, None)
+                                show(outcome)
+                                keep(outcome)
+            except PassingError as error:
+                passing = [IngestOutcome(unit.source, "refused", sentence(error)) for unit in due]
+            except OSError as error:
+                if folder.exists() and not isinstance(error, FileNotFoundError):
+                    raise
+                said = f"{folder}: is not there any more, or not whole; it is looked at again ({error.strerror})"
+                passing = [IngestOutcome(folder, "refused", said)]
+                for unit in due:
+                    seen.again(unit.source)
+            for outcome in passing:
+                seen.again(outcome.source)
+                if outcome.sentence not in {each.sentence for each in waiting.values()}:
+                    show(outcome)
+                waiting[outcome.source] = outcome
+            here = {unit.source: unit.files for unit in units} | ({} if folder.exists() else {folder: ()})
+            waiting = {source: outcome for source, outcome in waiting.items() if source in here}
+            if time.monotonic() + every > end:
+                break
+            time.sleep(every)
+    for source, outcome in waiting.items():
+        if all(map(os.path.lexists, here[source])):  # else it has gone, and nothing of it is left to be taken
+            keep(outcome)
 
 
 @click.command(
@@ -129,34 +209,36 @@ def ingest(
     counts: Counter[str] = Counter()
     told: deque[IngestOutcome] = deque(maxlen=MOST_TOLD)
 
-    def tell(outcome: IngestOutcome) -> None:
+    def keep(outcome: IngestOutcome) -> None:
         counts[outcome.verdict] += 1
+        counts["unremoved"] += bool(outcome.unremoved)
         told.append(outcome)
+
+    def show(outcome: IngestOutcome) -> None:
         if not as_json:
             _tell(outcome, dry_run)
 
     with sentences():
+        for path in (folder, archive):
+            check_utf8(path)
         if not folder.is_dir():
             raise at(folder, None, "is no folder; give the one that the files lie in")
-        if archive.resolve() in (folder.resolve(), *folder.resolve().parents):
+        if resolved(archive) in (resolved(folder), *resolved(folder).parents):
             raise at(folder, None, f"lies in the archive {archive}; give a folder outside of it")
         chosen = map_names or sorted(path.stem for path in (config_dir() / "traces").glob("*.toml"))
         maps = {name: load_map(shipped("traces", name)) for name in chosen}
         if watch:
-            # Ctrl-C is how a watch ends: what was taken is told, and no file is half there. It is caught here, so that
-            # the exit code is that of what was refused and not that of a command that was stopped.
-            with suppress(KeyboardInterrupt), interruptible(lambda what, share: None):
-                end = time.monotonic() + (inf if seconds is None else seconds)
-                seen = FolderWatch(rest)
-                while True:
-                    due = seen.due(units_in(folder, archive), time.monotonic())
-                    if due:
-                        with opened_archive(archive) as opened:
-                            for outcome in ingested(due, opened, maps, move=move, clock=time.time):
-                                tell(outcome)
-                    if time.monotonic() + every > end:
-                        break
-                    time.sleep(every)
+            watch_folder(
+                folder,
+                archive,
+                maps,
+                move=move,
+                every=every,
+                rest=rest,
+                seconds=inf if seconds is None else seconds,
+                show=show,
+                keep=keep,
+            )
         else:
             units = units_in(folder, archive)
             with (
@@ -166,17 +248,22 @@ def ingest(
             ):
                 for number, outcome in enumerate(ingested(units, opened, maps, move=move, clock=time.time)):
                     report(outcome.source.name, number / len(units))
-                    tell(outcome)
+                    show(outcome)
+                    keep(outcome)
     data: dict[str, Any] = {"archive": str(archive), "dry_run": dry_run}
-    data |= {"counts": {verdict: counts[verdict] for verdict in VERDICTS}}
+    data |= {"counts": {verdict: counts[verdict] for verdict in VERDICTS}, "unremoved": counts["unremoved"]}
     data |= {"files": [{"source": str(o.source), "verdict": o.verdict, "why": o.sentence, **o.row} for o in told]}
     said = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
-    emit(
-        data,
-        lambda: click.echo(f"{archive}: {said}{' (nothing was written)' if dry_run else ''}"),
-        as_json_line=as_json,
-    )
-    if counts["refused"]:
+
+    def summary() -> None:
+        click.echo(f"{archive}: {said}{' (nothing was written)' if dry_run else ''}")
+        if counts["unremoved"]:
+            why = next((outcome.unremoved for outcome in told if outcome.unremoved), "no permission").lower()
+            files = f"{counts['unremoved']} of them could not be removed from {folder}"
+            click.secho(f"{files} ({why}); remove them as a user who may write there", fg="yellow", err=True)
+
+    emit(data, summary, as_json_line=as_json)
+    if counts["refused"] or counts["unremoved"]:
         click.get_current_context().exit(Exit.CHECK_FAILED)
 
 
@@ -188,5 +275,7 @@ def _tell(outcome: IngestOutcome, dry_run: bool) -> None:
         more = f"; missing of the set: {', '.join(row['missing'])}" if row["missing"] else ""
         if row.get("used", 0) < row.get("rows", 0):
             more = f"; {row['used']} of {row['rows']} rows are read, see `decanter trace show`"
+        if row.get("frames", 0) < row.get("lines", 0):
+            more = f"; {row['frames']} of {row['lines']} lines are read, see `decanter trace can`"
         would = "would be " if dry_run else ""
         click.echo(f"{would}{outcome.verdict}: {outcome.source} as {row['kind']} {row['name']}{more}")

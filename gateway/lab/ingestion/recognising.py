@@ -15,7 +15,7 @@ from drivers.named_files import regular
 from gateway.store import machines, newest_scan, oldest_scan, reading
 from sim.artefacts import MODEL_FILE, STORE_FILE
 from sim.artefacts.formats import FLOW_FILE, SUFFIXES, file_names, read_artefacts, read_flow_file, read_report
-from sim.files import ArtefactError, at
+from sim.files import ArtefactError, at, check_utf8
 from sim.sha import joint_hash
 from sim.traces import ColumnMap, TraceError, load_traces
 
@@ -44,8 +44,11 @@ CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 HEAD = 1 << 16
 """Bytes by whose content a file is told: the first row of a PLC recording names all its tags."""
 LINK = "is a link; ingest the folder with the file itself"
+FOLDER_LINK = "is a link to a folder; ingest that folder itself"
 LONGEST_NAME = 200
 """Bytes: file systems take 255, and a file has a longer name while it is written."""
+RESERVED = frozenset(("CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))))
+"""Windows takes these for devices, whatever stands behind a point after them."""
 
 
 FileStamps = tuple[tuple[str, int, int], ...]
@@ -80,13 +83,15 @@ class IngestUnit:
 class RecognisedUnit:
     """What a unit is: its `kind`, plain `facts` about it, the names of `missing` files of a set.
 
-    `readings` is the joint hash of a trace's readings, by which the same trace in another form is known; "" for others.
+    `readings` is the joint hash of a trace's readings by its `column_map`, by which the same trace in another form is
+    known; "" and None for others.
     """
 
     kind: Kind
     facts: Mapping[str, Any] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
     readings: str = ""
+    column_map: ColumnMap | None = None
 
 
 def units_in(folder: Path, besides: Path) -> list[IngestUnit]:
@@ -105,6 +110,8 @@ def units_in(folder: Path, besides: Path) -> list[IngestUnit]:
     for parent, names, files in os.walk(folder, onerror=unlisted):
         here = Path(parent)
         names[:] = sorted(name for name in names if name[:1] != "." and (here / name).resolve() != besides.resolve())
+        # They are not followed, as one may lead back to a folder above.
+        units += [_refused(here / name, folder, FOLDER_LINK) for name in names if (here / name).is_symlink()]
         if any(name in files for name in (MODEL_FILE, STORE_FILE)):
             names.clear()
             said = (
@@ -153,11 +160,11 @@ def check_names(unit: IngestUnit) -> None:
     """Raises ArtefactError unless every name of the unit can be a file's on any system, and a trace's in a table."""
     for path in unit.files:
         for name in (*unit.place.parts, path.name):
-            # A name that is no UTF-8 has half surrogates here, which are no letters.
             if not re.fullmatch(r"\w[\w .+()\-]*", name) or name.endswith((" ", ".")):
-                shown = name.encode("utf-8", "replace").decode()
-                said = f"{shown!r} is no name for an archive; use letters, digits, blanks and _-+.(), a letter first"
-                raise at(os.fsencode(path).decode("utf-8", "replace"), None, said)
+                said = f"{name!r} is no name for an archive; use letters, digits, blanks and _-+.(), a letter first"
+                raise at(path, None, said)
+            if name.partition(".")[0].rstrip().upper() in RESERVED:
+                raise at(path, None, f"{name!r} is the name of a device on Windows; rename it")
             if len(name.encode()) > LONGEST_NAME:
                 raise at(
                     path, None, f"its name has {len(name.encode())} bytes, {LONGEST_NAME} are the most; shorten it"
@@ -172,6 +179,8 @@ def recognised(unit: IngestUnit, maps: Mapping[str, ColumnMap]) -> RecognisedUni
     """
     if unit.refusal:
         raise ArtefactError(unit.refusal)
+    for path in unit.files:
+        check_utf8(path)
     check_names(unit)
     path = unit.files[0]
     if unit.base:
@@ -243,19 +252,22 @@ def _historian(path: Path) -> RecognisedUnit:
 
 
 def _trace(path: Path, maps: Mapping[str, ColumnMap]) -> RecognisedUnit:
-    refusals: list[str] = []
+    refusals: list[TraceError] = []
     for name, column_map in maps.items():
         try:
             traces, report = load_traces(path, column_map)
         except TraceError as error:
-            refusals.append(str(error))
+            refusals.append(error)
             continue
         facts = {"map": name, "traces": len(traces), "rows": report.rows, "used": report.used}
-        return RecognisedUnit(kind="trace", facts=facts, readings=joint_hash(traces))
+        return RecognisedUnit(kind="trace", facts=facts, readings=joint_hash(traces), column_map=column_map)
     with suppress(RecordingError):
         return _can_log(path)
-    if len(refusals) == 1:
-        raise ArtefactError(refusals[0])
+    # A map whose columns are there says best what is wrong: that there is only a header, say.
+    fitting = [each for each in refusals if each.report is not None and any(f.columns for f in each.report.files)]
+    reasons = {str(each) for each in fitting or refusals}
+    if len(reasons) == 1:
+        raise ArtefactError(reasons.pop())
     said = f"no column map reads it (tried {', '.join(maps)}); draft one with `decanter trace map`, give it with --map"
     raise at(path, None, said)
 
@@ -265,7 +277,11 @@ def _can_log(path: Path) -> RecognisedUnit:
     log = open_recording("can-log", path, {"log": str(path)}, ())
     for _ in log.samples(lambda what, share: None):
         pass  # it has no tags: reading counts the frames
-    return RecognisedUnit(kind="CAN log", facts={"frames": log.counts()["log_frames"], "problem": log.problem})
+    counts = log.counts()
+    frames = counts["log_frames"]
+    # Frames of an error or a request are understood and hold no data. Where a log breaks off, its rest counts as one.
+    unread = sum(counts[f"log_{what}"] for what in ("refused", "truncated", "broken"))
+    return RecognisedUnit(kind="CAN log", facts={"frames": frames, "lines": frames + unread, "problem": log.problem})
 
 
 def _begins_a_run(head: bytes) -> bool:

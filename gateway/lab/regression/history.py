@@ -2,15 +2,16 @@
 
 import fcntl
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from gateway.lab.json_rows import append_row, read_rows
+from gateway.lab.json_rows import RowKeys, append_row, check_row, read_rows
 from gateway.lab.regression.standard import CodeVersion, StandardSet
 from gateway.lab.retraining.judging import scores_along
 from sim.artefacts import model_hash
@@ -20,6 +21,51 @@ from sim.sha import Model, content_hash
 FORMAT = 1
 KEPT = ("horizon", "method", "forecasts", "crps", "mae", "coverage")
 """What is kept of the scores of a method at a horizon (s) along a trace: CRPS and MAE in degC."""
+
+
+class ScoreKeys(RowKeys):
+    """What is used of a method's scores at a horizon."""
+
+    horizon: float
+    method: str
+    crps: float
+    coverage: float
+
+
+class ResultRow(RowKeys):
+    """A model along a trace: its `scores`, or why it `failed`."""
+
+    model: str
+    trace: str
+    code: str
+    seed: int
+    trace_name: str
+    scores: list[ScoreKeys]
+    failed: str
+
+
+class RunRow(RowKeys):
+    """The `models` (hashes by subject) and traces of a run, and the `places` asked for, which old rows do not have."""
+
+    when: str
+    code: str
+    code_name: str
+    seed: int
+    models: dict[str, str]
+    traces: list[str]
+    places: list[str] | None = None
+
+
+class AcceptedRow(RowKeys):
+    """The `models` (subjects) and the seed that somebody accepted as they were; an old row without them means all."""
+
+    when: str
+    reason: str
+    models: list[str] | None = None
+    seed: int | None = None
+
+
+ROWS: Mapping[str, type[RowKeys]] = {"result": ResultRow, "run": RunRow, "accepted": AcceptedRow}
 
 
 @dataclass(slots=True)
@@ -50,7 +96,10 @@ class RegressionHistory:
         kept: list[Mapping[str, Any]] = []
         for row in self.rows:
             if row["kind"] == "accepted":
-                kept = kept[-1:]
+                # Rows of former versions do not say what they accept: that was everything.
+                named = row.get("models")
+                if (named is None or subject in named) and row.get("seed") in (None, seed):
+                    kept = kept[-1:]
             elif row["kind"] == "run" and subject in row["models"] and row["seed"] == seed:
                 last = kept[-1] if kept else None
                 state = (row["code"], row["models"][subject], row["traces"])
@@ -74,8 +123,9 @@ def opened_history(path: Path) -> Iterator[RegressionHistory]:
             raise at(path, None, "another process is writing this history; wait for it") from None
         rows = read_rows(path)
         for number, row in enumerate(rows, 1):
-            if row.get("format") != FORMAT or row.get("kind") not in ("result", "run", "accepted"):
+            if row.get("format") != FORMAT or row.get("kind") not in tuple(ROWS):
                 raise at(path, number, "is no row of a history of regressions; give another file, or a new name")
+            check_row(path, number, row, ROWS[row["kind"]])
         yield RegressionHistory(path, rows)
     finally:
         os.close(handle)
@@ -86,12 +136,16 @@ def run_standard(
     standard: StandardSet,
     history: RegressionHistory,
     *,
+    places: Sequence[str],
     code: CodeVersion,
     seed: int,
     clock: Callable[[], float],
     report: Callable[[str, float], None],
 ) -> None:
-    """Forecast with every model along every trace, as far as the history has not; each result is kept as it comes."""
+    """Forecast with every model along every trace, as far as the history has not; each result is kept as it comes.
+
+    The models are all that there are under `places`, called as seen from the history.
+    """
     hashes = {subject: _hash_of(model) for subject, model in models.items()}
     known = {(row["model"], row["trace"], row["code"], row["seed"]) for row in history.rows if row["kind"] == "result"}
     traces = {content_hash(trace): trace for trace in standard.traces}
@@ -107,6 +161,8 @@ def run_standard(
             if not isinstance(model, str):
                 try:
                     found = scores_along(trace, model, None, seed=seed, report=lambda what, share: None)
+                    if not all(isfinite(each["crps"]) for each in found):
+                        raise ValueError("its forecasts are no finite numbers")
                     scores = [{name: each[name] for name in KEPT} for each in found]
                 except ValueError as error:
                     failed = str(error)
@@ -114,7 +170,7 @@ def run_standard(
             history.add({**row, "trace_name": trace.name, "scores": scores, "failed": failed})
     when = datetime.fromtimestamp(clock(), UTC).isoformat(timespec="seconds")
     run = {"kind": "run", "when": when, "code": code.content, "code_name": str(code), "seed": seed}
-    history.add({**run, "models": hashes, "traces": sorted(traces)})
+    history.add({**run, "models": hashes, "traces": sorted(traces), "places": list(places)})
 
 
 def _hash_of(model: Model | str) -> str:

@@ -11,10 +11,12 @@ import click
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, table
 from gateway.entry import Exit, interruptible, sentences
+from gateway.lab.regression.gone import gone_models, trace_notes
 from gateway.lab.regression.history import opened_history, run_standard
-from gateway.lab.regression.standard import code_version, models_in, read_standard
+from gateway.lab.regression.standard import StandardSet, code_version, models_in, read_standard
 from gateway.lab.regression.worse import regressions_of
 from gateway.lab.retraining.judging import PRESENT
+from sim.files import ArtefactError, check_utf8, resolved
 from sim.learning import PERSISTENCE
 from sim.sha import DEGREES, Model, shown_unit
 
@@ -40,33 +42,40 @@ def regress(
     """Forecast along the standard set with every model of MODELS (stores, folders, models), and keep the results.
 
     Each model is held against its best former run by a paired test, at the forecast's horizons. Where it is worse, it
-    is said since which program or model, and the exit code is 1. A result that the history has is not computed again,
+    is said since which program or model, and the exit code is 1. So it is where a model of the former run is gone, one
+    of MODELS cannot be run, or a trace of the set cannot be read. A result that the history has is not computed again,
     and a run that was stopped or killed goes on with the same command.
     """
     if reason is not None and not reason.strip():
         raise click.UsageError("--accept needs a reason")
     with sentences(), progress("standard set") as bar, interruptible(bar) as report:
+        check_utf8(file)
         traces = read_standard(standard, map_name)
-        models: dict[str, Model | str] = {}
-        for place in places:
-            found = models_in(place, traces)
-            # As seen from the history: the same subject from wherever the command is called, and after a move of both.
-            models |= {os.path.relpath(Path(name).resolve(), file.parent.resolve()): found[name] for name in found}
+        models, broken = _models(places, file.parent, traces)
+        asked = [_seen_from(file.parent, place) for place in places]
         code = code_version()
         with opened_history(file) as history:
-            run_standard(models, traces, history, code=code, seed=seed, clock=time.time, report=report)
+            run_standard(models, traces, history, places=asked, code=code, seed=seed, clock=time.time, report=report)
             worse = [each for subject in models for each in regressions_of(subject, history, seed=seed)]
+            gone, notes = gone_models(history), trace_notes(history)
             last = history.rows[-1]
             results = {subject: history.results(last, subject) for subject in models}
             if reason is not None:
                 when = datetime.fromtimestamp(time.time(), UTC).isoformat(timespec="seconds")
-                history.add({"kind": "accepted", "when": when, "reason": reason})
+                history.add({"kind": "accepted", "when": when, "reason": reason, "models": list(models), "seed": seed})
     unit = {subject: DEGREES if isinstance(model, str) else model.unit for subject, model in models.items()}
     said = [each if isinstance(each, str) else each.sentence(unit[each.subject]) for each in worse]
     rows = [row for subject in models for row in _means(subject, results[subject])]
     data: dict[str, Any] = {"history": str(file), "code": code.content, "release": code.release, "commit": code.commit}
     data |= {"results": rows, "units": unit, "worse": said, "accepted": reason}
     data |= {"failed": {subject: _failed(own) for subject, own in results.items() if _failed(own)}}
+    data |= {"gone": gone, "trace_problems": traces.problems, "notes": notes}
+    summary = {
+        f"{len(said) or 'nothing'} became worse": True,
+        f"{len(gone)} gone": gone,
+        f"{len(data['failed'])} not run along every trace": data["failed"],
+        f"{len(traces.problems)} of the set's traces not read": traces.problems,
+    }
 
     def show() -> None:
         if rows:
@@ -76,26 +85,55 @@ def regress(
         for subject, reasons in data["failed"].items():
             for each in reasons:
                 click.echo(f"{subject}: {each}")
-        for each in said:
+        for each in (*said, *gone, *traces.problems):
             click.secho(each, fg="red")
-        click.echo(f"{len(said)} became worse; history: {file}" if said else f"nothing became worse; history: {file}")
+        for each in notes:
+            click.secho(each, fg="yellow")
+        click.echo(f"{', '.join(part for part, there in summary.items() if there)}; history: {file}")
 
     emit(data, show, as_json_line=as_json)
-    if said and reason is None:
+    # What is accepted are models as they are: what could not be run or read says nothing of them.
+    if broken or traces.problems or ((said or gone) and reason is None):
         click.get_current_context().exit(Exit.CHECK_FAILED)
+
+
+def _models(places: Sequence[Path], folder: Path, traces: StandardSet) -> tuple[dict[str, Model | str], list[str]]:
+    """The models under all places by their subjects, and the sentences of places that cannot be run.
+
+    Raises ArtefactError where that is so of all of them.
+    """
+    models: dict[str, Model | str] = {}
+    broken: list[str] = []
+    for place in places:
+        found: Mapping[str, Model | str]
+        try:
+            found = models_in(place, traces)
+        except ArtefactError as error:
+            broken.append(str(error))
+            found = {str(place): str(error)}
+        models |= {_seen_from(folder, Path(name)): model for name, model in found.items()}
+    if len(broken) == len(places):
+        raise ArtefactError(broken[0])
+    return models, broken
+
+
+def _seen_from(folder: Path, path: Path) -> str:
+    """The path as seen from the history: the same from wherever the command is called, and after a move of both."""
+    check_utf8(path)
+    return os.path.relpath(resolved(path), resolved(folder))
 
 
 def _means(subject: str, results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     """A row a horizon (s): means over the traces."""
     scores = [score for row in results.values() for score in row["scores"]]
     rows: list[dict[str, Any]] = []
-    for horizon in sorted({score["horizon"] for score in scores}):
+    for horizon in sorted({score["horizon"] for score in scores if score["method"] == PRESENT}):
         own = [score for score in scores if (score["horizon"], score["method"]) == (horizon, PRESENT)]
         simple = [score for score in scores if (score["horizon"], score["method"]) == (horizon, PERSISTENCE)]
         row: dict[str, Any] = {"model": subject, "horizon (s)": horizon, "traces": len(own)}
         for name in ("crps", "coverage"):
             row[name] = sum(score[name] for score in own) / len(own)
-        row["persistence"] = sum(score["crps"] for score in simple) / len(simple)
+        row["persistence"] = sum(score["crps"] for score in simple) / len(simple) if simple else None
         rows.append(row)
     return rows
 

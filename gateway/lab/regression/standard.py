@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 
 import click
@@ -13,22 +14,27 @@ import click
 from drivers import DISTRIBUTION
 from drivers.named_files import parse_toml
 from gateway.lab.retraining.training_record import code_hash
-from gateway.lab.traces.load import load
+from gateway.lab.traces.load import load_reported
 from sim.artefacts import MODEL_FILE, current, is_store, versions
 from sim.artefacts.formats import SUFFIXES, find_model
-from sim.files import ArtefactError, at, read_text
+from sim.files import ArtefactError, at, check_utf8, read_text
 from sim.sha import Alphabet, Model, Trace
+from sim.traces import files_by_machine
 
 KEYS = ("traces", "map")
 
 
 @dataclass(frozen=True, slots=True)
 class StandardSet:
-    """The traces that every model is held against, not encoded for any model, and the column map that read them."""
+    """The traces that every model is held against, not encoded for any model, and the column map that read them.
+
+    `problems` has a sentence for each trace that belongs to the set and is missing or cannot be read.
+    """
 
     traces: Sequence[Trace]
     alphabet: Alphabet
     temperature: str
+    problems: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +52,7 @@ class CodeVersion:
 def read_standard(path: str, map_name: str) -> StandardSet:
     """The standard set: traces (a file, a folder, a glob) read by the map, or a TOML list of them with its own map.
 
-    Paths of a list are relative to it. Raises ValueError.
+    Paths of a list are relative to it. Raises ValueError, also where there is no trace at all.
     """
     paths = [path]
     if path.endswith(".toml"):
@@ -66,8 +72,12 @@ def read_standard(path: str, map_name: str) -> StandardSet:
             raise at(file, None, 'map: is no name; write map = "decanter", or the path of a column map')
         paths = [str(file.parent / each) for each in listed]
         map_name = str(file.parent / named) if named.endswith(".toml") and "map" in document else named
-    traces, column_map = load(paths, map_name)
-    return StandardSet(traces, column_map.alphabet, column_map.temperature)
+    traces, column_map, report = load_reported(paths, map_name)
+    files = {each: [*chain(*files_by_machine(each, column_map).values())] for each in paths}
+    for found in chain(*files.values()):
+        check_utf8(found)
+    missing = [f"{each}: there is no CSV file there; put it back, or take it out" for each in paths if not files[each]]
+    return StandardSet(traces, column_map.alphabet, column_map.temperature, (*missing, *report.errors))
 
 
 def models_in(place: Path, standard: StandardSet) -> dict[str, Model | str]:
@@ -115,10 +125,17 @@ def models_in(place: Path, standard: StandardSet) -> dict[str, Model | str]:
 def code_version() -> CodeVersion:
     """What forecasts now: the hash of all three floors' sources, the release, and the commit of a checkout."""
     content = sha256("".join(code_hash(floor) for floor in ("drivers", "sim", "gateway")).encode()).hexdigest()
-    command = ["git", "-C", str(Path(__file__).parents[2]), "describe", "--always", "--dirty", "--abbrev=10"]
+    return CodeVersion(content, version(DISTRIBUTION), commit_of(Path(__file__).parents[3]))
+
+
+def commit_of(root: Path) -> str:
+    """The commit of the checkout whose top is `root`; "" where there is none, as for an installed program."""
+    # Named, and not looked for: git would take the repository of somebody else that a folder above may be.
+    command = ["git", f"--git-dir={root / '.git'}", f"--work-tree={root}", "describe", "--always", "--dirty"]
     try:
-        asked = subprocess.run(command, capture_output=True, text=True, timeout=10.0, check=False)  # noqa: S603
-        commit = asked.stdout.strip() if asked.returncode == 0 else ""
+        asked = subprocess.run(  # noqa: S603
+            [*command, "--abbrev=10"], capture_output=True, text=True, timeout=10.0, check=False
+        )
     except (OSError, subprocess.TimeoutExpired):
-        commit = ""  # an installed program has no checkout
-    return CodeVersion(content, version(DISTRIBUTION), commit)
+        return ""
+    return asked.stdout.strip() if asked.returncode == 0 else ""

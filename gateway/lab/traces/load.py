@@ -6,7 +6,7 @@ import click
 
 from gateway.console import shipped
 from sim.sha import Alphabet, Trace
-from sim.traces import ColumnMap, channel_uses, load_map, load_traces
+from sim.traces import ColumnMap, LoadReport, channel_uses, load_map, load_traces
 
 
 def load(paths: Sequence[str], map_name: str) -> tuple[list[Trace], ColumnMap]:
@@ -14,11 +14,17 @@ def load(paths: Sequence[str], map_name: str) -> tuple[list[Trace], ColumnMap]:
 
     What was refused of them, or understood otherwise than it stands there, goes to standard error.
     """
+    traces, column_map, _ = load_reported(paths, map_name)
+    return traces, column_map
+
+
+def load_reported(paths: Sequence[str], map_name: str) -> tuple[list[Trace], ColumnMap, LoadReport]:
+    """As `load`, with what became of every file."""
     column_map = load_map(shipped("traces", map_name))
     traces, report = load_traces(paths[0] if len(paths) == 1 else list(paths), column_map)
     for sentence in report.sentences() if report.refused or report.errors else report.warnings:
         click.secho(sentence, fg="yellow", err=True)
-    return traces, column_map.model_copy(update={"alphabet": report.alphabet})
+    return traces, column_map.model_copy(update={"alphabet": report.alphabet}), report
 
 
 def warned_of(traces: Sequence[Trace], alphabet: Alphabet) -> list[str]:
