@@ -14,7 +14,7 @@ import pytest
 
 from drivers.tag import Quality, Sample, Tag
 from gateway.lab.familiar import free_run_error
-from gateway.lab.retraining import cutting, judging, shadow, study
+from gateway.lab.retraining import cutting, judging, lineage, shadow, study
 from gateway.lab.retraining.cutting import CycleSource, and_after, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
 from gateway.lab.retraining.judging import NEW, PRESENT, compared, scores_along, verdict_on
@@ -861,6 +861,29 @@ def test_a_library_of_a_later_program_and_one_that_is_a_directory_are_one_senten
         opened_library(tmp_path / "d", machine="decanter", temperature=TEMPERATURE),
     ):
         pass
+
+
+def test_an_edited_record_is_one_sentence_and_a_family_in_a_circle_is_named(
+    request_of: RetrainingRequest,
+    library: CycleLibrary,
+    quick: SimpleNamespace,
+    store: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    version = run(request_of, library).version
+    file = version_directory(store, version) / "record.json"
+    text = file.read_text()
+    document = json.loads(text)
+    for key, value in (("parent", ["x"]), ("settings", 5), ("seed", "1"), ("training", [["a"]])):
+        file.write_text(json.dumps({**document, key: value}))
+        refused(decanter("model", "lineage", store), 2, "cannot be used as a record")
+    file.write_text(text)
+    record = read_record(file.parent)
+    assert record is not None
+    circle = replace(record, parent=version)
+    monkeypatch.setattr(lineage, "read_record", lambda folder: circle if folder == file.parent else None)
+    shown = decanter("model", "lineage", store)
+    assert shown.exit_code == 0 and f"what came before: {version}" in shown.stdout
 
 
 def test_a_version_made_at_no_moment_is_one_sentence(store: Path) -> None:

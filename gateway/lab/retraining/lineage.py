@@ -58,8 +58,13 @@ def lineage_command(
             again = _remade(store, version, folder, load(former, map_name)[0] if former else [])
 
     def show() -> None:
-        for line in _drawn(family, None, ""):
+        drawn = _drawn(family, None, "")
+        for line in drawn:
             click.echo(line)
+        # Each of these is learned beside one of them, so that none is the first.
+        circle = [each["version"] for each in family if not any(each["version"] in line for line in drawn)]
+        if circle:
+            click.echo(f"not drawn, as their records name one another as what came before: {', '.join(circle)}")
         if again is not None:
             click.echo(again["sentence"])
 

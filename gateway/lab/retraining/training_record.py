@@ -53,7 +53,12 @@ def read_record(folder: Path) -> TrainingRecord | None:
         if document.pop("format") != FORMAT or document.pop("version") != 1:
             raise ValueError("it is of another format")
         training = tuple((str(name), str(content)) for name, content in document.pop("training"))
-        return TrainingRecord(training=training, **document)
+        record = TrainingRecord(training=training, **document)
+        for key, value in asdict(record).items():
+            right = {"settings": dict, "software": dict, "seed": int, "training": tuple}.get(key, str)
+            if not isinstance(value, right):
+                raise ValueError(f"{key} is {str(value)[:20]!r}")
+        return record
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         raise at(file, None, f"cannot be used as a record ({str(error)[:80]}); restore it from a backup") from None
 
