@@ -28,7 +28,7 @@ DBC = (
     "BO_ {id} M{id}: {length} A\n"
     ' SG_ S {mux}: {start}|{bits}@1+ ({scale},0) [0|0] "" A\n'
 )
-MOST_SECONDS, MOST_BYTES = 5.0, 60 << 20
+MOST_SECONDS, MOST_BYTES = 30.0, 60 << 20
 
 
 def refused(error: type[Exception], act: Callable[[], object]) -> str:
