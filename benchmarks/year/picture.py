@@ -74,7 +74,8 @@ def draw_year(years: Sequence[Year]) -> Drawing:
         _changes(axes, max(months) + 1.0, words=axes is error)
         axes.grid(axis="y", linewidth=0.3)
         axes.spines[["top", "right"]].set_visible(False)
-    error.legend(fontsize=8, ncols=2, loc="upper left", framealpha=0.9)
+    # The axis begins at 0, and no month is much better than another: below the lines there is room.
+    error.legend(fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 0.08), framealpha=0.9)
     return drawing
 
 
