@@ -154,7 +154,7 @@ def test_frames_on_the_bus_are_listed_with_their_names_and_nothing_is_sent(
     data = answer(tmp_path, "scan", "frames", *bus, "--seconds", 0.6)
     rows = {row["id"]: row for row in data["ids"]}
     assert rows["0x100"]["what"] == "PlcStatus" and rows["0x701"]["what"] == "CANopen heartbeat of node 1"
-    assert rows["0x100"]["period_ms"] == pytest.approx(20.0, rel=0.5)
+    assert rows["0x100"]["period_ms"] == pytest.approx(20.0, rel=0.3)
     assert data["heard"] == sum(row["frames"] for row in rows.values())
     assert data["exchanges"]["heard"] >= data["heard"] and data["exchanges"]["asked"] == 0
 

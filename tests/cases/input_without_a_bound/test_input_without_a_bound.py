@@ -28,17 +28,18 @@ DBC = (
     "BO_ {id} M{id}: {length} A\n"
     ' SG_ S {mux}: {start}|{bits}@1+ ({scale},0) [0|0] "" A\n'
 )
-MOST_SECONDS, MOST_BYTES = 30.0, 60 << 20
+MOST_SECONDS, MOST_BYTES = 5.0, 60 << 20
+"""Processor time, which other work on the machine does not lengthen, and memory."""
 
 
 def refused(error: type[Exception], act: Callable[[], object]) -> str:
     """The one line with which `act` refuses, in bounded time and memory."""
     tracemalloc.start()
-    begun = time.monotonic()
+    begun = time.process_time()
     try:
         with pytest.raises(error) as raised:
             act()
-        assert tracemalloc.get_traced_memory()[1] < MOST_BYTES and time.monotonic() - begun < MOST_SECONDS
+        assert tracemalloc.get_traced_memory()[1] < MOST_BYTES and time.process_time() - begun < MOST_SECONDS
     finally:
         tracemalloc.stop()
     assert "\n" not in str(raised.value) and len(str(raised.value)) < 600
@@ -54,14 +55,14 @@ def test_a_count_of_mapped_objects_is_none_that_a_pdo_can_hold(count: str) -> No
         body = body.replace("DataType=0x0005", f"DataType={kind}", 1)
         at = body.index("DefaultValue=")
         body = body[:at] + f"DefaultValue={count}" + body[body.index("\n", at) :]
-        begun = time.monotonic()
+        begun = time.process_time()
         try:
             pdos = parse_sheet(before + body, 1, "x.eds").pdos("T")
         except DriverError as error:
             assert "0x1A00:0 is" in str(error) or "digits" in str(error)
         else:  # no number of its type is no value: nothing is mapped
             assert not pdos[0].objects
-        assert time.monotonic() - begun < MOST_SECONDS
+        assert time.process_time() - begun < MOST_SECONDS
 
 
 @pytest.mark.parametrize(
