@@ -153,7 +153,7 @@ def main(
         for each in found["comparisons"]:  # type: ignore[attr-defined]
             name = f"CRPS, {each['subject']}, {each['horizon']:g} s"
             figures.append(Figure(name, each["crps"]["new"], "°C", "present", each["crps"]["present"]))
-            figures.append(Figure(f"{name}: p", each["p"], ""))
+            figures.append(Figure(f"{name}: p", each["shown_p"], ""))
             covered = each["coverage"]
             figures.append(Figure(f"{name}: 90 % band", covered["new"], "", "present", covered["present"]))
         if kills:

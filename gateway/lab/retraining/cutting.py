@@ -19,9 +19,10 @@ from sim.traces import split_cycles
 Progress = Callable[[str, float], None]
 SPAN = 2 * 86_400.0
 """Seconds of the historian that are in memory at a time."""
-SET_BACK = "the clock was set back during it: what came before and after lies in one another"
 BEFORE = 3600.0
 """What is read before a piece: features look back as far."""
+SET_BACK = "the clock was set back during it: what came before and after lies in one another"
+"""Why the program itself excludes a cycle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,10 +127,10 @@ def _twice(source: CycleSource, start: float, end: float) -> list[tuple[float, f
     with reading(source.historian) as connection:
         rows = stored_rows(connection, "scans", ("time",), start - BEFORE, end, machine=source.machine)
     arrived = np.array([row[0] for row in rows], dtype=float)
-    begun = (np.flatnonzero(np.diff(arrived) < 0) + 1).tolist()
+    back = (np.flatnonzero(np.diff(arrived) < 0) + 1).tolist()
     found: list[tuple[float, float]] = []
-    for begin, end in pairwise([*begun, arrived.size]):
-        before, after = arrived[:begin], arrived[begin:end]
+    for place, next_place in pairwise([*back, arrived.size]):
+        before, after = arrived[:place], arrived[place:next_place]
         low, high = float(after[0]), float(min(before.max(), after[-1]))
         # Rows that another source has written come out of order too; twice is what both have.
         if np.any((before >= low) & (before <= high)):

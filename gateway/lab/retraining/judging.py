@@ -121,9 +121,15 @@ class HorizonComparison:
             f"over {d.n} cycles, p {self.shown_p:.2g}: {said}"
         )
 
+    def cells(self) -> list[object]:
+        """A row of a table: horizon (s), cycles, CRPS of the new and the present model, difference, p, told apart."""
+        d, word = self.difference, self.told_apart or "no"
+        return [self.horizon, d.n, self.crps[NEW], self.crps[PRESENT], d.mean, self.shown_p, word]
+
     def as_plain(self) -> dict[str, Any]:
         """All of it as plain values."""
-        return {**asdict(self), "told_apart": self.told_apart, "refuses": self.refuses}
+        told = {"shown_p": self.shown_p, "told_apart": self.told_apart, "refuses": self.refuses}
+        return {**asdict(self), **told}
 
 
 def compared(subject: str, scores: Sequence[Mapping[str, Any]], *, seed: int) -> list[HorizonComparison]:
@@ -160,16 +166,21 @@ def compared(subject: str, scores: Sequence[Mapping[str, Any]], *, seed: int) ->
     ]
 
 
-def verdict_on(comparisons: Sequence[HorizonComparison], refusals: Sequence[str], subject: str) -> tuple[bool, str]:
+def verdict_on(
+    comparisons: Sequence[HorizonComparison], refusals: Sequence[str], subject: str, unjudged: Sequence[str] = ()
+) -> tuple[bool, str]:
     """(whether the new model is to be proposed, the sentence why or why not).
 
-    It must be better somewhere on `subject`, which it has not seen, worse nowhere, and verified (no `refusals`).
+    It must be better somewhere on `subject`, which it has not seen, worse nowhere, and verified (no `refusals`); and no
+    trace that it must not be worse on may be `unjudged`.
     """
     if refusals:
         return False, f"not proposed: it does not verify: {'; '.join(refusals)}"
     worse = [f"at {each.horizon:g} s on the {each.subject}" for each in comparisons if each.refuses]
     if worse:
         return False, f"not proposed: it is worse than the present model {', '.join(worse)}"
+    if unjudged:
+        return False, f"not proposed: {unjudged[0]} judges nothing, as no forecast along it comes due"
     own = [each for each in comparisons if each.subject == subject]
     better = [f"{each.horizon:g} s" for each in own if each.told_apart == "better"]
     if better:

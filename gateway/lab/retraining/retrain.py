@@ -153,19 +153,7 @@ def retrain_command(
 
 def show(found: Retraining, store: Path, place: Path, cost: dict[str, float]) -> None:
     """The verdict, the comparison and what to do next."""
-    rows = [
-        [
-            c.subject,
-            c.horizon,
-            c.difference.n,
-            c.crps["new"],
-            c.crps["present"],
-            c.difference.mean,
-            c.shown_p,
-            c.told_apart or "no",
-        ]
-        for c in found.comparisons
-    ]
+    rows = [[each.subject, *each.cells()] for each in found.comparisons]
     if rows:
         columns = ("set", "horizon (s)", "cycles", "new", "present", "difference", "p", "told apart")
         table(f"CRPS ({shown_unit(found.unit)}) of the new model and of version {found.present}", columns, rows)

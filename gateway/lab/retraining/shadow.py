@@ -50,11 +50,6 @@ class SideBySide:
     sentence: str
     comparisons: tuple[HorizonComparison, ...]
 
-    @property
-    def worse(self) -> bool:
-        """Whether what was judged is worse at some horizon."""
-        return any(each.told_apart == "worse" for each in self.comparisons)
-
 
 def side_by_side(
     store: Path,
@@ -227,18 +222,7 @@ def shadow_command(
 
     def show() -> None:
         columns = ("horizon (s)", "cycles", found.judged, found.stood, "difference", "p", "told apart")
-        rows = [
-            [
-                c.horizon,
-                c.difference.n,
-                c.crps["new"],
-                c.crps["present"],
-                c.difference.mean,
-                c.shown_p,
-                c.told_apart or "no",
-            ]
-            for c in found.comparisons
-        ]
+        rows = [each.cells() for each in found.comparisons]
         if rows:
             table(f"CRPS on live cycles ({shown_unit(unit)})", columns, rows)
         click.echo(found.sentence)

@@ -245,17 +245,14 @@ def retrain(
         if subject == STANDARD and content in (*present.provenance.contents, *new.provenance.contents):
             name = at_hand.name if at_hand is not None else content[:8]
             notes.append(f"{name} of the standard set is training of one of the models: its figures flatter that one")
-        if subject == STANDARD and not rows:
-            unjudged.append(at_hand.name if at_hand is not None else content[:8])
+        if at_hand is not None and not rows:
+            unjudged.append(f"{at_hand.name} of the {STANDARD}")
         scores[subject] += rows
     comparisons = [each for subject, rows in scores.items() for each in compared(subject, rows, seed=request.seed)]
 
     report("verifying", 0.8)
     refusals = verify(new).reasons
-    propose, sentence = verdict_on(comparisons, refusals, FRESH)
-    if propose and unjudged:
-        propose = False
-        sentence = f"not proposed: {unjudged[0]} of the {STANDARD} judges nothing, as no forecast along it comes due"
+    propose, sentence = verdict_on(comparisons, refusals, FRESH, unjudged)
     left = library.step(study, "diagnosed")
     if left is None:
         left = "" if not request.diagnosis else _what_is_left(new, library, chosen, request.seed, report)

@@ -10,6 +10,8 @@ from pathlib import Path
 from platform import python_version
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
 from sim.artefacts import MANIFEST
 from sim.files import at, read_text
 from sim.strict_json import json_text
@@ -50,16 +52,14 @@ def read_record(folder: Path) -> TrainingRecord | None:
     text = read_text(file)
     try:
         document: dict[str, Any] = json.loads(text)
-        if document.pop("format") != FORMAT or document.pop("version") != 1:
+        if document["format"] != FORMAT or document["version"] != 1:
             raise ValueError("it is of another format")
-        training = tuple((str(name), str(content)) for name, content in document.pop("training"))
-        record = TrainingRecord(training=training, **document)
-        for key, value in asdict(record).items():
-            right = {"settings": dict, "software": dict, "seed": int, "training": tuple}.get(key, str)
-            if not isinstance(value, right):
-                raise ValueError(f"{key} is {str(value)[:20]!r}")
-        return record
-    except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
+        return TypeAdapter(TrainingRecord).validate_json(text, strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        raise at(file, None, f"cannot be used as a record ({what}); restore it from a backup") from None
+    except (KeyError, RecursionError, TypeError, ValueError) as error:
         raise at(file, None, f"cannot be used as a record ({str(error)[:80]}); restore it from a backup") from None
 
 
