@@ -8,7 +8,7 @@ readings, limits and quantiles are all of T', and the sensor's noise, which is m
 automaton's range becomes [k low + b, k high + b].
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from math import log
 from typing import Any
@@ -78,15 +78,13 @@ def of_machine(model: Model, name: str) -> Model:
     )
 
 
-def with_targets(sha: SHA, targets: float, names: Collection[str] | None = None) -> SHA:
-    """The automaton whose targets lie `targets` (degC) higher in the locations of these `names`, or in all.
+def with_targets(sha: SHA, targets: float) -> SHA:
+    """The automaton whose targets lie `targets` (degC) higher.
 
     Flows without a target stay as they are. Raises ValueError where a target's law cannot be shifted.
     """
     locations = tuple(
-        replace(location, **_shifted(sha, location, targets))
-        if location.flow.kind in RELAXING and (names is None or location.name in names)
-        else location
+        replace(location, **_shifted(sha, location, targets)) if location.flow.kind in RELAXING else location
         for location in sha.locations
     )
     return replace(sha, locations=locations)

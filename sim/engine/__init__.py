@@ -15,7 +15,7 @@ from sim.engine.belief import (
 from sim.engine.belief_state import Belief, Hidden, belief_of
 from sim.engine.cuts import fastest, longest
 from sim.engine.kernel import move
-from sim.engine.moment_equations import Prediction, mean_readings, moments, stay_draws
+from sim.engine.moment_equations import Prediction, mean_outputs, mean_readings, moments, stay_draws
 from sim.engine.moments_augmented import drawn_start
 from sim.engine.open_loop_run import Score, Start, errors, measured, open_loop, open_loop_schedule, score, start_law
 from sim.engine.particles import BLOCK_ROWS, PathRuns, draw_belief, draw_states, lay_out, run, survival
@@ -64,6 +64,7 @@ __all__ = [
     "linear_recursion",
     "longest",
     "machine_offset",
+    "mean_outputs",
     "mean_readings",
     "measured",
     "moments",

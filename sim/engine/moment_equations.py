@@ -1,5 +1,6 @@
 """Mean and variance of the temperature along a schedule in closed form: the deterministic run of a model."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, nan
 
@@ -10,6 +11,7 @@ from sim.engine.moments_augmented import DrawnMoments, MeanCourse, covariance, m
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import SHORT, linear_recursion
 from sim.engine.schedules import Indices, Schedule, step_coefficients
+from sim.engine.tables import Tables
 from sim.engine.terms import Segments
 from sim.sha import Array, distributions, drawn_temperature, flows, mode_parameter
 
@@ -113,6 +115,25 @@ def mean_readings(steps: Schedule, x0: float, drawn: DrawnMoments) -> Array:
     return _readings(steps, steps.segments, plant, course)
 
 
+def mean_outputs(steps: Schedule, runs: Sequence[tuple[float, Array | float]]) -> list[Array]:
+    """(m,) each: the mean at the output times of several runs of one schedule, as `moments` has it.
+
+    A run is its first reading and by how much its targets lie above the model's, step by step (n,) or all alike, both
+    degC. What the steps do to the state is worked out once for all. Raises ValueError as `moments` does.
+    """
+    draws, ends = stay_draws(steps), steps.output >= 0
+    moved = [(x0, replace(draws, mode=draws.mode + higher)) for x0, higher in runs]
+    if steps.segments is None:
+        affine = affine_steps(steps)
+        return [_mean(steps, replace(affine, drawn=drawn), x0)[0][ends] for x0, drawn in moved]
+    found, known = [], None
+    for x0, drawn in moved:
+        plant, _, course = augmented_course(steps, x0, drawn, known)
+        known = course.steps
+        found.append(_readings(steps, steps.segments, plant, course)[ends])
+    return found
+
+
 def stay_draws(steps: Schedule) -> DrawnMoments:
     """What the stays of a schedule draw by their locations' laws, step by step."""
     rows = []
@@ -135,15 +156,18 @@ def stay_draws(steps: Schedule) -> DrawnMoments:
 
 
 def augmented_course(
-    steps: Schedule, x0: float, drawn: DrawnMoments | None = None
+    steps: Schedule, x0: float, drawn: DrawnMoments | None = None, known: Tables | None = None
 ) -> tuple[Plant, DrawnMoments, MeanCourse]:
-    """The mean course of a schedule with effects from the reading `x0` (degC). Raises ValueError as `moments` does."""
+    """The mean course of a schedule with effects from the reading `x0` (degC); for `known` see `mean_course`.
+
+    Raises ValueError as `moments` does.
+    """
     check_sha(steps.sha)
     if steps.segments is None:
         raise ValueError(f"SHA {steps.sha.name!r} has no effects: its course is that of `moments`")
     plant, drawn = compile_plant(steps.sha), stay_draws(steps) if drawn is None else drawn
     start = start_state(plant, x0, sensor_offset(steps.sha, steps.start))
-    return plant, drawn, mean_course(plant, steps.segments, drawn, start)
+    return plant, drawn, mean_course(plant, steps.segments, drawn, start, known=known)
 
 
 def _readings(steps: Schedule, segments: Segments, plant: Plant, course: MeanCourse) -> Array:

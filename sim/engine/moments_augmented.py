@@ -90,11 +90,20 @@ def drawn_start(plant: Plant, temperature: Array, offset: float, rng: np.random.
 
 
 def mean_course(
-    plant: Plant, segments: Segments, drawn: DrawnMoments, start: Array, *, valve: bool = False
+    plant: Plant,
+    segments: Segments,
+    drawn: DrawnMoments,
+    start: Array,
+    *,
+    valve: bool = False,
+    known: Tables | None = None,
 ) -> MeanCourse:
-    """The course from the state `start` (d,), with the thermostat open if `valve`."""
+    """The course from the state `start` (d,), with the thermostat open if `valve`.
+
+    `known` are the steps of another course along the same segments, which without radiation are those of each.
+    """
     if plant.radiation is None:
-        return _march(plant, tables(plant, segments), drawn, start, valve)
+        return _march(plant, tables(plant, segments) if known is None else known, drawn, start, valve)
     about = np.full(segments.dt.size, float(start[0]))
     for _ in range(_ROUNDS):
         course = _march(plant, tables(plant, segments, about), drawn, start, valve)

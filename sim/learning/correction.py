@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim.engine import errors, measured, moments, open_loop, open_loop_schedule
+from sim.engine import errors, mean_outputs, measured, open_loop, open_loop_schedule
 from sim.learning.data import resolution, without_spikes
 from sim.learning.free_run import HUBER
 from sim.learning.held_out import huber_scale
@@ -185,9 +185,9 @@ def _regressors(bare: Model, run: Trace) -> _Regressors:
     free = unlimited(bare)
     times, values = measured(run, bare.temperature)
     steps = open_loop_schedule(free, run, "resync")
-    mean = moments(steps, float(values[0])).mean
     # D(t) as the difference between two courses whose starts are one degree apart.
-    forgotten = 1.0 - (moments(steps, float(values[0]) + 1.0).mean - mean)
+    mean, higher = mean_outputs(steps, [(float(values[0]), 0.0), (float(values[0]) + 1.0, 0.0)])
+    forgotten = 1.0 - (higher - mean)
     keep = fitted_readings(times.size)
     row = np.searchsorted(steps.times, times[keep], side="right") - 1
     start = (1.0 - forgotten[row]) * values[0]

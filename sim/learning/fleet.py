@@ -11,8 +11,7 @@ from math import isfinite
 import numpy as np
 import scipy
 
-from sim.effects import with_targets
-from sim.engine import measured, moments, open_loop_schedule
+from sim.engine import mean_outputs, measured, open_loop_schedule
 from sim.learning.correction import (
     CorrectionFit,
     correction_runs,
@@ -120,14 +119,12 @@ def _pulls(bare: Model, run: Trace, relaxing: Collection[str]) -> tuple[Array, d
     steps = open_loop_schedule(free, run, "resync")
     keep = fitted_readings(times.size)
     row = np.searchsorted(steps.times, times[keep], side="right") - 1
-    mean = moments(steps, float(values[0])).mean
-    pulls = {}
-    for name in sorted(relaxing):
-        moved = replace(free, sha=with_targets(free.sha, 1.0, {name}))
-        pull = (moments(open_loop_schedule(moved, run, "resync"), float(values[0])).mean - mean)[row]
-        if np.any(pull):
-            pulls[name] = pull
-    return values[keep] - mean[row], pulls
+    place = {location.name: number for number, location in enumerate(free.sha.locations)}
+    been = [name for name in sorted(relaxing) if np.any(steps.location == place[name])]
+    degrees = [0.0, *((steps.location == place[name]).astype(float) for name in been)]
+    mean, *higher = mean_outputs(steps, [(float(values[0]), degree) for degree in degrees])
+    pulls = {name: (course - mean)[row] for name, course in zip(been, higher, strict=True)}
+    return values[keep] - mean[row], {name: pull for name, pull in pulls.items() if np.any(pull)}
 
 
 def _group_fit(

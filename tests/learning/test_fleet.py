@@ -69,8 +69,9 @@ def test_the_targets_of_a_machine_are_found_from_its_own_runs(model: Model) -> N
 
 def test_targets_that_are_off_while_it_runs_are_found_there_and_not_at_rest(model: Model) -> None:
     traces = of_machine("x", 0.0, 20, cycles=5)
-    running = tuple(name for name in model.sha.by_name if name.startswith("ON/"))
-    colder = replace(model, sha=with_targets(model.sha, -7.0, running))
+    pairs = zip(model.sha.locations, with_targets(model.sha, -7.0).locations, strict=True)
+    running = tuple(moved if moved.name.startswith("ON/") else place for place, moved in pairs)
+    colder = replace(model, sha=replace(model.sha, locations=running))
     before, after = grouped_targets(model, traces), grouped_targets(colder, traces)
     assert after["ON"].offset - before["ON"].offset == pytest.approx(7.0, abs=0.3)
     assert after["OFF"].offset - before["OFF"].offset == pytest.approx(0.0, abs=0.3)

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.effects import with_targets
 from sim.engine.belief import compile_model, on_event, start, with_inputs
-from sim.engine.moment_equations import moments
+from sim.engine.moment_equations import mean_outputs, moments
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
 from sim.forecast.fan import forecast
@@ -126,3 +127,17 @@ def test_a_forecast_under_a_dead_time_knows_the_event_that_is_not_felt_yet() -> 
     assert fan.locations[0] == {"off": 1.0}
     assert fan.locations[1] == {"on": 1.0}
     assert fan.quantiles[2, 1] > fan.quantiles[2, 0] + 0.5
+
+
+@pytest.mark.parametrize("name", EFFECTS | TOGETHER | {"none": ()})
+def test_the_means_of_several_runs_at_once_are_those_of_each_by_itself(name: str) -> None:
+    """A run with other targets is that of an automaton whose locations have them; and they differ here."""
+    events, inputs = course(3, 1500.0)
+    sha, times = plant("driven", (EFFECTS | TOGETHER).get(name, ())), np.arange(0.0, 1501.0, 75.0)
+    steps = schedule(sha, events, times, inputs=inputs)
+    warmer = schedule(with_targets(sha, 3.0), events, times, inputs=inputs)
+    found = mean_outputs(steps, [(21.0, 0.0), (22.0, 0.0), (21.0, 3.0), (21.0, np.full(steps.dt.size, 3.0))])
+    expected = [moments(steps, 21.0), moments(steps, 22.0), moments(warmer, 21.0), moments(warmer, 21.0)]
+    for mean, alone in zip(found, expected, strict=True):
+        np.testing.assert_allclose(mean, alone.mean, rtol=0.0, atol=1e-9)
+    assert np.abs(found[2] - found[0]).max() > 0.5 and np.abs(found[1] - found[0])[0] > 0.5
