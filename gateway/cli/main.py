@@ -58,7 +58,7 @@ EXAMPLES = {
 }
 
 
-RENAMED = {
+ELSEWHERE = {
     "check": "`decanter plc check --offline` for the files alone, `decanter plc check` for the PLC too",
     "ingest": "`decanter trace ingest`",
     "regress": "`decanter model regress`",
@@ -70,7 +70,7 @@ RENAMED = {
     cls=LazyGroup,
     table=COMMANDS,
     examples=EXAMPLES,
-    renamed=RENAMED,
+    elsewhere=ELSEWHERE,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(package_name="decanter-gateway")

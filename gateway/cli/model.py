@@ -73,7 +73,7 @@ EXAMPLES = {
     cls=LazyGroup,
     table=COMMANDS,
     examples=EXAMPLES,
-    renamed={"verify": "`decanter model prove` (`decanter plc verify` compares tags with the HMI)"},
+    elsewhere={"verify": "`decanter model prove` (`decanter plc verify` compares tags with the HMI)"},
     short_help="The model laboratory.",
 )
 def model() -> None:

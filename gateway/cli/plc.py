@@ -61,7 +61,7 @@ COMMANDS: Table = {
 }
 
 
-RENAMED = {
+ELSEWHERE = {
     "write": "`decanter plc plan --write`",
     "loop": "`decanter plc test alarms` and `decanter plc test heartbeat`",
     "conformance": "`decanter plc test conformance`",
@@ -120,7 +120,7 @@ def _connection() -> ModuleType:
     cls=CommissioningGroup,
     table=COMMANDS,
     examples=EXAMPLES,
-    renamed=RENAMED,
+    elsewhere=ELSEWHERE,
     short_help="Commissioning of a PLC.",
 )
 def plc() -> None:

@@ -21,7 +21,8 @@ class LazyGroup(click.Group):
 
     Groups that are added to it (`add_command`) come after them, with the names of their own commands. `examples` are
     one command line a command, without the program's name; the command's help ends with it.
-    `renamed` are names of the last release with what to type now: they run nothing and say so, with exit code 2.
+    `elsewhere` are names that commands had, or that people look for here, with what to type: they run nothing and say
+    so, with exit code 2.
     """
 
     def __init__(
@@ -29,13 +30,13 @@ class LazyGroup(click.Group):
         *args: Any,
         table: Table,
         examples: Mapping[str, str] | None = None,
-        renamed: Mapping[str, str] | None = None,
+        elsewhere: Mapping[str, str] | None = None,
         **kwargs: Any,
     ) -> None:
         super().__init__(*args, **kwargs)
         self.table = table
         self.examples = examples or {}
-        self.renamed = renamed or {}
+        self.elsewhere = elsewhere or {}
 
     def main(
         self,
@@ -57,8 +58,8 @@ class LazyGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command, or None for a name that is not in the table."""
-        if cmd_name in self.renamed:
-            return _renamed(f"{ctx.command_path} {cmd_name}", self.renamed[cmd_name])
+        if cmd_name in self.elsewhere:
+            return _elsewhere(f"{ctx.command_path} {cmd_name}", self.elsewhere[cmd_name])
         if cmd_name not in self.table:
             return self.commands.get(cmd_name)
         place = self.table[cmd_name][0]
@@ -113,8 +114,8 @@ class LazyGroup(click.Group):
                 formatter.write_dl(groups, col_max=12)
 
 
-def _renamed(name: str, now: str) -> click.Command:
-    """The command of an earlier release: whatever it is given, it says what to type now."""
+def _elsewhere(name: str, now: str) -> click.Command:
+    """The command with another name now: whatever it is given, it says what to type."""
 
     @click.command(name, hidden=True, context_settings={"ignore_unknown_options": True}, add_help_option=False)
     @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)

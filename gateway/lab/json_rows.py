@@ -4,7 +4,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -19,7 +19,10 @@ REMEDY = "restore the file from a backup, or take that line out"
 class RowKeys(BaseModel):
     """The keys of a row that its reader uses, and what they hold; what else a row has is not looked at."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
+    model_config = ConfigDict(extra="ignore", frozen=True, strict=True, allow_inf_nan=False)
+
+
+Keys = TypeVar("Keys", bound=RowKeys)
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
@@ -56,15 +59,16 @@ def _row(line: bytes) -> dict[str, Any] | None:
     return row if isinstance(row, dict) else None
 
 
-def check_row(path: Path, number: int, row: Mapping[str, Any], keys: type[RowKeys]) -> None:
-    """Raises ArtefactError with file, line and key for row `number` (from 1) where a key lacks or is of another type.
+def checked_row(path: Path, number: int, row: Mapping[str, Any], keys: type[Keys], remedy: str = REMEDY) -> Keys:
+    """What a reader uses of row `number` (from 1).
 
-    Nothing of ours writes such a row: somebody has edited the file.
+    Raises ArtefactError with file, line, key and `remedy` where a key lacks or is of another type. Nothing of ours
+    writes such a row: somebody has edited the file.
     """
     try:
-        keys.model_validate(row)
+        return keys.model_validate(row)
     except ValidationError as error:
-        raise ArtefactError(f"{first_sentence(keys, error, f'{path}:{number}')}, or {REMEDY}") from None
+        raise ArtefactError(f"{first_sentence(keys, error, f'{path}:{number}')}, or {remedy}") from None
 
 
 def append_row(path: Path, row: Mapping[str, Any]) -> None:

@@ -103,6 +103,27 @@ def test_a_machine_whose_data_changed_is_done_again_and_one_that_fails_costs_its
     assert name not in read_model(plant / "changed/model").machines
 
 
+def test_a_file_that_cannot_be_read_beside_good_ones_is_told_also_when_the_machine_is_done_already(
+    plant: Path,
+) -> None:
+    shutil.copytree(plant / "out", plant / "unread")
+    taught = {trace.partition(" ")[0] for trace in read_model(plant / "out/sample").provenance.traces}
+    name, *_ = set(OFFSETS) - taught
+    empty = plant / "machines" / name / "zz.csv"
+    empty.touch()
+    try:
+        new, again = command(plant, "unread"), command(plant, "unread")
+        said = only_object(command(plant, "unread", "--json"))
+    finally:
+        empty.unlink()
+    assert f"{len(OFFSETS) - 1} of {len(OFFSETS)} machines are done already\n" in new
+    assert f"{len(OFFSETS)} of {len(OFFSETS)} machines are done already\n" in again
+    for each in (new, again):
+        assert f"{name}: without {empty}: the file is empty" in each
+    assert list(said["unread"]) == [name] and not said["failed"]
+    assert {row["machine"]: row["files not read"] for row in said["machines"]} == dict.fromkeys(OFFSETS) | {name: 1}
+
+
 def test_bad_places_are_one_sentence(plant: Path, tmp_path: Path) -> None:
     out = ("--out", tmp_path / "out")
     refused(decanter("model", "fleet", tmp_path, *out), 2, "no machine")

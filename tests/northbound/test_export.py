@@ -61,7 +61,7 @@ def test_a_fleet_is_read_from_what_was_exported_as_the_historian_has_it(plant: P
     fleet = sources_in(str(file.with_name("samples.parquet")), column_map, "")
     assert [source.machine for source in fleet] == sorted(MACHINES)
     for source in fleet:
-        (trace,) = source.traces(column_map)
+        (trace,) = source.read(column_map).traces
         assert_as_on_record(trace, plant)
     exported(file, "events.parquet", "--table", "events", "--since", "all")
     with pytest.raises(ValueError, match=r"events\.parquet: holds no samples"):

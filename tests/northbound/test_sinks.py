@@ -121,7 +121,7 @@ def test_postgres_has_every_row_once_over_an_outage_and_a_kill(plant: Plant, dat
     fleet = sources_in(address, load_map(MAPS / "decanter.toml"), "plant")
     assert [source.machine for source in fleet] == ["one", "two"] and len({each.content() for each in fleet}) == 2
     for source in fleet:
-        (trace,) = source.traces(load_map(MAPS / "decanter.toml"))
+        (trace,) = source.read(load_map(MAPS / "decanter.toml")).traces
         assert_as_on_record(trace, plant)
         assert "unused" not in trace.origin, "a password stays where it is"
     database.query("DROP SCHEMA plant CASCADE")

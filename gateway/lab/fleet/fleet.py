@@ -113,6 +113,7 @@ def fleet(
         },
         "failed": failed,
         "left_out": dict(found.left_out),
+        "unread": {name: list(result.unread) for name, result in found.results.items() if result.unread},
         "machines": rows_of(found, words),
     }
 
@@ -131,6 +132,9 @@ def fleet(
             click.secho(outstanding_sentence(found, name, words, unit), fg="yellow")
         if not found.outstanding:
             click.echo("no machine stands out")
+        for name, sentences_of in data["unread"].items():
+            for each in sentences_of:
+                click.secho(f"{name}: without {each}", fg="yellow")
         click.echo(f"model of the type, with each machine's own: {out / MODEL}\npicture: {out / PICTURE}")
 
     emit(data, show, as_json_line=as_json)
@@ -165,6 +169,7 @@ def rows_of(found: FleetFindings, words: Mapping[str, str]) -> list[dict[str, An
             **errors,
             "verdict": result.verdict,
             "effects": " ".join(result.effects),
+            "files not read": len(result.unread) or None,
             "failure": result.failure,
             "cpu_s": round(result.cpu_s, 2),
             "peak_mb": round(result.peak_mb),

@@ -7,9 +7,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from drivers.settings import ConfigError, Section, checked
 from gateway.lab.fleet.machine_task import MachineResult
-from gateway.lab.json_rows import append_row, read_rows
+from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
 from sim.files import ArtefactError
 from sim.learning import GroupTargets
 
@@ -17,7 +16,7 @@ FORMAT = 2
 REMEDY = "take that line out, and what it tells of is done again"
 
 
-class KeptType(Section):
+class KeptType(RowKeys):
     """The row of the type's model: the key of what taught it (`type`), `between` (degC), who was `left_out`, and why.
 
     Rows of former versions name nobody: there one machine that could not be read ended the command.
@@ -29,7 +28,7 @@ class KeptType(Section):
     left_out: dict[str, str] = Field(default_factory=dict)
 
 
-class KeptTargets(Section):
+class KeptTargets(RowKeys):
     """`GroupTargets`."""
 
     offset: float
@@ -37,7 +36,7 @@ class KeptTargets(Section):
     runs: int
 
 
-class KeptMachine(Section):
+class KeptMachine(RowKeys):
     """The row of a machine: `key` of its data and of what was asked, and its `MachineResult`.
 
     Of a held-out error null stands for one that is not known, as JSON has no NaN.
@@ -47,6 +46,7 @@ class KeptMachine(Section):
     key: str
     machine: str
     failure: str
+    unread: list[str] = Field(default_factory=list)
     rows: int
     hours: float
     offset: float
@@ -77,14 +77,10 @@ def kept_rows(file: Path) -> KeptRows:
     for line, row in enumerate(read_rows(file), 1):
         if row.get("format") != FORMAT:
             continue  # of another version: done again
-        place = f"{file}:{line}"
-        try:
-            if "type" in row:
-                taught = checked(KeptType, row, place)
-            else:
-                machines.append((place, checked(KeptMachine, row, place)))
-        except ConfigError as error:
-            raise ArtefactError(f"{error.problems[0]}, or {REMEDY}") from None
+        if "type" in row:
+            taught = checked_row(file, line, row, KeptType, REMEDY)
+        else:
+            machines.append((f"{file}:{line}", checked_row(file, line, row, KeptMachine, REMEDY)))
     return KeptRows(taught, machines)
 
 
@@ -98,8 +94,9 @@ def result_of(place: str, row: KeptMachine, groups: Collection[str]) -> MachineR
         )
     held_out = {name: float("nan") if error is None else error for name, error in row.held_out.items()}
     fields = row.model_dump(exclude={"format", "key"})
+    tuples = {"effects": tuple(row.effects), "unread": tuple(row.unread)}
     grouped = {name: GroupTargets(own.offset, own.error, own.runs) for name, own in row.grouped.items()}
-    return MachineResult(**{**fields, "effects": tuple(row.effects), "grouped": grouped, "held_out": held_out})
+    return MachineResult(**{**fields, **tuples, "grouped": grouped, "held_out": held_out})
 
 
 def keep_result(file: Path, key: str, result: MachineResult) -> None:

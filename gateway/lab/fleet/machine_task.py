@@ -40,7 +40,7 @@ class FleetTask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MachineResult:
-    """What came of a machine; `failure` says why nothing did.
+    """What came of a machine; `failure` says why nothing did, `unread` which of its files were passed over, and why.
 
     `offset` and `error` (degC): how far its targets lie from its type's, and the standard error; `grouped` has the same
     by group of locations, as far as its runs tell it. `held_out` (degC): the
@@ -51,6 +51,7 @@ class MachineResult:
 
     machine: str
     failure: str = ""
+    unread: tuple[str, ...] = ()
     rows: int = 0
     hours: float = 0.0
     offset: float | None = None
@@ -79,15 +80,10 @@ def not_done(task: FleetTask, reason: str) -> MachineResult:
     return MachineResult(machine=task.source.machine, failure=reason)
 
 
-def encoded(source: MachineSource, column_map: ColumnMap, alphabet: Alphabet) -> list[Trace]:
-    """The traces of a machine with the events of an alphabet. Raises ValueError."""
-    traces = source.traces(column_map)
-    return [replace(trace, machine=source.machine, events=encode(trace, alphabet)) for trace in traces]
-
-
 def _judged(task: FleetTask) -> MachineResult:
     name, model = task.source.machine, task.model
-    traces = encoded(task.source, task.column_map, model.alphabet)
+    read = task.source.read(task.column_map)
+    traces = [replace(trace, machine=name, events=encode(trace, model.alphabet)) for trace in read.traces]
     check_traces(model, traces, f"machine {name}")
     first, last = parted(traces, model.alphabet)
     fit = own_targets(model, first)
@@ -103,6 +99,7 @@ def _judged(task: FleetTask) -> MachineResult:
         found = {"verdict": diagnosis.verdict, "effects": tuple(effect.name for effect in diagnosis.effects)}
     return MachineResult(
         machine=name,
+        unread=read.unread,
         rows=sum(trace.times.size for trace in traces),
         hours=sum(float(np.ptp(trace.times)) for trace in traces) / 3600.0,
         offset=fit.correction.offset,

@@ -26,15 +26,23 @@ TABLE_HEAD = b"machine,hours,"
 """With which that table begins, whatever else it has."""
 
 
+@dataclass(frozen=True, slots=True)
+class MachineTraces:
+    """The `traces` of a machine, and a sentence for each file that was `unread` beside them."""
+
+    traces: list[Trace]
+    unread: tuple[str, ...] = ()
+
+
 class MachineSource(Protocol):
-    """The readings of one `machine`: `traces` reads them, `content` changes when they do (it need not read them)."""
+    """The readings of one `machine`: `read` reads them, `content` changes when they do (it need not read them)."""
 
     @property
     def machine(self) -> str: ...
 
     def content(self) -> str: ...
 
-    def traces(self, column_map: ColumnMap) -> list[Trace]: ...
+    def read(self, column_map: ColumnMap) -> MachineTraces: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +55,9 @@ class TraceFiles:
     def content(self) -> str:
         return _stamps(self.files)
 
-    def traces(self, column_map: ColumnMap) -> list[Trace]:
-        return load_traces(list(self.files), column_map)[0]
+    def read(self, column_map: ColumnMap) -> MachineTraces:
+        traces, report = load_traces(list(self.files), column_map)
+        return MachineTraces(traces, tuple(report.errors))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +70,7 @@ class SamplesFile:
     def content(self) -> str:
         return _stamps([self.file])
 
-    def traces(self, column_map: ColumnMap) -> list[Trace]:
+    def read(self, column_map: ColumnMap) -> MachineTraces:
         arrow = _arrow()
         try:
             own = [("machine", "=", self.machine)]
@@ -78,7 +87,7 @@ class SamplesFile:
                 )
         values = table["value"].to_numpy(zero_copy_only=False).astype(float)
         rows = zip(table["tag"].to_pylist(), stamps.to_numpy() / 1e6, values, table["quality"].to_pylist(), strict=True)
-        return [trace_of(self.machine, rows, str(self.file))]
+        return MachineTraces([trace_of(self.machine, rows, str(self.file))])
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +105,10 @@ class SamplesTable:
         query = "SELECT count(*), max(time), sum(value) FROM {} WHERE machine = %s"
         return sha256(repr(_answers(self.url, self.schema, query, (self.machine,))).encode()).hexdigest()
 
-    def traces(self, column_map: ColumnMap) -> list[Trace]:
+    def read(self, column_map: ColumnMap) -> MachineTraces:
         query = "SELECT tag, extract(epoch FROM time)::float8, value, quality FROM {} WHERE machine = %s"
         rows = _answers(self.url, self.schema, query, (self.machine,))
-        return [trace_of(self.machine, rows, f"{_without_secret(self.url)}, {self.schema}.samples")]
+        return MachineTraces([trace_of(self.machine, rows, f"{_without_secret(self.url)}, {self.schema}.samples")])
 
 
 def trace_of(machine: str, rows: Any, origin: str) -> Trace:

@@ -166,7 +166,7 @@ def _sample(
 
 def _teaching(source: MachineSource, request: FleetRequest) -> list[Trace]:
     """The traces of a machine. Raises ValueError or OSError where they cannot be read or teach nothing."""
-    traces = [replace(trace, machine=source.machine) for trace in source.traces(request.column_map)]
+    traces = [replace(trace, machine=source.machine) for trace in source.read(request.column_map).traces]
     alphabet = with_thresholds(request.column_map.alphabet, traces)
     check_data([replace(trace, events=encode(trace, alphabet)) for trace in traces], request.temperature)
     return traces

@@ -23,7 +23,7 @@ from typing import Any, Literal
 
 from drivers.named_files import regular, writing
 from gateway.lab.ingestion.recognising import BESIDE_SQLITE, PLACES, FileStamps, IngestUnit, RecognisedUnit
-from gateway.lab.json_rows import RowKeys, append_row, check_row, read_rows
+from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
 from sim.artefacts.formats import FLOW_FILE, SUFFIXES
 from sim.files import ArtefactError, at, sync_directory
 from sim.traces import TraceError, unread_hash
@@ -86,7 +86,7 @@ class IngestArchive:
         # By content, by a trace's readings, by where it came from, and by name whatever the case of its letters.
         self._names: dict[tuple[str, str], list[str]] = {}
         for number, row in enumerate(read_rows(folder / MANIFEST), 1):
-            check_row(folder / MANIFEST, number, row, ManifestRow)
+            checked_row(folder / MANIFEST, number, row, ManifestRow)
             self._keep(row)
 
     def _keep(self, row: Mapping[str, Any]) -> None:

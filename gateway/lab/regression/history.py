@@ -11,7 +11,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from gateway.lab.json_rows import RowKeys, append_row, check_row, read_rows
+from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
 from gateway.lab.regression.standard import CodeVersion, StandardSet
 from gateway.lab.retraining.judging import scores_along
 from sim.artefacts import model_hash
@@ -125,7 +125,7 @@ def opened_history(path: Path) -> Iterator[RegressionHistory]:
         for number, row in enumerate(rows, 1):
             if row.get("format") != FORMAT or row.get("kind") not in tuple(ROWS):
                 raise at(path, number, "is no row of a history of regressions; give another file, or a new name")
-            check_row(path, number, row, ROWS[row["kind"]])
+            checked_row(path, number, row, ROWS[row["kind"]])
         yield RegressionHistory(path, rows)
     finally:
         os.close(handle)
