@@ -1,6 +1,7 @@
 """From a historian to a proposed version: what is cut, chosen, judged, kept; and what a kill at any step leaves."""
 
 import json
+import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -861,6 +862,27 @@ def test_a_library_of_a_later_program_and_one_that_is_a_directory_are_one_senten
         opened_library(tmp_path / "d", machine="decanter", temperature=TEMPERATURE),
     ):
         pass
+
+
+def test_a_library_is_listed_while_another_process_works_on_it_and_where_nothing_may_be_written(
+    request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace, tmp_path: Path
+) -> None:
+    """The fixture's library is held; excluding a cycle there waits its turn, listing does not."""
+    run(request_of, library)
+    every = library.cycles()
+    assert len(every) > 10 and quick.learned == 1
+    listed = only_object(decanter("model", "cycles", library.folder, "--json").stdout)
+    assert [each["name"] for each in listed["cycles"]] == [row.name for row in every]
+    given = ("--reason", "cleaning", "--by", "Ada")
+    refused(decanter("model", "cycles", library.folder, "--exclude", "c", *given), 2, "another process is working on")
+    shutil.copytree(library.folder, tmp_path / "copy")
+    (tmp_path / "copy" / ".lock").unlink(missing_ok=True)
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "copy").rglob("*")}
+    assert decanter("model", "cycles", tmp_path / "copy").exit_code == 0
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "copy").rglob("*")} == before
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "cycles.sqlite").touch()
+    refused(decanter("model", "cycles", tmp_path / "empty"), 2, "is no library of cycles")
 
 
 def test_an_edited_record_is_one_sentence_and_a_family_in_a_circle_is_named(

@@ -31,6 +31,7 @@ RATINGS: tuple[Rating, ...] = ("badly predicted", "rare", "near a difficult one"
 """What a cycle is rated as, the one that teaches most first."""
 FILE, KEPT = "cycles.sqlite", "kept"
 LAYOUT = 1
+NO_LIBRARY = "is no library of cycles; `decanter model retrain` makes one"
 SCHEMA = """
 CREATE TABLE facts (name TEXT PRIMARY KEY, content TEXT NOT NULL);
 CREATE TABLE cycles (
@@ -231,7 +232,7 @@ def opened_library(
     """
     file = folder / FILE
     if not file.is_file() and (machine is None or temperature is None):
-        raise ValueError(f"{folder}: is no library of cycles; `decanter model retrain` makes one")
+        raise ValueError(f"{folder}: {NO_LIBRARY}")
     folder.mkdir(parents=True, exist_ok=True)
     lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
@@ -239,16 +240,7 @@ def opened_library(
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ValueError(f"{folder}: another process is working on this library; wait for it") from None
-        try:
-            connection = sqlite3.connect(file)
-        except sqlite3.Error as error:
-            raise ValueError(
-                f"{file}: cannot be opened as a library of cycles ({error}); give another folder"
-            ) from None
-        try:
-            layout = connection.execute("PRAGMA user_version").fetchone()[0]
-            if layout > LAYOUT:
-                raise ValueError(f"{file}: has layout {layout}, and this program knows {LAYOUT}; update it")
+        with _connected(file, "rwc") as (connection, layout):
             if layout == 0:
                 # In one transaction: a kill in between leaves an empty file, which is a new one.
                 connection.executescript(f"BEGIN;{SCHEMA}PRAGMA user_version = {LAYOUT};COMMIT;")
@@ -260,16 +252,46 @@ def opened_library(
                 elif value is not None and known != value:
                     raise ValueError(f"{folder}: is of the {name} {known!r}, not of {value!r}; give another --library")
             yield library
-        except sqlite3.OperationalError as error:
-            raise ValueError(
-                f"{file}: cannot be read or written ({error}); make room there, or give a folder that may be written"
-            ) from None
-        except sqlite3.DatabaseError as error:
-            raise ValueError(f"{file}: cannot be used as a library of cycles ({error}); give another folder") from None
-        finally:
-            connection.close()
     finally:
         os.close(lock)
+
+
+@contextmanager
+def listed_library(folder: Path) -> Iterator[CycleLibrary]:
+    """The library in `folder` to be read only: also while another process works on it, and on a disk that is read-only.
+
+    Raises ValueError where there is none, or none that this program can read.
+    """
+    file = folder / FILE
+    if not file.is_file():
+        raise ValueError(f"{folder}: {NO_LIBRARY}")
+    with _connected(file, "ro") as (connection, layout):
+        if layout == 0:
+            raise ValueError(f"{folder}: {NO_LIBRARY}")
+        # All that is read is of one moment, whatever another process commits meanwhile.
+        connection.execute("BEGIN")
+        yield CycleLibrary(folder, connection)
+
+
+@contextmanager
+def _connected(file: Path, mode: Literal["ro", "rwc"]) -> Iterator[tuple[sqlite3.Connection, int]]:
+    """A connection and the layout that the file has, 0 for a new one. Raises ValueError for whatever SQLite says."""
+    try:
+        connection = sqlite3.connect(f"{file.absolute().as_uri()}?mode={mode}", uri=True)
+    except sqlite3.Error as error:
+        raise ValueError(f"{file}: cannot be opened as a library of cycles ({error}); give another folder") from None
+    try:
+        layout = int(connection.execute("PRAGMA user_version").fetchone()[0])
+        if layout > LAYOUT:
+            raise ValueError(f"{file}: has layout {layout}, and this program knows {LAYOUT}; update it")
+        yield connection, layout
+    except sqlite3.OperationalError as error:
+        remedy = "make room there, or give a folder that may be written" if mode == "rwc" else "give a whole one"
+        raise ValueError(f"{file}: cannot be read{' or written' * (mode == 'rwc')} ({error}); {remedy}") from None
+    except sqlite3.DatabaseError as error:
+        raise ValueError(f"{file}: cannot be used as a library of cycles ({error}); give another folder") from None
+    finally:
+        connection.close()
 
 
 def _row(values: dict[str, Any]) -> CycleRow:

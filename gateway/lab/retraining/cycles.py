@@ -8,7 +8,7 @@ import click
 
 from gateway.console import emit, json_option, table
 from gateway.entry import sentences
-from gateway.lab.retraining.cycle_library import RATINGS, CycleRow, Rating, opened_library
+from gateway.lab.retraining.cycle_library import RATINGS, CycleRow, Rating, listed_library, opened_library
 from gateway.lab.retraining.report import coverage_figure
 from sim.pictures import check_picture, save_picture
 
@@ -43,11 +43,13 @@ def cycles_command(
     with sentences():
         if picture is not None:
             check_picture(picture)
-        with opened_library(folder) as library:
-            if exclude is not None:
-                library.exclude(exclude, str(by), str(reason))
-            if include is not None:
-                library.exclude(include, "", "")
+        if exclude is not None or include is not None:
+            with opened_library(folder) as library:
+                if exclude is not None:
+                    library.exclude(exclude, str(by), str(reason))
+                if include is not None:
+                    library.exclude(include, "", "")
+        with listed_library(folder) as library:
             every = library.cycles()
             kept = library.kept_bytes()
             trained = frozenset(library.newest_training())

@@ -9,7 +9,7 @@ import click
 
 from gateway.console import emit, json_option, map_option, progress
 from gateway.entry import Exit, sentences
-from gateway.lab.retraining.cycle_library import opened_library
+from gateway.lab.retraining.cycle_library import listed_library
 from gateway.lab.retraining.study import learned_model
 from gateway.lab.retraining.training_record import code_hash, created_of, read_record, software
 from gateway.lab.traces.load import load
@@ -103,7 +103,7 @@ def _remade(store: Path, version: str, folder: Path | None, former: list[Trace])
             raise ValueError(f"{missing[0]}: is in the record and not among --traces; give the --library that has it")
         traces = [given[content] for _, content in record.training]
     else:
-        with opened_library(folder) as library:
+        with listed_library(folder) as library:
             traces = [
                 given[content] if content in given else library.readings(content) for _, content in record.training
             ]
