@@ -1,4 +1,7 @@
-"""Software PLCs that run for many tests: a process costs more than most of what is asked of it."""
+"""Software PLCs that run for the tests of a file: a process costs more than most of what is asked of it.
+
+Not for all files: one that nobody asks anything computes its cycles until the session ends.
+"""
 
 from collections.abc import Iterator
 
@@ -7,13 +10,13 @@ import pytest
 from tests.plc.bench import Process, ramp, running, wait_until
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def _plain() -> Iterator[Process]:
     with running() as process:
         yield process
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def _on_the_ramp(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Process]:
     with running("--trace", ramp(tmp_path_factory.mktemp("ramp")), "--hold") as process:
         yield process
