@@ -192,7 +192,7 @@ async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIt
     async def witness() -> None:
         # A gateway that writes no blocks signs no heads, and what people do is to be witnessed all the same.
         while True:
-            await asyncio.to_thread(trail.witnessing.sign, fleet.clock.now())
+            await asyncio.to_thread(trail.witnessing.sign, fleet.clock.now(), trail.witnessing.turn())
             await asyncio.sleep(SIGN_SECONDS)
 
     fleet.on_scan = page.note_scan

@@ -385,7 +385,7 @@ class WorkerPool:
         """The audit log, its signing key made here: once, not by several processes side by side. Raises OSError."""
         async with self._trail:
             trail = await asyncio.to_thread(self.records.open_trail, config)
-            await asyncio.to_thread(trail.witnessing.sign, self.clock.now())
+            await asyncio.to_thread(trail.witnessing.sign, self.clock.now(), trail.witnessing.turn())
             return trail
 
     async def _on_audit(self, worker: PlantWorker, message: Message) -> Message:

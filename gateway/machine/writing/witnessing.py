@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
+from itertools import count
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -122,6 +124,7 @@ class HeadWitnessing:
     def __init__(self, config: Config, historian: HistorianView, log: FilteringBoundLogger) -> None:
         self._config, self._historian, self._log = config, historian, log
         self._failure = ""
+        self._one_at_a_time, self._turns, self._signed = Lock(), count(1), 0
 
     @property
     def places(self) -> WitnessPlaces:
@@ -133,15 +136,28 @@ class HeadWitnessing:
         """Who takes a signed head besides the heads file; a way north is one more."""
         return self._to_historian, self._to_log
 
-    def sign(self, now: float) -> None:
-        """Sign the newest head; what stands in the way is logged when it is new."""
-        try:
-            countersign(self.places, now, self.sinks)
-            self._failure = ""
-        except ArmingError as error:
-            if str(error) != self._failure:
-                self._log.error("the audit log's end is not witnessed", reason=str(error))
-            self._failure = str(error)
+    def turn(self) -> int:
+        """The next turn, for whoever signs in a thread: it is taken when the signing is asked for."""
+        return next(self._turns)
+
+    def sign(self, now: float, turn: int | None = None) -> None:
+        """Sign the newest head; what stands in the way is logged when it is new.
+
+        One at a time, from any thread, and never out of `turn` (by default the next one): where a later one has been
+        signed meanwhile it is of all rows that this one would be of. The turns and not the times say which is later,
+        since a clock may be set back.
+        """
+        turn = self.turn() if turn is None else turn
+        with self._one_at_a_time:
+            if turn < self._signed:
+                return
+            try:
+                countersign(self.places, now, self.sinks)
+                self._failure, self._signed = "", turn
+            except ArmingError as error:
+                if str(error) != self._failure:
+                    self._log.error("the audit log's end is not witnessed", reason=str(error))
+                self._failure = str(error)
 
     def _to_historian(self, head: SignedHead) -> None:
         self._historian.save(HEAD_STATE, head.time, asdict(head))

@@ -114,7 +114,7 @@ class WritebackStage:
     def _sign(self, now: float) -> None:
         """Sign the newest head in a thread: no scan waits for the disk."""
         self._signed = now
-        self._signing = self._supervisor.job("signing", partial(self.witnessing.sign, now))
+        self._signing = self._supervisor.job("signing", partial(self.witnessing.sign, now, self.witnessing.turn()))
 
     async def begin(self, scan: Scan, alarms: Sequence[int], unverified: str = "") -> None:
         """What comes before the blocks of a scan: the PLC's account of those before, the hourly head, a due disarming.
@@ -123,7 +123,7 @@ class WritebackStage:
         """
         for block in self.blocks:
             block.take_counts(scan)
-        # One after the other: where a disk is slow, or the clock jumps, heads come later, and never in another order.
+        # One after the other: where a disk is slow, or the clock jumps, heads come later.
         signing = self._signing is not None and not self._signing.done()
         if scan.time - self._signed >= SIGN_SECONDS and not signing:
             self._sign(scan.time)
@@ -166,7 +166,7 @@ class WritebackStage:
         arming = await arm(self._writers, self._driver, by=by, reason=reason, minutes=minutes, key=key)
         self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
-        await asyncio.to_thread(witnessing.sign, self._clock.now())
+        await asyncio.to_thread(witnessing.sign, self._clock.now(), witnessing.turn())
         return arming
 
     async def disarm(self, by: str, reason: str, scan: Scan | None, alarms: Sequence[int]) -> bool:
