@@ -120,7 +120,7 @@ def fleet(
     def show() -> None:
         rows = [{name: row[name] for name in row if name not in COSTS} for row in rows_of(found, words)[:MOST_NAMED]]
         title = f"{len(found.results)} machines: targets off the type's, held-out free-run errors, in {unit}"
-        table(title, list(rows[0]), [list(row.values()) for row in rows])
+        table(title, list(rows[0]), [["" if value is None else value for value in row.values()] for row in rows])
         if len(found.results) > len(rows):
             click.echo(f"the {len(found.results) - len(rows)} that lie nearest to the type are in {out / TABLE}")
         if len(found.spread.offsets) <= MOST_NAMED:
