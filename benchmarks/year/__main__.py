@@ -10,8 +10,8 @@ of each month, or all); then each arm is given the day (`arms`). A loop that nee
 every day is lived: at two days of each month its week lasts from spring to summer. The loop is the product's own code,
 step by step what a nightly timer would call: cycles are cut from a historian, rated, retrained from, a candidate
 followed on live cycles and promoted by the stated policy, rolled back where it is worse. What came true is known to the
-judge alone (`judge`). A promotion is wrong where the CRPS of the promoted model at 900 s, over the following days, is
-larger than that which the model before it would have had.
+judge alone (`judge`). A promotion is wrong where the CRPS of the promoted model at 900 s, over the following fortnight,
+is larger than that which the model before it would have had.
 
 Figures by month and arm are printed, what the loop did and why, and the processor time of each arm. With `--keep` a
 year that was ended goes on after its last whole day, and an arm that is through is not run again.
@@ -21,6 +21,7 @@ import json
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from math import nan, sqrt
 from pathlib import Path
 from time import process_time
 
@@ -38,8 +39,8 @@ from gateway.console import table
 from sim.pictures import check_picture, save_picture
 
 ARMS = ("once", "loop", "daily")
-FOLLOWED = 3
-"""Days after a promotion over which it is judged."""
+FOLLOWED = 14
+"""Days after a promotion over which it is judged: of fewer the mean tells the days rather than the models."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,12 +56,16 @@ class YearPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Promotion:
-    """CRPS at the longest horizon (degC) over the `days` after a promotion: of the promoted model and of the former."""
+    """CRPS at the longest horizon (degC) over the `days` after a promotion: of the promoted model and of the former.
+
+    `error` is the standard error of their difference, day by day (NaN of a single day).
+    """
 
     day: float
     days: int
     promoted: float
     former: float
+    error: float
 
     @property
     def wrong(self) -> bool:
@@ -139,7 +144,9 @@ def judged_promotions(made: Arm, plan: YearPlan) -> Iterator[Promotion]:
         scores = [[day_score("", model, day, seed=plan.seed).crps[-1] for model in models] for day in days]
         if scores:
             former, promoted = np.mean(scores, axis=0).tolist()
-            yield Promotion(day=promoted_on, days=len(scores), promoted=promoted, former=former)
+            differences = np.diff(scores, axis=1)[:, 0]
+            error = float(np.std(differences, ddof=1) / sqrt(len(scores))) if len(scores) > 1 else nan
+            yield Promotion(day=promoted_on, days=len(scores), promoted=promoted, former=former, error=error)
 
 
 def figures_of(years: Sequence[Year]) -> list[Figure]:
@@ -198,7 +205,8 @@ def show_months(years: Sequence[Year]) -> None:
         for promotion in year.promotions:
             click.echo(
                 f"promotion of day {promotion.day:.0f}: CRPS at 900 s over the next {promotion.days} days "
-                f"{promotion.promoted:.3g}, of the model before it {promotion.former:.3g}"
+                f"{promotion.promoted:.3g}, of the model before it {promotion.former:.3g}, difference "
+                f"{promotion.promoted - promotion.former:+.2g} +- {promotion.error:.2g} degC"
             )
 
 
