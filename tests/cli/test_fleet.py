@@ -93,13 +93,16 @@ def test_a_machine_whose_data_changed_is_done_again_and_one_that_fails_costs_its
     try:
         for file in (plant / "machines" / name).iterdir():
             file.write_text("time,MarciaDecanter,Assorbimento,T\n0,0,1.0,20.0\n", encoding="utf-8")
+        (empty := plant / "machines" / name / "zz.csv").touch()
         said = command(plant, "changed")
     finally:
+        empty.unlink(missing_ok=True)
         # With their times too, by which the other tests' machines are known as done.
         shutil.copytree(own, plant / "machines" / name, dirs_exist_ok=True)
     first, failure, *_ = said.splitlines()
     assert first == f"{len(OFFSETS) - 1} of {len(OFFSETS)} machines are done already"
     assert failure.startswith(f"{name}: ") and "at least 2" in failure
+    assert f"{name}: without {empty}: the file is empty" in said, "what was passed over may be why it failed"
     assert name not in read_model(plant / "changed/model").machines
 
 

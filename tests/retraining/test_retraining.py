@@ -3,6 +3,8 @@
 import json
 import shutil
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -880,6 +882,17 @@ def test_a_library_is_listed_while_another_process_works_on_it_and_where_nothing
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "copy").rglob("*")}
     assert decanter("model", "cycles", tmp_path / "copy").exit_code == 0
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "copy").rglob("*")} == before
+    # A process that was killed while it wrote has left its journal: that write is taken back, and the rest listed.
+    file = tmp_path / "copy" / "cycles.sqlite"
+    writing = (
+        "import os, sqlite3, sys; held = sqlite3.connect(sys.argv[1]); held.execute('PRAGMA cache_size = 1');"
+        "held.execute('BEGIN'); held.execute('UPDATE cycles SET region = printf(\"%.9999c\", 42)');"
+        "os.kill(os.getpid(), 9)"
+    )
+    assert subprocess.run([sys.executable, "-c", writing, file], check=False).returncode == -9
+    assert file.with_name("cycles.sqlite-journal").stat().st_size > 0
+    again = only_object(decanter("model", "cycles", tmp_path / "copy", "--json").stdout)
+    assert again["cycles"] == listed["cycles"]
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "cycles.sqlite").touch()
     refused(decanter("model", "cycles", tmp_path / "empty"), 2, "is no library of cycles")

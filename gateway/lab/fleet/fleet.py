@@ -132,8 +132,8 @@ def fleet(
             click.secho(outstanding_sentence(found, name, words, unit), fg="yellow")
         if not found.outstanding:
             click.echo("no machine stands out")
-        for name, sentences_of in data["unread"].items():
-            for each in sentences_of:
+        for name, reasons in data["unread"].items():
+            for each in reasons:
                 click.secho(f"{name}: without {each}", fg="yellow")
         click.echo(f"model of the type, with each machine's own: {out / MODEL}\npicture: {out / PICTURE}")
 

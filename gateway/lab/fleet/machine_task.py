@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gateway.lab.diagnose import check_traces, roles_of
-from gateway.lab.fleet.sources import MachineSource
+from gateway.lab.fleet.sources import MachineSource, MachineTraces
 from gateway.lab.spent import peak_megabytes
 from sim.discrepancy import diagnose
 from sim.effects import of_machine
@@ -67,12 +67,13 @@ class MachineResult:
 
 def judged(task: FleetTask) -> MachineResult:
     """The task done, or the sentence of what stood in its way."""
-    begin = time.process_time()
+    begin, read = time.process_time(), MachineTraces([])
     try:
-        result = _judged(task)
+        read = task.source.read(task.column_map)
+        result = _judged(task, read.traces)
     except (ValueError, OSError) as error:
         result = MachineResult(machine=task.source.machine, failure=str(error))
-    return replace(result, cpu_s=time.process_time() - begin, peak_mb=peak_megabytes())
+    return replace(result, unread=read.unread, cpu_s=time.process_time() - begin, peak_mb=peak_megabytes())
 
 
 def not_done(task: FleetTask, reason: str) -> MachineResult:
@@ -80,10 +81,9 @@ def not_done(task: FleetTask, reason: str) -> MachineResult:
     return MachineResult(machine=task.source.machine, failure=reason)
 
 
-def _judged(task: FleetTask) -> MachineResult:
+def _judged(task: FleetTask, read: Sequence[Trace]) -> MachineResult:
     name, model = task.source.machine, task.model
-    read = task.source.read(task.column_map)
-    traces = [replace(trace, machine=name, events=encode(trace, model.alphabet)) for trace in read.traces]
+    traces = [replace(trace, machine=name, events=encode(trace, model.alphabet)) for trace in read]
     check_traces(model, traces, f"machine {name}")
     first, last = parted(traces, model.alphabet)
     fit = own_targets(model, first)
@@ -99,7 +99,6 @@ def _judged(task: FleetTask) -> MachineResult:
         found = {"verdict": diagnosis.verdict, "effects": tuple(effect.name for effect in diagnosis.effects)}
     return MachineResult(
         machine=name,
-        unread=read.unread,
         rows=sum(trace.times.size for trace in traces),
         hours=sum(float(np.ptp(trace.times)) for trace in traces) / 3600.0,
         offset=fit.correction.offset,

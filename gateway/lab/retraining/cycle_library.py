@@ -240,7 +240,7 @@ def opened_library(
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ValueError(f"{folder}: another process is working on this library; wait for it") from None
-        with _connected(file, "rwc") as (connection, layout):
+        with _connected(file) as (connection, layout):
             if layout == 0:
                 # In one transaction: a kill in between leaves an empty file, which is a new one.
                 connection.executescript(f"BEGIN;{SCHEMA}PRAGMA user_version = {LAYOUT};COMMIT;")
@@ -265,19 +265,21 @@ def listed_library(folder: Path) -> Iterator[CycleLibrary]:
     file = folder / FILE
     if not file.is_file():
         raise ValueError(f"{folder}: {NO_LIBRARY}")
-    with _connected(file, "ro") as (connection, layout):
+    # Opened as a file that may be written, which SQLite takes for a read-only one where it is: what a kill has left
+    # half written is rolled back by whoever opens it so, and by nobody else.
+    with _connected(file) as (connection, layout):
         if layout == 0:
             raise ValueError(f"{folder}: {NO_LIBRARY}")
-        # All that is read is of one moment, whatever another process commits meanwhile.
-        connection.execute("BEGIN")
+        connection.execute("PRAGMA query_only = ON")
+        # No transaction around it: a reader that is stopped in the middle of one would keep a retraining from writing.
         yield CycleLibrary(folder, connection)
 
 
 @contextmanager
-def _connected(file: Path, mode: Literal["ro", "rwc"]) -> Iterator[tuple[sqlite3.Connection, int]]:
+def _connected(file: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
     """A connection and the layout that the file has, 0 for a new one. Raises ValueError for whatever SQLite says."""
     try:
-        connection = sqlite3.connect(f"{file.absolute().as_uri()}?mode={mode}", uri=True)
+        connection = sqlite3.connect(file)
     except sqlite3.Error as error:
         raise ValueError(f"{file}: cannot be opened as a library of cycles ({error}); give another folder") from None
     try:
@@ -286,8 +288,9 @@ def _connected(file: Path, mode: Literal["ro", "rwc"]) -> Iterator[tuple[sqlite3
             raise ValueError(f"{file}: has layout {layout}, and this program knows {LAYOUT}; update it")
         yield connection, layout
     except sqlite3.OperationalError as error:
-        remedy = "make room there, or give a folder that may be written" if mode == "rwc" else "give a whole one"
-        raise ValueError(f"{file}: cannot be read{' or written' * (mode == 'rwc')} ({error}); {remedy}") from None
+        raise ValueError(
+            f"{file}: cannot be read or written ({error}); make room there, or give a folder that may be written"
+        ) from None
     except sqlite3.DatabaseError as error:
         raise ValueError(f"{file}: cannot be used as a library of cycles ({error}); give another folder") from None
     finally:
