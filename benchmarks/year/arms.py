@@ -129,10 +129,10 @@ class Daily:
 class Loop:
     """The product's own loop as a timer would call it each night, with the stated policy (`shadow --promote`).
 
-    A candidate is held against the running version when it has had TRIAL live cycles, and promoted or left; a promoted
-    version against the one before it, once, PROVING days after its promotion, and rolled back where it is worse; and a
-    retraining begins where one is due, from the `history` of the first model too (`--traces`). Store, historian
-    and library lie in `folder`.
+    A candidate is held against the running version when it has had TRIAL days of live cycles, and promoted or left; a
+    promoted version against the one before it, once, PROVING days after its promotion, and rolled back where it is
+    worse; and a retraining begins where one is due, from the `history` of the first model too (`--traces`). Store,
+    historian and library lie in `folder`.
     """
 
     def __init__(self, model: Model, history: Sequence[Trace], folder: Path, seed: int, begin: float) -> None:
@@ -214,7 +214,7 @@ class Loop:
             report=_silent,
             most=JUDGED,
         )
-        if found.cycles < TRIAL:
+        if found.days < TRIAL:
             return
         self._note(day, "promotion" if found.promoted else "left", self._candidate, found.sentence)
         if found.promoted and found.promoted != before:

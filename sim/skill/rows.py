@@ -13,6 +13,7 @@ from sim.scores import crps_quantiles
 from sim.sha import Array
 
 Key = TypeVar("Key")
+Row = TypeVar("Row")
 
 LOW, MEDIAN, HIGH = (DENSE.index(level) for level in (0.05, 0.5, 0.95))
 NOMINAL = 0.9
@@ -103,9 +104,9 @@ def common(rows: Sequence[SkillRow]) -> list[SkillRow]:
     return [row for row in rows if there[row.moment] == methods]
 
 
-def grouped(rows: Iterable[SkillRow], key: Callable[[SkillRow], Key]) -> dict[Key, list[SkillRow]]:
+def grouped(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Row]]:
     """The rows by what `key` says of each, in the order in which they come."""
-    groups: dict[Key, list[SkillRow]] = {}
+    groups: dict[Key, list[Row]] = {}
     for row in rows:
         groups.setdefault(key(row), []).append(row)
     return groups

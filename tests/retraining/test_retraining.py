@@ -37,6 +37,8 @@ from tests.gateway.support import TEMPERATURE, one_machine, two_modes
 
 BEGIN = 1_770_000_000.0
 CYCLES, RUN, REST, STEP = 16, 900.0, 300.0, 10.0
+SHORT_DAY = 2 * (RUN + REST)
+"""s: days so short that the plant's cycles last longer than a trial."""
 HOT = 60.0
 
 
@@ -509,7 +511,7 @@ def test_a_version_that_is_better_at_the_longest_horizon_is_not_rolled_back_for_
 
 
 @pytest.mark.parametrize(("first", "later", "promoted"), [(0.7, 1.5, True), (1.0, 0.7, False)])
-def test_a_candidate_is_judged_by_its_first_live_cycles_and_no_others(
+def test_a_candidate_is_judged_by_its_first_days_and_no_others(
     first: float,
     later: float,
     promoted: bool,
@@ -523,7 +525,7 @@ def test_a_candidate_is_judged_by_its_first_live_cycles_and_no_others(
     def judge(trace: Trace, *_: Any, **__: Any) -> list[dict[str, Any]]:
         begin = float(trace.times[0])
         judged.append(begin)
-        worth = first if begin < BEGIN + 8 * (RUN + REST) else later
+        worth = first if begin < BEGIN + 6 * SHORT_DAY else later
         row = {"trace": f"{begin:.0f}", "horizon": 60.0, "coverage": 0.9}
         return [row | {"method": name, "crps": crps} for name, crps in ((PRESENT, 1.0), (NEW, worth))]
 
@@ -535,12 +537,49 @@ def test_a_candidate_is_judged_by_its_first_live_cycles_and_no_others(
             store, historian, library, machine="decanter", version=candidate, promotes=True, seed=0, report=silent
         )
 
-    monkeypatch.setattr(shadow, "TRIAL", CYCLES + 4)
-    assert "too few to tell; it takes 20" in ask().sentence and not judged
-    monkeypatch.setattr(shadow, "TRIAL", 8)
+    said = ask().sentence
+    assert "cycles of 1 whole days since both were made are too few to tell; it takes those of 7 whole days" in said
+    monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
+    monkeypatch.setattr(shadow, "TRIAL", 10)
+    assert "cycles of 9 whole days" in ask().sentence and not judged
+    monkeypatch.setattr(shadow, "TRIAL", 6)
     found = ask()
-    assert len(judged) == found.cycles == 8 and max(judged) < BEGIN + 8 * (RUN + REST)
+    assert len(judged) == found.cycles == 12 and max(judged) < BEGIN + 6 * SHORT_DAY and found.days == 6
+    assert {each.difference.n for each in found.comparisons} == {6}
     assert bool(found.promoted) is promoted
+
+
+def test_a_day_that_is_much_better_in_all_its_cycles_promotes_nothing(
+    store: Path, historian: Path, library: CycleLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sixteen cycles of one day, all better: what they share is one operator and one product."""
+
+    def judge(trace: Trace, *_: Any, **__: Any) -> list[dict[str, Any]]:
+        row = {"trace": trace.name, "horizon": 60.0, "coverage": 0.9}
+        return [row | {"method": name, "crps": crps} for name, crps in ((PRESENT, 1.0), (NEW, 0.5))]
+
+    monkeypatch.setattr(shadow, "scores_along", judge)
+    monkeypatch.setattr(shadow, "TRIAL", 1)
+    monkeypatch.setattr(shadow, "DAILY", CYCLES)
+    candidate = save(store, heated(HOT), created=BEGIN - 0.5)
+    found = shadow.side_by_side(
+        store, historian, library, machine="decanter", version=candidate, promotes=True, seed=0, report=silent
+    )
+    assert found.cycles == CYCLES and found.days == 1 and not found.promoted
+    assert "not told apart" in found.sentence
+
+
+def test_a_trial_has_cycles_from_all_over_a_day_and_none_of_the_one_at_hand(
+    request_of: RetrainingRequest, library: CycleLibrary
+) -> None:
+    cut_and_rate(request_of, library, source_of(request_of, BEGIN), silent)
+    rows = library.cycles()
+    many = [replace(rows[0], begin=BEGIN + day * shadow.DAY + 3600.0 * hour) for day in range(9) for hour in range(10)]
+    chosen = shadow.trial_of(many)
+    hours = [round((row.begin - BEGIN) / 3600.0) % 24 for row in chosen]
+    assert hours == [0, 2, 4, 6, 8] * shadow.TRIAL
+    assert shadow.trial_of(many[:15]) == [row for row in chosen if row.begin < BEGIN + shadow.DAY]
+    assert shadow.trial_of([]) == []
 
 
 def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_worse_one_is_rolled_back(
@@ -568,8 +607,9 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     # A candidate that is worse stays one, a better one runs by the stated policy.
     waits = (*given[:3], new, *given[4:])
     refused(decanter(*waits[:-1], "--roll-back"), 2, "has never run, and there is no way back to it")
+    monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
     kept = only_object(decanter(*waits, "--promote").stdout)
-    assert not kept["promoted"] and current(store) == good
+    assert kept["days"] == shadow.TRIAL and not kept["promoted"] and current(store) == good
     monkeypatch.setattr(shadow, "scores_along", lambda *_, **__: _scores(0.7))
     data = only_object(decanter(*waits, "--promote").stdout)
     assert data["promoted"] == current(store) == new
@@ -827,13 +867,14 @@ def test_the_cycles_that_judge_a_candidate_outlive_the_historian(
             store, historian, library, machine="decanter", version=new, promotes=True, seed=0, report=silent
         )
 
-    assert judged().cycles == shadow.TRIAL == len(forecast)
-    assert all(row.kept for row in library.cycles()[: shadow.TRIAL])
+    monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
+    assert judged().cycles == 2 * shadow.TRIAL == len(forecast)
+    assert all(row.kept for row in library.cycles()[: 2 * shadow.TRIAL])
     monkeypatch.setattr(
         shadow, "cycle_of", lambda _, row, held: None if row.begin == BEGIN else held.readings(row.content)
     )
     less = judged()
-    assert less.cycles == shadow.TRIAL - 1 and len(forecast) == shadow.TRIAL, "nobody is judged by fewer"
+    assert less.cycles == 2 * shadow.TRIAL - 1 and len(forecast) == 2 * shadow.TRIAL, "nobody is judged by fewer"
     assert "and 1 are neither kept nor in the historian any more" in less.sentence
 
 

@@ -4,17 +4,20 @@ The historian has everything that either version would have read, so that the on
 afterwards, exactly as the gateway would have: it costs the running gateway nothing, and cannot disturb it.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from math import inf
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from gateway.console import emit, historian_machine_option, json_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
 from gateway.lab.retraining.cutting import CycleSource, Progress, and_after, cut_new, cycle_of
-from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
+from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
 from gateway.lab.retraining.judging import (
     LONGEST_HORIZON,
     MOST_FORECASTS,
@@ -27,25 +30,30 @@ from gateway.lab.retraining.training_record import created_of, read_record
 from gateway.store import machines, newest_scan, reading
 from sim.artefacts import current, load, promote, ran, read_familiarity, version_directory, versions
 from sim.sha import Trace, shown_unit
+from sim.skill import grouped
 
 LIVE = "live cycles"
 LEAST, MOST = 8, 24
 """Live cycles that a paired test needs, and how many of the newest it takes."""
-TRIAL = 16
-"""The live cycles, the first since both versions were made, by which a candidate is promoted or not."""
+DAY = 86_400.0
+"""s; cycles of one day share operator, product and weather, and are no independent witnesses."""
+TRIAL, DAILY = 7, 6
+"""The days (UTC), the first since both versions were made, by whose live cycles a candidate is promoted or not, and how
+many cycles of a day at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SideBySide:
-    """The version that `runs` now, the one that was `judged` against what `stood`, and on how many live `cycles`.
+    """The version that `runs` now, the one that was `judged` against what `stood`, on how many live `cycles`.
 
-    `promoted` is the version that this has promoted, "" for none.
+    `days` is on how many days they began, `promoted` the version that this has promoted, "" for none.
     """
 
     runs: str
     judged: str
     stood: str
     cycles: int
+    days: int
     promoted: str
     sentence: str
     comparisons: tuple[HorizonComparison, ...]
@@ -69,8 +77,9 @@ def side_by_side(
     The current version is judged against `version` (default: the one that ran before). With `roll_back` that one, which
     must have run, is promoted again where the current one is worse at some horizon. With `promotes` `version`, which
     must not have run, is judged instead, and promoted where it is better at some horizon and worse at none, as a
-    retraining proposes: on its first TRIAL cycles and no others, so that it is judged once, however often a timer asks.
-    A cycle has `most` forecasts at most. Raises ValueError where there is no such version.
+    retraining proposes: on the cycles of its first TRIAL days and no others, so that it is judged once, however often a
+    timer asks. There the test takes a day as one difference, as the cycles of a day share operator, product and weather
+    (record 0198). A cycle has `most` forecasts at most. Raises ValueError where there is no such version.
     """
     running = current(store)
     other = version or ran_before(store)
@@ -101,7 +110,7 @@ def side_by_side(
         for row in library.cycles()
         if row.begin >= since and not row.excluded and row.error is not None and row.content not in seen
     ]
-    live, needed = (live[:TRIAL], TRIAL) if promotes else (live[-MOST:], LEAST)
+    live = trial_of(live) if promotes else live[-MOST:]
     scores: list[dict[str, Any]] = []
     traces = list[Trace]()
     for row in live:
@@ -112,17 +121,21 @@ def side_by_side(
         if promotes:
             # What judges a candidate outlives the historian's retention, or its verdict would change with that.
             library.keep(row.name, trace)
-    enough = len(traces) >= needed
+    days = len({day_of(float(trace.times[0])) for trace in traces})
+    enough = days == TRIAL and len(traces) == len(live) if promotes else len(traces) >= LEAST
     for trace in traces if enough or not promotes else ():
         followed = encoded(and_after(source, trace, LONGEST_HORIZON), present)
         until = float(trace.times[-1])
-        scores += scores_along(followed, old, new, seed=seed, report=report, most=most, until=until)
-    comparisons = compared(LIVE, scores, seed=seed)
+        rows = scores_along(followed, old, new, seed=seed, report=report, most=most, until=until)
+        scores += [row | {"day": day_of(float(trace.times[0]))} for row in rows]
+    comparisons = compared(LIVE, by_day(scores) if promotes else scores, seed=seed)
     worse = [each for each in comparisons if each.told_apart == "worse"]
     better = [each for each in comparisons if each.told_apart == "better"]
     promoted = ""
     if not enough:
-        sentence = f"{len(traces)} cycles since both were made are too few to tell; it takes {needed}"
+        needed = f"those of {TRIAL} whole days" if promotes else f"{LEAST}"
+        since_both = f"cycles of {days} whole days since both were made" if promotes else "cycles since both were made"
+        sentence = f"{len(traces)} {since_both} are too few to tell; it takes {needed}"
         if len(traces) < len(live):
             sentence += f", and {len(live) - len(traces)} are neither kept nor in the historian any more"
     elif worse:
@@ -147,10 +160,36 @@ def side_by_side(
         judged=judged,
         stood=stood,
         cycles=len(traces),
+        days=days,
         promoted=promoted,
         sentence=sentence,
         comparisons=tuple(comparisons),
     )
+
+
+def day_of(time: float) -> int:
+    """The day (UTC) of a time (s UTC)."""
+    return int(time // DAY)
+
+
+def trial_of(live: Sequence[CycleRow]) -> list[CycleRow]:
+    """The cycles, given in the order of time, by which a candidate is judged: of the first TRIAL days that are over.
+
+    A day is over when a cycle of a later one is there; of its cycles DAILY at most judge, evenly over it.
+    """
+    days = [list(rows) for _, rows in groupby(live, lambda row: day_of(row.begin))][:-1]
+    return [row for rows in days[:TRIAL] for row in rows[:: -(-len(rows) // DAILY)]]
+
+
+def by_day(scores: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """For each day, horizon and method of the scores the means over the day's cycles."""
+    return [
+        {"trace": day, "horizon": horizon, "method": method}
+        | {figure: float(np.mean([row[figure] for row in rows])) for figure in ("crps", "coverage")}
+        for (day, horizon, method), rows in grouped(
+            scores, lambda row: (row["day"], row["horizon"], row["method"])
+        ).items()
+    ]
 
 
 def ran_before(store: Path) -> str:
@@ -191,8 +230,8 @@ def shadow_command(
 
     VERSION is a candidate that waits for its promotion, or the one that ran before, which is the default: then
     --roll-back promotes it again if the current one is worse on live cycles by the paired test. With --promote a
-    candidate is promoted if it is better by that test at some horizon and worse at none, once, on its first live
-    cycles. Neither version has been learned from these cycles.
+    candidate is promoted if it is better by that test at some horizon and worse at none, once, on the live cycles of
+    its first seven days, day against day. Neither version has been learned from these cycles.
     """
     if promotes and (roll_back or version is None):
         raise click.UsageError("--promote needs the VERSION that waits for it, and excludes --roll-back")
@@ -217,11 +256,13 @@ def shadow_command(
             )
         unit = load(store).unit
     data = {"current": found.runs, "compared": [found.judged, found.stood], "cycles": found.cycles}
+    data |= {"days": found.days}
     data |= {"rolled_back": roll_back and bool(found.promoted), "promoted": found.promoted}
     data |= {"sentence": found.sentence, "comparisons": [each.as_plain() for each in found.comparisons]}
 
     def show() -> None:
-        columns = ("horizon (s)", "cycles", found.judged, found.stood, "difference", "p", "told apart")
+        unit_of_test = "days" if promotes else "cycles"
+        columns = ("horizon (s)", unit_of_test, found.judged, found.stood, "difference", "p", "told apart")
         rows = [each.cells() for each in found.comparisons]
         if rows:
             table(f"CRPS on live cycles ({shown_unit(unit)})", columns, rows)
