@@ -538,10 +538,10 @@ def test_a_candidate_is_judged_by_its_first_days_and_no_others(
         )
 
     said = ask().sentence
-    assert "cycles of 1 whole days since both were made are too few to tell; it takes those of 7 whole days" in said
+    assert "cycles on 1 of 7 whole days since both were made are too few to tell" in said
     monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
     monkeypatch.setattr(shadow, "TRIAL", 10)
-    assert "cycles of 9 whole days" in ask().sentence and not judged
+    assert "cycles on 9 of 10 whole days" in ask().sentence and not judged
     monkeypatch.setattr(shadow, "TRIAL", 6)
     found = ask()
     assert len(judged) == found.cycles == 12 and max(judged) < BEGIN + 6 * SHORT_DAY and found.days == 6

@@ -133,9 +133,9 @@ def side_by_side(
     better = [each for each in comparisons if each.told_apart == "better"]
     promoted = ""
     if not enough:
-        needed = f"those of {TRIAL} whole days" if promotes else f"{LEAST}"
-        since_both = f"cycles of {days} whole days since both were made" if promotes else "cycles since both were made"
-        sentence = f"{len(traces)} {since_both} are too few to tell; it takes {needed}"
+        on = f" on {days} of {TRIAL} whole days" if promotes else ""
+        sentence = f"{len(traces)} cycles{on} since both were made are too few to tell"
+        sentence += "" if promotes else f"; it takes {LEAST}"
         if len(traces) < len(live):
             sentence += f", and {len(live) - len(traces)} are neither kept nor in the historian any more"
     elif worse:
