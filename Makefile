@@ -7,7 +7,7 @@ unexport PYTHONDONTWRITEBYTECODE
 STAMP := $(VENV)/.installed
 REWRITTEN := $(VENV)/.rewritten
 
-.PHONY: setup demo test checks check lint types leisurely-types contracts unit fuzz durations docs lock bench deb deb-test clean
+.PHONY: setup demo test checks check lint types contracts unit fuzz durations docs lock bench deb deb-test clean
 
 setup: $(STAMP)
 
@@ -29,11 +29,11 @@ $(VENV)/.half%: requirements-dev.lock
 demo: $(STAMP)
 	$(BIN)/decanter demo
 
-# mypy takes one core for most of a minute where it has no cache yet: it has what the tests leave idle while they wait
-# for time to pass.
+# mypy takes one core for most of a minute where it has no cache yet: here it has what the tests leave idle while they
+# wait for time to pass. Whoever wants to know of types first runs `make check`.
 test: $(STAMP)
 	@$(MAKE) --no-print-directory -j 2 --output-sync lint contracts $(REWRITTEN)
-	@$(MAKE) --no-print-directory -j 2 leisurely-types unit
+	@$(MAKE) --no-print-directory -j 2 types unit BEFORE_MYPY="nice -n 19"
 
 checks: $(STAMP)
 	@$(MAKE) --no-print-directory -j 2 --output-sync lint types contracts $(REWRITTEN)
@@ -53,10 +53,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 
 types: $(STAMP)
-	$(BIN)/mypy
-
-leisurely-types: $(STAMP)
-	nice -n 19 $(BIN)/mypy
+	$(BEFORE_MYPY) $(BIN)/mypy
 
 contracts: $(STAMP)
 	$(BIN)/lint-imports

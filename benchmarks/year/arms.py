@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from benchmarks.retraining import write_historian
 from benchmarks.year.plant import DAY, TEMPERATURE, Day
 from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
-from gateway.lab.retraining.shadow import TRIAL, side_by_side
+from gateway.lab.retraining.shadow import side_by_side
 from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, due, retrain, source_of
 from sim.artefacts import current, is_store, load, promote
 from sim.artefacts.formats import save
@@ -129,7 +129,7 @@ class Daily:
 class Loop:
     """The product's own loop as a timer would call it each night, with the stated policy (`shadow --promote`).
 
-    A candidate is held against the running version when it has had TRIAL days of live cycles, and promoted or left; a
+    A candidate is held against the running version when its days of trial are over, and promoted or left; a
     promoted version against the one before it, once, PROVING days after its promotion, and rolled back where it is
     worse; and a retraining begins where one is due, from the `history` of the first model too (`--traces`). Store,
     historian and library lie in `folder`.
@@ -214,7 +214,7 @@ class Loop:
             report=_silent,
             most=JUDGED,
         )
-        if found.days < TRIAL:
+        if not found.enough:
             return
         self._note(day, "promotion" if found.promoted else "left", self._candidate, found.sentence)
         if found.promoted and found.promoted != before:

@@ -538,11 +538,11 @@ def test_a_candidate_is_judged_by_its_first_days_and_no_others(
         )
 
     said = ask().sentence
-    assert "cycles on 1 of 7 whole days since both were made are too few to tell" in said
+    assert "cycles on 1 of 7 days since both were made are too few to tell" in said
     monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
-    monkeypatch.setattr(shadow, "TRIAL", 10)
-    assert "cycles on 9 of 10 whole days" in ask().sentence and not judged
-    monkeypatch.setattr(shadow, "TRIAL", 6)
+    monkeypatch.setattr(shadow, "TRIAL_DAYS", 10)
+    assert "cycles on 9 of 10 days" in ask().sentence and not judged
+    monkeypatch.setattr(shadow, "TRIAL_DAYS", 6)
     found = ask()
     assert len(judged) == found.cycles == 12 and max(judged) < BEGIN + 6 * SHORT_DAY and found.days == 6
     assert {each.difference.n for each in found.comparisons} == {6}
@@ -559,8 +559,8 @@ def test_a_day_that_is_much_better_in_all_its_cycles_promotes_nothing(
         return [row | {"method": name, "crps": crps} for name, crps in ((PRESENT, 1.0), (NEW, 0.5))]
 
     monkeypatch.setattr(shadow, "scores_along", judge)
-    monkeypatch.setattr(shadow, "TRIAL", 1)
-    monkeypatch.setattr(shadow, "DAILY", CYCLES)
+    monkeypatch.setattr(shadow, "TRIAL_DAYS", 1)
+    monkeypatch.setattr(shadow, "CYCLES_A_DAY", CYCLES)
     candidate = save(store, heated(HOT), created=BEGIN - 0.5)
     found = shadow.side_by_side(
         store, historian, library, machine="decanter", version=candidate, promotes=True, seed=0, report=silent
@@ -577,7 +577,7 @@ def test_a_trial_has_cycles_from_all_over_a_day_and_none_of_the_one_at_hand(
     many = [replace(rows[0], begin=BEGIN + day * shadow.DAY + 3600.0 * hour) for day in range(9) for hour in range(10)]
     chosen = shadow.trial_of(many)
     hours = [round((row.begin - BEGIN) / 3600.0) % 24 for row in chosen]
-    assert hours == [0, 2, 4, 6, 8] * shadow.TRIAL
+    assert hours == [0, 2, 4, 6, 8] * shadow.TRIAL_DAYS
     assert shadow.trial_of(many[:15]) == [row for row in chosen if row.begin < BEGIN + shadow.DAY]
     assert shadow.trial_of([]) == []
 
@@ -609,7 +609,7 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     refused(decanter(*waits[:-1], "--roll-back"), 2, "has never run, and there is no way back to it")
     monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
     kept = only_object(decanter(*waits, "--promote").stdout)
-    assert kept["days"] == shadow.TRIAL and not kept["promoted"] and current(store) == good
+    assert kept["days"] == shadow.TRIAL_DAYS and kept["enough"] and not kept["promoted"] and current(store) == good
     monkeypatch.setattr(shadow, "scores_along", lambda *_, **__: _scores(0.7))
     data = only_object(decanter(*waits, "--promote").stdout)
     assert data["promoted"] == current(store) == new
@@ -868,13 +868,14 @@ def test_the_cycles_that_judge_a_candidate_outlive_the_historian(
         )
 
     monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
-    assert judged().cycles == 2 * shadow.TRIAL == len(forecast)
-    assert all(row.kept for row in library.cycles()[: 2 * shadow.TRIAL])
+    assert judged().cycles == 2 * shadow.TRIAL_DAYS == len(forecast)
+    assert all(row.kept for row in library.cycles()[: 2 * shadow.TRIAL_DAYS])
     monkeypatch.setattr(
         shadow, "cycle_of", lambda _, row, held: None if row.begin == BEGIN else held.readings(row.content)
     )
     less = judged()
-    assert less.cycles == 2 * shadow.TRIAL - 1 and len(forecast) == 2 * shadow.TRIAL, "nobody is judged by fewer"
+    assert not less.enough and less.cycles == 2 * shadow.TRIAL_DAYS - 1
+    assert len(forecast) == 2 * shadow.TRIAL_DAYS, "nobody is judged by fewer"
     assert "and 1 are neither kept nor in the historian any more" in less.sentence
 
 

@@ -75,11 +75,11 @@ class HorizonComparison:
     """The new model against the present one at a `horizon` (s) on a `subject`: a set of cycles.
 
     `crps` and `coverage` are means over the cycles by method; `difference` is that of the CRPS (degC), new minus
-    present, cycle by cycle. Its two-sided p-value is corrected for the set's horizons: `p` by Holm, by which the new
-    model is worse at any of them; `sequence` by taking them one after the other from the longest, by which it is better
-    (a fixed sequence: the largest p-value so far, 1 from the first horizon on at which it is not the better one). What
-    protects a bearing is the longest horizon, and few cycles that show a large gain there must not fail for the minute
-    ahead, at which nothing changes (record 0175).
+    present, cycle by cycle (or day by day, see `compared`). Its two-sided p-value is corrected for the set's horizons:
+    `p` by Holm, by which the new model is worse at any of them; `sequence` by taking them one after the other from the
+    longest, by which it is better (a fixed sequence: the largest p-value so far, 1 from the first horizon on at which
+    it is not the better one). What protects a bearing is the longest horizon, and few cycles that show a large gain
+    there must not fail for the minute ahead, at which nothing changes (record 0175).
     """
 
     subject: str
@@ -132,25 +132,31 @@ class HorizonComparison:
         return {**asdict(self), **told}
 
 
-def compared(subject: str, scores: Sequence[Mapping[str, Any]], *, seed: int) -> list[HorizonComparison]:
-    """The comparisons of a set of cycles, a horizon each; horizons without a cycle are left out."""
+def compared(
+    subject: str, scores: Sequence[Mapping[str, Any]], *, seed: int, unit: str = "trace"
+) -> list[HorizonComparison]:
+    """The comparisons of a set of cycles, a horizon each; horizons without a cycle are left out.
+
+    `unit` is the key of the rows by which they are independent of one another: rows that share it are one, their mean.
+    """
     rng = np.random.default_rng(seed)
     found: list[tuple[float, dict[str, float], dict[str, float], Paired]] = []
     for horizon in sorted({row["horizon"] for row in scores}):
         own = [row for row in scores if row["horizon"] == horizon]
-        by_method = {
-            method: {row["trace"]: row for row in own if row["method"] == method}
-            for method in (PRESENT, NEW, PERSISTENCE)
-        }
+        by_method: dict[str, dict[Any, dict[str, float]]] = {method: {} for method in (PRESENT, NEW, PERSISTENCE)}
+        for (method, name), rows in grouped(own, lambda row: (row["method"], row[unit])).items():
+            by_method[method][name] = {
+                figure: float(np.mean([row[figure] for row in rows])) for figure in ("crps", "coverage")
+            }
         both = [name for name in by_method[PRESENT] if name in by_method[NEW]]
         if not both:
             continue
         differences = [by_method[NEW][name]["crps"] - by_method[PRESENT][name]["crps"] for name in both]
         means = {
             figure: {
-                method: float(np.mean([row[figure] for row in rows.values()]))
-                for method, rows in by_method.items()
-                if rows
+                method: float(np.mean([mean[figure] for mean in own_means.values()]))
+                for method, own_means in by_method.items()
+                if own_means
             }
             for figure in ("crps", "coverage")
         }

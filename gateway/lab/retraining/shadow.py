@@ -4,15 +4,14 @@ The historian has everything that either version would have read, so that the on
 afterwards, exactly as the gateway would have: it costs the running gateway nothing, and cannot disturb it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from math import inf
+from math import ceil, inf
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 from gateway.console import emit, historian_machine_option, json_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
@@ -30,14 +29,13 @@ from gateway.lab.retraining.training_record import created_of, read_record
 from gateway.store import machines, newest_scan, reading
 from sim.artefacts import current, load, promote, ran, read_familiarity, version_directory, versions
 from sim.sha import Trace, shown_unit
-from sim.skill import grouped
 
 LIVE = "live cycles"
 LEAST, MOST = 8, 24
 """Live cycles that a paired test needs, and how many of the newest it takes."""
 DAY = 86_400.0
 """s; cycles of one day share operator, product and weather, and are no independent witnesses."""
-TRIAL, DAILY = 7, 6
+TRIAL_DAYS, CYCLES_A_DAY = 7, 6
 """The days (UTC), the first since both versions were made, by whose live cycles a candidate is promoted or not, and how
 many cycles of a day at most."""
 
@@ -46,7 +44,8 @@ many cycles of a day at most."""
 class SideBySide:
     """The version that `runs` now, the one that was `judged` against what `stood`, on how many live `cycles`.
 
-    `days` is on how many days they began, `promoted` the version that this has promoted, "" for none.
+    `days` is on how many days they began, `enough` whether they are what a verdict takes, `promoted` the version that
+    this has promoted, "" for none.
     """
 
     runs: str
@@ -54,6 +53,7 @@ class SideBySide:
     stood: str
     cycles: int
     days: int
+    enough: bool
     promoted: str
     sentence: str
     comparisons: tuple[HorizonComparison, ...]
@@ -77,7 +77,7 @@ def side_by_side(
     The current version is judged against `version` (default: the one that ran before). With `roll_back` that one, which
     must have run, is promoted again where the current one is worse at some horizon. With `promotes` `version`, which
     must not have run, is judged instead, and promoted where it is better at some horizon and worse at none, as a
-    retraining proposes: on the cycles of its first TRIAL days and no others, so that it is judged once, however often a
+    retraining proposes: on the cycles of its first TRIAL_DAYS and no others, so that it is judged once, however often a
     timer asks. There the test takes a day as one difference, as the cycles of a day share operator, product and weather
     (record 0198). A cycle has `most` forecasts at most. Raises ValueError where there is no such version.
     """
@@ -122,18 +122,18 @@ def side_by_side(
             # What judges a candidate outlives the historian's retention, or its verdict would change with that.
             library.keep(row.name, trace)
     days = len({day_of(float(trace.times[0])) for trace in traces})
-    enough = days == TRIAL and len(traces) == len(live) if promotes else len(traces) >= LEAST
+    enough = days == TRIAL_DAYS and len(traces) == len(live) if promotes else len(traces) >= LEAST
     for trace in traces if enough or not promotes else ():
         followed = encoded(and_after(source, trace, LONGEST_HORIZON), present)
         until = float(trace.times[-1])
         rows = scores_along(followed, old, new, seed=seed, report=report, most=most, until=until)
         scores += [row | {"day": day_of(float(trace.times[0]))} for row in rows]
-    comparisons = compared(LIVE, by_day(scores) if promotes else scores, seed=seed)
+    comparisons = compared(LIVE, scores, seed=seed, unit="day" if promotes else "trace")
     worse = [each for each in comparisons if each.told_apart == "worse"]
     better = [each for each in comparisons if each.told_apart == "better"]
     promoted = ""
     if not enough:
-        on = f" on {days} of {TRIAL} whole days" if promotes else ""
+        on = f" on {days} of {TRIAL_DAYS} days" if promotes else ""
         sentence = f"{len(traces)} cycles{on} since both were made are too few to tell"
         sentence += "" if promotes else f"; it takes {LEAST}"
         if len(traces) < len(live):
@@ -161,6 +161,7 @@ def side_by_side(
         stood=stood,
         cycles=len(traces),
         days=days,
+        enough=enough,
         promoted=promoted,
         sentence=sentence,
         comparisons=tuple(comparisons),
@@ -173,23 +174,12 @@ def day_of(time: float) -> int:
 
 
 def trial_of(live: Sequence[CycleRow]) -> list[CycleRow]:
-    """The cycles, given in the order of time, by which a candidate is judged: of the first TRIAL days that are over.
+    """The cycles, given in the order of time, by which a candidate is judged: of TRIAL_DAYS that are over.
 
-    A day is over when a cycle of a later one is there; of its cycles DAILY at most judge, evenly over it.
+    A day is over when a cycle of a later one is there; of its cycles CYCLES_A_DAY at most judge, evenly over it.
     """
     days = [list(rows) for _, rows in groupby(live, lambda row: day_of(row.begin))][:-1]
-    return [row for rows in days[:TRIAL] for row in rows[:: -(-len(rows) // DAILY)]]
-
-
-def by_day(scores: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """For each day, horizon and method of the scores the means over the day's cycles."""
-    return [
-        {"trace": day, "horizon": horizon, "method": method}
-        | {figure: float(np.mean([row[figure] for row in rows])) for figure in ("crps", "coverage")}
-        for (day, horizon, method), rows in grouped(
-            scores, lambda row: (row["day"], row["horizon"], row["method"])
-        ).items()
-    ]
+    return [row for rows in days[:TRIAL_DAYS] for row in rows[:: ceil(len(rows) / CYCLES_A_DAY)]]
 
 
 def ran_before(store: Path) -> str:
@@ -256,7 +246,7 @@ def shadow_command(
             )
         unit = load(store).unit
     data = {"current": found.runs, "compared": [found.judged, found.stood], "cycles": found.cycles}
-    data |= {"days": found.days}
+    data |= {"days": found.days, "enough": found.enough}
     data |= {"rolled_back": roll_back and bool(found.promoted), "promoted": found.promoted}
     data |= {"sentence": found.sentence, "comparisons": [each.as_plain() for each in found.comparisons]}
 
