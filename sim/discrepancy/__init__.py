@@ -3,6 +3,7 @@
 from sim.discrepancy.advice import in_words, law_sentence, look_at, overlap_sentence
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.diagnosis import (
+    Beginning,
     CandidateLaw,
     Diagnosis,
     DiagnosisCourse,
@@ -16,6 +17,7 @@ from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 
 __all__ = [
     "LONGEST",
+    "Beginning",
     "CandidateLaw",
     "Diagnosis",
     "DiagnosisCourse",

@@ -4,6 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from sim.learning import Indices
 from sim.sha import DEGREES, Array, EffectLine
 
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
@@ -59,7 +62,8 @@ class NamedEffect:
 
     `members` are the names that these data cannot tell apart (the first is `name`); `signal_to_noise` is the rms of
     what it does that the model's parameters cannot imitate, over the sensor's sigma. `errors` are standard errors by
-    parameter. `look` says what to look at at the machine.
+    parameter. `look` says what to look at at the machine. `shrinking_shown`: the interval of what is removed of the
+    held-out excess lies above zero.
     """
 
     name: str
@@ -74,6 +78,7 @@ class NamedEffect:
     plain: str
     experiment: str
     look: str = ""
+    shrinking_shown: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,14 +144,56 @@ class Ceiling:
 
 
 @dataclass(frozen=True, slots=True)
+class NoiseFloor:
+    """degC rms by which a free run over held-out cycles is off where nothing is missing.
+
+    `interval` holds 95 % of the errors that chance makes over so many cycles, `cycles` (c,) are their numbers and
+    `per_cycle` (c,) degC the floor of each. `source` says what it was told from. `given` is False where the given model
+    states no noise of its own.
+    """
+
+    error: float
+    interval: tuple[float, float]
+    cycles: Indices
+    per_cycle: Array
+    source: str
+    given: bool
+
+    def at(self, cycles: Indices) -> Array:
+        """degC the floor of each of these cycles, by its number."""
+        return np.asarray(self.per_cycle[np.searchsorted(self.cycles, cycles)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beginning:
+    """Where over the cycles a gap begins: the start of the first cycle that has it, s UTC, and its 95 % interval.
+
+    `before` and `after` count the cycles, `moves` (degC) is by how much more the free run errs from then on in the mean
+    of a cycle, while the machine is `running` or at rest.
+    """
+
+    time: float
+    interval: tuple[float, float]
+    before: int
+    after: int
+    moves: float
+    running: bool
+    p: float
+
+
+@dataclass(frozen=True, slots=True)
 class HeldOutProof:
     """Free runs over cycles that were never fitted: root mean squares in degC, the noise floor, the excess removed.
 
-    `cycles` counts them, `per_cycle` holds (before, after, floor) of each. The excess removed and its interval are None
-    where nothing was named, or where the error before is no greater than the floor: then there is no excess.
+    `cycles` counts them, `pieces` the independent pieces of evidence in them; `per_cycle` holds (before, after, floor)
+    of each cycle. `rmse_given` is of the model as it was given, `rmse_before` with its parameters refitted. The excess
+    removed (at most 1: all of it, to within the floor) and its interval are None where nothing was named, or where the
+    error before is no greater than the floor: then there is no excess.
     """
 
     cycles: int
+    pieces: int
+    rmse_given: float
     rmse_before: float
     rmse_after: float
     noise_floor: float
@@ -206,7 +253,8 @@ class Diagnosis:
     felt; `traces` are the effects that are certain and are not; `absorbed` is the law that the model's own constants
     follow, if they follow one. `settings` holds seed, thresholds and noise, by name. `unit` is that of the followed
     variable: what is said to be in degC anywhere in a diagnosis is in it. `laws` are expressions to look at where the
-    gap has no name.
+    gap has no name, `floor` what a free run errs by where nothing is missing, `began` says since when it errs by more
+    (None where that is from the first cycle on).
     """
 
     verdict: Verdict
@@ -224,6 +272,8 @@ class Diagnosis:
     absorbed: AbsorbedLaw | None
     untested: Mapping[str, str]
     held_out: HeldOutProof | None
+    floor: NoiseFloor | None
+    began: Beginning | None
     course: DiagnosisCourse | None
     settings: Mapping[str, float]
     model_before: str

@@ -1,7 +1,10 @@
-"""Is there a gap at all: how far off the refitted free run is, beside what the given model says of its own noise.
+"""Is there a gap at all: how far off the refitted free run is, beside what noise alone makes of it.
 
-The floor is never the fit's to choose. What a refit adds to its noise on the measured traces (a disturbance with a
-memory, a scatter of the cycles) is a finding about them: as a floor it would swallow whole effects.
+The floor is told from times and temperatures, cycle by cycle, and never the fit's to choose: what a refit adds to its
+noise on the measured traces (a disturbance with a memory, a scatter of the cycles) is a finding about them and would
+swallow whole effects; so would the noise of a model that was learned without a cause. Three things bound it from above,
+the least of them counts: what the given model states of its own free runs, what the refit's noise makes of them, and
+by how much cycles that are equal differ. The sensor bounds it from below.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,11 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.augment import as_white, process_noise
-from sim.discrepancy.fitting import Fitted, Grid, Record, readings_in_window, rounding
-from sim.discrepancy.held_out import let_run
+from sim.discrepancy.diagnosis import NoiseFloor
+from sim.discrepancy.fitting import Fitted, NoiseModel, Record, Whitener, readings_in_window, rounding
+from sim.discrepancy.heat import since_switch
+from sim.discrepancy.held_out import HeldOutRun, let_run, mean_squares
 from sim.effects import of_feature, without
-from sim.engine import linear_recursion, open_loop
-from sim.sha import Model, Trace, content_hash
+from sim.engine import open_loop
+from sim.learning import Indices
+from sim.sha import Array, Model, Trace
 
 WIDE, MOSTLY, SHARE = 1.5, 1.2, 0.2
 """A gap: the median cycle is so many times as far off as the model's own noise allows, and all but this share of the
@@ -22,22 +28,16 @@ cycles at least so many times."""
 ROUGHER, FELT = 4.5, 0.75
 """A gap as well: heat so many times as rough, that moves the temperature by so many sensor sigmas (stationary rms)."""
 
-
 LEAST_ROWS = 50
 """Rows at rest from which the sensor's noise is told by them alone."""
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseFloor:
-    """degC rms of a free run over windows where nothing is missing.
-
-    `given`: as the given model states it for itself, from days of its own; else it is the sensor's noise alone, since a
-    model that has learned these very traces holds what is missing in them for noise. In both what switches between two
-    rows do (`between_rows`) is added: it belongs to the rows at hand, not to those of the model's own days.
-    """
-
-    error: float
-    given: bool
+DRAWS = 200
+"""Draws of the noise from which a floor is told."""
+LEAST_READING = 1e-4
+"""degC that no window's mean is nearer to the truth."""
+PHASES_S = (240.0, 900.0, 3600.0, 7200.0)
+"""Seconds since the last start or stop between which cycles are held against one another."""
+LEAST_EQUAL, MOSTLY_COMPARABLE = 4, 0.7
+"""Cycles that a cell needs to compare them, and the share of all windows that must lie in such cells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,28 +71,83 @@ class Excess:
         return f"the heat is {self.rougher:.1f} times as rough as the model has learned"
 
 
-def floor_of(model: Model, traces: Sequence[Trace], laid_out: Sequence[Trace], fitted: Fitted) -> NoiseFloor:
-    """The floor under the free runs of a fit to `traces`, which `laid_out` holds in their order and with events."""
+def floor_of(model: Model, laid_out: Sequence[Trace], fitted: Fitted, record: Record, seed: int) -> NoiseFloor:
+    """The floor under the free runs of a fit over a record cut by cycles (`Record.by_cycles`).
+
+    `laid_out` are the encoded traces in their order, from which the given `model` says what it errs by itself.
+    """
+    trial, training = let_run(fitted, record), let_run(fitted, fitted.frame.record.by_cycles())
+    _, _, cycles = mean_squares(trial)
+    rng = np.random.default_rng(seed)
+    own, drawn = predicted(trial, cycles, fitted.noise, rng)
+    lowest, _ = predicted(trial, cycles, sensor_alone(model, fitted), rng)
+    stated = spread_of(model, laid_out, record, cycles)
+    # What equal cycles differ by is one figure of all fitted cycles: carried over as its share of what the refit's own
+    # noise makes of the same cycles, which knows how long they are and how much is heated in them.
+    known = mean_squares(training)[2]
+    expected, _ = predicted(training, known, fitted.noise, rng)
+    differ = scatter_of_equal_cycles(training) / max(float(np.sqrt(np.mean(expected**2))), 1e-12)
+    bounds = {
+        "the refit's own noise": own,
+        "what the model states of its own noise": np.hypot(stated, lowest),
+        "what equal cycles differ by": differ * own,
+    }
+    whole = {name: float(np.sqrt(np.mean(each**2))) for name, each in bounds.items() if np.isfinite(each).all()}
+    source = min(whole, key=lambda name: whole[name])
+    floor = np.maximum(bounds[source], lowest)
+    if whole[source] <= float(np.sqrt(np.mean(lowest**2))):
+        source = "the sensor alone"
+    error = float(np.sqrt(np.average(floor**2, weights=mean_squares(trial)[1])))
+    # The noise itself is known from so many cycles: its standard error in logarithms is 1 / sqrt(2 n).
+    unsure = np.exp(rng.standard_normal(drawn.size) / np.sqrt(2.0 * known.size))
+    low, high = np.quantile(drawn / np.sqrt(np.mean(drawn**2)) * unsure, [0.025, 0.975])
+    interval = float(error * low), float(error * high)
+    return NoiseFloor(error, interval, cycles, floor, source, given=bool(np.isfinite(stated).all()))
+
+
+def predicted(trial: HeldOutRun, cycles: Indices, noise: NoiseModel, rng: np.random.Generator) -> tuple[Array, Array]:
+    """(degC rms of each cycle (c,), of all of them in each draw (DRAWS,)) of free runs that err by a noise alone.
+
+    Parametric bootstrap: residuals are drawn on the windows at hand and begun as measured ones are.
+    """
+    residual = trial.started(Whitener(trial.whitener.grid, noise).draw(rng, DRAWS))
+    number = trial.record.window_whole
+    kept = np.isin(number, cycles)
+    place = np.searchsorted(cycles, number[kept])
+    sums = np.zeros((cycles.size, DRAWS))
+    np.add.at(sums, place, residual[kept] ** 2)
+    counts = np.bincount(place)
+    return np.sqrt(sums.mean(axis=1) / counts), np.sqrt(sums.sum(axis=0) / counts.sum())
+
+
+def sensor_alone(model: Model, fitted: Fitted) -> NoiseModel:
+    """The noise of a plant that is exact but for what is read of it: the sensor's, and its rounding."""
     record = fitted.frame.record
-    sensor = sensor_noise(record)
-    looks = readings_in_window(record)
-    in_window = max(sensor / float(np.sqrt(looks)), rounding(model, record))
-    in_window = float(np.hypot(in_window, between_rows(fitted.grid)))
-    if not {content_hash(trace) for trace in traces}.isdisjoint(model.provenance.contents):
-        return NoiseFloor(in_window, given=False)
-    stated = model.provenance.scores.get("held_out_rmse", 0.0)
-    if stated > 0:
-        # Stated of single readings: their noise gives way to that of a window's mean.
-        return NoiseFloor(float(np.hypot(np.sqrt(max(stated**2 - sensor**2, 0.0)), in_window)), given=True)
-    spread = spread_of(model, laid_out, fitted)
-    return NoiseFloor(float(np.hypot(spread, in_window)) if spread > 0 else in_window, given=spread > 0)
+    in_window = sensor_noise(record) / float(np.sqrt(readings_in_window(record)))
+    in_window = max(in_window, rounding(model, record), LEAST_READING)
+    return NoiseModel(sensor=in_window, process=0.0, rough=0.0, cycle=0.0)
 
 
-def between_rows(grid: Grid) -> float:
-    """degC rms over the windows of what a free run is off by because switches are known to a row only."""
-    decay = np.where(grid.first, 0.0, np.exp(-2.0 * grid.k * grid.dt))
-    apart = linear_recursion(decay, grid.late, 0.0)
-    return float(np.sqrt(np.mean(apart + grid.shared**2)))
+def scatter_of_equal_cycles(trial: HeldOutRun) -> float:
+    """degC rms by which free runs over equal cycles err differently; infinite where too few cycles can be compared.
+
+    Cells are a location and a time since the last switch. What errs alike in all cycles of a cell is taken out: a
+    cause that is missing does the same in equal cycles, and noise does not.
+    """
+    record = trial.record
+    place = record.runs.place[record.rows[record.begins]]
+    phase = np.searchsorted(PHASES_S, record.windowed(since_switch(record)), side="right")
+    cell = np.unique(np.column_stack([place, phase]), axis=0, return_inverse=True)[1].ravel()
+    cycle = np.unique(record.window_whole, return_inverse=True)[1]
+    pairs, member = np.unique(np.column_stack([cell, cycle]), axis=0, return_inverse=True)
+    shared = np.bincount(pairs[:, 0])
+    comparable = shared[cell] >= LEAST_EQUAL
+    if comparable.mean() < MOSTLY_COMPARABLE:
+        return float("inf")
+    of_cycle = np.bincount(member.ravel(), trial.residual) / np.bincount(member.ravel())
+    mean = np.bincount(pairs[:, 0], of_cycle) / shared
+    left = trial.residual - mean[cell]
+    return float(np.sqrt(np.mean((left**2 * shared[cell] / np.maximum(shared[cell] - 1, 1))[comparable])))
 
 
 def sensor_noise(record: Record) -> float:
@@ -115,12 +170,11 @@ def sensor_noise(record: Record) -> float:
 
 
 def excess(fitted: Fitted, floor: NoiseFloor) -> Excess | None:
-    """The excess of a fit over the given model's floor; None where the model states none of its own."""
+    """The excess of a fit over a floor under its own cycles; None where the model states no noise of its own."""
     if not floor.given:
         return None
-    trial = let_run(fitted, fitted.frame.record.by_cycles())
-    count = np.bincount(trial.order)
-    ratio = np.sqrt(np.bincount(trial.order, trial.residual**2) / np.maximum(count, 1)) / floor.error
+    squares, _, cycles = mean_squares(let_run(fitted, fitted.frame.record.by_cycles()))
+    ratio = np.sqrt(squares) / floor.at(cycles)
     return Excess(float(np.median(ratio)), float(np.quantile(ratio, SHARE)), rougher(fitted))
 
 
@@ -141,29 +195,33 @@ def rougher(fitted: Fitted) -> float:
     return noise / learned if moves >= FELT * fitted.sensor_sigma else 0.0
 
 
-def spread_of(model: Model, traces: Sequence[Trace], fitted: Fitted) -> float:
-    """degC of the given model's own spread on a fit's cycles, the median; 0 where it says nothing of it."""
+def spread_of(model: Model, traces: Sequence[Trace], record: Record, cycles: Indices) -> Array:
+    """(c,) degC rms of the given model's own spread on these cycles, the median of all where it says nothing of one;
+    infinite where it says nothing at all."""
     # The fit's targets are those of this machine: what the model allows one machine to lie off is no allowance beside.
     model = replace(model, sha=without(model.sha, "machine offset"))
-    spreads = []
-    for cycle in _cycles(fitted.frame.record, traces):
-        readings = cycle.signals.get(model.temperature, np.empty(0))
-        if np.isfinite(readings).sum() < 2:  # nothing to start from, or nothing after it: no run along this cycle
-            continue
-        # "resync": an event for which the given model has no edge costs a jump here, and not the whole diagnosis.
-        spread = float(np.sqrt(np.mean(open_loop(model, cycle, "resync").variance)))
-        if np.isfinite(spread) and spread > 0:
-            spreads.append(spread)
-    return float(np.median(spreads)) if spreads else 0.0
+    spreads = np.full(cycles.size, np.nan)
+    for number, pieces in enumerate(_cycles(record, cycles, traces)):
+        for piece in pieces:
+            readings = piece.signals.get(model.temperature, np.empty(0))
+            if np.isfinite(readings).sum() < 2:  # nothing to start from, or nothing after it: no run along this cycle
+                continue
+            # "resync": an event for which the given model has no edge costs a jump here, and not the whole diagnosis.
+            spread = float(np.sqrt(np.mean(open_loop(model, piece, "resync").variance)))
+            if np.isfinite(spread) and spread > 0:
+                spreads[number] = spread
+    seen = np.isfinite(spreads)
+    return np.where(seen, spreads, float(np.median(spreads[seen])) if seen.any() else np.inf)
 
 
-def _cycles(record: Record, traces: Sequence[Trace]) -> Iterator[Trace]:
-    """The traces' rows in each of the record's cycles, with all events up to their ends."""
-    runs = record.runs
-    for number in np.unique(record.cycle):
-        times = runs.time[record.cycle == number]
+def _cycles(record: Record, cycles: Indices, traces: Sequence[Trace]) -> Iterator[list[Trace]]:
+    """The traces' rows in each of these cycles, with all events up to their ends."""
+    for number in cycles:
+        times = record.runs.time[record.whole == number]
         begin, end = float(times[0]), float(np.nextafter(times[-1], np.inf))
-        for trace in traces:
-            piece = trace.between(begin, end)
-            if piece.times.size:
-                yield replace(piece, events=tuple(event for event in trace.events if event.time < end))
+        pieces = [(trace, trace.between(begin, end)) for trace in traces]
+        yield [
+            replace(piece, events=tuple(event for event in trace.events if event.time < end))
+            for trace, piece in pieces
+            if piece.times.size
+        ]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, Verdict
+from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, NoiseFloor
 from sim.discrepancy.fitting import CatalogueEntry, Fitted
 from sim.discrepancy.gap import Excess, sensor_noise
 from sim.discrepancy.held_out import HeldOutRun
@@ -132,11 +132,19 @@ def doubts(
     held: HeldOutProof,
     before: Ceiling | None,
     left: Ceiling | None,
+    shorter: HeldOutRun | None = None,
 ) -> tuple[str, ...]:
-    """Why names that the likelihood offers are not given after all; `first` and `second` are the held-out runs."""
+    """Why names that the likelihood offers are not given after all; `first` and `second` are the held-out runs.
+
+    `shorter` is the run without the last name, where there is more than one.
+    """
     if not path.taken:
         return ()
     reasons = []
+    if held.rmse_before <= held.noise_floor:
+        reasons.append("the free run over the held-out cycles is no further off than noise alone: there is no gap")
+    if shorter is not None and foreseen_better(shorter, second) <= 0:
+        reasons.append("the held-out cycles are not better foreseen with the last name than without it")
     if foreseen_better(first, second) <= 0:
         reasons.append("the held-out cycles are not better foreseen with it")
     if held.rmse_after > held.rmse_before:
@@ -171,23 +179,20 @@ def matters(held: HeldOutProof, sensor: float) -> bool:
     return held.rmse_before**2 - held.noise_floor**2 >= (MATERIAL * sensor) ** 2
 
 
-def verdict_of(
-    path: NamingResult, reasons: tuple[str, ...], *, before: Ceiling | None, beyond: Excess | None, material: bool
-) -> tuple[Verdict, tuple[str, ...]]:
-    """The verdict, and the reasons why it is none better. "unexplained" needs evidence and a gap that matters."""
-    if path.taken and not reasons:
-        return ("named" if all(len(step.members) == 1 for step in path.taken) else "class"), ()
-    evidence = reasons
-    if not path.taken:
-        step, refusal = path.steps[0]
-        if not insignificant(step):
-            evidence = (f"{step.members[0]} {refusal}",)
-        # No candidate stands for it: then the free learner's word alone, or the model's own noise (decision 0031).
-        elif systematic(before) and before is not None and before.p <= SURELY:
-            evidence = ("a free learner predicts heat on cycles that it has not seen",)
-        elif beyond is not None and beyond.exceeded:
-            evidence = (beyond.words,)
-    return ("unexplained", evidence) if evidence and material else ("agree", ())
+def above(held: HeldOutProof, floor: NoiseFloor, sensor: float) -> bool:
+    """True where the held-out error is a gap: beyond what chance makes of the noise, and by what could be felt."""
+    return held.rmse_before > floor.interval[1] and matters(held, sensor)
+
+
+def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | None) -> tuple[str, ...]:
+    """What speaks for a gap to which no name was given, the strongest first; nothing where nothing does."""
+    step, refusal = path.steps[0]
+    if refusal and not insignificant(step):
+        return (f"{step.members[0]} {refusal}",)
+    # No candidate stands for it: then the free learner's word alone, or the model's own noise (decision 0031).
+    if systematic(before) and before is not None and before.p <= SURELY:
+        return ("a free learner predicts heat on cycles that it has not seen",)
+    return (beyond.words,) if beyond is not None and beyond.exceeded else ()
 
 
 def untested(entries: Sequence[CatalogueEntry], present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:

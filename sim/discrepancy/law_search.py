@@ -205,12 +205,10 @@ def _alike(scored: _Scored, number: int) -> tuple[str, ...]:
 
 
 def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int, int]:
-    """(share of the error above the floor that is gone, cycles that are better foreseen, cycles)."""
-    order, begun = trial.order, trial.begun
-    part = np.bincount(order, begun * after) / np.maximum(np.bincount(order, begun**2), 1e-12)
-    left = after - begun * part[order]
-    old, new = np.bincount(order, trial.residual**2), np.bincount(order, left**2)
-    counts = np.bincount(order)
+    """(share of the error above the floor that is gone, pieces that are better foreseen, pieces)."""
+    pieces = np.unique(trial.record.window_cycle, return_inverse=True)[1]
+    old, new = np.bincount(pieces, trial.residual**2), np.bincount(pieces, trial.started(after) ** 2)
+    counts = np.bincount(pieces)
     excess = float(np.sum(old) - floor**2 * np.sum(counts))
     share = float(np.sum(old) - np.sum(new)) / excess if excess > 0 else 0.0
     return min(share, 1.0), int(np.count_nonzero(new < old)), int(counts.size)

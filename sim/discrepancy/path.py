@@ -9,6 +9,7 @@ from sim.discrepancy.naming import MARGIN, NamingStep, entries_besides, step
 Progress = Callable[[str, float], None]
 Judged = tuple[NamingStep, str]
 """A step, and why its best entry is refused ("": it is taken)."""
+BEYOND = "does not pass together with the names before it"
 
 
 def name(
@@ -19,11 +20,13 @@ def name(
     progress: Progress,
     *,
     entries: Sequence[CatalogueEntry] = (),
-) -> NamingResult:
+) -> tuple[NamingResult, ...]:
     """Effects named one after the other, each on top of the ones before, until none deserves it; then revised.
 
     `entries` are looked for, the catalogue's by default. `present` gives the signal of each role. An effect that is
     clear but for rivals that stand too near is taken for the time being: beside the next name it may be told from them.
+    The whole path comes first, then its beginnings, the longest first: a further name, whatever becomes of it, takes no
+    earlier one down.
     """
     fitted, taken, refused = base, list[Judged](), list[Judged]()
     for number in range(most):
@@ -44,14 +47,24 @@ def name(
     # A name at the end that is still refused had no later one to tell it from its rivals: it goes, and the fit with it.
     while taken and taken[-1][1]:
         refused = [taken.pop()]
-    last = taken[-1][0].best if taken else None
-    fitted = last.fitted if last is not None and last.fitted is not None else base
+    fitted = _last_fit(base, taken)
+    beginnings = [
+        NamingResult(base, _last_fit(base, taken[:count]), (*taken[:count], (taken[count][0], BEYOND)))
+        for count in range(len(taken) - 1, 0, -1)
+        if not any(refusal for _, refusal in taken[:count])
+    ]
     if len(taken) > 1:
         progress("looking at each name again", 0.25 + 0.6 * most / (most + 1))
         taken, fitted = revised(fitted, taken, present, seed + most, len(taken) - 1, entries=entries)
     if any(refusal for _, refusal in taken):
-        return NamingResult(base, base, tuple(taken[-1:]))
-    return NamingResult(base, fitted, (*taken, *refused))
+        return NamingResult(base, base, tuple(taken[-1:])), *beginnings
+    return NamingResult(base, fitted, (*taken, *refused)), *beginnings
+
+
+def _last_fit(base: Fitted, taken: Sequence[Judged]) -> Fitted:
+    """The fit with all names of a path."""
+    last = taken[-1][0].best if taken else None
+    return last.fitted if last is not None and last.fitted is not None else base
 
 
 def revised(

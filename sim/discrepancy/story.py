@@ -1,11 +1,13 @@
 """A diagnosis told: its sentence, its places without a cause, and the courses that the pictures show."""
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 
 import numpy as np
 
 from sim.discrepancy.diagnosis import (
     AbsorbedLaw,
+    Beginning,
     DiagnosisCourse,
     HeatPlace,
     HeldOutProof,
@@ -31,6 +33,7 @@ def sentence_of(
     traces: Sequence[TraceOfEffect] = (),
     law: AbsorbedLaw | None = None,
     unit: str,
+    began: Beginning | None = None,
 ) -> str:
     """The verdict in one or two sentences; errors are in `unit`, as people read it."""
     if verdict == "too-little-data":
@@ -55,16 +58,19 @@ def sentence_of(
         return "Model and data agree within noise." + trace + moved
     gain = ""
     if held is not None and effects:
+        s = "" if held.cycles == 1 else "s"
         gain = (
-            f" On {held.cycles} cycles that were never fitted the error goes from {held.rmse_before:.2f} to "
-            f"{held.rmse_after:.2f} {unit} (noise alone: {held.noise_floor:.2f})."
+            f" On {held.cycles} cycle{s} that {'was' if held.cycles == 1 else 'were'} never fitted the error goes from "
+            f"{held.rmse_before:.2f} to {held.rmse_after:.2f} {unit} (noise alone: {held.noise_floor:.2f})."
         )
+        gain += "" if all(each.shrinking_shown for each in effects) else " That the gap shrinks is not shown by so few."
     if verdict == "named":
         names = " and ".join(f"{effect.name} ({effect.plain})" for effect in effects)
         return f"Missing in the model: {names}.{gain}{moved}"
     if verdict == "class":
         names = "; ".join(" or ".join(effect.members) for effect in effects)
         return f"Something is missing that these data cannot tell apart: {names}.{gain}{moved}"
+    since = "" if began is None else f" {beginning_sentence(began, unit)}"
     where = "the free run is further off than noise allows, in no particular place."
     if unexplained:
         place = unexplained[0]
@@ -76,7 +82,22 @@ def sentence_of(
             f"{place.share:.0%} of the unexplained heat is in {place.location}, {seconds} after "
             f"{place.after or 'its beginning'}{goes} ({place.cycles[0]} of {place.cycles[1]} cycles)."
         )
-    return f"Something is missing that has no honest name: {where}{moved}"
+    return f"Something is missing that has no honest name: {where}{since}{moved}"
+
+
+def beginning_sentence(began: Beginning, unit: str) -> str:
+    """Since when the machine is warmer or cooler than before, and how sure the date is; `unit` as people read it."""
+    low, moment, high = (_date(time) for time in (began.interval[0], began.time, began.interval[1]))
+    way = "warmer" if began.moves > 0 else "cooler"
+    how = "while it runs" if began.running else "at rest"
+    return (
+        f"It begins with the cycle of {moment} (between {low} and {high}): since then the machine is "
+        f"{abs(began.moves):.2g} {unit} {way} {how} than before ({began.before} cycles before, {began.after} after)."
+    )
+
+
+def _date(time: float) -> str:
+    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def course_of(base: Fitted, after: Fitted, before_trial: HeldOutRun, after_trial: HeldOutRun) -> DiagnosisCourse:
@@ -100,7 +121,7 @@ def course_of(base: Fitted, after: Fitted, before_trial: HeldOutRun, after_trial
         heat_after=heat_after,
         location=tuple(names[place] for place in np.concatenate([_places(record), _places(later)]).tolist()),
         since_event=both(_since(record), _since(later)),
-        cycle=both(record.window_cycle.astype(float), later.window_cycle.astype(float)),
+        cycle=both(record.window_whole.astype(float), later.window_whole.astype(float)),
     )
 
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim.discrepancy.beginning import beginning
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.constants import absorbed
-from sim.discrepancy.diagnosis import CandidateLaw, Diagnosis
+from sim.discrepancy.diagnosis import CandidateLaw, Ceiling, Diagnosis, HeldOutProof, NoiseFloor, Verdict
 from sim.discrepancy.evidence import candidates_of, effect_of, traces_of
 from sim.discrepancy.fitting import (
     Fitted,
@@ -29,17 +30,19 @@ from sim.discrepancy.fitting import (
     record_of,
 )
 from sim.discrepancy.gap import excess, floor_of, sensor_noise
-from sim.discrepancy.held_out import compared
+from sim.discrepancy.held_out import HeldOutRun, compared, let_run
 from sim.discrepancy.judging import (
+    MATERIAL,
     NamingResult,
+    above,
     doubts,
     dubious,
+    evidence_of,
     immaterial,
     left_over,
     matters,
     systematic,
     untested,
-    verdict_of,
 )
 from sim.discrepancy.law_search import candidate_laws
 from sim.discrepancy.locate import places
@@ -53,6 +56,9 @@ HELD_OUT = 0.3
 LEAST_CYCLES = 4
 """Cycles below which nothing is said: three to fit, one to judge by."""
 MOST_NAMES = 3
+CYCLES_PER_NAME = 6
+"""Independent cycles that each name needs for itself, held-out ones included."""
+TOO_FEW = f"would be named from fewer than {CYCLES_PER_NAME} cycles"
 MOST_OF_A_GAP = 0.5
 """Share of the held-out excess that a small effect must remove to be what the gap is made of."""
 
@@ -107,33 +113,48 @@ def diagnose(
     base = fit(training, named_of(model))
     report("what a free learner could still explain", 0.2)
     ceiling_before = ceiling(base, seed)
-    path = name(base, present, seed, most, report, entries=entries)
+    allowed = min(most, int(cycles.size) // CYCLES_PER_NAME)
+    paths = name(base, present, seed, max(allowed, 1), report, entries=entries)
 
     report("held-out cycles", 0.85)
     # Both fits are held against a floor that neither has chosen: their own noise has swallowed what they could not
     # explain.
-    floor = floor_of(model, traces, laid_out, base)
-    path = _with_the_gap_itself(path, held_out, seed, floor.error)
-    beyond = excess(base, floor), excess(path.fitted, floor)
-    after = path.fitted
-    ceiling_after = ceiling(after, seed) if path.taken else ceiling_before
-    held, first, second = compared(base, after, held_out, seed, floor.error)
-    material = matters(held, sensor_noise(base.frame.record))
-    reservations = (
-        *doubts(path, first, second=second, held=held, before=ceiling_before, left=ceiling_after),
-        *left_over(path, *beyond),
-    )
-    verdict, reasons = verdict_of(path, reservations, before=ceiling_before, beyond=beyond[0], material=material)
-    kept = verdict in ("named", "class")
+    by_cycles, sensor = training.record.by_cycles(), sensor_noise(training.record)
+    floor = floor_of(model, laid_out, base, held_out, seed)
+    proof = _Proof(held_out, floor, floor_of(model, laid_out, base, by_cycles, seed), ceiling_before, seed)
+    paths = (_with_the_gap_itself(paths[0], held_out, seed, floor), *paths[1:])
+    if not allowed:
+        paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], TOO_FEW),)) for path in paths[:1])
+    judged = _longest_that_passes(proof, paths)
+    path, held, second = judged.path, judged.held, judged.second
+    gap = above(held, floor, sensor)
+    kept = bool(path.taken) and not judged.reasons
+    began = beginning((let_run(base if not kept else path.fitted, by_cycles), second), MATERIAL * sensor)
+    material = matters(held, sensor)
+    after, ceiling_after, reasons = path.fitted, judged.ceiling, judged.reasons
+    verdict: Verdict = "agree"
+    if kept:
+        verdict = "named" if all(len(step.members) == 1 for step in path.taken) else "class"
+    elif gap or began is not None:
+        verdict = "unexplained"
+        reasons = reasons or evidence_of(path, ceiling_before, excess(base, proof.fitted))
+        # The free run says it by itself: further off than chance makes of the noise.
+        if gap:
+            error, limit = f"{held.rmse_before:.3g}", f"{floor.interval[1]:.3g} {shown_unit(model.unit)}"
+            reasons = (*reasons, f"over held-out cycles the free run is off by {error}, noise alone by {limit} at most")
+    else:
+        reasons = ()
     if not kept and after is not base:  # nothing is added, so what the report shows "after" is the refit itself
         after = base
-        held, first, second = compared(after, after, held_out, seed, floor.error)
+        held, _, second = compared(after, after, held_out, seed, floor)
+    first = let_run(base, held_out) if kept else second
 
     law = absorbed(after, present["current"], held_out, pump=present.get("pump")) if "current" in present else None
     report("where the heat is", 0.95)
     where = places(base, seed)
     remaining = places(after, seed) if kept else where
-    effects = tuple(effect_of(step, after) for step in path.taken) if kept else ()
+    shown = held.ci95 is not None and held.ci95[0] > 0.0
+    effects = tuple(replace(effect_of(step, after), shrinking_shown=shown) for step in path.taken) if kept else ()
     moved = shifts(after)
     unexplained = remaining if verdict == "unexplained" or (kept and systematic(ceiling_after)) else ()
     laws: tuple[CandidateLaw, ...] = ()
@@ -144,7 +165,8 @@ def diagnose(
         laws = candidate_laws(base, everything, int(first_held_out), floor.error)
     fitted_cycles = int(np.unique(base.frame.record.cycle).size)
     noise = path.fitted.noise
-    pairs = zip(("excess_before", "excess_after"), beyond, strict=True)
+    fits = {"excess_before": base, "excess_after": path.fitted}
+    beyond = {key: excess(fitted, proof.fitted) for key, fitted in fits.items()}
     diagnosis = Diagnosis(
         verdict=verdict,
         sentence=sentence_of(
@@ -157,6 +179,7 @@ def diagnose(
             traces=traces_of(path),
             law=law,
             unit=shown_unit(model.unit),
+            began=began,
         ),
         reasons=reasons,
         effects=effects,
@@ -171,6 +194,8 @@ def diagnose(
         absorbed=law,
         untested=untested(entries, present, roles),
         held_out=held,
+        floor=floor,
+        began=began,
         course=course_of(base, after, first, second),
         settings={
             "seed": float(seed),
@@ -181,7 +206,7 @@ def diagnose(
             "cycle_scatter": noise.cycle,
             "rough_memory_s": noise.memory,
             "lasting_sigma": noise.lasting,
-            **{key: gap.median for key, gap in pairs if gap is not None},
+            **{key: each.median for key, each in beyond.items() if each is not None},
         },
         model_before=model.sha.name,
         model_after=None,
@@ -216,7 +241,58 @@ def measured_signals(model: Model, traces: Sequence[Trace]) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*inputs, *present]))
 
 
-def _with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor: float) -> NamingResult:
+@dataclass(frozen=True, slots=True)
+class _Proof:
+    """What names are judged by: held-out cycles, their floor, that of the fitted ones, and the ceiling before."""
+
+    held_out: Record
+    floor: NoiseFloor
+    fitted: NoiseFloor
+    ceiling: Ceiling | None
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class _JudgedPath:
+    """A path of names with the reasons against them (none: they are given), and what the reasons were drawn from."""
+
+    path: NamingResult
+    reasons: tuple[str, ...]
+    held: HeldOutProof
+    second: HeldOutRun
+    ceiling: Ceiling | None
+
+
+def _longest_that_passes(proof: _Proof, paths: Sequence[NamingResult]) -> _JudgedPath:
+    """The first of the paths, the longest first, whose names pass on held-out cycles; the first one where none does."""
+    judged = []
+    for path in paths:
+        shorter = next((each for each in paths if len(each.taken) == len(path.taken) - 1 and each.taken), None)
+        judged.append(_judge_path(proof, path, shorter))
+        if not judged[-1].reasons:
+            return judged[-1]
+    return judged[0]
+
+
+def _judge_path(proof: _Proof, path: NamingResult, shorter: NamingResult | None) -> _JudgedPath:
+    held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor)
+    left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
+    reasons = (
+        *doubts(
+            path,
+            first,
+            second=second,
+            held=held,
+            before=proof.ceiling,
+            left=left,
+            shorter=None if shorter is None else let_run(shorter.fitted, proof.held_out),
+        ),
+        *left_over(path, excess(path.base, proof.fitted), excess(path.fitted, proof.fitted)),
+    )
+    return _JudgedPath(path, reasons, held, second, left)
+
+
+def _with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor: NoiseFloor) -> NamingResult:
     """The path with the certain effect that was refused as too small, where the held-out gap is that effect.
 
     What it does to the fitted cycles says little of what the model's parameters, which have made room for it there, are
@@ -251,6 +327,8 @@ def _too_little(model: Model, cycles: int) -> Diagnosis:
         absorbed=None,
         untested={},
         held_out=None,
+        floor=None,
+        began=None,
         course=None,
         settings={},
         model_before=model.sha.name,

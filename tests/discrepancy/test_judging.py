@@ -42,7 +42,7 @@ def test_a_name_under_which_the_held_out_error_grows_is_never_given(
     assert best.fitted is not None
     found = NamingResult(base, best.fitted, ((replace(pumped, evidence=(replace(best, gain=gain),)), ""),))
     record = base.frame.record.by_cycles()
-    held = HeldOutProof(5, 0.5, after, 0.2, None, None, ())
+    held = HeldOutProof(5, 5, 0.6, 0.5, after, 0.2, None, None, ())
     reasons = doubts(
         found, let_run(base, record), second=let_run(best.fitted, record), held=held, before=None, left=None
     )

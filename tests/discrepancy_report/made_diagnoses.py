@@ -12,6 +12,7 @@ from sim.discrepancy.diagnosis import (
     HeatPlace,
     HeldOutProof,
     NamedEffect,
+    NoiseFloor,
     Shift,
     TriedEffect,
     Verdict,
@@ -55,8 +56,8 @@ def course(cycles: int = 11, held_out: int = 4, *, after: bool = True, seed: int
 def held_out(*, after: bool = True) -> HeldOutProof:
     rows = tuple((0.55 + 0.05 * n, 0.21 + 0.01 * n if after else 0.55 + 0.05 * n, 0.2) for n in range(4))
     if not after:
-        return HeldOutProof(4, 0.63, 0.63, 0.2, 0.0, (0.0, 0.0), rows)
-    return HeldOutProof(4, 0.63, 0.225, 0.2, 0.97, (0.9, 1.0), rows)
+        return HeldOutProof(4, 4, 0.7, 0.63, 0.63, 0.2, 0.0, (0.0, 0.0), rows)
+    return HeldOutProof(4, 4, 0.7, 0.63, 0.225, 0.2, 0.97, (0.9, 1.0), rows)
 
 
 def candidate(name: str, gain: float, fate: str, *, confirmed: bool = True, twins: tuple[str, ...] = ()) -> TriedEffect:
@@ -135,6 +136,8 @@ def agree() -> Diagnosis:
         absorbed=None,
         untested={"ambient-coupling": "no trace has a signal for the role 'ambient' (TAmbiente)"},
         held_out=held_out(after=False),
+        floor=NoiseFloor(0.2, (0.16, 0.25), np.arange(4), np.full(4, 0.2), "the refit's own noise", given=True),
+        began=None,
         course=course(after=False),
         settings={"seed": 0.0, "threshold (nats)": 7.3, "sensor noise (degC)": 0.05},
         model_before="plant",
@@ -148,7 +151,7 @@ def of(verdict: Verdict) -> Diagnosis:
         return agree()
     if verdict == "too-little-data":
         nothing = replace(agree(), verdict=verdict, sentence="There is 1 cycle; at least 4 are needed.", shifts=())
-        return replace(nothing, candidates=(), held_out=None, course=None, ceiling_before=None, untested={})
+        return replace(nothing, candidates=(), held_out=None, floor=None, course=None, ceiling_before=None, untested={})
     if verdict == "unexplained":
         gap = replace(agree(), verdict=verdict, sentence="There is a gap that no known effect explains.", shifts=())
         return replace(gap, places=(PLACE, LATE), unexplained=(PLACE,), ceiling_before=Ceiling(0.4, 0.001, 2.0, ()))

@@ -6,7 +6,7 @@ from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, g
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged, on_sensor
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit, readings_in_window, rounding
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
-from sim.discrepancy.fitting.noise import Grid, Whitener, decay_and_pull
+from sim.discrepancy.fitting.noise import Grid, NoiseModel, Whitener, decay_and_pull
 from sim.discrepancy.fitting.record import Record, in_order, overlapping, patiently, record_of
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Fitted",
     "Grid",
     "Named",
+    "NoiseModel",
     "Record",
     "Whitener",
     "anchored",

@@ -47,8 +47,9 @@ class Record:
 
     `runs` holds the knots; its `inputs` are the `signals` (n, q), held over each step. `running` (n,) is 1 in steps
     made while the machine runs (1 everywhere without a switch), `since` (n,) the seconds since its last start-up at the
-    step's start, `cycle` (n,) numbers the cycles, what lies before a trace's first start-up counting to its first; of a
-    machine that runs on, the pieces of its long runs (`in_pieces`). `turned` (n,) says where a start, a stop or a step
+    step's start, `whole` (n,) numbers the cycles, what lies before a trace's first start-up counting to its first.
+    `cycle` (n,) are the independent pieces of evidence: the cycles, or, of a machine that runs on, pieces of its long
+    runs (`in_pieces`). `turned` (n,) says where a start, a stop or a step
     of a load lies somewhere in the row that ends at the knot (`_turned`), `rushed` (n,) where a start draws what turns
     the drum up (`_rushed`).
     `window` (s) is the length of a window at rest, `rows` (r,) are the knots with a reading, `begins` (m,) the place in
@@ -60,6 +61,7 @@ class Record:
     runs: FreeRuns
     running: Array
     since: Array
+    whole: Indices
     cycle: Indices
     turned: Mask
     rushed: Mask
@@ -86,8 +88,13 @@ class Record:
 
     @property
     def window_cycle(self) -> Indices:
-        """(m,) the cycle of each window."""
+        """(m,) the piece of evidence that each window is of."""
         return self.cycle[self.rows[self.begins]]
+
+    @property
+    def window_whole(self) -> Indices:
+        """(m,) the cycle of each window."""
+        return self.whole[self.rows[self.begins]]
 
     @property
     def window_first(self) -> Mask:
@@ -132,7 +139,8 @@ class Record:
         run = np.cumsum(runs.first | cut) - 1
         runs = replace(runs, run=run)
         runs = replace(runs, dt=np.where(runs.first, 0.0, runs.dt))
-        running, since, cycle = self.running[keep], self.since[keep], self.cycle[keep]
+        running, since = self.running[keep], self.since[keep]
+        whole, cycle = self.whole[keep], self.cycle[keep]
         rows, begins = _windows(runs, cycle, running, self.window)
         turned, rushed = self.turned[keep], self.rushed[keep]
         return replace(
@@ -140,6 +148,7 @@ class Record:
             runs=runs,
             running=running,
             since=since,
+            whole=whole,
             cycle=cycle,
             turned=turned,
             rushed=rushed,
@@ -150,7 +159,7 @@ class Record:
     def by_cycles(self) -> "Record":
         """The record with a run of its own for each cycle."""
         runs = self.runs
-        begun = np.diff(self.cycle, prepend=-1) != 0
+        begun = np.diff(self.whole, prepend=-1) != 0
         cut = replace(
             runs,
             run=np.cumsum(runs.first | begun) - 1,
@@ -221,9 +230,9 @@ def record_of(
     runs = thinned(
         free_runs(having, model.sha, model.temperature, signals=tuple(signals), modelled=known(model)), knots
     )
-    running, since, cycle = _machine(runs, having, first_switch(model.alphabet))
+    running, since, whole = _machine(runs, having, first_switch(model.alphabet))
     rates = np.array([location.flow.params.get("k", 0.0) for location in model.sha.locations])
-    cycle = in_pieces(cycle, runs, running, rates[runs.place])
+    cycle = in_pieces(whole, runs, running, rates[runs.place])
     runs = _cut_late(runs, running)
     window = max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER)
     rows, begins = _windows(runs, cycle, running, window)
@@ -233,6 +242,7 @@ def record_of(
         runs=runs,
         running=running,
         since=since,
+        whole=whole,
         cycle=cycle,
         turned=_turned(model, runs, running, signals),
         rushed=_rushed(model, runs, running, since, signals),

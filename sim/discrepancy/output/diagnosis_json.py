@@ -9,6 +9,7 @@ import numpy as np
 from sim.artefacts import effect_line_part
 from sim.discrepancy import (
     LONGEST,
+    Beginning,
     CandidateLaw,
     Diagnosis,
     DiagnosisCourse,
@@ -28,11 +29,12 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
 
     `sentence` and all that follows may gain keys. The course of the pictures is left out.
     """
-    held_out = None
+    held_out, floor = None, diagnosis.floor
     if diagnosis.held_out is not None:
         names = ("before", "after", "noise_floor")
         rows = [dict(zip(names, row, strict=True)) for row in diagnosis.held_out.per_cycle]
         held_out = asdict(diagnosis.held_out) | {"per_cycle": rows}
+        held_out["given"] = held_out.pop("rmse_given")
     content = {
         "verdict": diagnosis.verdict,
         "effects": [_effect(effect) for effect in diagnosis.effects],
@@ -40,6 +42,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": [_place(place, diagnosis.course) for place in diagnosis.unexplained],
         "localisation": [_place(place, diagnosis.course) for place in diagnosis.places],
         "held_out": held_out,
+        "floor": None if floor is None else {"value": floor.error, "interval": floor.interval, "from": floor.source},
         "model_before": diagnosis.model_before,
         "model_after": diagnosis.model_after,
         "format": FORMAT,
@@ -57,12 +60,19 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "laws": [_law(law) for law in diagnosis.laws],
         "look_at": look_at(diagnosis),
     }
+    if diagnosis.began is not None:
+        content["began"] = _beginning(diagnosis.began)
     return {key: strict(value) for key, value in content.items()}
 
 
 def document_text(diagnosis: Diagnosis) -> str:
     """The document as indented strict JSON."""
     return json_text(document(diagnosis), indent=2) + "\n"
+
+
+def _beginning(began: Beginning) -> dict[str, Any]:
+    fields = asdict(began)
+    return fields | {"cycles": {"before": fields.pop("before"), "after": fields.pop("after")}}
 
 
 def _effect(effect: NamedEffect) -> dict[str, Any]:
@@ -79,6 +89,7 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
         "standard_errors": effect.errors,
         "signals": effect.signals,
         "signal_to_noise": effect.signal_to_noise,
+        "shrinking_shown": effect.shrinking_shown,
     }
 
 

@@ -1,0 +1,92 @@
+"""Where over the cycles a gap begins: a part that was exchanged, a summer, a fault. A change point, with its interval.
+
+The evidence is one figure a cycle: the mean error of its free run while the machine runs, or while it rests. A gap that
+grows steadily begins nowhere, and one that wanders has no beginning that could be dated.
+"""
+
+import numpy as np
+
+from sim.discrepancy.diagnosis import Beginning
+from sim.discrepancy.held_out import LEAST_WINDOWS, HeldOutRun
+from sim.sha import Array
+
+LEAST_SIDE = 3
+"""Cycles before and after a beginning at least."""
+LEAST_P, PERMUTATIONS = 0.001, 4000
+"""The p of a beginning, by permutations of the cycles: the change is looked for at all of them and in two phases."""
+WANDERS = 0.5
+"""Correlation of neighbouring cycles, once the step is taken out, from which the error wanders."""
+LIKELY = 3.84
+"""The 95 % quantile of chi-square with one degree of freedom: 2 nats of the profile likelihood about the date."""
+
+
+def beginning(trials: tuple[HeldOutRun, ...], least: float) -> Beginning | None:
+    """The surest change point of the free runs' errors over all cycles, in order; None where none is sure.
+
+    `least` (degC) is what a change must be to matter. The interval is that of the profile likelihood of the date.
+    """
+    found = [_of_phase(trials, running, least) for running in (True, False)]
+    known = [each for each in found if each is not None]
+    return min(known, key=lambda each: (each.p, -abs(each.moves))) if known else None
+
+
+def _of_phase(trials: tuple[HeldOutRun, ...], running: bool, least: float) -> Beginning | None:
+    times, errors = _errors_by_cycle(trials, running)
+    n = errors.size
+    if n < 2 * LEAST_SIDE:
+        return None
+    gain = _split_gain(errors)
+    number = int(np.argmax(gain))
+    before = LEAST_SIDE + number
+    step = np.where(np.arange(n) >= before, errors[before:].mean(), errors[:before].mean())
+    moves = float(errors[before:].mean() - errors[:before].mean())
+    left = errors - step
+    line = np.polynomial.polynomial.polyfit(np.arange(n), errors, 1)
+    of_line = errors - np.polynomial.polynomial.polyval(np.arange(n), line)
+    size = max(float(np.sum(left**2)), 1e-300)
+    if abs(moves) < least or size >= float(np.sum(of_line**2)) or float(left[1:] @ left[:-1]) / size >= WANDERS:
+        return None
+    # Under "nothing begins" the cycles are exchangeable; the seed only chooses which of their orders are looked at.
+    rng = np.random.default_rng(0)
+    orders = rng.permuted(np.tile(errors, (PERMUTATIONS, 1)), axis=1)
+    p = (1.0 + float(np.count_nonzero(_split_gain(orders).max(axis=-1) >= gain[number]))) / (1.0 + PERMUTATIONS)
+    if p > LEAST_P:
+        return None
+    total = float(np.sum((errors - errors.mean()) ** 2))
+    profile = n * np.log(np.maximum(total - gain, 1e-300) / max(total - float(gain[number]), 1e-300))
+    likely = np.flatnonzero(profile <= LIKELY) + LEAST_SIDE
+    # What begins with a cycle may have begun at any time since the cycle before it did.
+    return Beginning(
+        time=float(times[before]),
+        interval=(float(times[likely[0] - 1]), float(times[likely[-1]])),
+        before=before,
+        after=n - before,
+        moves=moves,
+        running=running,
+        p=p,
+    )
+
+
+def _errors_by_cycle(trials: tuple[HeldOutRun, ...], running: bool) -> tuple[Array, Array]:
+    """(start of each cycle s, its mean error degC in one phase), of the cycles that show it."""
+    times, errors = [], []
+    for trial in trials:
+        record = trial.record
+        on = record.windowed(record.running) > 0.5
+        chosen = (on == running) & ~trial.early
+        for cycle in np.unique(record.window_whole):
+            rows = chosen & (record.window_whole == cycle)
+            if np.count_nonzero(rows) >= LEAST_WINDOWS:
+                times.append(float(record.runs.time[record.whole == cycle][0]))
+                errors.append(float(np.mean(trial.residual[rows])))
+    return np.array(times), np.array(errors)
+
+
+def _split_gain(errors: Array) -> Array:
+    """(..., n - 2 LEAST_SIDE + 1) by how much two means leave less of the squares than one, for each place of a cut."""
+    n = errors.shape[-1]
+    count = np.arange(1, n + 1)
+    sums = np.cumsum(errors, axis=-1)
+    whole = sums[..., -1:]
+    gain = sums**2 / count + (whole - sums) ** 2 / np.maximum(n - count, 1) - whole**2 / n
+    return np.asarray(gain[..., LEAST_SIDE - 1 : n - LEAST_SIDE])
