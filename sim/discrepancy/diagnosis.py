@@ -148,8 +148,7 @@ class NoiseFloor:
     """degC rms by which a free run over held-out cycles is off where nothing is missing.
 
     `interval` holds 95 % of the errors that chance makes over so many cycles, `cycles` (c,) are their numbers and
-    `per_cycle` (c,) degC the floor of each. `source` says what it was told from. `given` is False where the given model
-    states no noise of its own.
+    `per_cycle` (c,) degC the floor of each. `source` says what it was told from.
     """
 
     error: float
@@ -157,7 +156,6 @@ class NoiseFloor:
     cycles: Indices
     per_cycle: Array
     source: str
-    given: bool
 
     def at(self, cycles: Indices) -> Array:
         """degC the floor of each of these cycles, by its number."""

@@ -1,10 +1,9 @@
 """Is there a gap at all: how far off the refitted free run is, beside what noise alone makes of it.
 
-The floor is told from times and temperatures, cycle by cycle, and never the fit's to choose: what a refit adds to its
-noise on the measured traces (a disturbance with a memory, a scatter of the cycles) is a finding about them and would
-swallow whole effects; so would the noise of a model that was learned without a cause. Three things bound it from above,
-the least of them counts: what the given model states of its own free runs, what the refit's noise makes of them, and
-by how much cycles that are equal differ. The sensor bounds it from below.
+The floor is told from times and temperatures, and the least of three bounds counts: what the given model states of its
+own free runs, what the best explanation that was found still errs by on the cycles it was fitted to, and by how much
+cycles that are equal differ. A refit takes what is missing for noise, and so does a model that was learned without it;
+an explanation that is none leaves nearly all of it. The sensor bounds the floor from below.
 """
 
 from collections.abc import Iterator, Sequence
@@ -71,38 +70,61 @@ class Excess:
         return f"the heat is {self.rougher:.1f} times as rough as the model has learned"
 
 
-def floor_of(model: Model, laid_out: Sequence[Trace], fitted: Fitted, record: Record, seed: int) -> NoiseFloor:
-    """The floor under the free runs of a fit over a record cut by cycles (`Record.by_cycles`).
+def floor_of(stated: Array, explained: Fitted, record: Record, seed: int) -> NoiseFloor:
+    """The floor under free runs over a record cut by cycles (`Record.by_cycles`).
 
-    `laid_out` are the encoded traces in their order, from which the given `model` says what it errs by itself.
+    `stated` (c,) degC is what the given model states of the fitted cycles (`stated_errors`), `explained` the fit with
+    the best explanation of them: with no effect where none is beyond chance.
     """
-    trial, training = let_run(fitted, record), let_run(fitted, fitted.frame.record.by_cycles())
-    _, _, cycles = mean_squares(trial)
+    training = let_run(explained, explained.frame.record.by_cycles())
+    trial = let_run(explained, record)
+    squares, windows, known = mean_squares(training)
+    _, weights, cycles = mean_squares(trial)
     rng = np.random.default_rng(seed)
-    own, drawn = predicted(trial, cycles, fitted.noise, rng)
-    lowest, _ = predicted(trial, cycles, sensor_alone(model, fitted), rng)
-    stated = spread_of(model, laid_out, record, cycles)
-    # What equal cycles differ by is one figure of all fitted cycles: carried over as its share of what the refit's own
-    # noise makes of the same cycles, which knows how long they are and how much is heated in them.
-    known = mean_squares(training)[2]
-    expected, _ = predicted(training, known, fitted.noise, rng)
-    differ = scatter_of_equal_cycles(training) / max(float(np.sqrt(np.mean(expected**2))), 1e-12)
+    sensor = sensor_alone(explained)
     bounds = {
-        "the refit's own noise": own,
-        "what the model states of its own noise": np.hypot(stated, lowest),
-        "what equal cycles differ by": differ * own,
+        "what the model states of its own free runs": float(np.sqrt(np.mean(stated**2))),
+        "what is left of the fitted cycles": float(np.sqrt(np.average(squares, weights=windows))),
+        "what equal cycles differ by": scatter_of_equal_cycles(training),
     }
-    whole = {name: float(np.sqrt(np.mean(each**2))) for name, each in bounds.items() if np.isfinite(each).all()}
-    source = min(whole, key=lambda name: whole[name])
-    floor = np.maximum(bounds[source], lowest)
-    if whole[source] <= float(np.sqrt(np.mean(lowest**2))):
-        source = "the sensor alone"
-    error = float(np.sqrt(np.average(floor**2, weights=mean_squares(trial)[1])))
+    source = min(bounds, key=lambda name: bounds[name])
+    least = read_alone(training, known, sensor, rng)
+    level = max(bounds[source], float(np.sqrt(np.mean(least**2))))
+    source = source if bounds[source] >= level else "the sensor alone"
+    # How the cycles differ among themselves (how long they are, how much is heated in them) the fit's noise knows.
+    expected, _ = predicted(training, known, explained.noise, rng)
+    own, drawn = predicted(trial, cycles, explained.noise, rng)
+    floor = level * own / max(float(np.sqrt(np.mean(expected**2))), 1e-12)
+    floor = np.maximum(floor, read_alone(trial, cycles, sensor, rng))
+    error = float(np.sqrt(np.average(floor**2, weights=weights)))
     # The noise itself is known from so many cycles: its standard error in logarithms is 1 / sqrt(2 n).
     unsure = np.exp(rng.standard_normal(drawn.size) / np.sqrt(2.0 * known.size))
     low, high = np.quantile(drawn / np.sqrt(np.mean(drawn**2)) * unsure, [0.025, 0.975])
-    interval = float(error * low), float(error * high)
-    return NoiseFloor(error, interval, cycles, floor, source, given=bool(np.isfinite(stated).all()))
+    return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
+
+
+def stated_errors(model: Model, laid_out: Sequence[Trace], fitted: Fitted) -> Array:
+    """(c,) degC rms over the windows of each fitted cycle of the free runs, as the given model states it for itself.
+
+    As it was measured on days of its own, else as its noise says along these cycles (`laid_out` are the encoded traces
+    in their order); infinite where it says nothing.
+    """
+    record, sensor = fitted.frame.record, sensor_alone(fitted).sensor
+    cycles = np.unique(record.whole)
+    stated = model.provenance.scores.get("held_out_rmse", 0.0)
+    if stated > 0:
+        # Stated of single readings: their noise gives way to that of a window's mean.
+        own = np.full(cycles.size, np.sqrt(max(stated**2 - sensor_noise(record) ** 2, 0.0)))
+    else:
+        own = spread_of(model, laid_out, record, cycles)
+    return np.asarray(np.hypot(own, sensor))
+
+
+def read_alone(trial: HeldOutRun, cycles: Indices, sensor: NoiseModel, rng: np.random.Generator) -> Array:
+    """(c,) degC rms of each cycle's free run where only the reading errs: in its windows, and at its start."""
+    grid = trial.whitener.grid
+    sharp = replace(grid, late=0.0 * grid.late, shared=0.0 * grid.shared, inrush=0.0 * grid.inrush)
+    return predicted(replace(trial, whitener=Whitener(sharp, sensor)), cycles, sensor, rng)[0]
 
 
 def predicted(trial: HeldOutRun, cycles: Indices, noise: NoiseModel, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -120,11 +142,11 @@ def predicted(trial: HeldOutRun, cycles: Indices, noise: NoiseModel, rng: np.ran
     return np.sqrt(sums.mean(axis=1) / counts), np.sqrt(sums.sum(axis=0) / counts.sum())
 
 
-def sensor_alone(model: Model, fitted: Fitted) -> NoiseModel:
+def sensor_alone(fitted: Fitted) -> NoiseModel:
     """The noise of a plant that is exact but for what is read of it: the sensor's, and its rounding."""
     record = fitted.frame.record
     in_window = sensor_noise(record) / float(np.sqrt(readings_in_window(record)))
-    in_window = max(in_window, rounding(model, record), LEAST_READING)
+    in_window = max(in_window, rounding(record.model, record), LEAST_READING)
     return NoiseModel(sensor=in_window, process=0.0, rough=0.0, cycle=0.0)
 
 
@@ -169,12 +191,12 @@ def sensor_noise(record: Record) -> float:
     return float(np.sqrt(np.mean(second**2) / 6.0)) if second.size else 0.0
 
 
-def excess(fitted: Fitted, floor: NoiseFloor) -> Excess | None:
-    """The excess of a fit over a floor under its own cycles; None where the model states no noise of its own."""
-    if not floor.given:
+def excess(stated: Array, fitted: Fitted) -> Excess | None:
+    """The excess of a fit over what the given model states (`stated_errors`); None where it states nothing."""
+    if not np.isfinite(stated).all():
         return None
     squares, _, cycles = mean_squares(let_run(fitted, fitted.frame.record.by_cycles()))
-    ratio = np.sqrt(squares) / floor.at(cycles)
+    ratio = np.sqrt(squares) / stated[np.isin(np.unique(fitted.frame.record.whole), cycles)]
     return Excess(float(np.median(ratio)), float(np.quantile(ratio, SHARE)), rougher(fitted))
 
 

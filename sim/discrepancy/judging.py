@@ -49,6 +49,14 @@ class NamingResult:
         """The steps whose best entry was taken."""
         return tuple(step for step, refusal in self.steps if not refusal)
 
+    @property
+    def explained(self) -> Fitted:
+        """The fit with the best explanation that was found, whether or not it deserves a name."""
+        step, refusal = self.steps[-1]
+        best = step.best
+        beyond_chance = best is not None and best.fitted is not None and best.gain >= step.threshold
+        return best.fitted if refusal and best is not None and best.fitted and beyond_chance else self.fitted
+
 
 def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
     """Why the best entry of a step is no more than chance, or a trifle; "" where something is missing.

@@ -29,7 +29,7 @@ from sim.discrepancy.fitting import (
     patiently,
     record_of,
 )
-from sim.discrepancy.gap import excess, floor_of, sensor_noise
+from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors
 from sim.discrepancy.held_out import HeldOutRun, compared, let_run
 from sim.discrepancy.judging import (
     MATERIAL,
@@ -50,7 +50,7 @@ from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.story import course_of, sentence_of
 from sim.effects import ROLES, in_sensor_scale
-from sim.sha import EffectLine, Model, Trace, shown_unit, unit_of
+from sim.sha import Array, EffectLine, Model, Trace, shown_unit, unit_of
 
 HELD_OUT = 0.3
 LEAST_CYCLES = 4
@@ -117,11 +117,10 @@ def diagnose(
     paths = name(base, present, seed, max(allowed, 1), report, entries=entries)
 
     report("held-out cycles", 0.85)
-    # Both fits are held against a floor that neither has chosen: their own noise has swallowed what they could not
-    # explain.
     by_cycles, sensor = training.record.by_cycles(), sensor_noise(training.record)
-    floor = floor_of(model, laid_out, base, held_out, seed)
-    proof = _Proof(held_out, floor, floor_of(model, laid_out, base, by_cycles, seed), ceiling_before, seed)
+    stated = stated_errors(model, laid_out, base)
+    floor = floor_of(stated, paths[0].explained, held_out, seed)
+    proof = _Proof(held_out, floor, stated, excess(stated, base), ceiling_before, seed)
     paths = (_with_the_gap_itself(paths[0], held_out, seed, floor), *paths[1:])
     if not allowed:
         paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], TOO_FEW),)) for path in paths[:1])
@@ -135,9 +134,9 @@ def diagnose(
     verdict: Verdict = "agree"
     if kept:
         verdict = "named" if all(len(step.members) == 1 for step in path.taken) else "class"
-    elif gap or began is not None:
+    elif gap or began is not None or (material and (reasons or evidence_of(path, ceiling_before, proof.before))):
         verdict = "unexplained"
-        reasons = reasons or evidence_of(path, ceiling_before, excess(base, proof.fitted))
+        reasons = reasons or evidence_of(path, ceiling_before, proof.before)
         # The free run says it by itself: further off than chance makes of the noise.
         if gap:
             error, limit = f"{held.rmse_before:.3g}", f"{floor.interval[1]:.3g} {shown_unit(model.unit)}"
@@ -165,8 +164,7 @@ def diagnose(
         laws = candidate_laws(base, everything, int(first_held_out), floor.error)
     fitted_cycles = int(np.unique(base.frame.record.cycle).size)
     noise = path.fitted.noise
-    fits = {"excess_before": base, "excess_after": path.fitted}
-    beyond = {key: excess(fitted, proof.fitted) for key, fitted in fits.items()}
+    excesses = {"excess_before": proof.before, "excess_after": judged.excess}
     diagnosis = Diagnosis(
         verdict=verdict,
         sentence=sentence_of(
@@ -206,7 +204,7 @@ def diagnose(
             "cycle_scatter": noise.cycle,
             "rough_memory_s": noise.memory,
             "lasting_sigma": noise.lasting,
-            **{key: each.median for key, each in beyond.items() if each is not None},
+            **{key: each.median for key, each in excesses.items() if each is not None},
         },
         model_before=model.sha.name,
         model_after=None,
@@ -243,11 +241,12 @@ def measured_signals(model: Model, traces: Sequence[Trace]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class _Proof:
-    """What names are judged by: held-out cycles, their floor, that of the fitted ones, and the ceiling before."""
+    """What names are judged by: held-out cycles with their floor, what the model states, excess and ceiling before."""
 
     held_out: Record
     floor: NoiseFloor
-    fitted: NoiseFloor
+    stated: Array
+    before: Excess | None
     ceiling: Ceiling | None
     seed: int
 
@@ -261,6 +260,7 @@ class _JudgedPath:
     held: HeldOutProof
     second: HeldOutRun
     ceiling: Ceiling | None
+    excess: Excess | None
 
 
 def _longest_that_passes(proof: _Proof, paths: Sequence[NamingResult]) -> _JudgedPath:
@@ -277,6 +277,7 @@ def _longest_that_passes(proof: _Proof, paths: Sequence[NamingResult]) -> _Judge
 def _judge_path(proof: _Proof, path: NamingResult, shorter: NamingResult | None) -> _JudgedPath:
     held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor)
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
+    excess_after = excess(proof.stated, path.fitted) if path.taken else proof.before
     reasons = (
         *doubts(
             path,
@@ -287,9 +288,9 @@ def _judge_path(proof: _Proof, path: NamingResult, shorter: NamingResult | None)
             left=left,
             shorter=None if shorter is None else let_run(shorter.fitted, proof.held_out),
         ),
-        *left_over(path, excess(path.base, proof.fitted), excess(path.fitted, proof.fitted)),
+        *left_over(path, proof.before, excess_after),
     )
-    return _JudgedPath(path, reasons, held, second, left)
+    return _JudgedPath(path, reasons, held, second, left, excess_after)
 
 
 def _with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor: NoiseFloor) -> NamingResult:

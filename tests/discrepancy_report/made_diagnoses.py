@@ -136,7 +136,7 @@ def agree() -> Diagnosis:
         absorbed=None,
         untested={"ambient-coupling": "no trace has a signal for the role 'ambient' (TAmbiente)"},
         held_out=held_out(after=False),
-        floor=NoiseFloor(0.2, (0.16, 0.25), np.arange(4), np.full(4, 0.2), "the refit's own noise", given=True),
+        floor=NoiseFloor(0.2, (0.16, 0.25), np.arange(4), np.full(4, 0.2), "what equal cycles differ by"),
         began=None,
         course=course(after=False),
         settings={"seed": 0.0, "threshold (nats)": 7.3, "sensor noise (degC)": 0.05},
