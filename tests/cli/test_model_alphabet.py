@@ -1,4 +1,4 @@
-"""A trace that meets a model is encoded by the model's alphabet: the map's own thresholds, found or given, say nothing."""
+"""A trace that meets a model is encoded by the model's alphabet, whatever thresholds its column map has or finds."""
 
 import json
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ MODEL, TRACE, OUT = "MODEL", "TRACE", "OUT"
 RESAMPLED = ["--semantics", "resampled", "--training", TRACE]
 
 MEETING: dict[str, list[str]] = {
-    "model check": [MODEL, "Pr[<=600](<> Temp >= 40)", "--events", TRACE, "--runs", "100"],
+    "model check": [MODEL, "Pr[<=3600](<> Temp >= 50)", "--events", TRACE, "--from", "trace:1200", "--runs", "100"],
     "model correct": [MODEL, "--traces", TRACE, "--out", OUT],
     "model export": [MODEL, "--uppaal", "--trace", TRACE, "--out", OUT],
     "model prove": [MODEL, "--traces", TRACE],
