@@ -235,7 +235,7 @@ def test_a_trace_gets_the_events_of_the_alphabet_that_it_meets() -> None:
     times = np.arange(4.0)
     signals = {"MarciaDecanter": np.array([0.0, 1.0, 1.0, 1.0]), "Assorbimento": np.array([0.0, 120.0, 120.0, 220.0])}
     bare = Trace("t", times, signals)
-    coarse = replace(DECANTER, channels=(DECANTER.channels[0], Bins("Assorbimento", (150.0,), ("A_0", "A_1"))))
+    coarse = Alphabet((DECANTER.channels[0], Bins("Assorbimento", (150.0,), ("A_0", "A_1"))))
     before = replace(bare, events=encode(bare, coarse))
     assert before.events != encode(bare, DECANTER)
     assert encoded(before, DECANTER).events == encoded(bare, DECANTER).events == encode(bare, DECANTER)
