@@ -12,12 +12,8 @@ from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from threadpoolctl import threadpool_limits
 from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
-
-# Before numpy is imported anywhere: matrices as small as a model's take longer with two threads than with one, and the
-# processes that tests start inherit it. `gateway.entry.threads` does the same for the product's commands.
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
 
 # Collecting makes what stays and hardly any garbage; `pytest_collection_finish` turns the collector on again.
 gc.disable()
@@ -112,6 +108,9 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
     gc.enable()
+    # Matrices as small as a model's take longer with two threads than with one. Only in this process, and by no
+    # variable: a command that a test starts has to see to that itself.
+    threadpool_limits(1)
     config = session.config
     if config.getoption("--spare") and hasattr(config, "workerinput") and is_spare(config.workerinput):
         os.nice(LOW_PRIORITY)  # not before: the others wait for its collection

@@ -10,7 +10,7 @@ from gateway.cli.model import model
 from gateway.cli.plc import plc
 from gateway.cli.trace import trace
 from gateway.cli.user import user
-from gateway.entry import LazyGroup, Table, one_thread
+from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
     "init": ("gateway.cli.init:init", "Make a folder that runs, from an address and an I/O list."),
@@ -81,7 +81,6 @@ def main(traceback: bool) -> None:
     Exit codes: 0 done, 1 a check failed, 2 wrong input, 3 cannot connect, 4 the device refused, 5 timeout, 6 not
     armed, 130 stopped by Ctrl-C.
     """
-    one_thread()
 
 
 for group in (plc, machine, alarm, historian, user, config, trace, model):

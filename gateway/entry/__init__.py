@@ -3,7 +3,6 @@
 from gateway.entry.exits import CallAnswer, Exit, exit_code, fail, print_json, run_answered, sentence, sentences
 from gateway.entry.interrupt import interruptible
 from gateway.entry.lazy import LazyGroup, Table
-from gateway.entry.threads import one_thread
 
 __all__ = [
     "CallAnswer",
@@ -13,7 +12,6 @@ __all__ = [
     "exit_code",
     "fail",
     "interruptible",
-    "one_thread",
     "print_json",
     "run_answered",
     "sentence",

@@ -11,6 +11,7 @@ import click
 from drivers.errors import did_you_mean
 from gateway.entry.exits import Exit, fail, run_answered
 from gateway.entry.interrupt import control_c
+from gateway.entry.threads import one_thread
 
 Table = Mapping[str, tuple[str, str]]
 """Command name -> ("module:attribute", its line in the help text)."""
@@ -47,6 +48,8 @@ class LazyGroup(click.Group):
         **extra: Any,
     ) -> Any:
         """Run the program: every error is one sentence, with --json also one object, and an exit code."""
+        # Here and not in the group's own function: click imports the command that is asked for before it calls that.
+        one_thread()
         if not standalone_mode:
             return super().main(args, prog_name, complete_var, False, **extra)
         run = partial(super().main, prog_name=prog_name, complete_var=complete_var, **extra)

@@ -2,12 +2,17 @@
 
 import os
 
-VARIABLE = "OPENBLAS_NUM_THREADS"
+ALL_LIBRARIES = "OMP_NUM_THREADS"
+"""The number of threads that the libraries of linear algebra take where they are told none of their own."""
+VARIABLES = (ALL_LIBRARIES, "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def one_thread() -> None:
-    """Keeps numpy's linear algebra to one thread, unless the environment says otherwise; before numpy is imported.
+    """Keeps linear algebra to one thread, here and in the processes started from here; before numpy is imported.
 
-    On two cores that do other work as well, two threads wait for one another: learning took seven times the CPU time.
+    What the environment says already is kept. On two cores two threads wait for one another: seven times the processor
+    time of learning.
     """
-    os.environ.setdefault(VARIABLE, "1")
+    wanted = os.environ.get(ALL_LIBRARIES, "1")
+    for variable in VARIABLES:
+        os.environ.setdefault(variable, wanted)

@@ -1,7 +1,6 @@
 """`decanter model check`: a query put to a model, answered by runs or decided over its locations."""
 
 import csv
-from dataclasses import replace
 from math import inf, isfinite, nan, nextafter
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from sim.checking.language import parse_query
 from sim.checking.query import Simulation, Symbolic
 from sim.checking.smc import Answer, QuerySettings, Rule, Start, answer, believed, decided, initial
 from sim.pictures import ENDINGS
-from sim.sha import DEGREES, Model, Trace, encode, shown_unit
+from sim.sha import DEGREES, Model, Trace, encoded, shown_unit
 
 HISTORY = 24 * 3600.0
 """Seconds of a historian that are filtered to know what is believed at its end; a stay is seldom longer."""
@@ -181,6 +180,7 @@ def check(
 
 def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None, machine: str | None) -> Start:
     """Where the runs start, by --from and --future. Raises ValueError for options that do not go together."""
+    trace = trace and encoded(trace, model.alphabet)
     kind, _, value = origin.partition(":")
     if kind == "initial" and not value:
         if future == "semi-markov" and trace is not None:
@@ -210,8 +210,7 @@ def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None
         if last is None:
             raise ValueError(f"{path}: this historian has no scans yet; let the gateway run first")
         past = to_trace(path, path.name, start=last - HISTORY, end=nextafter(last, inf), machine=machine)
-        # Encoded by the model's own alphabet, as the gateway does.
-        return believed(model, replace(past, events=encode(past, model.alphabet)))
+        return believed(model, encoded(past, model.alphabet))
     raise ValueError(f"--from {origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")
 
 

@@ -21,7 +21,7 @@ from sim.learning import (
     learn_max_rate,
     with_max_rate,
 )
-from sim.sha import encode, joint_hash, shown_unit, unit_of
+from sim.sha import encoded, joint_hash, shown_unit, unit_of
 
 
 @click.command(short_help="Learn T' = k T + b from traces and write the corrected model.")
@@ -53,8 +53,7 @@ def correct(
         parent = model_hash(model)
         # Artefacts of the public learner know no unit: then that of the traces is the model's.
         model = replace(model, unit=unit_of(traces, model.temperature, model.unit))
-        if model.alphabet.channels:  # the model's own alphabet, where it has one, and not the map's
-            traces = [replace(trace, events=encode(trace, model.alphabet)) for trace in traces]
+        traces = [encoded(trace, model.alphabet) for trace in traces]
         wanted = [candidate for candidate in FORMS if form in ("best", candidate)]
         learned = learn_correction(model, traces, forms=wanted, progress=report)
         rate = bites = None

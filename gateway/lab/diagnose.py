@@ -30,7 +30,7 @@ from sim.artefacts.formats import find_model
 from sim.checking.proof import verify
 from sim.discrepancy import Diagnosis, DiagnosisOutcome, augmented, law_sentence, look_at, overlap_sentence, span
 from sim.discrepancy import diagnose as diagnose_model
-from sim.discrepancy.fitting import overlapping
+from sim.discrepancy.fitting import overlapping, patiently
 from sim.discrepancy.output import MODEL, Occasion, check_folder, document, write_diagnosis
 from sim.effects import ROLES
 from sim.sha import EffectLine, Model, Trace, joint_hash, shown_unit
@@ -103,6 +103,8 @@ def run(
 ) -> DiagnosisResult:
     """Diagnose and write everything. Raises ValueError or OSError; then nothing in the folder has changed."""
     check_traces(model, traces, request.source)
+    # For the new model too, whose stays learn from them what the effects' signals are like.
+    traces = [patiently(trace, model.alphabet) for trace in traces]
     outcome = diagnose_model(
         model, traces, seed=request.seed, roles=roles, lines=request.lines, most=request.most, progress=progress
     )

@@ -14,7 +14,7 @@ from gateway.entry import Exit, fail, sentences
 from gateway.lab.traces.load import load
 from sim.artefacts.formats import FoundModel, file_names, find_model, to_artefacts, write_artefacts
 from sim.engine import Policy, Start
-from sim.sha import Model, Trace
+from sim.sha import Model, Trace, encoded
 from sim.traces import ColumnMap
 from sim.uppaal import EngineError, base_name, compare, find_engine, native_runs, run_engine, write
 from sim.uppaal import export as export_trace
@@ -62,6 +62,7 @@ def export_uppaal(
     """
     found_model: FoundModel = find_model(where, alphabet=column_map.alphabet, temperature=column_map.temperature)
     model = found_model.runnable()
+    traces = [encoded(trace, model.alphabet) for trace in traces]
     # Looked at before anything is written. Two file names that differ by case alone are one on some systems.
     files: dict[str, str] = {}
     for trace in traces:

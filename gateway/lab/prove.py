@@ -16,6 +16,7 @@ from gateway.lab.traces.load import load
 from sim.artefacts.formats import FoundModel, find_model
 from sim.checking.proof import DAY, Assumptions, Sojourn, TimedWord, Verification, verify, word_text
 from sim.engine import Policy
+from sim.sha import encoded
 from sim.traces import load_map
 
 GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
@@ -117,6 +118,9 @@ def prove(
             found = find_model(model)
         else:
             found = find_model(model, alphabet=column_map.alphabet, temperature=column_map.temperature)
+        if found.model is not None:
+            alphabet = found.model.alphabet
+            traces = [encoded(trace, alphabet) for trace in traces]
         assumptions = Assumptions(
             z=z,
             sojourn=sojourn,

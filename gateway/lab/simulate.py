@@ -16,7 +16,7 @@ from sim.artefacts.formats import find_model
 from sim.engine import Policy, Start, errors, measured, open_loop, open_loop_schedule, start_law
 from sim.engine import simulate as sample_runs
 from sim.forecast import beyond, standardised
-from sim.sha import Model, Trace, shown_unit, unit_of
+from sim.sha import Model, Trace, encoded, shown_unit, unit_of
 from sim.validation import Curve, Picture, draw
 
 BAND = (0.05, 0.95)
@@ -160,6 +160,7 @@ def simulate(
         traces, column_map = load(paths, map_name)
         found_model = find_model(directory, alphabet=column_map.alphabet, temperature=column_map.temperature)
         chosen = found_model.runnable()
+        traces = [encoded(trace, chosen.alphabet) for trace in traces]
         rows = simulate_traces(
             chosen, traces, runs=runs, policy=policy, start=start, seed=seed, picture=picture, report=report
         )

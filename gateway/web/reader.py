@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ IDLE_S = 300.0
 """A process that nobody has asked for so long ends, and its memory is free; the next question begins another."""
 MOST_WAITING = 32
 LONGEST_ANSWER = 1 << 26
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class ReaderError(OSError):
@@ -80,7 +78,6 @@ class ReaderProcess:
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.DEVNULL,
                 limit=LONGEST_ANSWER,
-                env={**os.environ, **ONE_THREAD},
                 start_new_session=True,  # Control-C is for the gateway, whose end this one hears of
             )
         return self._process

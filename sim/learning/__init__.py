@@ -56,9 +56,9 @@ if TYPE_CHECKING:
         LEAST_READINGS,
         LEAST_SHARE,
         check_data,
-        encoded,
         initial_law,
         splits,
+        with_events,
         with_range,
     )
     from sim.learning.runs import FreeRuns, Indices, first_switch, free_runs, pieces, sampled, thinned
@@ -127,7 +127,6 @@ __all__ = [
     "cross_validate",
     "distance",
     "drift_noise",
-    "encoded",
     "first_switch",
     "fit_at_rates",
     "fit_free_run",
@@ -168,6 +167,7 @@ __all__ = [
     "target_groups",
     "thinned",
     "training_errors",
+    "with_events",
     "with_inputs",
     "with_max_rate",
     "with_parameters",

@@ -14,8 +14,11 @@ LEAST_SHARE = 0.1
 """A location in which a channel is not known is fitted like the known ones when it holds this share of the readings."""
 
 
-def encoded(trace: Trace, alphabet: Alphabet) -> Trace:
-    """The trace with its events: those it has, else those of `alphabet`."""
+def with_events(trace: Trace, alphabet: Alphabet) -> Trace:
+    """The trace that a model is to be learned from, with its events: those it has, else those of `alphabet`.
+
+    One that meets a model which there is already gets them from `sim.sha.encoded`.
+    """
     return trace if trace.events else replace(trace, events=encode(trace, alphabet))
 
 

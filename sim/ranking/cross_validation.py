@@ -8,7 +8,7 @@ import numpy as np
 from sim.engine import measured, open_loop
 from sim.learning import in_order
 from sim.scores import crps_gaussian, log_score_gaussian
-from sim.sha import Array, Model, Trace, encode
+from sim.sha import Array, Model, Trace, encoded
 
 LEAST_READINGS = 3
 LEAST_SIGMA = 1e-6
@@ -36,8 +36,7 @@ def predicted(model: Model, trace: Trace) -> tuple[Array, Array, Array]:
     own alphabet; an event without an edge leads where its symbol does most often (`resync`). Raises ValueError where
     the model cannot be run along the trace.
     """
-    events = encode(trace, model.alphabet) if model.alphabet.channels else trace.events
-    run = open_loop(model, replace(trace, events=events), "resync")
+    run = open_loop(model, encoded(trace, model.alphabet), "resync")
     times, values = measured(trace, model.temperature)
     # The last output at each reading's time; without the first reading, from which the run starts.
     rows = np.searchsorted(run.times, times, side="right")[1:] - 1

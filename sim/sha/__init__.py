@@ -14,6 +14,7 @@ from sim.sha.events import (
     alphabet_symbols,
     check_alphabet,
     encode,
+    encoded,
 )
 from sim.sha.flows import FIXED, FLOWS, RELAXING, Coefficients, check_flow, coefficients, mean_step, offset
 from sim.sha.model import Correction, MachineCorrection, Model, PlainMember, Provenance, Stay, plain_model
@@ -80,6 +81,7 @@ __all__ = [
     "drawn_parameter",
     "drawn_temperature",
     "encode",
+    "encoded",
     "input_moments",
     "joint_hash",
     "known_paths",

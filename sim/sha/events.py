@@ -3,7 +3,7 @@
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf, isfinite
 from typing import Literal
@@ -376,6 +376,23 @@ def encode(trace: Trace, alphabet: Alphabet, mode: Mode = "filtered") -> tuple[E
         events += encoder.feed(stamps[position], fresh)
         previous = row
     return tuple(events)
+
+
+def encoded(trace: Trace, alphabet: Alphabet) -> Trace:
+    """The trace with the events that a model of this `alphabet` sees in it, whatever encoded it before.
+
+    Whoever brings a trace to a model takes its events from here. Those that it has are kept only where they cannot be
+    made of its signals: it lacks that of a channel of which it has events, and none of them is foreign to the alphabet.
+    An alphabet without channels, as of artefacts that name none, leaves the trace as it is.
+    """
+    lacking = replace(
+        alphabet, channels=tuple(channel for channel in alphabet.channels if channel.signal not in trace.signals)
+    )
+    given = {event.symbol for event in trace.events}
+    stated = given <= {*alphabet_symbols(alphabet), UNKNOWN}
+    if not alphabet.channels or (stated and not given.isdisjoint(alphabet_symbols(lacking))):
+        return trace
+    return replace(trace, events=encode(trace, alphabet))
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ from sim.sha import (
     compile_chain,
     distributions,
     draw_paths,
-    encode,
+    encoded,
     flows,
     input_moments,
     mode_parameter,
@@ -134,7 +134,7 @@ def _counterpart(model: Model, locations: tuple[Location, ...], semantics: str, 
 
 
 def entries_of_traces(model: Model, traces: Sequence[Trace]) -> EntryLaws:
-    """The readings held at each entry along `traces`, encoded by the model's alphabet where they are not.
+    """The readings held at each entry along `traces`, encoded by the model's alphabet.
 
     An event without an edge leads where its symbol does most often (`resync`). Where a trace begins nothing is entered:
     X is given there. A trace without a reading of the model's temperature gives nothing.
@@ -147,7 +147,7 @@ def entries_of_traces(model: Model, traces: Sequence[Trace]) -> EntryLaws:
         if not np.isfinite(trace.signals.get(model.temperature, np.empty(0))).any():
             continue
         times, values = measured(trace, model.temperature)
-        events = trace.events or (encode(trace, model.alphabet) if model.alphabet.channels else ())
+        events = encoded(trace, model.alphabet).events
         steps = schedule(structure, events, times, policy="resync")
         begins = steps.start + np.concatenate([[0.0], np.cumsum(steps.dt[:-1])])
         # Not the first: there the trace begins, and no location was entered.

@@ -24,7 +24,7 @@ from sim.engine import (
     simulate,
     start_law,
 )
-from sim.sha import Array, Event, Model, Trace, distributions, encode, unit_of
+from sim.sha import Array, Event, Model, Trace, distributions, encode, encoded, unit_of
 from sim.validation.compatibility import Compatibility, compatibility, dense_events, symbols_of
 from sim.validation.metrics import error_quantiles, judge_band, mae_interval, rmse_interval
 from sim.validation.results import TraceResult
@@ -161,7 +161,7 @@ def _stages(job: TraceJob, partial: _PartialOutcome) -> None:
         end = float(np.nextafter(job.trace.times[min(DENSE_ROWS, job.trace.times.size) - 1], np.inf))
         full = replace(job.trace, events=()).between(float(job.trace.times[0]), end)
         full = replace(full, events=encode(full, model.alphabet, "full"))
-        trace = replace(job.trace, events=encode(job.trace, model.alphabet))
+        trace = encoded(job.trace, model.alphabet)
         partial.outcome = replace(partial.outcome, full=len(full.events))
         partial.note(events=len(trace.events), readings=times.size, duration=float(times[-1] - times[0]))
     with partial.at(6):

@@ -22,7 +22,7 @@ from gateway.lab.retraining.cutting import CycleSource, and_after, cut_new, cycl
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
 from gateway.lab.retraining.judging import NEW, PRESENT, compared, scores_along, verdict_on
 from gateway.lab.retraining.report import coverage_figure
-from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, encoded, joined, new_cycles, source_of, sparse
+from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, joined, new_cycles, source_of, sparse
 from gateway.lab.retraining.training_record import read_record
 from gateway.machine.reading import Scan
 from gateway.machine.records import Keeper
@@ -31,7 +31,7 @@ from sim.artefacts import current, load, promote, read_familiarity, version_dire
 from sim.artefacts.formats import save
 from sim.learning.semi_markov import sojourns
 from sim.ranking import METHODS, Taught
-from sim.sha import Distribution, Location, Model, Trace, content_hash, encode
+from sim.sha import Distribution, Location, Model, Trace, content_hash, encode, encoded
 from tests.cli.support import decanter, only_object, refused
 from tests.gateway.support import TEMPERATURE, one_machine, two_modes
 
@@ -216,7 +216,7 @@ def test_a_rest_is_seen_to_end_though_the_next_cycle_is_not_learned_from(
     rests = [
         stay
         for trace in joined(alone, 30.0)
-        for stay in sojourns(source.model, encoded(trace, source.model))
+        for stay in sojourns(source.model, encoded(trace, source.model.alphabet))
         if stay.location == "off"
     ]
     assert len(rests) == len(alone)
@@ -483,7 +483,7 @@ def test_traces_that_follow_one_another_are_learned_from_as_one() -> None:
 
 
 def test_a_diagnosis_gets_fewer_rows_and_all_events() -> None:
-    whole = encoded(plant(1), heated(HOT))
+    whole = encoded(plant(1), heated(HOT).alphabet)
     thin = sparse(whole, 60.0)
     assert np.diff(thin.times).tolist() == [60.0] * 19 and thin.events == whole.events
     assert thin.signals[TEMPERATURE].tolist() == whole.signals[TEMPERATURE][::6].tolist()
@@ -710,7 +710,7 @@ def test_what_is_foretold_at_the_end_of_a_cycle_is_judged_by_what_came_in_the_ne
     assert followed.times[-1] == end + 900.0 and content_hash(followed.between(BEGIN, end + STEP)) == rows[3].content
 
     def forecasts(trace: Trace) -> dict[float, int]:
-        found = scores_along(encoded(trace, model), model, None, seed=0, report=silent, until=end)
+        found = scores_along(encoded(trace, model.alphabet), model, None, seed=0, report=silent, until=end)
         return {row["horizon"]: row["forecasts"] for row in found if row["method"] == PRESENT}
 
     alone, with_next = forecasts(cycle), forecasts(followed)
@@ -723,7 +723,7 @@ def test_what_is_foretold_at_the_end_of_a_cycle_is_judged_by_what_came_in_the_ne
 
 
 def test_a_cycle_scores_the_same_horizons_for_both_models(historian: Path, store: Path) -> None:
-    cycle = encoded(plant(1), load(store))
+    cycle = encoded(plant(1), load(store).alphabet)
     rows = scores_along(replace(cycle, name="one"), load(store), heated(HOT), seed=0, report=silent)
     crps = {row["method"]: row["crps"] for row in rows if row["horizon"] == 60.0}
     assert crps[NEW] < crps[PRESENT]

@@ -16,6 +16,7 @@ from sim.sha.events import (
     alphabet_symbols,
     check_alphabet,
     encode,
+    encoded,
 )
 from sim.sha.trace import UNKNOWN, Event, Trace
 
@@ -228,3 +229,26 @@ def test_batch_sees(
     }
     events = encode(Trace(what, times, signals), alphabet)
     assert {event.time: event.symbol for event in events if event.time in told} == told
+
+
+def test_a_trace_gets_the_events_of_the_alphabet_that_it_meets() -> None:
+    times = np.arange(4.0)
+    signals = {"MarciaDecanter": np.array([0.0, 1.0, 1.0, 1.0]), "Assorbimento": np.array([0.0, 120.0, 120.0, 220.0])}
+    bare = Trace("t", times, signals)
+    coarse = Alphabet((DECANTER.channels[0], Bins("Assorbimento", (150.0,), ("A_0", "A_1"))))
+    before = replace(bare, events=encode(bare, coarse))
+    assert before.events != encode(bare, DECANTER)
+    assert encoded(before, DECANTER).events == encoded(bare, DECANTER).events == encode(bare, DECANTER)
+    # Of a plant whose artefacts name no channel nothing can be made.
+    assert encoded(before, Alphabet(())) is before
+
+
+def test_events_whose_signal_a_trace_lacks_are_kept_where_they_are_of_the_alphabet() -> None:
+    events = (Event(0.0, "W_ON"), Event(1.0, "A_2"), Event(2.0, UNKNOWN))
+    trace = Trace("t", np.arange(4.0), {"MarciaDecanter": np.ones(4)}, events=events)
+    assert encoded(trace, DECANTER) is trace
+    foreign = replace(trace, events=(*events, Event(3.0, "A_7")))
+    assert encoded(foreign, DECANTER).events == encode(foreign, DECANTER)
+    # None that only the lacking signal could have made: these are another alphabet's.
+    silent = replace(trace, events=(Event(0.0, "W_OFF"),))
+    assert encoded(silent, DECANTER).events == encode(silent, DECANTER)

@@ -15,7 +15,7 @@ from sim.effects import of_machine
 from sim.engine import errors, open_loop
 from sim.learning import GroupTargets, LearningError, believed, grouped_targets, own_targets
 from sim.learning.bins import learn_bins
-from sim.sha import Alphabet, Model, Trace, encode
+from sim.sha import Alphabet, Model, Trace, encoded
 from sim.traces import ColumnMap
 
 LAST = 4
@@ -83,7 +83,7 @@ def not_done(task: FleetTask, reason: str) -> MachineResult:
 
 def _judged(task: FleetTask, read: Sequence[Trace]) -> MachineResult:
     name, model = task.source.machine, task.model
-    traces = [replace(trace, machine=name, events=encode(trace, model.alphabet)) for trace in read]
+    traces = [replace(encoded(trace, model.alphabet), machine=name) for trace in read]
     check_traces(model, traces, f"machine {name}")
     first, last = parted(traces, model.alphabet)
     fit = own_targets(model, first)
@@ -124,7 +124,7 @@ def parted(traces: Sequence[Trace], alphabet: Alphabet) -> tuple[list[Trace], li
     for trace in traces:
         cut = float(trace.times[trace.times.size * (LAST - 1) // LAST])
         pieces = (trace.between(-np.inf, cut), trace.between(cut, np.inf))
-        halves.append([replace(piece, events=encode(piece, alphabet)) for piece in pieces])
+        halves.append([encoded(piece, alphabet) for piece in pieces])
     return [first for first, _ in halves], [last for _, last in halves]
 
 

@@ -24,11 +24,10 @@ from gateway.lab.retraining.judging import (
     compared,
     scores_along,
 )
-from gateway.lab.retraining.study import encoded
 from gateway.lab.retraining.training_record import created_of, read_record
 from gateway.store import machines, newest_scan, reading
 from sim.artefacts import current, load, promote, ran, read_familiarity, version_directory, versions
-from sim.sha import Trace, shown_unit
+from sim.sha import Trace, encoded, shown_unit
 
 LIVE = "live cycles"
 LEAST, MOST = 8, 24
@@ -124,7 +123,7 @@ def side_by_side(
     days = len({day_of(float(trace.times[0])) for trace in traces})
     enough = days == TRIAL_DAYS and len(traces) == len(live) if promotes else len(traces) >= LEAST
     for trace in traces if enough or not promotes else ():
-        followed = encoded(and_after(source, trace, LONGEST_HORIZON), present)
+        followed = encoded(and_after(source, trace, LONGEST_HORIZON), present.alphabet)
         until = float(trace.times[-1])
         rows = scores_along(followed, old, new, seed=seed, report=report, most=most, until=until)
         scores += [row | {"day": day_of(float(trace.times[0]))} for row in rows]

@@ -51,7 +51,7 @@ from sim.discrepancy import diagnose
 from sim.familiarity import ClassFigures, measured_classes
 from sim.files import replace_durably
 from sim.ranking import METHODS, Settings, StudyPlan, Task, Taught, tune
-from sim.sha import Alphabet, Model, Trace, content_hash, encode, joint_hash
+from sim.sha import Alphabet, Model, Trace, content_hash, encoded, joint_hash
 
 Progress = Callable[[str, float], None]
 
@@ -170,7 +170,7 @@ def retrain(
     Nothing is promoted. Raises ValueError in one sentence where the cycles are too few, or teach no model.
     """
     present = source.model
-    standard = [encoded(trace, present) for trace in request.standard]
+    standard = [encoded(trace, present.alphabet) for trace in request.standard]
     method = request.method or (present.provenance.method if present.provenance.method in METHODS else "bins")
     settings = {
         "store": str(request.store.resolve()),
@@ -229,7 +229,9 @@ def retrain(
             share = 0.4 + 0.4 * number / len(judged)
             cycle = at_hand if at_hand is not None else library.readings(content)
             until = float(cycle.times[-1])
-            trace = cycle if at_hand is not None else encoded(and_after(source, cycle, LONGEST_HORIZON), present)
+            trace = cycle
+            if at_hand is None:
+                trace = encoded(and_after(source, cycle, LONGEST_HORIZON), present.alphabet)
 
             def tell(what: str, _share: float, share: float = share) -> None:
                 report(what, share)
@@ -307,11 +309,6 @@ def retrain(
     library.close_study(study)
     shutil.rmtree(folder, ignore_errors=True)
     return found
-
-
-def encoded(trace: Trace, model: Model) -> Trace:
-    """The trace with the events that the model's alphabet sees in it."""
-    return replace(trace, events=encode(replace(trace, events=()), model.alphabet))
 
 
 def choose_cycles(request: RetrainingRequest, library: CycleLibrary, source: CycleSource) -> dict[str, Any]:
@@ -495,7 +492,7 @@ def sparse(trace: Trace, step: float) -> Trace:
 def _what_is_left(new: Model, library: CycleLibrary, chosen: dict[str, Any], seed: int, report: Progress) -> str:
     """What a diagnosis says of the new model on the cycles held out: where it still disagrees, if it does."""
     # Heat is slow: at a row every ten seconds a diagnosis sees the same, in a tenth of the memory of 1 Hz.
-    traces = [sparse(encoded(library.readings(content), new), SPARSE) for _, content in chosen["held_out"]]
+    traces = [sparse(encoded(library.readings(content), new.alphabet), SPARSE) for _, content in chosen["held_out"]]
     found = diagnose(new, traces, seed=seed, most=1, progress=lambda what, _: report(f"diagnosing: {what}", 0.85))
     return f"{found.diagnosis.verdict}: {found.diagnosis.sentence}"
 
@@ -512,7 +509,7 @@ def _familiarity(
     known = [
         points
         for trace in sorted(_former(request, chosen), key=lambda each: float(each.times[0]))
-        for _, points in cycles_with_points(new, encoded(trace, new))
+        for _, points in cycles_with_points(new, encoded(trace, new.alphabet))
     ]
     known += [rows[name].points for name, _ in chosen["training"]]
     reference = reference_of(known)
@@ -520,7 +517,7 @@ def _familiarity(
         return None, []
     pairs: list[ErrorPair] = []
     for name, content in chosen["held_out"]:
-        pair = error_pair(reference, new, encoded(library.readings(content), new), rows[name].points)
+        pair = error_pair(reference, new, encoded(library.readings(content), new.alphabet), rows[name].points)
         if pair is not None:
             pairs.append(pair)
     found = familiarity(reference, pairs, held_out=True)

@@ -12,8 +12,8 @@ import numpy as np
 import scipy
 
 from sim.discrepancy.fitting.noise import Grid
-from sim.learning import FreeRuns, Indices, LearningError, encoded, first_switch, free_runs, thinned
-from sim.sha import UNKNOWN, Alphabet, Array, Mask, Model, Switch, Trace, encode
+from sim.learning import FreeRuns, Indices, LearningError, first_switch, free_runs, thinned
+from sim.sha import UNKNOWN, Alphabet, Array, Mask, Model, Switch, Trace, encoded
 
 KNOTS, WINDOWS = 250_000, 4_000
 """Fine knots and windows at most: what lies closer together is merged."""
@@ -194,15 +194,10 @@ def in_order(traces: Sequence[Trace]) -> list[Trace]:
 
 
 def patiently(trace: Trace, alphabet: Alphabet) -> Trace:
-    """The trace encoded with a gap that suits its recorder: rows that usually come late leave no gap between them.
-
-    Events that a trace has already are kept where its rows come in time, and where it lacks a channel's signal.
-    """
+    """The trace encoded with a gap that suits its recorder: rows that usually come late leave no gap between them."""
     # The 99th percentile, not the largest: single pauses of a recorder are the gaps that the encoder must see.
     usual = SLOW * float(np.quantile(np.diff(trace.times), 0.99)) if trace.times.size > 2 else 0.0
-    if usual <= alphabet.gap or any(channel.signal not in trace.signals for channel in alphabet.channels):
-        return encoded(trace, alphabet)
-    return replace(trace, events=encode(trace, replace(alphabet, gap=usual)))
+    return encoded(trace, replace(alphabet, gap=max(usual, alphabet.gap)))
 
 
 def record_of(

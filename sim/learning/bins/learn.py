@@ -26,7 +26,6 @@ from sim.learning import (
     check_data,
     choose,
     cross_validate,
-    encoded,
     first_switch,
     fit_free_run,
     fit_noise,
@@ -43,6 +42,7 @@ from sim.learning import (
     sampled,
     splits,
     training_errors,
+    with_events,
     with_range,
 )
 from sim.learning.bins.assemble import LocationFit, learned_sha, location_fits, source_of, stay_values, well_seen
@@ -132,8 +132,8 @@ def learn_bins(
     """
     report = progress or (lambda _stage, _share: None)
     check_alphabet(alphabet)
-    with_events = [encoded(trace, alphabet) for trace in traces if trace.times.size]
-    ordered, digest = in_order(with_events)
+    encoded_traces = [with_events(trace, alphabet) for trace in traces if trace.times.size]
+    ordered, digest = in_order(encoded_traces)
     report("reading the traces", 0.0)
     runs, base = _ground(ordered, alphabet, temperature)
     scores, chosen, begin = _select(runs, base, candidates, report)
@@ -188,7 +188,7 @@ def learn_bins(
             "gains": chosen.gains,
             "loss": "huber",
             "cycle_s": CYCLE,
-            "copies_left_out": len(with_events) - len(ordered),
+            "copies_left_out": len(encoded_traces) - len(ordered),
             "borrowed": "; ".join(borrowed),
         },
         # JSON has no NaN: a figure for which there were too few data is left out of the model's file.

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.effects import of_feature
-from sim.learning import Coverage, LearningError, MachineSpread, check_data, encoded, in_order, with_range
+from sim.learning import Coverage, LearningError, MachineSpread, check_data, in_order, with_events, with_range
 from sim.learning.lsha.fitting import LshaLocationFit, bands, fit, fitted_model, plan_of
 from sim.learning.lsha.flow_hypotheses import Contender, choose_flow, flowing_over
 from sim.learning.lsha.hypothesis import (
@@ -127,7 +127,7 @@ def learn_lsha(
     report_progress = progress or (lambda _stage, _share: None)
     chosen = settings or LshaSettings()
     check_alphabet(alphabet)
-    encoded_traces = [encoded(trace, alphabet) for trace in traces if trace.times.size]
+    encoded_traces = [with_events(trace, alphabet) for trace in traces if trace.times.size]
     ordered, digest = in_order(encoded_traces)
     check_data(ordered, temperature)
 
