@@ -117,6 +117,8 @@ def sentences() -> Iterator[None]:
             raise
         if is_fault(error):
             fail(fault_sentence(error), Exit.FAULT)
+        if not isinstance(error, (DriverError, ValueError, OSError)):
+            raise
         fail(sentence(error), exit_code(error))
 
 
@@ -125,16 +127,15 @@ NUMERICAL = ("numpy", "scipy", "sklearn")
 
 
 def is_fault(error: Exception) -> bool:
-    """Whether the program is at fault, and not what it was given."""
-    if isinstance(error, DriverError | OSError):
-        return False
-    if isinstance(error, ArithmeticError | AssertionError | IndexError):
+    """Whether an invariant of the program is broken, or a numerical library refuses what the program gave it."""
+    if isinstance(error, AssertionError):
         return True
     way = list(_way(error))
     libraries = [type(error).__module__, *(_module(each) for each in way[-1:])]
     if any(name.partition(".")[0] in NUMERICAL for name in libraries):
         return True
-    if type(error) is not ValueError or not way or "np" not in way[-1].tb_frame.f_globals:
+    raised = type(error) in (ValueError, IndexError) or isinstance(error, ArithmeticError)
+    if not raised or not way or "np" not in way[-1].tb_frame.f_globals:
         return False
     # The compiled part of NumPy leaves no frame. Then the last one is of a module of ours that computes, and stands at
     # an operation or a call; a refusal of our own stands at its `raise`.
