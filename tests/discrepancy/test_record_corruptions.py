@@ -186,12 +186,33 @@ def test_no_habit_of_a_recorder_is_an_error() -> None:
         assert followed(corrupted(traces[seed % 5], seed), seed, fits=seed % 10 == 0) == ""
 
 
-def test_a_row_that_is_missing_before_a_start_leaves_no_run_without_a_window() -> None:
-    trace = plant(1, days=2)
-    start = int(np.flatnonzero(np.diff(trace.signals["MarciaDecanter"]) > 0)[2])
-    without = only(trace, np.delete(np.arange(trace.times.size), start))
-    found = diagnose(model(), [without], seed=0).diagnosis
-    assert found.verdict == diagnose(model(), [trace], seed=0).diagnosis.verdict
+@pytest.mark.parametrize("seed", [3, 6, 8, 10, 12])
+def test_what_a_recorder_did_ends_no_diagnosis(seed: int) -> None:
+    traces = [plant(6, days=2, pump=2e-4, period=60.0)]
+    found = diagnose(model(), corrupted(traces, seed), seed=0, most=1).diagnosis
+    assert found.sentence and found.held_out is not None and np.isfinite(found.held_out.rmse_after)
+
+
+def test_a_row_that_is_missing_before_a_start_ends_no_diagnosis_and_changes_no_name() -> None:
+    trace = plant(6, days=3, pump=2e-4, period=60.0)
+    starts = np.flatnonzero(np.diff(trace.signals["MarciaDecanter"]) > 0)
+    without = only(trace, np.delete(np.arange(trace.times.size), starts[-1]))
+    whole, less = (diagnose(model(), [each], seed=0, most=1).diagnosis for each in (trace, without))
+    assert [effect.name for effect in whole.effects] == [effect.name for effect in less.effects] == ["pump-cooling"]
+
+
+def test_a_cycle_without_a_reading_is_none_that_is_judged() -> None:
+    trace = plant(6, days=2, period=60.0)
+    starts = trace.times[1:][np.diff(trace.signals["MarciaDecanter"]) > 0]
+    third = (trace.times >= starts[2] - 60.0) & (trace.times <= starts[3] + 60.0)
+    unheard = replace(trace, signals={**trace.signals, "T": np.where(third, np.nan, trace.signals["T"])}, events=())
+    numbers = [
+        np.unique(record_of(model(), [patiently(each, model().alphabet)], SIGNALS).window_cycle)
+        for each in (trace, unheard)
+    ]
+    assert numbers[0].size == 6 and numbers[1].tolist() == [0, 1, 3, 4, 5]
+    found = diagnose(model(), [unheard], seed=0, most=1).diagnosis
+    assert found.held_out is not None and found.held_out.cycles == 1
 
 
 def test_a_record_says_what_does_not_hold_of_it() -> None:
