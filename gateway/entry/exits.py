@@ -3,6 +3,7 @@
 Nothing heavy is imported here: the groups need it before they know which command is wanted.
 """
 
+import dis
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
 from errno import EDQUOT, ENOSPC
+from types import TracebackType
 from typing import Any, NoReturn
 
 import click
@@ -22,6 +24,7 @@ from drivers.errors import (
     RecordingError,
     ReplyTimeout,
     WriteForbidden,
+    one_line,
 )
 from gateway.entry.plain import write_plainly
 from sim.strict_json import json_text
@@ -32,6 +35,7 @@ class Exit(IntEnum):
 
     OK = 0
     CHECK_FAILED = 1
+    FAULT = 1  # of the program: Python's own code for an error that nobody caught
     USAGE = 2
     CANNOT_CONNECT = 3
     DEVICE_EXCEPTION = 4
@@ -102,16 +106,63 @@ def sentences() -> Iterator[None]:
     """Turn what bad input, the file system and the device cause into one sentence and its exit code.
 
     ValueError is what every room raises for input that cannot be used (its TraceError, ArtefactError, ConfigError and
-    InputError among them), so a defect that shows as a ValueError looks the same: `decanter --traceback` tells them
-    apart. Every other exception is a defect and is not caught.
+    InputError among them). What a numerical library raises, and an invariant that is broken, is a fault of the program
+    and said as one (`is_fault`). Every other exception is a defect as well and is not caught.
     """
     try:
         yield
-    except (DriverError, ValueError, OSError) as error:
+    except (DriverError, ValueError, OSError, ArithmeticError, AssertionError, IndexError) as error:
         context = click.get_current_context(silent=True)
         if context is not None and context.find_root().params.get("traceback"):
             raise
+        if is_fault(error):
+            fail(fault_sentence(error), Exit.FAULT)
+        if not isinstance(error, (DriverError, ValueError, OSError)):
+            raise
         fail(sentence(error), exit_code(error))
+
+
+NUMERICAL = ("numpy", "scipy", "sklearn")
+"""Libraries that compute: what they refuse was given to them by the program, never by a person."""
+
+
+def is_fault(error: Exception) -> bool:
+    """Whether an invariant of the program is broken, or a numerical library refuses what the program gave it."""
+    if isinstance(error, AssertionError):
+        return True
+    way = list(_way(error))
+    libraries = [type(error).__module__, *(_module(each) for each in way[-1:])]
+    if any(name.partition(".")[0] in NUMERICAL for name in libraries):
+        return True
+    raised = type(error) in (ValueError, IndexError) or isinstance(error, ArithmeticError)
+    if not raised or not way or "np" not in way[-1].tb_frame.f_globals:
+        return False
+    # The compiled part of NumPy leaves no frame. Then the last one is of a module of ours that computes, and stands at
+    # an operation or a call; a refusal of our own stands at its `raise`.
+    code = way[-1].tb_frame.f_code.co_code
+    return dis.opname[code[way[-1].tb_lasti]] != "RAISE_VARARGS"
+
+
+def fault_sentence(error: Exception) -> str:
+    """What went wrong in the program, and where."""
+    own = [each for each in _way(error) if _module(each).partition(".")[0] not in NUMERICAL]
+    place = f" in {_module(own[-1])}, line {own[-1].tb_lineno}" if own else ""
+    return (
+        f"a fault of the program, not of what it was given: {type(error).__name__}{place}: {one_line(str(error))}; "
+        "`decanter --traceback` before the command shows the way there, please report it with that"
+    )
+
+
+def _way(error: Exception) -> Iterator[TracebackType]:
+    """The frames that an error went through, the one last in which it arose."""
+    at = error.__traceback__
+    while at is not None:
+        yield at
+        at = at.tb_next
+
+
+def _module(at: TracebackType) -> str:
+    return str(at.tb_frame.f_globals.get("__name__", ""))
 
 
 def sentence(error: Exception) -> str:

@@ -99,7 +99,7 @@ def diagnose(
     roles = {**roles, **own_roles(lines)}
     present = present_roles(laid_out, roles)
     record = record_of(model, laid_out, signals_needed(model, present))
-    cycles = np.unique(record.cycle)
+    cycles = np.unique(record.window_cycle)  # those in which something was read
     if cycles.size < LEAST_CYCLES:
         return DiagnosisOutcome(_too_little(model, int(cycles.size)), (), None)
 
@@ -162,7 +162,7 @@ def diagnose(
         # All that is measured, not only what the catalogue knows a role for: a record of its own on the same knots.
         everything = record_of(model, laid_out, measured_signals(model, laid_out))
         laws = candidate_laws(base, everything, int(first_held_out), floor.error)
-    fitted_cycles = int(np.unique(base.frame.record.cycle).size)
+    fitted_cycles = int(np.unique(base.frame.record.window_cycle).size)
     noise = path.fitted.noise
     excesses = {"excess_before": proof.before, "excess_after": judged.excess}
     diagnosis = Diagnosis(

@@ -5,7 +5,7 @@ a window count as one, at their mean time, so that a day of 1 s samples costs no
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -39,6 +39,8 @@ INRUSH = 30.0
 speed within a quarter of a minute."""
 NEVER = 1e9
 """Seconds since a start-up that was not seen."""
+CLOCK = 1e-3
+"""Seconds by which a step may differ from what its times say: what is lost where many steps are added up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +56,7 @@ class Record:
     the drum up (`_rushed`).
     `window` (s) is the length of a window at rest, `rows` (r,) are the knots with a reading, `begins` (m,) the place in
     `rows` where each window begins.
+    What holds of every record, whatever its recorder did, is asked of it when it is made (`broken`).
     """
 
     model: Model
@@ -68,6 +71,10 @@ class Record:
     window: float
     rows: Indices
     begins: Indices
+
+    def __post_init__(self) -> None:
+        if wrong := broken(self):
+            raise RecordFault(f"a record in which this does not hold: {'; '.join(wrong)}")
 
     def windowed(self, columns: Array) -> Array:
         """The mean over each window's readings of columns (n,) or (n, c) given at the knots: (m,) or (m, c)."""
@@ -131,43 +138,99 @@ class Record:
         )
 
     def where(self, keep: Mask) -> "Record":
-        """The knots of whole cycles, of which the first of each piece begins a run of its own."""
-        runs = replace(self.runs, reading=_until_switched(self.runs, self.running, ~np.append(keep[1:], True))).where(
-            keep
-        )
-        cut = np.diff(np.flatnonzero(keep), prepend=-2) != 1
-        run = np.cumsum(runs.first | cut) - 1
-        runs = replace(runs, run=run)
-        runs = replace(runs, dt=np.where(runs.first, 0.0, runs.dt))
-        running, since = self.running[keep], self.since[keep]
-        whole, cycle = self.whole[keep], self.cycle[keep]
-        rows, begins = _windows(runs, cycle, running, self.window)
-        turned, rushed = self.turned[keep], self.rushed[keep]
-        return replace(
-            self,
-            runs=runs,
-            running=running,
-            since=since,
-            whole=whole,
-            cycle=cycle,
-            turned=turned,
-            rushed=rushed,
-            rows=rows,
-            begins=begins,
-        )
+        """The knots of whole cycles, of which the first of each piece begins a run of its own.
+
+        Raises LearningError where no reading is among them.
+        """
+        followed = np.append(keep[1:], True)
+        reading = _until_switched(self.runs, self.running, ~followed)
+        cut = self.runs.first | ~np.append(True, keep[:-1])
+        return _laid(self, replace(self.runs, reading=reading, run=np.cumsum(cut) - 1), keep)
 
     def by_cycles(self) -> "Record":
         """The record with a run of its own for each cycle."""
-        runs = self.runs
         begun = np.diff(self.whole, prepend=-1) != 0
-        cut = replace(
-            runs,
-            run=np.cumsum(runs.first | begun) - 1,
-            reading=_until_switched(runs, self.running, np.append(begun[1:], False)),
+        reading = _until_switched(self.runs, self.running, np.append(begun[1:], False))
+        run = np.cumsum(self.runs.first | begun) - 1
+        return _laid(self, replace(self.runs, run=run, reading=reading), np.ones(len(self.runs), dtype=bool))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Knots:
+    """What a record says of its knots beside their runs, before it is one (`Record`)."""
+
+    model: Model
+    signals: tuple[str, ...]
+    running: Array
+    since: Array
+    whole: Indices
+    cycle: Indices
+    turned: Mask
+    rushed: Mask
+    window: float
+
+
+class RecordFault(AssertionError):
+    """A record that breaks what holds for every one: a fault of the program, whatever the traces are."""
+
+
+def _laid(knots: Record | _Knots, runs: FreeRuns, keep: Mask) -> Record:
+    """The record of the knots to `keep`, cut into the runs that `runs` numbers: every record is made here.
+
+    A run in which nothing was read says nothing and is left out. Raises LearningError where that is every run.
+    """
+    read = np.zeros(int(runs.run[-1]) + 1, dtype=bool)
+    read[runs.run[keep & np.isfinite(runs.reading)]] = True
+    keep = keep & read[runs.run]
+    if not keep.any():
+        raise LearningError(
+            f"none of these cycles has a reading of {knots.model.temperature!r}, the model's temperature"
         )
-        cut = replace(cut, dt=np.where(cut.first, 0.0, runs.dt))
-        rows, begins = _windows(cut, self.cycle, self.running, self.window)
-        return replace(self, runs=cut, rows=rows, begins=begins)
+    runs = runs.where(keep)
+    runs = replace(runs, run=np.cumsum(runs.first) - 1)
+    runs = replace(runs, dt=np.where(runs.first, 0.0, runs.dt))
+    running, cycle = knots.running[keep], knots.cycle[keep]
+    rows, begins = _windows(runs, cycle, running, knots.window)
+    return Record(
+        model=knots.model,
+        signals=knots.signals,
+        runs=runs,
+        running=running,
+        since=knots.since[keep],
+        whole=knots.whole[keep],
+        cycle=cycle,
+        turned=knots.turned[keep],
+        rushed=knots.rushed[keep],
+        window=knots.window,
+        rows=rows,
+        begins=begins,
+    )
+
+
+def broken(record: Record) -> tuple[str, ...]:
+    """What does not hold of a record though it holds of every one, in words; () where all does."""
+    runs, rows, begins = record.runs, record.rows, record.begins
+    n, first, run = len(runs), runs.first, runs.run
+    columns = [getattr(runs, each.name) for each in fields(runs) if each.name != "inputs"]
+    columns += [record.running, record.since, record.whole, record.cycle, record.turned, record.rushed]
+    if n == 0 or any(column.shape != (n,) for column in columns) or runs.inputs.shape != (n, len(record.signals)):
+        return ("every column has one value for each knot",)
+    passed = np.diff(runs.time)[~first[1:]]
+    window = np.searchsorted(begins, np.arange(rows.size), side="right") - 1
+    inside = np.diff(window) == 0
+    holds = {
+        "runs are numbered 0, 1, 2 and so on": run[0] == 0 and bool(np.isin(np.diff(run), (0, 1)).all()),
+        "a run's first knot ends no step": not runs.dt[first].any(),
+        "times rise within a run": bool((passed > 0).all()),
+        "a row is as late as it is": bool(np.allclose(runs.dt[~first], passed, rtol=1e-6, atol=CLOCK)),
+        "cycles follow one another": bool((np.diff(record.cycle) >= 0).all()),
+        "the rows are the knots with a reading": np.array_equal(rows, np.flatnonzero(np.isfinite(runs.reading))),
+        "every window has a reading": begins[:1].tolist() == [0]
+        and bool((np.diff(begins, append=rows.size) > 0).all()),
+        "every run has a window": np.unique(run[rows]).size == run[-1] + 1,
+        "a window lies in one run and one cycle": not (np.diff(run[rows]) + np.diff(record.cycle[rows]))[inside].any(),
+    }
+    return tuple(words for words, true in holds.items() if not true)
 
 
 def overlapping(traces: Sequence[Trace]) -> str:
@@ -216,7 +279,7 @@ def record_of(
                 "--default-flow exponential"
             )
     having = [
-        trace
+        _each_time_once(trace)
         for trace in traces
         if np.isfinite(trace.signals.get(model.temperature, np.empty(0))).any() and trace.times.size > 1
     ]
@@ -229,22 +292,28 @@ def record_of(
     rates = np.array([location.flow.params.get("k", 0.0) for location in model.sha.locations])
     cycle = in_pieces(whole, runs, running, rates[runs.place])
     runs = _cut_late(runs, running)
-    window = max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER)
-    rows, begins = _windows(runs, cycle, running, window)
-    return Record(
+    laid_out = _Knots(
         model=model,
         signals=tuple(signals),
-        runs=runs,
         running=running,
         since=since,
         whole=whole,
         cycle=cycle,
         turned=_turned(model, runs, running, signals),
         rushed=_rushed(model, runs, running, since, signals),
-        window=window,
-        rows=rows,
-        begins=begins,
+        window=max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER),
     )
+    return _laid(laid_out, runs, np.ones(len(runs), dtype=bool))
+
+
+def _each_time_once(trace: Trace) -> Trace:
+    """The trace with the last row of each time: between two readings of one time nothing can have passed."""
+    last = np.append(np.diff(trace.times) > 0, True)
+    if last.all():
+        return trace
+    signals = {name: column[last] for name, column in trace.signals.items()}
+    bad = {name: column[last] for name, column in trace.bad.items()}
+    return replace(trace, times=trace.times[last], signals=signals, bad=bad)
 
 
 def _turned(model: Model, runs: FreeRuns, running: Array, signals: Sequence[str]) -> Mask:

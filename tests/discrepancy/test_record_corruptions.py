@@ -1,0 +1,240 @@
+"""Whatever a recorder does to its rows, a record is made of them, holds what every record does, and can be followed."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.discrepancy.fitting import fit, frame_of, grid_at, in_order, on, patiently, record_of
+from sim.discrepancy.fitting.course import run_free
+from sim.discrepancy.fitting.record import Record, RecordFault, broken
+from sim.discrepancy.held_out import compared, let_run
+from sim.discrepancy.workflow import diagnose
+from sim.learning import LearningError
+from sim.sha.trace import Array, Trace
+from tests.discrepancy.plants import model, plant, sparse
+
+SIGNALS = ("Assorbimento", "MarciaPmpFango", "TAmbiente")
+
+Corruption = Callable[[np.random.Generator, Trace], Trace]
+
+
+def only(trace: Trace, rows: Array) -> Trace:
+    """These rows of a trace, without events: what happened is to be told from the rows."""
+    signals = {name: column[rows] for name, column in trace.signals.items()}
+    return replace(trace, times=trace.times[rows], signals=signals, events=())
+
+
+def dropped(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Up to a third of the rows, each by itself."""
+    return only(trace, np.flatnonzero(rng.random(trace.times.size) > rng.choice([0.02, 0.1, 0.33])))
+
+
+def jittered(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Each row up to 40 % of a period early or late."""
+    usual = float(np.median(np.diff(trace.times)))
+    return replace(trace, times=np.sort(trace.times + usual * rng.uniform(-0.4, 0.4, trace.times.size)))
+
+
+def late(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Some rows three times as far from the one before as usual."""
+    times = np.diff(trace.times) * np.where(rng.random(trace.times.size - 1) < 0.05, 3.0, 1.0)
+    return replace(trace, times=trace.times[0] + np.append(0.0, np.cumsum(times)))
+
+
+def gapped(rng: np.random.Generator, trace: Trace) -> Trace:
+    """A few gaps from minutes to hours."""
+    keep = np.ones(trace.times.size, dtype=bool)
+    for begin in rng.uniform(trace.times[0], trace.times[-1], rng.integers(1, 6)):
+        keep &= (trace.times < begin) | (trace.times > begin + np.exp(rng.uniform(5.0, 10.0)))
+    return only(trace, np.flatnonzero(keep))
+
+
+def repeated(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Some rows twice, as a recorder keeps them that is told to."""
+    return only(trace, np.repeat(np.arange(trace.times.size), 1 + (rng.random(trace.times.size) < 0.05)))
+
+
+def set_forward(rng: np.random.Generator, trace: Trace) -> Trace:
+    """A clock that is set forward."""
+    at = rng.integers(1, trace.times.size)
+    return replace(
+        trace, times=trace.times + np.where(np.arange(trace.times.size) >= at, rng.uniform(1.0, 7200.0), 0.0)
+    )
+
+
+def set_back(rng: np.random.Generator, trace: Trace) -> Trace:
+    """A clock that is set back: its rows sorted, the hours in one another, or those before the row ahead left out."""
+    at = rng.integers(1, trace.times.size)
+    times = trace.times - np.where(np.arange(trace.times.size) >= at, rng.uniform(1.0, 7200.0), 0.0)
+    rows = (
+        np.argsort(times, kind="stable")
+        if rng.random() < 0.5
+        else np.flatnonzero(times >= np.maximum.accumulate(times))
+    )
+    signals = {name: column[rows] for name, column in trace.signals.items()}
+    return replace(trace, times=times[rows], signals=signals, events=())
+
+
+def alone(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Single rows with half an hour of nothing on either side."""
+    keep = np.ones(trace.times.size, dtype=bool)
+    for at in rng.integers(0, trace.times.size, 4):
+        keep[np.abs(trace.times - trace.times[at]) < 1800.0] = False
+        keep[at] = True
+    return only(trace, np.flatnonzero(keep))
+
+
+def beside_starts(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Rows missing just before, at or after some starts and stops."""
+    turns = np.flatnonzero(np.diff(trace.signals["MarciaDecanter"]) != 0)
+    missing = (turns + rng.integers(-2, 4, turns.size))[rng.random(turns.size) < 0.7]
+    return only(trace, np.setdiff1d(np.arange(trace.times.size), missing))
+
+
+def unread(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Stretches, up to whole cycles, in which the sensor reads nothing."""
+    reading = trace.signals["T"].copy()
+    for begin in rng.uniform(trace.times[0], trace.times[-1], rng.integers(1, 4)):
+        reading[(trace.times >= begin) & (trace.times < begin + np.exp(rng.uniform(3.0, 10.5)))] = np.nan
+    return replace(trace, signals={**trace.signals, "T": reading})
+
+
+def rounded(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Readings to half a degree, or to one."""
+    step = rng.choice([0.5, 1.0])
+    return replace(trace, signals={**trace.signals, "T": step * np.round(trace.signals["T"] / step)})
+
+
+def mixed(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Every row for a while, then every third or tenth."""
+    at = rng.integers(1, trace.times.size)
+    every = int(rng.choice([3, 10]))
+    rows = np.arange(trace.times.size)
+    return only(trace, rows[(rows < at) | (rows % every == 0)])
+
+
+CORRUPTIONS: tuple[Corruption, ...] = (
+    dropped, jittered, late, gapped, repeated, set_forward, set_back, alone, beside_starts, unread, rounded, mixed,
+)  # fmt: skip
+
+
+def records() -> list[list[Trace]]:
+    """Five small records: usual, slow, of three days by themselves, of a machine that runs on, and of few starts."""
+    days = plant(2, days=3, period=60.0)
+    begin = float(days.times[0])
+    by_day = [replace(days.between(begin + 86400.0 * day, begin + 86400.0 * (day + 1)), events=()) for day in range(3)]
+    return [
+        [plant(1, days=2, period=60.0)],
+        [sparse(plant(3, days=2, period=30.0), 6)],
+        [replace(day, name=f"day{number}") for number, day in enumerate(by_day)],
+        [plant(4, days=2, runs_on=True, period=60.0)],
+        [plant(5, days=1, period=30.0)],
+    ]
+
+
+def corrupted(traces: Sequence[Trace], seed: int) -> list[Trace]:
+    """The traces after one to three habits of a recorder; some also cut where a clock went back to nought."""
+    rng = np.random.default_rng(seed)
+    chosen = rng.choice(len(CORRUPTIONS), size=rng.integers(1, 4), replace=False)
+    out = []
+    for trace in traces:
+        made = replace(trace, events=())
+        for number in chosen:
+            if made.times.size > 2:
+                made = CORRUPTIONS[number](rng, made)
+        out.append(made)
+    if rng.random() < 0.1 and out[0].times.size > 10:
+        at = float(out[0].times[rng.integers(1, out[0].times.size)])
+        before, after = out[0].between(-np.inf, at), out[0].between(at, np.inf)
+        out[:1] = [before, replace(after, name="again", times=after.times - after.times[0] + before.times[0])]
+    return out
+
+
+def followed(traces: Sequence[Trace], seed: int, *, fits: bool) -> str:
+    """What becomes of a record: "" where it is followed to its held-out cycles, else why it cannot be used."""
+    try:
+        laid_out = [patiently(trace, model().alphabet) for trace in in_order(traces)]
+        record = record_of(model(), laid_out, SIGNALS, windows=300)
+    except LearningError as error:
+        return str(error)
+    cycles = np.unique(record.window_cycle)
+    last = cycles[max(round(0.7 * cycles.size), min(1, cycles.size - 1))]
+    parts = [record, record.by_cycles(), record.where(record.cycle >= last).by_cycles()]
+    parts += [record.where(record.cycle < last)] if cycles.size > 1 else []
+    for part in parts:
+        assert not broken(part)
+        assert np.isfinite(part.times).all() and np.isfinite(part.reading).all()
+        assert part.window_first.sum() == part.runs.run[-1] + 1
+        frame = frame_of(part)
+        state = run_free(frame, *np.split(frame.centre, [frame.count[0]]), part.reading[part.window_first])
+        grid = grid_at(frame, state)
+        assert np.isfinite(state.mean).all() and (grid.dt > 0).all()
+        assert np.isfinite(grid.heats).all() and np.isfinite(grid.late).all() and (grid.late > -1e-12).all()
+    if fits and cycles.size > 1:
+        base = fit(on(frame_of(record), parts[3]), rounds=1, iterations=2)
+        assert np.isfinite(let_run(base, parts[2]).residual).all()
+        held, _, _ = compared(base, base, parts[2], seed, 0.06)
+        assert np.isfinite(held.rmse_before)
+    return ""
+
+
+def test_no_habit_of_a_recorder_is_an_error() -> None:
+    traces = records()
+    for seed in range(150):
+        assert followed(corrupted(traces[seed % 5], seed), seed, fits=seed % 10 == 0) == ""
+
+
+@pytest.mark.parametrize("seed", [3, 6, 8, 10, 12])
+def test_what_a_recorder_did_ends_no_diagnosis(seed: int) -> None:
+    traces = [plant(6, days=2, pump=2e-4, period=60.0)]
+    found = diagnose(model(), corrupted(traces, seed), seed=0, most=1).diagnosis
+    assert found.sentence and found.held_out is not None and np.isfinite(found.held_out.rmse_after)
+
+
+def test_a_row_that_is_missing_before_a_start_ends_no_diagnosis_and_changes_no_name() -> None:
+    trace = plant(6, days=3, pump=2e-4, period=60.0)
+    starts = np.flatnonzero(np.diff(trace.signals["MarciaDecanter"]) > 0)
+    without = only(trace, np.delete(np.arange(trace.times.size), starts[-1]))
+    whole, less = (diagnose(model(), [each], seed=0, most=1).diagnosis for each in (trace, without))
+    assert [effect.name for effect in whole.effects] == [effect.name for effect in less.effects] == ["pump-cooling"]
+
+
+def test_a_cycle_without_a_reading_is_none_that_is_judged() -> None:
+    trace = plant(6, days=2, period=60.0)
+    starts = trace.times[1:][np.diff(trace.signals["MarciaDecanter"]) > 0]
+    third = (trace.times >= starts[2] - 60.0) & (trace.times <= starts[3] + 60.0)
+    unheard = replace(trace, signals={**trace.signals, "T": np.where(third, np.nan, trace.signals["T"])}, events=())
+    numbers = [
+        np.unique(record_of(model(), [patiently(each, model().alphabet)], SIGNALS).window_cycle)
+        for each in (trace, unheard)
+    ]
+    assert numbers[0].size == 6 and numbers[1].tolist() == [0, 1, 3, 4, 5]
+    found = diagnose(model(), [unheard], seed=0, most=1).diagnosis
+    assert found.held_out is not None and found.held_out.cycles == 1
+
+
+def test_a_record_says_what_does_not_hold_of_it() -> None:
+    record = record_of(model(), [plant(1, days=1, period=60.0)], SIGNALS)
+    runs = record.runs
+    unread = np.where(runs.run == runs.run[-1], np.nan, runs.reading)
+    wrong: list[tuple[dict[str, object], str]] = [
+        ({"runs": replace(runs, run=runs.run + 1)}, "runs are numbered"),
+        ({"runs": replace(runs, reading=unread)}, "the rows are the knots with a reading"),
+        ({"runs": replace(runs, time=runs.time[::-1])}, "times rise within a run"),
+        ({"runs": replace(runs, dt=1.5 * runs.dt)}, "a row is as late as it is"),
+        ({"cycle": record.cycle[::-1]}, "cycles follow one another"),
+        ({"begins": record.begins[1:]}, "every window has a reading"),
+        ({"running": record.running[1:]}, "every column has one value for each knot"),
+        ({"begins": np.array([0])}, "a window lies in one run and one cycle"),
+    ]
+    for change, words in wrong:
+        with pytest.raises(RecordFault, match=words):
+            replace(record, **change)
+
+
+def test_cycles_without_a_reading_are_input_that_cannot_be_used() -> None:
+    record: Record = record_of(model(), [plant(1, days=1, period=60.0)], SIGNALS)
+    with pytest.raises(LearningError, match="none of these cycles has a reading of 'T'"):
+        record.where(record.cycle > record.cycle[-1])
