@@ -95,7 +95,7 @@ def dubious(candidate: NamingStep) -> str:
         return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
     if weak and best.carried <= 0:
         return "does not carry over from cycle to cycle"
-    if best.entry.candidate.rival:
+    if best.entry.rival:
         return f"({best.entry.plain}) goes best with the data, and no model can have it"
     if candidate.rivals:
         return f"goes hardly better with the data than {candidate.rivals[0].entry.plain}, which no model can have"

@@ -92,7 +92,7 @@ class NamingStep:
     @property
     def rivals(self) -> tuple[EffectEvidence, ...]:
         """Those of the members that have no name: where there is one, none is given."""
-        return tuple(each for each in self.evidence if each.entry.candidate.rival and each.entry.name in self.members)
+        return tuple(each for each in self.evidence if each.entry.rival and each.entry.name in self.members)
 
     @property
     def margin(self) -> float:
@@ -114,26 +114,26 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
     # jointly, and only a gain of a joint refit can become a name.
     likely = [each for each in evidence[:CONFIRMED] if each.gain >= WORTH]
     confirmed = [confirm(before, each) for each in likely]
-    # A rival that could win is weighed against its special cases: they are fitted too, wherever the screen has them.
+    # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
     top = max((each.gain for each in confirmed), default=0.0)
     near = top - max(MARGIN, ALIKE * top)
-    special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.rival}
+    special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.special}
     behind = [each for each in evidence[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
     confirmed += [confirm(before, each) for each in behind]
     names = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in names]
-    order = tuple(sorted(without_idle_rivals([*confirmed, *rest]), key=lambda each: -each.gain))
+    order = tuple(sorted(without_idle([*confirmed, *rest]), key=lambda each: -each.gain))
     return NamingStep(before, order, threshold, _cosines(before, order))
 
 
-def without_idle_rivals(evidence: Sequence[EffectEvidence]) -> list[EffectEvidence]:
-    """The evidence without rivals that do no better than a special case of themselves."""
+def without_idle(evidence: Sequence[EffectEvidence]) -> list[EffectEvidence]:
+    """The evidence without what does no better than a special case of itself."""
 
-    def idle(rival: EffectEvidence) -> bool:
-        special = [each.gain for each in evidence if each.entry.name in rival.entry.candidate.rival]
-        return rival.gain - max(special, default=-np.inf) < max(MARGIN, ALIKE * rival.gain)
+    def idle(wider: EffectEvidence) -> bool:
+        special = [each.gain for each in evidence if each.entry.name in wider.entry.candidate.special]
+        return wider.gain - max(special, default=-np.inf) < max(MARGIN, ALIKE * wider.gain)
 
-    return [each for each in evidence if not (each.entry.candidate.rival and idle(each))]
+    return [each for each in evidence if not (each.entry.candidate.special and idle(each))]
 
 
 def _evidence(screened: Screen, number: int) -> EffectEvidence:

@@ -15,7 +15,6 @@ from sim.effects.kind import (
     ExpressedBound,
     Feature,
     HeldLaw,
-    LateLaw,
     LatePart,
     LossBound,
     MachineLog,
@@ -43,7 +42,6 @@ from sim.effects.kinds import (
     sensor_offset,
     sensor_offsets,
     signals_of,
-    text_of,
     without,
 )
 from sim.effects.late import SETTLED, late_jumps, late_kept, late_mean, late_source
@@ -68,7 +66,6 @@ __all__ = [
     "Expression",
     "Feature",
     "HeldLaw",
-    "LateLaw",
     "LatePart",
     "LineError",
     "LossBound",
@@ -111,7 +108,6 @@ __all__ = [
     "sensor_offsets",
     "signals_of",
     "steepest_loss",
-    "text_of",
     "unknown",
     "with_targets",
     "without",

@@ -53,6 +53,8 @@ class Record:
     the drum up (`_rushed`).
     `window` (s) is the length of a window at rest, `rows` (r,) are the knots with a reading, `begins` (m,) the place in
     `rows` where each window begins.
+    `whole` holds the knots before anything was cut, `kept` (n,) the place of each knot there: what follows from signals
+    alone runs on through cuts (`history`).
     """
 
     model: Model
@@ -66,6 +68,8 @@ class Record:
     window: float
     rows: Indices
     begins: Indices
+    whole: FreeRuns
+    kept: Indices
 
     def windowed(self, columns: Array) -> Array:
         """The mean over each window's readings of columns (n,) or (n, c) given at the knots: (m,) or (m, c)."""
@@ -97,6 +101,10 @@ class Record:
     def signal(self, name: str) -> Array:
         """(n,) a signal held over each step; NaN while it was never read."""
         return self.runs.inputs[:, self.signals.index(name)]
+
+    def history(self, name: str) -> Array:
+        """(N,) a signal held over each step of `whole`; NaN while it was never read."""
+        return self.whole.inputs[:, self.signals.index(name)]
 
     def grid(self, k: Array, running: Array, heats: Array, *, jumps: Array, shared: Array, inrush: Array) -> Grid:
         """The windows as the noise sees them; `k` (n,) 1/s and `running` (n,) are each step's rate and whether rough
@@ -145,6 +153,7 @@ class Record:
             rushed=rushed,
             rows=rows,
             begins=begins,
+            kept=self.kept[keep],
         )
 
     def by_cycles(self) -> "Record":
@@ -224,7 +233,7 @@ def record_of(
     running, since, cycle = _machine(runs, having, first_switch(model.alphabet))
     rates = np.array([location.flow.params.get("k", 0.0) for location in model.sha.locations])
     cycle = in_pieces(cycle, runs, running, rates[runs.place])
-    runs = _cut_late(runs, running)
+    whole, runs = runs, _cut_late(runs, running)
     window = max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER)
     rows, begins = _windows(runs, cycle, running, window)
     return Record(
@@ -239,6 +248,8 @@ def record_of(
         window=window,
         rows=rows,
         begins=begins,
+        whole=whole,
+        kept=np.arange(len(runs)),
     )
 
 
