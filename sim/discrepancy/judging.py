@@ -1,6 +1,6 @@
 """From the path of names to a verdict: what may be said, what is withheld and why."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -190,12 +190,25 @@ def verdict_of(
     return ("unexplained", evidence) if evidence and material else ("agree", ())
 
 
-def untested(entries: Sequence[CatalogueEntry], present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:
-    """The effects that were off the table, with the reason."""
+def untested(
+    entries: Sequence[CatalogueEntry],
+    present: Mapping[str, str],
+    roles: Mapping[str, str],
+    *,
+    following: Container[str] = (),
+    temperature: str = "",
+) -> dict[str, str]:
+    """The effects that were off the table, with the reason; `following` are the roles that follow the `temperature`."""
     out = {}
     for entry in entries:
         missing = [role for role in entry.needs if entry.role_key(role) not in present]
         if missing:
             signal = roles.get(entry.role_key(missing[0]), missing[0])
+            role = entry.role_key(missing[0])
+            if role in following:
+                out[entry.name] = (
+                    f"{roles[role]} ({role}) follows {temperature} in these traces: it is a consequence, and no cause"
+                )
+                continue
             out[entry.name] = f"needs {signal} ({missing[0]}), which these traces do not have or which never changes"
     return out

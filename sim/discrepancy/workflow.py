@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.ceiling import ceiling
+from sim.discrepancy.consequence import follows
 from sim.discrepancy.constants import absorbed
 from sim.discrepancy.diagnosis import CandidateLaw, Diagnosis
 from sim.discrepancy.evidence import candidates_of, effect_of, traces_of
@@ -46,13 +47,15 @@ from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.story import course_of, sentence_of
-from sim.effects import ROLES, in_sensor_scale
+from sim.effects import ROLES, in_sensor_scale, signals_of
 from sim.sha import EffectLine, Model, Trace, shown_unit, unit_of
 
 HELD_OUT = 0.3
 LEAST_CYCLES = 4
 """Cycles below which nothing is said: three to fit, one to judge by."""
 MOST_NAMES = 3
+TEMPERATURE_ROLES = ("ambient", "feed", "sink")
+"""Roles of temperatures, which may as well be warmed by the machine as warm it."""
 MOST_OF_A_GAP = 0.5
 """Share of the held-out excess that a small effect must remove to be what the gap is made of."""
 
@@ -91,7 +94,8 @@ def diagnose(
     laid_out = [patiently(trace, model.alphabet) for trace in in_order(traces)]
     entries = catalogue(lines)
     roles = {**roles, **own_roles(lines)}
-    present = present_roles(laid_out, roles)
+    following = following_roles(model, laid_out, roles)
+    present = present_roles(laid_out, {role: each for role, each in roles.items() if role not in following})
     record = record_of(model, laid_out, signals_needed(model, present))
     cycles = np.unique(record.cycle)
     if cycles.size < LEAST_CYCLES:
@@ -169,7 +173,7 @@ def diagnose(
         material=material,
         traces=traces_of(path),
         absorbed=law,
-        untested=untested(entries, present, roles),
+        untested=untested(entries, present, roles, following=following, temperature=model.temperature),
         held_out=held,
         course=course_of(base, after, first, second),
         settings={
@@ -202,18 +206,29 @@ def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str
     return present
 
 
+def following_roles(model: Model, traces: Sequence[Trace], roles: Mapping[str, str]) -> frozenset[str]:
+    """The roles of temperatures whose signal follows the model's own (`follows`); one that the model reads is kept."""
+    read = set(_inputs(model)) | {*signals_of(model.sha)}
+    asked = {role: roles[role] for role in TEMPERATURE_ROLES if role in roles and roles[role] not in read}
+    return frozenset(role for role, signal in asked.items() if follows(traces, model.temperature, signal))
+
+
+def _inputs(model: Model) -> tuple[str, ...]:
+    """The signals that the model's flows are driven by, each as often as it drives one."""
+    return tuple(driving.signal for location in model.sha.locations for driving in location.flow.inputs)
+
+
 def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
     """The inputs of the model's flows and the signals of the roles, each once."""
-    inputs = [driving.signal for location in model.sha.locations for driving in location.flow.inputs]
-    return tuple(dict.fromkeys([*inputs, *present.values()]))
+    return tuple(dict.fromkeys([*_inputs(model), *present.values()]))
 
 
 def measured_signals(model: Model, traces: Sequence[Trace]) -> tuple[str, ...]:
-    """All signals beside the temperature that some trace has with at least two different values."""
+    """All signals that some trace has with at least two different values, none of which follows the temperature."""
     names = dict.fromkeys(name for trace in traces for name in trace.signals if name != model.temperature)
     present = present_roles(traces, {name: name for name in names})
-    inputs = [driving.signal for location in model.sha.locations for driving in location.flow.inputs]
-    return tuple(dict.fromkeys([*inputs, *present]))
+    causes = [name for name in present if not follows(traces, model.temperature, name)]
+    return tuple(dict.fromkeys([*_inputs(model), *causes]))
 
 
 def _with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor: float) -> NamingResult:
