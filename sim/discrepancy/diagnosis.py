@@ -206,7 +206,7 @@ class Diagnosis:
     felt; `traces` are the effects that are certain and are not; `absorbed` is the law that the model's own constants
     follow, if they follow one. `settings` holds seed, thresholds and noise, by name. `unit` is that of the followed
     variable: what is said to be in degC anywhere in a diagnosis is in it. `laws` are expressions to look at where the
-    gap has no name.
+    gap has no name, `description` says in the plant's words what goes best with such a gap, "" where nothing does.
     """
 
     verdict: Verdict
@@ -230,3 +230,4 @@ class Diagnosis:
     model_after: str | None
     unit: str = DEGREES
     laws: tuple[CandidateLaw, ...] = ()
+    description: str = ""

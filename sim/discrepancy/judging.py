@@ -96,12 +96,19 @@ def dubious(candidate: NamingStep) -> str:
     if weak and best.carried <= 0:
         return "does not carry over from cycle to cycle"
     if best.entry.rival:
-        return f"({best.entry.plain}) goes best with the data, and no model can have it"
-    if candidate.rivals:
-        return f"goes hardly better with the data than {candidate.rivals[0].entry.plain}, which no model can have"
+        return "goes best with the data, and has no name"
     if candidate.margin < MARGIN:
         return f"beats its rivals outside its class by {candidate.margin:.1f} nats only"
     return ""
+
+
+def description(path: NamingResult) -> str:
+    """What has no name and goes best with the data, in the plant's words; "" where there is no such thing."""
+    best = path.steps[0][0].best if path.steps and not path.taken else None
+    if best is None or best.fitted is None or not best.entry.rival or insignificant(path.steps[0][0]):
+        return ""
+    words = best.entry.candidate.words
+    return words(best.fitted.state.named[-1].params) if words is not None else best.entry.plain
 
 
 def systematic(ceiling: Ceiling | None) -> bool:
@@ -181,7 +188,7 @@ def verdict_of(
     if not path.taken:
         step, refusal = path.steps[0]
         if not insignificant(step):
-            evidence = (f"{step.members[0]} {refusal}",)
+            evidence = (f"{description(path) or step.members[0]} {refusal}",)
         # No candidate stands for it: then the free learner's word alone, or the model's own noise (decision 0031).
         elif systematic(before) and before is not None and before.p <= SURELY:
             evidence = ("a free learner predicts heat on cycles that it has not seen",)

@@ -33,6 +33,7 @@ from sim.discrepancy.gap import excess, floor_of, sensor_noise
 from sim.discrepancy.held_out import compared
 from sim.discrepancy.judging import (
     NamingResult,
+    description,
     doubts,
     dubious,
     immaterial,
@@ -129,6 +130,7 @@ def diagnose(
     )
     verdict, reasons = verdict_of(path, reservations, before=ceiling_before, beyond=beyond[0], material=material)
     kept = verdict in ("named", "class")
+    described = description(path) if verdict == "unexplained" else ""
     if not kept and after is not base:  # nothing is added, so what the report shows "after" is the refit itself
         after = base
         held, first, second = compared(after, after, held_out, seed, floor.error)
@@ -155,6 +157,7 @@ def diagnose(
             verdict,
             effects,
             unexplained=unexplained,
+            description=described,
             shifts=moved,
             held=held,
             cycles=fitted_cycles,
@@ -191,6 +194,7 @@ def diagnose(
         model_after=None,
         unit=model.unit,
         laws=laws,
+        description=described,
     )
     return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after)
 

@@ -123,6 +123,29 @@ class VaryingLaw:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RecordView:
+    """A record as a law that only a diagnosis knows reads it, each (n,): `time` (absolute s) in the middle of each step
+    of it, `running` 0 or 1, `signals` by role.
+
+    `late(role, lag)` is a signal through a first-order lag (s), `run_since(at)` the seconds that the machine has run
+    since a moment (absolute s; below 0 before it); both run on through what was cut out of the record.
+    """
+
+    time: Array
+    running: Array
+    signals: Signals
+    late: Callable[[str, float], Array]
+    run_since: Callable[[float], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedLaw:
+    """dX/dt += heat - loss X along a record: of a rival without a name, which no engine executes."""
+
+    heat_and_loss: Callable[[Effect, RecordView], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LatePart:
     """The part of a held heat that comes through a first-order lag, whose parameter (s) `lag` names: 0 is at once.
 
@@ -155,7 +178,7 @@ class EffectRefusal:
     reason: str
 
 
-Law = HeldLaw | VaryingLaw | Structural
+Law = HeldLaw | VaryingLaw | RecordedLaw | Structural
 
 
 # ------------------------------------------------------------------ bounds: the law over intervals, for `verify`
@@ -277,7 +300,8 @@ class EffectCandidate:
     the kind has not: what they stand for is another effect (`besides`: (kind, parameters) from the whole shape), or
     that optional signals are left unread (`unread`, where it is not 0), or which share of the strength acts where the
     machine rests (`at_rest`; 1 where a shape has it not). `special`: the kinds that are special cases of it; where
-    it does no better than they do, it is one of them and is left out.
+    it does no better than they do, it is one of them and is left out. `words` says one of given parameters in the
+    plant's words, for what has no name.
     """
 
     strength: str
@@ -298,6 +322,7 @@ class EffectCandidate:
     unread: str = ""
     at_rest: str = ""
     special: tuple[str, ...] = ()
+    words: Callable[[Params], str] | None = None
 
 
 # ------------------------------------------------------------------ the kind

@@ -17,6 +17,7 @@ from sim.effects.kind import (
 )
 from sim.effects.lines import LineError, kind_of_line
 from sim.effects.random import RANDOM
+from sim.effects.rivals import RIVAL_KINDS
 from sim.effects.sensing import SENSING
 from sim.effects.varying import VARYING
 from sim.sha import SHA, Array, Effect, EffectLine
@@ -26,7 +27,7 @@ EFFECTS: dict[str, EffectKind] = {
 }
 """All kinds by name, in the order in which a diagnosis tries them."""
 
-RIVALS: dict[str, EffectKind] = {}
+RIVALS: dict[str, EffectKind] = {kind.name: kind for kind in RIVAL_KINDS}
 """Kinds that a diagnosis holds beside the others, and that no engine executes."""
 
 ROLES: dict[str, str] = {

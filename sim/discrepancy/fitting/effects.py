@@ -12,6 +12,8 @@ import numpy as np
 from sim.discrepancy.fitting.record import Record
 from sim.effects import (
     HeldLaw,
+    RecordedLaw,
+    RecordView,
     Structural,
     VaryingLaw,
     acts_in,
@@ -60,6 +62,8 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
         case VaryingLaw() as law:
             middle = runs.dt / 2.0
             heat, loss = law.heat(effect, runs.time - middle, record.since + middle), nothing
+        case RecordedLaw() as law:
+            heat, loss = law.heat_and_loss(effect, _view(record, effect))
         case Structural(feature="housing"):
             coupling = effect.params["coupling"]
             heat, loss = coupling * lagged(record, course, effect.params["tau"]), nothing + coupling
@@ -84,6 +88,18 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
     acting = present & np.isfinite(heat) & np.isfinite(loss)
     late = deviation(record, effect) if lag_of(effect) > 0 else nothing
     return np.where(acting, heat, 0.0) + late, np.where(acting, loss, 0.0)
+
+
+def _view(record: Record, effect: Effect) -> RecordView:
+    """What a law that only a diagnosis knows may read of a record."""
+    runs = record.runs
+    return RecordView(
+        time=runs.time - runs.dt / 2.0,
+        running=record.running,
+        signals={role: record.signal(signal) for role, signal in effect.signals.items()},
+        late=lambda role, lag: lagged_signal(record, np.nan_to_num(record.history(effect.signals[role])), lag),
+        run_since=lambda at: record.ran[record.kept] - np.interp(at, record.whole.time, record.ran),
+    )
 
 
 def deviation(record: Record, effect: Effect) -> Array:

@@ -54,7 +54,7 @@ class Record:
     `window` (s) is the length of a window at rest, `rows` (r,) are the knots with a reading, `begins` (m,) the place in
     `rows` where each window begins.
     `whole` holds the knots before anything was cut, `kept` (n,) the place of each knot there: what follows from signals
-    alone runs on through cuts (`history`).
+    alone runs on through cuts (`history`). `ran` (N,) are the seconds that the machine had run by then.
     """
 
     model: Model
@@ -70,6 +70,7 @@ class Record:
     begins: Indices
     whole: FreeRuns
     kept: Indices
+    ran: Array
 
     def windowed(self, columns: Array) -> Array:
         """The mean over each window's readings of columns (n,) or (n, c) given at the knots: (m,) or (m, c)."""
@@ -250,6 +251,7 @@ def record_of(
         begins=begins,
         whole=whole,
         kept=np.arange(len(runs)),
+        ran=np.cumsum(running * whole.dt),
     )
 
 
