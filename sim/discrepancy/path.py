@@ -38,7 +38,7 @@ def name(
         best = candidate.best
         # Clear beyond doubt but for a rival that stands too near: it stays for the time being, with its refusal.
         clear = best is not None and best.gain >= OVERWHELMING and not chance
-        only_rivalled = clear and not candidate.rivals and candidate.margin < MARGIN
+        only_rivalled = clear and best is not None and not best.entry.rival and candidate.margin < MARGIN
         if best is None or best.fitted is None or (refusal and not only_rivalled):
             refused = [(candidate, refusal)]
             break
