@@ -111,7 +111,7 @@ def _spec(set_: str, stratum: str, n: int) -> RecorderSpec:
     first = int(draft.generator("type").integers(TYPES))
     if stratum == "clean":
         return replace(draft, type=f"{draft.law}-{first}")
-    acts, ratio = _acts(draft), RATIOS[(n + n // len(INSIDE)) % 2]
+    acts, ratio = _acts(draft), RATIOS[(n % len(INSIDE) + n // len(INSIDE)) % 2]
     laws = [ACTORS[name].law for name in acts if ACTORS[name].law != "any"]
     share = 0.0
     if stratum == "half-way":
@@ -286,6 +286,7 @@ def make(wanted: Sequence[RecorderSpec], out: Path) -> tuple[list[Label], dict[s
     guests = [case.guest(each) for case, each in zip(cases, strengths, strict=True)]
     quiet = integrate_all([case.task(guest, quiet=True) for case, guest in zip(cases, guests, strict=True)])
     courses = integrate_all([case.task(guest, quiet=False) for case, guest in zip(cases, guests, strict=True)])
+    rivals = _rivals(cases, clean)
     labels, verdicts = [], {}
     for n, case in enumerate(cases):
         spec, habit = case.spec, HABITS[case.spec.habit]
@@ -323,7 +324,7 @@ def make(wanted: Sequence[RecorderSpec], out: Path) -> tuple[list[Label], dict[s
             quiet=quiet[n],
             clean=clean[n],
             true=true,
-            rivals=_rivals(case, clean[n]),
+            rivals=rivals[n],
         )
     return labels, verdicts
 
@@ -343,20 +344,22 @@ def _stated_start(case: RecorderCase) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _rivals(case: RecorderCase, clean: Array) -> list[Candidate]:
-    """What each form that a name stands for would do to this machine, with details of its own, at strength 1."""
+def _rivals(cases: Sequence[RecorderCase], clean: Sequence[Array]) -> list[list[Candidate]]:
+    """For each case what each form that a name stands for would do to its machine, with details of its own, at
+    strength 1."""
     forms = {**INSIDE, **WINDING}
     named = [
-        (name, case.actor(name, 1.0, case.spec.generator(f"rival/{name}/{draw}")))
+        (number, name, case.actor(name, 1.0, case.spec.generator(f"rival/{name}/{draw}")))
+        for number, case in enumerate(cases)
         for name, actor in forms.items()
         if actor.law in ("any", case.spec.law)
         for draw in range(DETAILS)
     ]
-    courses = integrate_all([case.task(guest, quiet=True) for _, guest in named])
-    return [
-        Candidate(name=name, difference=course - clean, signed=_signed(name))
-        for (name, _), course in zip(named, courses, strict=True)
-    ]
+    courses = integrate_all([cases[number].task(guest, quiet=True) for number, _, guest in named])
+    found: list[list[Candidate]] = [[] for _ in cases]
+    for (number, name, _), course in zip(named, courses, strict=True):
+        found[number].append(Candidate(name=name, difference=course - clean[number], signed=_signed(name)))
+    return found
 
 
 def write_verdicts(out: Path, batch: str, verdicts: Mapping[str, Verdict]) -> None:

@@ -11,9 +11,9 @@ from benchmarks.discrepancy.operation import Array
 from benchmarks.discrepancy.recorder.work import DAY, STEP, Work
 
 TEMPERATURE = "TCuscinettiRiduttore"
-LATE = 3
+LATE_INTERVALS = 3
 """Usual intervals after which a late row comes; what would have come between is not asked for."""
-SHORT = 2.0 * 3600.0
+LONGEST_OF_SECONDS = 2.0 * 3600.0
 """Seconds that a record goes on in rows of a second at most, so that the file stays a file."""
 
 
@@ -80,7 +80,7 @@ def _times(rng: np.random.Generator, lasts: float, habit: Habit) -> Array:
     while at < lasts:
         period = habit.periods[turn % len(habit.periods)]
         stays = lasts if len(habit.periods) == 1 else rng.uniform(4.0, 14.0) * 3600.0
-        until = min(at + (min(stays, SHORT) if period == 1 else stays), lasts)
+        until = min(at + (min(stays, LONGEST_OF_SECONDS) if period == 1 else stays), lasts)
         parts.append(_uneven(rng, np.arange(at, until, float(period)), period, habit))
         at, turn = until, turn + 1
     times = np.concatenate(parts)
@@ -96,7 +96,7 @@ def _uneven(rng: np.random.Generator, grid: Array, period: int, habit: Habit) ->
     """The grid with jitter to either side; after a usual row there may be none until three intervals are over."""
     kept = np.ones(grid.size, dtype=bool)
     for row in np.flatnonzero(rng.random(grid.size) < habit.late):
-        kept[row + 1 : row + LATE] = False
+        kept[row + 1 : row + LATE_INTERVALS] = False
     moved = grid + habit.jitter * period * rng.uniform(-0.5, 0.5, grid.size)
     return np.asarray(np.sort(moved)[kept])
 
