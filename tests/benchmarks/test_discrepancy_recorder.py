@@ -219,6 +219,8 @@ def test_a_description_counts_where_it_is_true_and_where_it_stands() -> None:
     assert not describes(judged("outside", {"verdict": "unexplained", "sentence": sentence}, acts=("fading-grease",)))
     assert not describes(judged("outside", {"verdict": "agree", "sentence": sentence}, acts=("hour-of-day",)))
     assert not describes(judged("outside", {"verdict": "unexplained", "reasons": [sentence]}, acts=("hour-of-day",)))
+    law = {"sentence": "38 % goes with the torque; to find out: rest for a night"}
+    assert not describes(judged("outside", {"verdict": "unexplained", "laws": [law]}, acts=("hour-of-day",)))
 
 
 def test_the_table_says_what_was_found_of_what_could_be_known_and_each_error_in_its_words() -> None:

@@ -224,7 +224,9 @@ INSIDE: Mapping[str, Actor] = {
 """By the catalogue's names."""
 WINDING: Mapping[str, Actor] = {LATE: Actor(make=late_current_heating, most=12.0, law="line")}
 OUTSIDE: Mapping[str, Actor] = {
-    "hour-of-day": Actor(make=hour_of_day, words=("hour", "clock", "shift", "time of day", "every day")),
+    "hour-of-day": Actor(
+        make=hour_of_day, words=("time of day", "hour of", "hours of", "clock", "daily", "every day", "night")
+    ),
     "fading-grease": Actor(make=fading_grease, words=("fad", "greas", "dies away")),
     "load-step-heat": Actor(make=load_step_heat, words=("step of the load", "load step", "each step", "steps of the")),
     "neighbour": Actor(make=neighbour, words=("neighbour", "not measured", "unmeasured", "own plan", "not recorded")),

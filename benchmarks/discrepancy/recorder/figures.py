@@ -16,8 +16,10 @@ CLEAN = 0.3
 """A plant of which the given model's best run leaves more than this (sensor sigmas) is not clean."""
 STATED = (0.95, 0.99)
 """Confidences that are held against what came out right."""
-TOLD = ("sentence", "unexplained", "laws", "descriptions")
-"""Where in a diagnosis a description of what has no name may stand."""
+TOLD = ("sentence", "unexplained", "descriptions")
+"""Where in a diagnosis a description of what has no name may stand, beside the sentences of its laws."""
+ADVICE = "; to find out"
+"""What a law's sentence ends with: what to try, not what was found."""
 SHOWN = 120
 """Characters of a reason or an error in a case's line."""
 
@@ -127,7 +129,9 @@ def describes(one: Judged) -> bool:
     """ "Unexplained", and one of the words of a true description stands where it says of what."""
     if one.answer.verdict != "unexplained":
         return False
-    text = json.dumps([one.outcome.diagnosis.get(key) for key in TOLD]).lower()
+    said = one.outcome.diagnosis
+    laws = [str(law.get("sentence")).split(ADVICE)[0] for law in said.get("laws") or ()]
+    text = json.dumps([*(said.get(key) for key in TOLD), *laws]).lower()
     return any(word in text for name in one.label.spec["acts"] if name in OUTSIDE for word in ACTORS[name].words)
 
 
