@@ -139,9 +139,12 @@ def thermostatic_cooling(work: Work, machine: Machine, s: float, rng: np.random.
 
 
 def radiation_loss(work: Work, machine: Machine, s: float, rng: np.random.Generator) -> Guest:
-    """Bare black housing."""
+    """A bare black housing in the place of a part of the draught: as much loss at a middling temperature."""
     del work, rng
-    return Guest(radiant=0.3 * s * machine.running)
+    radiant = 0.3 * s * machine.running
+    warm, cold = machine.hall + 0.6 * machine.usual + 273.15, machine.hall + 273.15
+    instead = radiant * (warm**2 + cold**2) * (warm + cold) / (4.0 * 300.0**3)
+    return Guest(radiant=radiant, cooling=-instead, sink=machine.hall)
 
 
 def late_current_heating(work: Work, machine: Machine, s: float, rng: np.random.Generator) -> Guest:
@@ -219,7 +222,7 @@ INSIDE: Mapping[str, Actor] = {
     "sensor-offset-step": Actor(make=sensor_offset_step, signed=True),
     "housing-thermal-mass": Actor(make=housing_thermal_mass),
     "thermostatic-cooling": Actor(make=thermostatic_cooling),
-    "radiation-loss": Actor(make=radiation_loss, most=12.0),
+    "radiation-loss": Actor(make=radiation_loss, most=8.0),
 }
 """By the catalogue's names."""
 WINDING: Mapping[str, Actor] = {LATE: Actor(make=late_current_heating, most=12.0, law="line")}
