@@ -83,7 +83,9 @@ def measure(days: list[int], seed: int, *, profile: bool) -> list[Figure]:
         for number in days:
             child = [sys.executable, "-m", "benchmarks.discrepancy_cost", "--days", str(number), "--seed", str(seed)]
             child += ["--child", str(model), *(["--profile"] if profile and number == days[-1] else [])]
-            done = subprocess.run(child, check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, **ONE_THREAD})
+            done = subprocess.run(
+                child, check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, **ONE_THREAD}
+            )
             results.append(json.loads(done.stdout))
     figures = []
     for one in results:
