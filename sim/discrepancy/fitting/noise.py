@@ -16,7 +16,6 @@ cycles is a random effect on top (Woodbury).
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import scipy

@@ -1,13 +1,14 @@
 """Random effects beside a long band of states: a column for each cycle, which soon dies away, and a few that do not.
 
-The windows' covariance is V = V0 + Z Z', V0 that of the banded states with the sensor's noise, Z the columns. Woodbury's
-identity needs M = I + Z' V0^-1 Z alone. A cycle's column has few rows that are not zero, and what solving along the band
-makes of it fades as the plant and its disturbances forget; so M is a band of the cycles with a border of the few other
-columns, and everything costs as many windows as there are times the cycles that are remembered, not times all cycles.
+The windows' covariance is V = V0 + Z Z', V0 that of the banded states with the sensor's noise, Z the columns. Of
+Woodbury's identity M = I + Z' V0^-1 Z is needed alone. A cycle's column has few rows that are not zero, and what
+solving along the band makes of it fades as the plant and its disturbances forget. So M is a band of the cycles with a
+border of the few other columns, and the cost is that of the cycles which are remembered, not of all.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -239,7 +240,7 @@ def _pieces(band: Band, columns: Array, scatter: float, spans: Spans) -> Iterato
     reach = band.reach
     carried, size, low = np.zeros((reach, count)), np.zeros(count), 0
     edges = [*range(0, max(m - TOGETHER // 2, 1), TOGETHER), m]
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in pairwise(edges):
         high = max(int(np.searchsorted(spans.begin, end)), low)
         own = columns[begin:end, low:high] * scatter
         pushed = band.pushed(own)
