@@ -1,6 +1,6 @@
 """One step towards a name: the catalogue screened, the likeliest confirmed by joint refits and weighed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -103,8 +103,14 @@ class NamingStep:
         return self.best.gain - max(others, default=0.0)
 
 
-def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], seed: int) -> NamingStep:
-    """Screen and confirm `entries` on top of a fit."""
+def step(
+    before: Fitted,
+    entries: Sequence[CatalogueEntry],
+    roles: Mapping[str, str],
+    seed: int,
+    told: Callable[[str], None] = lambda _: None,
+) -> NamingStep:
+    """Screen and confirm `entries` on top of a fit; each that is fitted is `told` by its name before."""
     screened = screen(before, entries, roles)
     # The catalogue is searched, so the greatest gain of many is judged: by its own law under "nothing is missing",
     # drawn from the fitted noise, not by the chi-square of a single test.
@@ -113,13 +119,18 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
     # The screen orders well but judges too low (its noise has swallowed a part of the effect): the first few are fitted
     # jointly, and only a gain of a joint refit can become a name.
     likely = [each for each in evidence[:CONFIRMED] if each.gain >= WORTH]
-    confirmed = [confirm(before, each) for each in likely]
+    confirmed = []
+    for each in likely:
+        told(each.entry.name)
+        confirmed.append(confirm(before, each))
     # A rival that could win is weighed against its special cases: they are fitted too, wherever the screen has them.
     top = max((each.gain for each in confirmed), default=0.0)
     near = top - max(MARGIN, ALIKE * top)
     special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.rival}
     behind = [each for each in evidence[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
-    confirmed += [confirm(before, each) for each in behind]
+    for each in behind:
+        told(each.entry.name)
+        confirmed.append(confirm(before, each))
     names = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in names]
     order = tuple(sorted(without_idle_rivals([*confirmed, *rest]), key=lambda each: -each.gain))

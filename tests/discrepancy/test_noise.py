@@ -82,8 +82,9 @@ def dense(grid: Grid, noise: NoiseModel) -> Array:
 
 
 @pytest.mark.parametrize("noise", [NOISE, LASTING])
-def test_weighing_and_determinant_are_those_of_the_dense_covariance(noise: NoiseModel) -> None:
-    grid = small_grid()
+@pytest.mark.parametrize("size", [40, 700], ids=["few", "windows by pieces"])
+def test_weighing_and_determinant_are_those_of_the_dense_covariance(noise: NoiseModel, size: int) -> None:
+    grid = small_grid(size=size)
     covariance = dense(grid, noise)
     columns = np.random.default_rng(0).standard_normal((grid.dt.size, 3))
     whitener = Whitener(grid, noise)
