@@ -1,6 +1,6 @@
 """One step towards a name: the catalogue screened, the likeliest confirmed by joint refits and weighed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -98,8 +98,14 @@ class NamingStep:
         return self.best.gain - max(others, default=0.0)
 
 
-def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], seed: int) -> NamingStep:
-    """Screen and confirm `entries` on top of a fit."""
+def step(
+    before: Fitted,
+    entries: Sequence[CatalogueEntry],
+    roles: Mapping[str, str],
+    seed: int,
+    told: Callable[[str], None] = lambda _: None,
+) -> NamingStep:
+    """Screen and confirm `entries` on top of a fit; each that is fitted is `told` by its name before."""
     screened = screen(before, entries, roles)
     # The catalogue is searched, so the greatest gain of many is judged: by its own law under "nothing is missing",
     # drawn from the fitted noise, not by the chi-square of a single test.
@@ -111,7 +117,10 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
     names = [each for each in evidence if not each.entry.rival]
     first = {each.entry.name for each in (*names[:CONFIRMED], *evidence[:CONFIRMED])}
     likely = [each for each in evidence if each.entry.name in first and each.gain >= WORTH]
-    confirmed = [confirm(before, each) for each in likely]
+    confirmed = []
+    for each in likely:
+        told(each.entry.name)
+        confirmed.append(confirm(before, each))
     # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
     top = max((each.gain for each in confirmed), default=0.0)
     near = top - max(MARGIN, ALIKE * top)

@@ -90,6 +90,12 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
     return np.where(acting, heat, 0.0) + late, np.where(acting, loss, 0.0)
 
 
+def coupled(record: Record, effect: Effect) -> Array:
+    """(n,) 1/s the coupling of a housing in each step, 0 where it does not act."""
+    acting = np.array([acts_in(effect, location.name) for location in record.model.sha.locations])
+    return np.asarray(np.where(acting[record.runs.place], effect.params["coupling"], 0.0))
+
+
 def _view(record: Record, effect: Effect) -> RecordView:
     """What a law that only a diagnosis knows may read of a record."""
     runs = record.runs
