@@ -13,7 +13,16 @@ import numpy as np
 
 from sim.discrepancy.augment import as_white, process_noise
 from sim.discrepancy.diagnosis import NoiseFloor
-from sim.discrepancy.fitting import Fitted, NoiseModel, Record, Whitener, readings_in_window, rounding
+from sim.discrepancy.fitting import (
+    Fitted,
+    NoiseModel,
+    Record,
+    Whitener,
+    on,
+    readings_in_window,
+    rounding,
+    sensitivity,
+)
 from sim.discrepancy.heat import since_switch
 from sim.discrepancy.held_out import HeldOutRun, let_run, mean_squares
 from sim.effects import of_feature, without
@@ -78,29 +87,39 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int) -> Noi
     """
     training = let_run(explained, explained.frame.record.by_cycles())
     trial = let_run(explained, record)
-    squares, windows, known = mean_squares(training)
+    _, _, known = mean_squares(training)
     _, weights, cycles = mean_squares(trial)
     rng = np.random.default_rng(seed)
-    sensor = sensor_alone(explained)
-    bounds = {
-        "what the model states of its own free runs": float(np.sqrt(np.mean(stated**2))),
-        "what is left of the fitted cycles": float(np.sqrt(np.average(squares, weights=windows))),
-        "what equal cycles differ by": scatter_of_equal_cycles(training),
+    # A fit errs less on what it was fitted to than on other cycles: what it takes from the noise is drawn too.
+    whitener = Whitener(explained.grid, explained.noise)
+    noise = whitener.draw(rng, DRAWS)
+    precision = whitener.gram(explained.columns) + np.diag(np.maximum(explained.prior, 1e-12))
+    taken = np.linalg.solve(precision, explained.columns.T @ whitener.weigh(noise))
+    fitted = _rms(noise - explained.columns @ taken)
+    beyond = trial.record.windowed(sensitivity(on(explained.frame, record), trial.state, trial.start))
+    own, drawn = predicted(trial, cycles, trial.whitener.draw(rng, DRAWS) - beyond @ taken)
+    expected = _rms(predicted(training, known, training.whitener.draw(rng, DRAWS))[0])
+    # Each bound says how many times the noise of the fit there is; how cycles differ among themselves (how long they
+    # are, how much is heated in them) that noise knows.
+    sizes = {
+        "what the model states of its own free runs": _rms(stated) / expected,
+        "what is left of the fitted cycles": _rms(explained.residual) / fitted,
+        "what equal cycles differ by": scatter_of_equal_cycles(training) / expected,
     }
-    source = min(bounds, key=lambda name: bounds[name])
-    least = read_alone(training, known, sensor, rng)
-    level = max(bounds[source], float(np.sqrt(np.mean(least**2))))
-    source = source if bounds[source] >= level else "the sensor alone"
-    # How the cycles differ among themselves (how long they are, how much is heated in them) the fit's noise knows.
-    expected, _ = predicted(training, known, explained.noise, rng)
-    own, drawn = predicted(trial, cycles, explained.noise, rng)
-    floor = level * own / max(float(np.sqrt(np.mean(expected**2))), 1e-12)
-    floor = np.maximum(floor, read_alone(trial, cycles, sensor, rng))
+    source = min(sizes, key=lambda name: sizes[name])
+    floor = sizes[source] * own
+    least = read_alone(trial, cycles, sensor_alone(explained), rng)
+    source = "the sensor alone" if _rms(floor) < _rms(least) else source
+    floor = np.maximum(floor, least)
     error = float(np.sqrt(np.average(floor**2, weights=weights)))
     # The noise itself is known from so many cycles: its standard error in logarithms is 1 / sqrt(2 n).
     unsure = np.exp(rng.standard_normal(drawn.size) / np.sqrt(2.0 * known.size))
-    low, high = np.quantile(drawn / np.sqrt(np.mean(drawn**2)) * unsure, [0.025, 0.975])
+    low, high = np.quantile(drawn / _rms(drawn) * unsure, [0.025, 0.975])
     return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def stated_errors(model: Model, laid_out: Sequence[Trace], fitted: Fitted) -> Array:
@@ -124,19 +143,18 @@ def read_alone(trial: HeldOutRun, cycles: Indices, sensor: NoiseModel, rng: np.r
     """(c,) degC rms of each cycle's free run where only the reading errs: in its windows, and at its start."""
     grid = trial.whitener.grid
     sharp = replace(grid, late=0.0 * grid.late, shared=0.0 * grid.shared, inrush=0.0 * grid.inrush)
-    return predicted(replace(trial, whitener=Whitener(sharp, sensor)), cycles, sensor, rng)[0]
+    return predicted(trial, cycles, Whitener(sharp, sensor).draw(rng, DRAWS))[0]
 
 
-def predicted(trial: HeldOutRun, cycles: Indices, noise: NoiseModel, rng: np.random.Generator) -> tuple[Array, Array]:
-    """(degC rms of each cycle (c,), of all of them in each draw (DRAWS,)) of free runs that err by a noise alone.
+def predicted(trial: HeldOutRun, cycles: Indices, drawn: Array) -> tuple[Array, Array]:
+    """(degC rms of each cycle (c,), of all of them in each draw (d,)) of free runs that err by residuals drawn (m, d).
 
-    Parametric bootstrap: residuals are drawn on the windows at hand and begun as measured ones are.
+    Parametric bootstrap: residuals are begun as measured ones are.
     """
-    residual = trial.started(Whitener(trial.whitener.grid, noise).draw(rng, DRAWS))
-    number = trial.record.window_whole
+    residual, number = trial.started(drawn), trial.record.window_whole
     kept = np.isin(number, cycles)
     place = np.searchsorted(cycles, number[kept])
-    sums = np.zeros((cycles.size, DRAWS))
+    sums = np.zeros((cycles.size, drawn.shape[1]))
     np.add.at(sums, place, residual[kept] ** 2)
     counts = np.bincount(place)
     return np.sqrt(sums.mean(axis=1) / counts), np.sqrt(sums.sum(axis=0) / counts.sum())

@@ -27,13 +27,14 @@ LEAST_WINDOWS = 3
 class HeldOutRun:
     """A fit let run over a record cut by cycles.
 
-    `state` is the free run, `residual` (m,) degC of its windows, `begun` (m,) what one degree at a run's start is
-    there, `early` (m,) which windows say where a run starts, `order` (m,) numbers the runs, `whitener` weighs by the
-    fit's noise.
+    `state` is the free run from `start` (R,) degC, `residual` (m,) degC of its windows, `begun` (m,) what one degree at
+    a run's start is there, `early` (m,) which windows say where a run starts, `order` (m,) numbers the runs, `whitener`
+    weighs by the fit's noise.
     """
 
     record: Record
     state: CourseState
+    start: Array
     residual: Array
     begun: Array
     early: Mask
@@ -73,7 +74,14 @@ def let_run(fitted: Fitted, record: Record) -> HeldOutRun:
             break
     whitener = Whitener(grid_at(frame, state), fitted.noise)
     return HeldOutRun(
-        record=record, state=state, residual=residual, begun=begun, early=early, order=order, whitener=whitener
+        record=record,
+        state=state,
+        start=start,
+        residual=residual,
+        begun=begun,
+        early=early,
+        order=order,
+        whitener=whitener,
     )
 
 

@@ -139,7 +139,8 @@ def diagnose(
     verdict: Verdict = "agree"
     if kept:
         verdict = "named" if all(len(step.members) == 1 for step in path.taken) else "class"
-    elif gap or began is not None or (material and (reasons or evidence_of(path, ceiling_before, proof.before))):
+    elif gap or began is not None or (material and evidence_of(path, ceiling_before, proof.before)):
+        # Names that held-out cycles contradict are no evidence by themselves.
         verdict = "unexplained"
         reasons = reasons or evidence_of(path, ceiling_before, proof.before)
         # The free run says it by itself: further off than chance makes of the noise.
