@@ -44,7 +44,7 @@ def test_each_effect_that_is_fitted_is_told_before() -> None:
     record = record_of(model(), [plant(3, days=2, pump=2e-4)], ("MarciaPmpFango",))
     base = fit(on(frame_of(record), record))
     said: list[str] = []
-    found = name(base, {"pump": "MarciaPmpFango"}, 0, 1, lambda stage, _: said.append(stage), entries=catalogue())
+    (found,) = name(base, {"pump": "MarciaPmpFango"}, 0, 1, lambda stage, _: said.append(stage), entries=catalogue())
     fitted = [each.entry.name for each in found.steps[0][0].evidence if each.confirmed]
     assert {f"looking for effect 1: {each}" for each in fitted} <= set(said)
     assert fitted
