@@ -50,6 +50,7 @@ def plant(
     bowl: float = 0.0,
     winding: float = 0.0,
     room: float = 0.0,
+    exchanged: float = 0.0,
     runs_on: bool = False,
     period: float = PERIOD,
     more: Callable[[Array, Array, Array], tuple[Array, Array]] | None = None,
@@ -57,8 +58,9 @@ def plant(
     """`days` days of three cycles, or one run of them all. `pump` 1/s cools towards 19 degC, `churning` degC/s dies
     away after each start over 400 s as a logistic, `winding` degC/s at 200 A goes with the square of the current and
     comes through two masses of 120 s and 60 s, `room` is the share of all heat
-    that is lost to a room of its own days, `offset` degC is read too much from 40 % of the time on. A row
-    each `period` s. `more` gives (heat in degC/s, loss in 1/s) of each row from times, running and current."""
+    that is lost to a room of its own days, `exchanged` the share by which friction heats more from the
+    middle of the time on, `offset` degC is read too much from 40 % of the time on. A row each `period` s. `more` gives
+    (heat in degC/s, loss in 1/s) of each row from times, running and current."""
     rng = np.random.default_rng(seed)
     size = int(days * 86400 / period)
     on, current, pumping = operation(rng, size, runs_on, period)
@@ -78,6 +80,7 @@ def plant(
         keep = np.exp(-period / 400.0)
         heat = keep * heat + 4e-4 * np.sqrt(1 - keep**2) * rng.standard_normal()
         drive = k * (target - x) + on[row] * ((friction - 1) * k * (target - 17.0) + heat)
+        drive += exchanged * on[row] * (row >= size // 2) * k * (target - 17.0)
         drive += room * k * (days_of_room[row] - 17.0)
         drive -= pump * pumping[row] * (x - 19.0)
         drive += churning * on[row] / (1 + np.exp(min((since - 400.0) / 100.0, 50.0)))
