@@ -46,6 +46,7 @@ from sim.discrepancy.judging import (
 )
 from sim.discrepancy.law_search import candidate_laws
 from sim.discrepancy.locate import places
+from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.story import course_of, sentence_of
@@ -210,6 +211,7 @@ def diagnose(
         model_after=None,
         unit=model.unit,
         laws=laws,
+        missing_heat=missing_heat(base, record, cycles[cycles >= first_held_out]),
     )
     return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after)
 
