@@ -12,6 +12,7 @@ from sim.discrepancy.diagnosis import MissingHeat
 from sim.discrepancy.fitting import Fitted, NoiseModel, Record, Whitener, friction_heat
 from sim.discrepancy.heat import HOUR
 from sim.discrepancy.held_out import let_run
+from sim.effects import disturbance_step
 from sim.learning import Indices
 
 SIGMAS_95 = 1.96
@@ -26,10 +27,19 @@ def missing_heat(base: Fitted, record: Record, held_out: Indices) -> MissingHeat
     """
     trial = let_run(base, record)
     noise = as_one_heat(base)
-    grid = trial.whitener.grid
-    whitener = Whitener(replace(grid, heats=np.empty((grid.dt.size, 0))), noise)
-    mean, variance = whitener.heat(trial.residual)
+    grid = replace(trial.whitener.grid, heats=np.empty((record.times.size, 0)))
     running = record.windowed(record.running)
+    # What heats at rest and what heats while the machine runs are two: neither is foreseen by the other, so that a heat
+    # that begins with a start or ends with a stop does so at once.
+    step = disturbance_step(noise.memory, grid.k, grid.dt)
+    switched = np.diff(running > 0.5, prepend=running[0] > 0.5)
+    step = replace(
+        step,
+        keep=np.where(switched, 0.0, step.keep),
+        xd=np.where(switched, 0.0, step.xd),
+        dd=np.where(switched, 1.0, step.dd),
+    )
+    mean, variance = Whitener(grid, noise, step).heat(trial.residual)
     acts = HOUR * (noise.rest + (1.0 - noise.rest) * running)
     half = SIGMAS_95 * acts * np.sqrt(variance)
     return MissingHeat(

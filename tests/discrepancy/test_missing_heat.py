@@ -73,3 +73,16 @@ def test_one_heat_has_the_strength_of_all_three(base: Fitted) -> None:
     noise = as_one_heat(replace(base, noise=replace(base.noise, process=0.004, rough=0.0, cycle=0.0, memory=800.0)))
     assert noise.rough == pytest.approx(0.004 / np.sqrt(2 * 800.0)) and noise.rest == 1.0
     assert (noise.process, noise.cycle) == (0.0, 0.0)
+
+
+def test_a_heat_at_rest_says_nothing_of_the_run_before_it(base: Fitted, trace: Trace) -> None:
+    on = trace.signals["MarciaDecanter"] > 0.5
+    keep = np.exp(-PERIOD * np.where(on, 1 / 1500, 1 / 3600))
+    added = linear_recursion(keep, PERIOD * np.where(on, 0.0, 5.0 / HOUR), 0.0)
+    rests = replace(trace, signals={**trace.signals, "T": trace.signals["T"] + added})
+    found, without = of(base, rests), of(base, trace)
+    more = found.mean - without.mean
+    assert np.mean(more[~found.running]) == pytest.approx(5.0, rel=0.1)
+    assert np.quantile(np.abs(more[found.running]), 0.95) < 1.0
+    # A heat of which a quarter acts at rest would have to be four times as great just before each stop.
+    assert np.max(np.abs(more[found.running])) < 3.0

@@ -44,6 +44,8 @@ ANNOTATED = 160
 LONGEST_NAME = 28
 """Characters of a location's name on an axis."""
 DPI = 110
+CHARACTERS = 125
+"""Of a line of the sentence on the sheet."""
 BREAK_S, BREAK_STEPS = 1800.0, 10.0
 """Seconds without a window, and steps of the usual length, from which a curve over time is broken."""
 OUTLIER = 0.005
@@ -98,18 +100,21 @@ def _to_show(diagnosis: Diagnosis) -> tuple[DiagnosisCourse | None, HeldOutProof
 
 
 def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequence[int]) -> Figure:
-    """All of it on one sheet, the verdict on top."""
+    """All of it on one sheet: what is missing over time, the sentence, and the rest."""
     course, held_out = _to_show(diagnosis)
     errors = held_out is not None and bool(held_out.per_cycle)
     missing = diagnosis.missing_heat
+    sentence = "\n".join(wrap(diagnosis.sentence, CHARACTERS))
     heights = [MISSING_HEIGHT] if missing is not None else []
+    heights += [0.2 + 0.2 * (sentence.count("\n") + 1)]
     heights += [_map_height(heat)] if heat else []
     heights += [4.6] if course is not None and shown else []
     heights += [3.2] if errors else []
-    figure = _figure(11.5, sum(heights) + 0.9)
+    figure = _figure(11.5, sum(heights) + 0.4)
     parts = iter(figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0])
     if missing is not None:
         draw_missing_heat(next(parts).subplots(), missing, diagnosis.began, diagnosis.unit)
+    next(parts).text(0.01, 0.5, sentence, fontsize=12, va="center", ha="left", parse_math=False)
     if heat is not None:
         draw_where(next(parts), heat, diagnosis.unit)
     if course is not None and shown:
@@ -117,8 +122,7 @@ def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequen
     if held_out is not None and errors:
         cycles = [] if course is None else held_out_cycles(course)
         draw_errors(next(parts).subplots(), held_out, cycles, diagnosis.unit)
-    sentence = "\n".join(wrap(diagnosis.sentence, 120)[:3])
-    figure.suptitle(f"{title}\n{sentence}", fontsize=12, x=0.01, ha="left", parse_math=False)
+    figure.suptitle(title, fontsize=13, x=0.01, ha="left", parse_math=False)
     return figure
 
 
@@ -301,7 +305,7 @@ def draw_errors(axis: Axes, held_out: HeldOutProof, cycles: Sequence[int], unit:
     after = bool(np.isfinite(rows[:, 1]).any())
     width = 0.38 if after else 0.6
     shift = width / 2 if after else 0.0
-    axis.bar(place - shift, rows[:, 0], width, color=BEFORE, label="before")
+    axis.bar(place - shift, rows[:, 0], width, color=BEFORE, label="before (refitted)")
     if after:
         axis.bar(place + shift, rows[:, 1], width, color=AFTER, label="after")
     axis.hlines(rows[:, 2], place - 0.45, place + 0.45, color=FLOOR, linewidth=2.0, label="noise floor")
