@@ -27,7 +27,6 @@ from sim.discrepancy.story import (
     floor_sentence,
     held_out_count,
     held_out_sentence,
-    removed_sentence,
     shown_time,
 )
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
@@ -58,7 +57,6 @@ __all__ = [
     "law_sentence",
     "look_at",
     "overlap_sentence",
-    "removed_sentence",
     "shown_time",
     "span",
     "told_places",

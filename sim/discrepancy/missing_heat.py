@@ -28,11 +28,11 @@ def missing_heat(base: Fitted, record: Record, held_out: Indices) -> MissingHeat
     trial = let_run(base, record)
     noise = as_one_heat(base)
     grid = replace(trial.whitener.grid, heats=np.empty((record.times.size, 0)))
-    running = record.windowed(record.running)
+    running = record.windowed(record.running) > 0.5
     # What heats at rest and what heats while the machine runs are two: neither is foreseen by the other, so that a heat
     # that begins with a start or ends with a stop does so at once.
     step = disturbance_step(noise.memory, grid.k, grid.dt)
-    switched = np.diff(running > 0.5, prepend=running[0] > 0.5)
+    switched = np.diff(running, prepend=running[:1])
     step = replace(
         step,
         keep=np.where(switched, 0.0, step.keep),
@@ -40,14 +40,14 @@ def missing_heat(base: Fitted, record: Record, held_out: Indices) -> MissingHeat
         dd=np.where(switched, 1.0, step.dd),
     )
     mean, variance = Whitener(grid, noise, step).heat(trial.residual)
-    acts = HOUR * (noise.rest + (1.0 - noise.rest) * running)
+    acts = HOUR * np.where(running, 1.0, noise.rest)
     half = SIGMAS_95 * acts * np.sqrt(variance)
     return MissingHeat(
         times=record.times,
         mean=acts * mean,
         low=acts * mean - half,
         high=acts * mean + half,
-        running=running > 0.5,
+        running=running,
         held_out=np.isin(record.window_whole, held_out),
     )
 
