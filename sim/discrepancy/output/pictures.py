@@ -141,7 +141,7 @@ MISSING_HEIGHT = 3.6
 
 
 def draw_missing_heat(axis: Axes, heat: MissingHeat, began: Beginning | None, unit: str) -> None:
-    """The missing heat over time with its band, in `unit`/h; rests are shaded, and a dated line says where it begins."""
+    """The missing heat over time with its band, in `unit`/h: rests shaded, a dated line where it begins."""
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
     # Where nothing was recorded for long, NaN breaks the curves: nothing is known there.
