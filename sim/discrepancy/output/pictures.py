@@ -142,8 +142,6 @@ MISSING_HEIGHT = 3.6
 
 def draw_missing_heat(axis: Axes, heat: MissingHeat, began: Beginning | None, unit: str) -> None:
     """The missing heat over time with its band, in `unit`/h: rests shaded, a dated line where it begins."""
-    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
-
     # Where nothing was recorded for long, NaN breaks the curves: nothing is known there.
     steps = np.diff(heat.times)
     usual = float(np.median(steps)) if steps.size else 0.0
@@ -169,9 +167,7 @@ def draw_missing_heat(axis: Axes, heat: MissingHeat, began: Beginning | None, un
     room = 0.06 * max(float(most - least), 1e-9)
     axis.set_ylim(min(float(least), 0.0) - room, max(float(most), 0.0) + room)
     axis.set_xlim(float(days[0]), float(days[-1]) if days[-1] > days[0] else float(days[0]) + 1.0)
-    locator = AutoDateLocator()
-    axis.xaxis.set_major_locator(locator)
-    axis.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    axis.xaxis_date()
     axis.tick_params(labelsize=8)
     axis.set_xlabel("time (UTC)", fontsize=9)
     axis.set_ylabel(f"missing heat ({shown_unit(unit)}/h)", fontsize=9)
