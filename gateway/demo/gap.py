@@ -13,6 +13,7 @@ from gateway.demo.folder import held
 from gateway.entry import Exit, fail, sentences
 from gateway.lab.diagnose import DiagnosisRequest, roles_of, run
 from gateway.lab.learn import learn_from, write
+from sim.discrepancy import LEAST_TOLD_SHARE
 from sim.discrepancy.output import check_folder, document
 from sim.plant import CooledPlant, cooled_days
 from sim.sha import Alphabet, Trace, encode
@@ -55,6 +56,7 @@ def figures(document: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         "named": named,
         "right": HIDDEN in first and len(document["effects"]) == 1,
         "wrong": bool(named) and HIDDEN not in named,
+        "shrinking_shown": all(effect["shrinking_shown"] for effect in document["effects"]),
         "held_out": document["held_out"],
         "localisation": document["localisation"],
         "model_before": document["model_before"],
@@ -70,17 +72,13 @@ def summary_of(data: Mapping[str, Any]) -> list[str]:
     lines = [f"hidden in the plant: {data['hidden']}; the model was learned before it", f"found: {data['sentence']}"]
     if data["localisation"]:
         place = data["localisation"][0]
-        lines.append(f"where most of the heat was: {place['location']}, {place['share']:.0%}, {place['cycles']} cycles")
-    if held and data["named"]:
-        removed = ""
-        if held["ci95"] is not None:
-            low, high = held["ci95"]
-            removed = f", {held['excess_removed']:.0%} of the excess removed ({low:.0%} to {high:.0%})"
+        where = f"{place['location']}, {place['share']:.0%}, {place['cycles']} cycles"
         lines.append(
-            f"the gap shrinks on {held['cycles']} cycles that were never fitted: free-run error "
-            f"{held['rmse_before']:.3f} -> {held['rmse_after']:.3f} °C, noise floor {held['noise_floor']:.3f} °C"
-            f"{removed}"
+            f"where most of the heat was: {where if place['share'] >= LEAST_TOLD_SHARE else 'no particular place'}"
         )
+    if held and data["named"]:
+        shrinks = "the gap shrinks" if data["shrinking_shown"] else "that the gap shrinks is not shown"
+        lines.append(f"{shrinks} on cycles that were never fitted: {held['sentence']}")
     if data["right"]:
         lines.append("the hidden effect was found, and nothing else was named")
     else:

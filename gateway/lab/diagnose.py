@@ -28,10 +28,19 @@ from gateway.store import reading, recent
 from sim.artefacts import model_hash, read_effect_lines
 from sim.artefacts.formats import find_model
 from sim.checking.proof import verify
-from sim.discrepancy import Diagnosis, DiagnosisOutcome, augmented, law_sentence, look_at, overlap_sentence, span
+from sim.discrepancy import (
+    Diagnosis,
+    DiagnosisOutcome,
+    augmented,
+    held_out_sentence,
+    law_sentence,
+    look_at,
+    overlap_sentence,
+    span,
+)
 from sim.discrepancy import diagnose as diagnose_model
 from sim.discrepancy.fitting import overlapping, patiently
-from sim.discrepancy.output import MODEL, Occasion, check_folder, document, write_diagnosis
+from sim.discrepancy.output import MISSING_HEAT, MODEL, Occasion, check_folder, document, write_diagnosis
 from sim.effects import ROLES
 from sim.sha import EffectLine, Model, Trace, joint_hash, shown_unit
 from sim.traces import ColumnMap, load_map
@@ -329,19 +338,12 @@ def show(result: DiagnosisResult, out: Path) -> None:
             for s in diagnosis.shifts
         ]
         table("parameters that moved", ("location", "parameter", "before", "after", "unit", "change", "sigma"), rows)
-    held = diagnosis.held_out
-    if held is not None:
-        errors = f"{held.rmse_before:.3f} {unit}"
-        if diagnosis.effects:
-            errors += f" before, {held.rmse_after:.3f} {unit} after"
-        if held.excess_removed is not None and held.ci95 is not None:
-            low, high = held.ci95
-            errors += f"; {held.excess_removed:.0%} of the excess removed ({low:.0%} to {high:.0%})"
-        click.echo(
-            f"held out: {held.cycles} cycles, free-run error {errors}; noise floor {held.noise_floor:.3f} {unit}"
-        )
+    if said := held_out_sentence(diagnosis):
+        click.echo(f"held out: {said}")
     if diagnosis.untested:
         click.echo(f"not tested: {', '.join(diagnosis.untested)} (the report says why)")
+    if diagnosis.missing_heat is not None:
+        click.echo(f"missing heat over time: {out / MISSING_HEAT}")
     if (out / "report.html").exists():
         click.echo(f"report: {out / 'report.html'}")
     if diagnosis.model_after is not None:

@@ -1,6 +1,13 @@
 """The gap workflow: from traces to a diagnosis, and the model with what was missing."""
 
-from sim.discrepancy.advice import in_words, law_sentence, look_at, overlap_sentence
+from sim.discrepancy.advice import (
+    LEAST_TOLD_SHARE,
+    in_words,
+    law_sentence,
+    look_at,
+    overlap_sentence,
+    told_places,
+)
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.diagnosis import (
     Beginning,
@@ -9,13 +16,23 @@ from sim.discrepancy.diagnosis import (
     DiagnosisCourse,
     HeatPlace,
     HeldOutProof,
+    MissingHeat,
     NamedEffect,
+    NoiseFloor,
     TriedEffect,
 )
 from sim.discrepancy.heat_maps import LONGEST, HeatMap, heat_map, span
+from sim.discrepancy.story import (
+    beginning_sentence,
+    floor_sentence,
+    held_out_count,
+    held_out_sentence,
+    shown_time,
+)
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 
 __all__ = [
+    "LEAST_TOLD_SHARE",
     "LONGEST",
     "Beginning",
     "CandidateLaw",
@@ -25,14 +42,22 @@ __all__ = [
     "HeatMap",
     "HeatPlace",
     "HeldOutProof",
+    "MissingHeat",
     "NamedEffect",
+    "NoiseFloor",
     "TriedEffect",
     "augmented",
+    "beginning_sentence",
     "diagnose",
+    "floor_sentence",
     "heat_map",
+    "held_out_count",
+    "held_out_sentence",
     "in_words",
     "law_sentence",
     "look_at",
     "overlap_sentence",
+    "shown_time",
     "span",
+    "told_places",
 ]

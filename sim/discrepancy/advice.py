@@ -10,6 +10,13 @@ from sim.discrepancy.heat_maps import span
 
 TOLD = 2
 """Places that are told where nothing has a name."""
+LEAST_TOLD_SHARE = 0.2
+"""Share of the unexplained heat below which a place is none that is told: most of the heat is elsewhere."""
+
+
+def told_places(places: Sequence[HeatPlace]) -> tuple[HeatPlace, ...]:
+    """The places in which enough of the heat lies to speak of a place at all."""
+    return tuple(place for place in places if place.share >= LEAST_TOLD_SHARE)
 
 
 def look_at(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -21,7 +28,7 @@ def look_at(diagnosis: Diagnosis) -> tuple[str, ...]:
     for effect in diagnosis.effects:
         lines += [f"{looks[name]} ({name})" for name in effect.members if looks.get(name)]
     if diagnosis.verdict == "unexplained":
-        for place in diagnosis.unexplained[:TOLD]:
+        for place in told_places(diagnosis.unexplained)[:TOLD]:
             after = f" {span(*place.seconds)} after {place.after}" if place.after else ""
             with_ = (
                 f", with {place.when}" if place.when else f", as {place.correlates} changes" if place.correlates else ""

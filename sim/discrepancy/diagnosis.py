@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from sim.learning import Indices
-from sim.sha import DEGREES, Array, EffectLine
+from sim.sha import DEGREES, Array, EffectLine, Mask
 
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
@@ -242,6 +242,22 @@ class DiagnosisCourse:
     cycle: Array
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissingHeat:
+    """The heat (degC/h) that the refitted model lacks to follow the measurement, over all windows (m,), in time.
+
+    `times` are absolute s, `mean` what is likely, `low` and `high` its 95 % band. `running` says whether the machine
+    ran, `held_out` whether the model was fitted without the window.
+    """
+
+    times: Array
+    mean: Array
+    low: Array
+    high: Array
+    running: Mask
+    held_out: Mask
+
+
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
     """All that a diagnosis found.
@@ -253,7 +269,7 @@ class Diagnosis:
     variable: what is said to be in degC anywhere in a diagnosis is in it. `laws` are expressions to look at where the
     gap has no name, `floor` what a free run errs by where nothing is missing, `began` says since when it errs by more
     (None where that is from the first cycle on), `description` in the plant's words what goes best with a gap that has
-    no name, "" where nothing does.
+    no name, "" where nothing does. `missing_heat` is the heat over time that the model lacks.
     """
 
     verdict: Verdict
@@ -280,3 +296,4 @@ class Diagnosis:
     unit: str = DEGREES
     laws: tuple[CandidateLaw, ...] = ()
     description: str = ""
+    missing_heat: MissingHeat | None = None

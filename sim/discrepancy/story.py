@@ -5,13 +5,16 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from sim.discrepancy.advice import told_places
 from sim.discrepancy.diagnosis import (
     AbsorbedLaw,
     Beginning,
+    Diagnosis,
     DiagnosisCourse,
     HeatPlace,
     HeldOutProof,
     NamedEffect,
+    NoiseFloor,
     Shift,
     TraceOfEffect,
     Verdict,
@@ -19,7 +22,7 @@ from sim.discrepancy.diagnosis import (
 from sim.discrepancy.fitting import Fitted, Record
 from sim.discrepancy.heat import HOUR, implied_heat, since_switch
 from sim.discrepancy.held_out import HeldOutRun
-from sim.sha import Array
+from sim.sha import Array, shown_unit
 
 
 def sentence_of(
@@ -57,26 +60,25 @@ def sentence_of(
             for each in traces
         )
         return "Model and data agree within noise." + trace + moved
+    since = "" if began is None else f" {beginning_sentence(began, unit)}"
     gain = ""
     if held is not None and effects:
-        s = "" if held.cycles == 1 else "s"
         gain = (
-            f" On {held.cycles} cycle{s} that {'was' if held.cycles == 1 else 'were'} never fitted the error goes from "
-            f"{held.rmse_before:.2f} to {held.rmse_after:.2f} {unit} (noise alone: {held.noise_floor:.2f})."
+            f" On {_count(held.cycles, 'cycle')} that {'was' if held.cycles == 1 else 'were'} never fitted the error "
+            f"goes from {held.rmse_before:.2f} to {held.rmse_after:.2f} {unit} (noise alone: {held.noise_floor:.2f})."
         )
-        gain += "" if all(each.shrinking_shown for each in effects) else " That the gap shrinks is not shown by so few."
+        gain += "" if all(each.shrinking_shown for each in effects) else " The shrinking is not shown."
     if verdict == "named":
         names = " and ".join(f"{effect.name} ({effect.plain})" for effect in effects)
-        return f"Missing in the model: {names}.{gain}{moved}"
+        return f"Missing in the model: {names}.{since}{gain}{moved}"
     if verdict == "class":
         names = "; ".join(" or ".join(effect.members) for effect in effects)
-        return f"Something is missing that these data cannot tell apart: {names}.{gain}{moved}"
-    since = "" if began is None else f" {beginning_sentence(began, unit)}"
+        return f"Something is missing that these data cannot tell apart: {names}.{since}{gain}{moved}"
     where = "the free run is further off than noise allows, in no particular place."
     if description:
         where = f"{description}."
-    if unexplained:
-        place = unexplained[0]
+    if told := told_places(unexplained):
+        place = told[0]
         low, high = place.seconds
         seconds = f"{low:.0f}-{high:.0f} s" if np.isfinite(high) else f"more than {low:.0f} s"
         goes = f", and goes with {place.correlates}" if place.correlates else ""
@@ -91,7 +93,7 @@ def sentence_of(
 
 def beginning_sentence(began: Beginning, unit: str) -> str:
     """Since when the machine is warmer or cooler than before, and how sure the date is; `unit` as people read it."""
-    low, moment, high = (_date(time) for time in (began.interval[0], began.time, began.interval[1]))
+    low, moment, high = (shown_time(time) for time in (began.interval[0], began.time, began.interval[1]))
     way = "warmer" if began.moves > 0 else "cooler"
     how = "while it runs" if began.running else "at rest"
     return (
@@ -100,7 +102,57 @@ def beginning_sentence(began: Beginning, unit: str) -> str:
     )
 
 
-def _date(time: float) -> str:
+def held_out_sentence(diagnosis: Diagnosis) -> str:
+    """What the held-out cycles show: the error as given, refitted and with what was added, the floor, what is gone.
+
+    "" where nothing was held out.
+    """
+    held, unit = diagnosis.held_out, shown_unit(diagnosis.unit)
+    if held is None:
+        return ""
+    errors = f"{held.rmse_given:.3f} {unit} as given, {held.rmse_before:.3f} {unit} refitted"
+    if diagnosis.effects:
+        errors += f", {held.rmse_after:.3f} {unit} with what was added"
+    parts = (
+        f"{held_out_count(held)}, free-run error {errors}",
+        "" if diagnosis.floor is None else floor_sentence(diagnosis.floor, unit),
+        removed_sentence(held, diagnosis.effects),
+    )
+    return "; ".join(part for part in parts if part)
+
+
+def held_out_count(held: HeldOutProof) -> str:
+    """How many cycles were held out, and how many pieces of evidence they are where these are others."""
+    pieces = "" if held.pieces == held.cycles else f" in {_count(held.pieces, 'independent piece')}"
+    return _count(held.cycles, "cycle") + pieces
+
+
+def floor_sentence(floor: NoiseFloor, unit: str) -> str:
+    """The noise floor with its interval, and what it was told from; `unit` as people read it."""
+    low, high = floor.interval
+    return f"noise floor {floor.error:.3f} {unit} (95 % interval {low:.3f} to {high:.3f}), from {floor.source}"
+
+
+def removed_sentence(held: HeldOutProof, effects: Sequence[NamedEffect]) -> str:
+    """How much of the held-out excess is gone with the effects, with its interval; "" where nothing was added."""
+    if not effects:
+        return ""
+    if held.excess_removed is None or held.ci95 is None:
+        return "no excess over the floor that could have been removed: the shrinking is not shown"
+    low, high = held.ci95
+    gone = f"{held.excess_removed:.0%} of the excess removed"
+    if held.excess_removed >= 1.0:
+        gone = "all of the excess removed, to within the floor"
+    shown = "" if all(each.shrinking_shown for each in effects) else ": the shrinking is not shown"
+    return f"{gone} (95 % interval {low:.0%} to {high:.0%}){shown}"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def shown_time(time: float) -> str:
+    """A time (s UTC) as people read it, to the minute."""
     return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 

@@ -48,6 +48,7 @@ from sim.discrepancy.judging import (
 )
 from sim.discrepancy.law_search import candidate_laws
 from sim.discrepancy.locate import places
+from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.story import course_of, sentence_of
@@ -219,6 +220,7 @@ def diagnose(
         unit=model.unit,
         laws=laws,
         description=described,
+        missing_heat=missing_heat(base, record, cycles[cycles >= first_held_out]),
     )
     return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after)
 

@@ -56,8 +56,8 @@ def grid_of(dt: Array, k: Array, running: Array, weight: Array, first: Mask, cyc
     )
 
 
-def dense(grid: Grid, noise: NoiseModel) -> Array:
-    """V as the product of the steps of the stated equation, each by a matrix exponential (Van Loan 1978)."""
+def dense_states(grid: Grid, noise: NoiseModel) -> Array:
+    """The covariance of (x, h) of all windows: the stated equation's steps, by matrix exponentials (Van Loan 1978)."""
     size = grid.dt.size
     state = np.zeros((2 * size, 2 * size))
     for row in range(size):
@@ -74,6 +74,12 @@ def dense(grid: Grid, noise: NoiseModel) -> Array:
         state[here, :] = move @ state[before, :]
         state[:, here] = state[here, :].T
         state[here, here] = move @ state[before, before] @ move.T + move @ both[:2, 2:] + np.diag([grid.late[row], 0.0])
+    return state
+
+
+def dense(grid: Grid, noise: NoiseModel) -> Array:
+    """V from the covariance of the states, the columns of the cycles, and the reading's errors."""
+    state, size = dense_states(grid, noise), grid.dt.size
     heats = np.column_stack([grid.heats * noise.cycle, grid.shared, grid.inrush])
     time, run = np.cumsum(np.where(grid.first, 0.0, grid.dt)), np.cumsum(grid.first)
     fades = np.exp(-np.abs(time[:, None] - time) / noise.fades) * (run[:, None] == run)
@@ -135,6 +141,18 @@ def test_an_error_that_lasts_is_no_part_of_what_is_smoothed() -> None:
     errors = covariance - dense(grid, replace(LASTING, sensor=0.0, lasting=0.0))
     expected = residual - errors @ np.linalg.solve(covariance, residual)
     np.testing.assert_allclose(Whitener(grid, LASTING).smoothed(residual), expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("noise", [NOISE, LASTING])
+def test_the_heat_and_its_band_are_those_of_the_dense_covariance(noise: NoiseModel) -> None:
+    grid = small_grid()
+    residual = np.random.default_rng(9).standard_normal(grid.dt.size)
+    state, covariance = dense_states(grid, noise), dense(grid, noise)
+    with_readings = state[1::2, ::2]
+    mean, variance = Whitener(grid, noise).heat(residual)
+    np.testing.assert_allclose(mean, with_readings @ np.linalg.solve(covariance, residual), rtol=1e-5, atol=1e-9)
+    known = np.einsum("ij,ji->i", with_readings, np.linalg.solve(covariance, with_readings.T))
+    np.testing.assert_allclose(variance, np.diag(state)[1::2] - known, rtol=1e-5, atol=1e-11)
 
 
 def test_the_noise_is_found_again_from_its_own_draws() -> None:

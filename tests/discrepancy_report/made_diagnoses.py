@@ -6,11 +6,13 @@ from math import inf, nan
 import numpy as np
 
 from sim.discrepancy.diagnosis import (
+    Beginning,
     Ceiling,
     Diagnosis,
     DiagnosisCourse,
     HeatPlace,
     HeldOutProof,
+    MissingHeat,
     NamedEffect,
     NoiseFloor,
     Shift,
@@ -58,6 +60,23 @@ def held_out(*, after: bool = True) -> HeldOutProof:
     if not after:
         return HeldOutProof(4, 4, 0.7, 0.63, 0.63, 0.2, 0.0, (0.0, 0.0), rows)
     return HeldOutProof(4, 4, 0.7, 0.63, 0.225, 0.2, 0.97, (0.9, 1.0), rows)
+
+
+def missing(whole: DiagnosisCourse) -> MissingHeat:
+    """The missing heat of that course, as sure as a tenth of its range."""
+    heat = np.where(np.isfinite(whole.heat_before), whole.heat_before, 0.0)
+    running = np.array([name.startswith("ON") for name in whole.location])
+    return MissingHeat(
+        times=whole.times, mean=heat, low=heat - 4.0, high=heat + 4.0, running=running, held_out=whole.held_out > 0.5
+    )
+
+
+def beginning() -> Beginning:
+    """Since the fifth of eleven cycles the machine is warmer."""
+    begin = 1.7e9 + 4 * 10_800.0
+    return Beginning(
+        time=begin, interval=(begin - 10_800.0, begin), before=4, after=7, moves=1.2, running=True, p=0.0002
+    )
 
 
 def candidate(name: str, gain: float, fate: str, *, confirmed: bool = True, twins: tuple[str, ...] = ()) -> TriedEffect:
@@ -142,6 +161,7 @@ def agree() -> Diagnosis:
         settings={"seed": 0.0, "threshold (nats)": 7.3, "sensor noise (degC)": 0.05},
         model_before="plant",
         model_after=None,
+        missing_heat=missing(course(after=False)),
     )
 
 
@@ -151,7 +171,16 @@ def of(verdict: Verdict) -> Diagnosis:
         return agree()
     if verdict == "too-little-data":
         nothing = replace(agree(), verdict=verdict, sentence="There is 1 cycle; at least 4 are needed.", shifts=())
-        return replace(nothing, candidates=(), held_out=None, floor=None, course=None, ceiling_before=None, untested={})
+        return replace(
+            nothing,
+            candidates=(),
+            held_out=None,
+            floor=None,
+            course=None,
+            ceiling_before=None,
+            untested={},
+            missing_heat=None,
+        )
     if verdict == "unexplained":
         gap = replace(agree(), verdict=verdict, sentence="There is a gap that no known effect explains.", shifts=())
         return replace(gap, places=(PLACE, LATE), unexplained=(PLACE,), ceiling_before=Ceiling(0.4, 0.001, 2.0, ()))

@@ -6,20 +6,32 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from math import inf, nan
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from sim.artefacts.model_directory import read_model_directory
+from sim.discrepancy import beginning_sentence, held_out_sentence, look_at
 from sim.discrepancy.diagnosis import Diagnosis, Verdict
 from sim.discrepancy.heat_maps import heat_map, span
 from sim.discrepancy.output import folder as output_folder
-from sim.discrepancy.output.diagnosis_json import document, document_text
+from sim.discrepancy.output.diagnosis_json import MISSING_HEAT, document, document_text
 from sim.discrepancy.output.folder import check_folder, write_diagnosis
-from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE, cycles_to_show, draw
+from sim.discrepancy.output.pictures import (
+    CYCLES,
+    ERRORS,
+    MISSING,
+    SHEET,
+    WHERE,
+    cycles_to_show,
+    draw,
+    draw_missing_heat,
+)
 from sim.discrepancy.output.report import Occasion, place_sentence, report_html
-from tests.discrepancy_report.made_diagnoses import EVIL, LATE, PLACE, course, of
+from sim.discrepancy.story import sentence_of
+from tests.discrepancy_report.made_diagnoses import EVIL, LATE, PLACE, beginning, course, missing, of
 from tests.gateway.support import two_modes
 
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
@@ -53,7 +65,7 @@ def sketched(monkeypatch: pytest.MonkeyPatch) -> None:
     """Empty files for pictures, where the folder is what matters."""
 
     def sketch(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
-        names = () if diagnosis.course is None else (WHERE, CYCLES, ERRORS, SHEET)
+        names = () if diagnosis.course is None else (MISSING, WHERE, CYCLES, ERRORS, SHEET)
         for name in names:
             (folder / name).touch()
         return {name: folder / name for name in names}
@@ -120,6 +132,69 @@ def test_a_span_without_an_end_goes_to_the_longest_time_seen_there() -> None:
     assert late["seconds"] == [1800.0, float(since[np.array(whole.location) == "OFF/0-100"].max())]
 
 
+def test_the_document_names_the_table_of_the_missing_heat_which_has_every_window(
+    tmp_path: Path, sketched: None
+) -> None:
+    out = tmp_path / "out"
+    write_diagnosis(of("agree"), occasion(out), None, report=False)
+    made = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    header, *rows = (out / made["missing_heat"]).read_text(encoding="utf-8").splitlines()
+    heat = missing(course(after=False))
+    assert header == "time,mean,low,high,running,held_out" and len(rows) == heat.times.size
+    table = np.array([[float(cell) for cell in row.split(",")] for row in rows])
+    columns = (heat.times, heat.mean, heat.low, heat.high, heat.running, heat.held_out)
+    np.testing.assert_allclose(table, np.column_stack(columns), rtol=1e-5, atol=1e-3)
+    write_diagnosis(of("too-little-data"), occasion(out), None, report=False)
+    assert [path.name for path in out.iterdir()] == ["diagnosis.json"]
+    assert json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))["missing_heat"] is None
+
+
+# -------------------------------------------------------------------- what is said of held-out cycles
+
+
+def test_both_errors_before_the_floor_and_what_is_gone_are_said_in_one_sentence() -> None:
+    said = held_out_sentence(of("named"))
+    assert (
+        document(of("named"))["held_out"]["sentence"]
+        == said
+        == (
+            "4 cycles, free-run error 0.700 °C as given, 0.630 °C refitted, 0.225 °C with what was added; noise floor "
+            "0.200 °C (95 % interval 0.160 to 0.250), from what equal cycles differ by; 97% of the excess removed "
+            "(95 % interval 90% to 100%)"
+        )
+    )
+    assert held_out_sentence(of("agree")).endswith("differ by") and "added" not in held_out_sentence(of("agree"))
+    assert held_out_sentence(of("too-little-data")) == ""
+
+
+def proved(diagnosis: Diagnosis, **changed: Any) -> Diagnosis:
+    """The diagnosis with other figures of its held-out cycles."""
+    assert diagnosis.held_out is not None
+    return replace(diagnosis, held_out=replace(diagnosis.held_out, **changed))
+
+
+def test_no_more_than_all_of_the_excess_is_gone_and_pieces_are_told_from_cycles() -> None:
+    odd = proved(of("named"), excess_removed=1.0, ci95=(0.97, 1.0), cycles=1, pieces=6)
+    page, line = flat(html_of(odd, ())), held_out_sentence(odd)
+    assert "all of the excess removed, to within the floor (95 % interval 97% to 100%)" in line
+    assert "1 cycle in 6 independent pieces" in line and "1 cycle in 6 independent pieces was fitted by neither" in page
+    assert "all of it is gone, to within the floor" in page and "held-out cycles, 6 independent pieces" in page
+    assert "whole pieces resampled" in page and "More than 100 %" not in page
+    assert "0.70 °C free-run error, the model as given 0.63 °C refitted" in page
+    assert "noise floor 0.200 °C (95 % interval 0.160 to 0.250), from what equal cycles differ by" in page
+
+
+def test_a_name_whose_shrinking_is_not_shown_says_so() -> None:
+    shown = of("named")
+    unsure = replace(shown, effects=tuple(replace(one, shrinking_shown=False) for one in shown.effects))
+    unsure = proved(unsure, ci95=(-0.2, 1.0))
+    assert held_out_sentence(unsure).endswith("(95 % interval -20% to 100%): the shrinking is not shown")
+    assert "the shrinking is not shown" in flat(html_of(unsure, ()))
+    assert "shrinking is not shown" not in flat(html_of(shown, ())) + held_out_sentence(shown)
+    none = proved(unsure, excess_removed=None, ci95=None)
+    assert "no excess over the floor" in held_out_sentence(none)
+
+
 # -------------------------------------------------------------------- the map
 
 
@@ -178,7 +253,7 @@ def test_every_verdict_has_a_report_that_says_it_first_and_needs_nothing_from_ou
     said = flat(html)
     assert said.index(diagnosis.sentence) < said.index("What to do next")
     assert "://" not in html and "<script" not in html
-    assert html.count("data:image/png;base64,") == (0 if verdict == "too-little-data" else 3)
+    assert html.count("data:image/png;base64,") == (0 if verdict == "too-little-data" else 4)
     assert ("model promote STORE --add" in said) == bool(diagnosis.effects)
     assert ("Before and after on held-out cycles" in said) == bool(diagnosis.effects)
 
@@ -213,10 +288,72 @@ def test_nothing_from_a_file_is_markup_or_a_formula(tmp_path: Path) -> None:
 
 
 def test_pictures_are_drawn_of_what_there_is(drawn: dict[Verdict, dict[str, Path]]) -> None:
-    assert set(drawn["named"]) == set(drawn["agree"]) == {WHERE, CYCLES, ERRORS, SHEET}
+    assert set(drawn["named"]) == set(drawn["agree"]) == {MISSING, WHERE, CYCLES, ERRORS, SHEET}
     assert drawn["too-little-data"] == {}
     files = [path.read_bytes() for verdict in ("named", "agree") for path in drawn[verdict].values()]
     assert all(content.startswith(b"\x89PNG") and len(content) > 8_000 for content in files)
+
+
+def test_the_missing_heat_comes_first_then_sentence_place_names_and_shrinking() -> None:
+    picture = Path(__file__)  # any bytes will do
+    page = html_of(of("named"), (), {MISSING: picture, WHERE: picture})
+    order = [
+        page.index("What is missing over time"),
+        page.index(of("named").sentence),
+        page.index("Where the unexplained heat is"),
+        page.index("What was added to the model"),
+        page.index("Before and after on held-out cycles"),
+        page.index("What to do next"),
+    ]
+    assert order == sorted(order)
+    before = flat(page[: page.index(of("named").sentence)])
+    assert "pump-cooling" not in before and "is missing over time" in before
+
+
+def test_a_place_with_less_than_a_fifth_of_the_heat_is_none_that_is_told() -> None:
+    little = replace(PLACE, share=0.19)
+    odd = replace(of("unexplained"), places=(little, LATE), unexplained=(little,))
+    page = flat(html_of(odd))
+    assert "of the unexplained heat is in" not in page and "in no particular place" in page
+    assert "19 %" in page  # the table has every place
+    assert look_at(odd) == ("what is not recorded yet: no measured signal goes with the gap",)
+    told = replace(odd, unexplained=(replace(little, share=0.2),))
+    assert "20% of the unexplained heat is in ON/200-300" in flat(html_of(told))
+    for share, said in ((0.19, "in no particular place"), (0.2, "20% of the unexplained heat is in ON/200-300")):
+        sentence = sentence_of(
+            "unexplained",
+            (),
+            unexplained=(replace(little, share=share),),
+            shifts=(),
+            held=None,
+            cycles=11,
+            unit="°C",
+            began=beginning(),
+        )
+        assert said in sentence and beginning_sentence(beginning(), "°C") in sentence
+
+
+def test_since_when_it_errs_is_said_once_and_drawn_with_its_interval() -> None:
+    began = beginning()
+    said = beginning_sentence(began, "°C")
+    assert said == (
+        "It begins with the cycle of 2023-11-15 10:13 UTC (between 2023-11-15 07:13 UTC and 2023-11-15 10:13 UTC): "
+        "since then the machine is 1.2 °C warmer while it runs than before (4 cycles before, 7 after)."
+    )
+    odd = replace(of("unexplained"), began=began)
+    assert flat(html_of(odd)).count(said) == 1
+    assert flat(html_of(replace(odd, sentence=f"A gap. {said}"))).count(said) == 1
+    figure = Figure()
+    axis = figure.subplots()
+    assert odd.missing_heat is not None
+    draw_missing_heat(axis, odd.missing_heat, began, "degC")
+    labels = axis.get_legend_handles_labels()[1]
+    assert labels[-1] == "begins 2023-11-15 10:13 UTC (95 % interval)" and "at rest" in labels
+    (line,) = [one for one in axis.lines if one.get_label() == labels[-1]]
+    assert np.asarray(line.get_xdata())[0] == pytest.approx(began.time / 86_400.0)
+    plain = Figure().subplots()
+    draw_missing_heat(plain, odd.missing_heat, None, "degC")
+    assert not [name for name in plain.get_legend_handles_labels()[1] if name.startswith("begins")]
 
 
 def test_a_place_is_told_in_one_sentence() -> None:
@@ -236,7 +373,8 @@ def test_a_diagnosis_replaces_an_earlier_one_and_leaves_other_files_alone(tmp_pa
     write_diagnosis(of("named"), occasion(out, ()), two_modes())
     assert read_model_directory(out / "model").sha.name == "two modes"
     first = sorted(path.name for path in out.iterdir())
-    assert first == sorted(["notes.txt", "model", "diagnosis.json", "report.html", WHERE, CYCLES, ERRORS, SHEET])
+    written = ["model", "diagnosis.json", "report.html", MISSING_HEAT, MISSING, WHERE, CYCLES, ERRORS, SHEET]
+    assert first == sorted(["notes.txt", *written])
     check_folder(out, tmp_path / "given")
     write_diagnosis(of("too-little-data"), occasion(out), None)
     assert sorted(path.name for path in out.iterdir()) == ["diagnosis.json", "notes.txt", "report.html"]

@@ -2,7 +2,15 @@
 
 from sim.discrepancy.fitting.baseline import anchored, frame_of, on
 from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, rivals, signals_of
-from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at, sensitivity
+from sim.discrepancy.fitting.course import (
+    CourseState,
+    as_read,
+    at,
+    filtered,
+    friction_heat,
+    grid_at,
+    sensitivity,
+)
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged_signal, on_sensor
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit, readings_in_window, rounding
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
@@ -28,6 +36,7 @@ __all__ = [
     "filtered",
     "fit",
     "frame_of",
+    "friction_heat",
     "grid_at",
     "heat_and_loss",
     "held",

@@ -192,6 +192,16 @@ class Whitener:
             error = error + noise.lasting**2 * (earlier + later - weighed)
         return np.asarray(residual - error)
 
+    def heat(self, residual: Array) -> tuple[Array, Array]:
+        """(mean, variance) (m,) of the rough heat h at each window, degC/s, given all readings."""
+        part = scipy.linalg.cho_solve((self._root, True), self._heats.T @ self._within(residual[:, None]))
+        pushed = self._pushed(np.column_stack([residual - (self._heats @ part)[:, 0], self._heats]))
+        solved = scipy.linalg.cho_solve_banded((self._factor, True), pushed, overwrite_b=True)[1 :: self._states]
+        # What is not known of the columns' sizes adds to what the states themselves leave open.
+        open_ = scipy.linalg.solve_triangular(self._root, solved[:, 1:].T, lower=True)
+        own = inverse_diagonal(self._factor)[1 :: self._states]
+        return np.asarray(solved[:, 0]), np.asarray(own + np.einsum("cm,cm->m", open_, open_))
+
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """(m, count) residuals of a plant that has nothing but this noise."""
         grid, noise = self.grid, self.noise
@@ -256,6 +266,24 @@ def _steps(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[Array
     share = noise.rest + (1.0 - noise.rest) * grid.running
     step = replace(rough, carried=share * rough.carried, xx=share**2 * rough.xx, xd=share * rough.xd)
     return np.exp(-grid.k * grid.dt), variance, step
+
+
+def inverse_diagonal(factor: Array) -> Array:
+    """(n,) the diagonal of (L L')^-1 of a banded Cholesky factor L (b + 1, n) in lower form.
+
+    The recursion of Takahashi, Fagan and Chin (1973): an entry of the inverse within the band takes only such of later
+    rows, so that the inverse is never formed.
+    """
+    width, n = factor.shape[0] - 1, factor.shape[1]
+    # Plain floats: a row has a dozen products, and there is nothing to do for whole arrays at once.
+    pivots, below = factor[0].tolist(), (factor[1:] / factor[0]).T.tolist()
+    band = [[0.0] * (n + width + 1) for _ in range(width + 1)]  # band[d][j] is the entry (j + d, j)
+    for j in range(n - 1, -1, -1):
+        ratios = below[j]
+        for d in range(width, 0, -1):
+            band[d][j] = -sum(ratio * band[abs(d - e)][j + min(d, e)] for e, ratio in enumerate(ratios, start=1))
+        band[0][j] = pivots[j] ** -2.0 - sum(ratio * band[e][j] for e, ratio in enumerate(ratios, start=1))
+    return np.array(band[0][:n])
 
 
 def _precision(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[Array, float]:

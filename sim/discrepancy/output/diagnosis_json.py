@@ -1,4 +1,7 @@
-"""`diagnosis.json`: what other programs read of a diagnosis, as strict JSON in which an undefined number is null."""
+"""`diagnosis.json`: what other programs read of a diagnosis, as strict JSON in which an undefined number is null.
+
+The missing heat over time is a table beside it, `missing_heat.csv`, which the document names.
+"""
 
 from dataclasses import asdict
 from math import isfinite
@@ -14,14 +17,17 @@ from sim.discrepancy import (
     Diagnosis,
     DiagnosisCourse,
     HeatPlace,
+    MissingHeat,
     NamedEffect,
     TriedEffect,
+    held_out_sentence,
     law_sentence,
     look_at,
 )
 from sim.strict_json import json_text, strict
 
 FORMAT, VERSION = "decanter-diagnosis", 1
+MISSING_HEAT = "missing_heat.csv"
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -35,6 +41,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         rows = [dict(zip(names, row, strict=True)) for row in diagnosis.held_out.per_cycle]
         held_out = asdict(diagnosis.held_out) | {"per_cycle": rows}
         held_out["given"] = held_out.pop("rmse_given")
+        held_out["sentence"] = held_out_sentence(diagnosis)
     content = {
         "verdict": diagnosis.verdict,
         "effects": [_effect(effect) for effect in diagnosis.effects],
@@ -59,6 +66,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "unit": diagnosis.unit,
         "laws": [_law(law) for law in diagnosis.laws],
         "look_at": look_at(diagnosis),
+        "missing_heat": None if diagnosis.missing_heat is None else MISSING_HEAT,
     }
     if diagnosis.began is not None:
         content["began"] = _beginning(diagnosis.began)
@@ -68,6 +76,18 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
 def document_text(diagnosis: Diagnosis) -> str:
     """The document as indented strict JSON."""
     return json_text(document(diagnosis), indent=2) + "\n"
+
+
+def missing_heat_text(heat: MissingHeat) -> str:
+    """The missing heat as CSV: `time` in seconds UTC, `mean`, `low` and `high` of its 95 % band in units of the
+    temperature an hour, and 1 where the machine was `running` and where the window was `held_out`."""
+    columns = [column.tolist() for column in (heat.times, heat.mean, heat.low, heat.high)]
+    flags = [column.astype(int).tolist() for column in (heat.running, heat.held_out)]
+    lines = [
+        f"{time:.3f},{mean:.6g},{low:.6g},{high:.6g},{running},{held_out}"
+        for time, mean, low, high, running, held_out in zip(*columns, *flags, strict=True)
+    ]
+    return "\n".join(["time,mean,low,high,running,held_out", *lines]) + "\n"
 
 
 def _beginning(began: Beginning) -> dict[str, Any]:

@@ -1,4 +1,7 @@
-"""The pictures of a diagnosis as PNG: where the heat is, held-out cycles before and after, all of it on one sheet."""
+"""The pictures of a diagnosis as PNG, all of them on one sheet too.
+
+What is missing over time comes first, before any name; then where the heat is, held-out cycles before and after.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drivers.named_files import writing
-from sim.discrepancy import Diagnosis, DiagnosisCourse, HeatMap, HeldOutProof, heat_map
+from sim.discrepancy import (
+    Beginning,
+    Diagnosis,
+    DiagnosisCourse,
+    HeatMap,
+    HeldOutProof,
+    MissingHeat,
+    heat_map,
+    shown_time,
+)
 from sim.sha import DEGREES, Array, shown_unit
 
 if TYPE_CHECKING:
@@ -20,9 +32,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
 
-WHERE, CYCLES, ERRORS, SHEET = "where.png", "held_out_cycles.png", "held_out_errors.png", "diagnosis.png"
-FILES = (WHERE, CYCLES, ERRORS, SHEET)
+MISSING, WHERE, CYCLES = "missing_heat.png", "where.png", "held_out_cycles.png"
+ERRORS, SHEET = "held_out_errors.png", "diagnosis.png"
+FILES = (MISSING, WHERE, CYCLES, ERRORS, SHEET)
 MEASURED, BEFORE, AFTER, FLOOR = "#555555", "#c65d1e", "#1f6fb4", "#2a8c6a"
+HEAT, BEGINS, RESTING = "#8a3a7c", "#b3261e", "#dfe4e8"
 SHOWN = 6
 """Held-out cycles that are drawn as curves."""
 ANNOTATED = 160
@@ -30,6 +44,12 @@ ANNOTATED = 160
 LONGEST_NAME = 28
 """Characters of a location's name on an axis."""
 DPI = 110
+CHARACTERS = 125
+"""Of a line of the sentence on the sheet."""
+BREAK_S, BREAK_STEPS = 1800.0, 10.0
+"""Seconds without a window, and steps of the usual length, from which a curve over time is broken."""
+OUTLIER = 0.005
+"""Share of the windows on either side that may lie outside of what is drawn of the missing heat."""
 
 
 def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
@@ -40,6 +60,10 @@ def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
     labels = [] if course is None else held_out_cycles(course)
     jobs: list[tuple[str, Figure]] = []
     unit = diagnosis.unit
+    if diagnosis.missing_heat is not None:
+        figure = _figure(11.0, MISSING_HEIGHT)
+        draw_missing_heat(figure.subplots(), diagnosis.missing_heat, diagnosis.began, unit)
+        jobs.append((MISSING, figure))
     if heat is not None:
         figure = _figure(11.0 if heat.after is not None else 8.0, _map_height(heat))
         draw_where(figure, heat, unit)
@@ -76,14 +100,21 @@ def _to_show(diagnosis: Diagnosis) -> tuple[DiagnosisCourse | None, HeldOutProof
 
 
 def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequence[int]) -> Figure:
-    """All of it on one sheet, the verdict on top."""
+    """All of it on one sheet: what is missing over time, the sentence, and the rest."""
     course, held_out = _to_show(diagnosis)
     errors = held_out is not None and bool(held_out.per_cycle)
-    heights = [_map_height(heat)] if heat else []
+    missing = diagnosis.missing_heat
+    sentence = "\n".join(wrap(diagnosis.sentence, CHARACTERS))
+    heights = [MISSING_HEIGHT] if missing is not None else []
+    heights += [0.2 + 0.2 * (sentence.count("\n") + 1)]
+    heights += [_map_height(heat)] if heat else []
     heights += [4.6] if course is not None and shown else []
     heights += [3.2] if errors else []
-    figure = _figure(11.5, sum(heights) + 0.9)
+    figure = _figure(11.5, sum(heights) + 0.4)
     parts = iter(figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0])
+    if missing is not None:
+        draw_missing_heat(next(parts).subplots(), missing, diagnosis.began, diagnosis.unit)
+    next(parts).text(0.01, 0.5, sentence, fontsize=12, va="center", ha="left", parse_math=False)
     if heat is not None:
         draw_where(next(parts), heat, diagnosis.unit)
     if course is not None and shown:
@@ -91,8 +122,7 @@ def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequen
     if held_out is not None and errors:
         cycles = [] if course is None else held_out_cycles(course)
         draw_errors(next(parts).subplots(), held_out, cycles, diagnosis.unit)
-    sentence = "\n".join(wrap(diagnosis.sentence, 120)[:3])
-    figure.suptitle(f"{title}\n{sentence}", fontsize=12, x=0.01, ha="left", parse_math=False)
+    figure.suptitle(title, fontsize=13, x=0.01, ha="left", parse_math=False)
     return figure
 
 
@@ -103,6 +133,51 @@ def _figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+# -------------------------------------------------------------------- missing heat
+
+MISSING_HEIGHT = 3.6
+
+
+def draw_missing_heat(axis: Axes, heat: MissingHeat, began: Beginning | None, unit: str) -> None:
+    """The missing heat over time with its band, in `unit`/h: rests shaded, a dated line where it begins."""
+    # Where nothing was recorded for long, NaN breaks the curves: nothing is known there.
+    steps = np.diff(heat.times)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    breaks = np.flatnonzero(steps > max(BREAK_S, BREAK_STEPS * usual)) + 1
+    mean, low, high = (np.insert(column, breaks, np.nan) for column in (heat.mean, heat.low, heat.high))
+    days = np.insert(_days(heat.times), breaks, _days(heat.times[breaks]))
+    resting = np.insert(~heat.running, breaks, False)
+    across = axis.get_xaxis_transform()
+    axis.fill_between(
+        days, 0, 1, where=resting, step="mid", transform=across, color=RESTING, linewidth=0, label="at rest"
+    )
+    axis.fill_between(days, low, high, color=HEAT, alpha=0.25, linewidth=0, label="95 % band")
+    axis.plot(days, mean, color=HEAT, linewidth=1.1, label="missing heat")
+    axis.axhline(0.0, color="#666666", linewidth=0.8)
+    if heat.held_out.any() and not heat.held_out.all():
+        border = float(_days(heat.times[heat.held_out][:1])[0])
+        axis.axvline(border, color=MEASURED, linewidth=1.0, linestyle=":", label="held out from here on")
+    if began is not None:
+        first, moment, last = _days(np.array([began.interval[0], began.time, began.interval[1]])).tolist()
+        axis.axvspan(first, last, color=BEGINS, alpha=0.15, linewidth=0)
+        axis.axvline(moment, color=BEGINS, linewidth=1.6, label=f"begins {shown_time(began.time)} (95 % interval)")
+    least, most = np.nanquantile(low, OUTLIER), np.nanquantile(high, 1.0 - OUTLIER)
+    room = 0.06 * max(float(most - least), 1e-9)
+    axis.set_ylim(min(float(least), 0.0) - room, max(float(most), 0.0) + room)
+    axis.set_xlim(float(days[0]), float(days[-1]) if days[-1] > days[0] else float(days[0]) + 1.0)
+    axis.xaxis_date()
+    axis.tick_params(labelsize=8)
+    axis.set_xlabel("time (UTC)", fontsize=9)
+    axis.set_ylabel(f"missing heat ({shown_unit(unit)}/h)", fontsize=9)
+    axis.grid(alpha=0.25)
+    axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=5, fontsize=8, frameon=False)
+
+
+def _days(times: Array) -> Array:
+    """Seconds UTC as matplotlib's days since 1970."""
+    return np.asarray(times / 86_400.0)
 
 
 # -------------------------------------------------------------------- where
@@ -226,7 +301,7 @@ def draw_errors(axis: Axes, held_out: HeldOutProof, cycles: Sequence[int], unit:
     after = bool(np.isfinite(rows[:, 1]).any())
     width = 0.38 if after else 0.6
     shift = width / 2 if after else 0.0
-    axis.bar(place - shift, rows[:, 0], width, color=BEFORE, label="before")
+    axis.bar(place - shift, rows[:, 0], width, color=BEFORE, label="before (refitted)")
     if after:
         axis.bar(place + shift, rows[:, 1], width, color=AFTER, label="after")
     axis.hlines(rows[:, 2], place - 0.45, place + 0.45, color=FLOOR, linewidth=2.0, label="noise floor")

@@ -8,16 +8,21 @@ from pathlib import Path
 from shlex import quote
 
 from sim.discrepancy import (
+    LEAST_TOLD_SHARE,
     Diagnosis,
     HeatPlace,
     NamedEffect,
     TriedEffect,
+    beginning_sentence,
+    floor_sentence,
+    held_out_count,
     law_sentence,
     look_at,
     overlap_sentence,
     span,
+    told_places,
 )
-from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE
+from sim.discrepancy.output.pictures import CYCLES, ERRORS, MISSING, SHEET, WHERE
 from sim.pages import page_environment
 from sim.sha import shown_unit
 
@@ -82,7 +87,7 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
         if name != SHEET
     }
     best = max((tried.gain for tried in diagnosis.candidates if isfinite(tried.gain)), default=0.0)
-    unit = shown_unit(diagnosis.unit)
+    unit, held = shown_unit(diagnosis.unit), diagnosis.held_out
     environment = page_environment(
         "sim.discrepancy.output", number=_number, share=_share, span=_span, shown_unit=shown_unit
     )
@@ -92,14 +97,20 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
         occasion=occasion,
         meaning=MEANINGS[diagnosis.verdict],
         colour=COLOURS[diagnosis.verdict],
+        missing=data.get(MISSING),
+        told_share=LEAST_TOLD_SHARE,
+        began="" if diagnosis.began is None else beginning_sentence(diagnosis.began, unit),
+        floor="" if diagnosis.floor is None else floor_sentence(diagnosis.floor, unit),
+        held_out_count="" if held is None else held_out_count(held),
+        shrinking_shown=all(effect.shrinking_shown for effect in diagnosis.effects),
         where=data.get(WHERE),
         cycles=data.get(CYCLES),
         errors=data.get(ERRORS),
-        places=[place_sentence(place, unit) for place in diagnosis.places[:TOLD]],
+        places=[place_sentence(place, unit) for place in told_places(diagnosis.places)[:TOLD]],
         looks=look_at(diagnosis),
         laws=[law_sentence(law) for law in diagnosis.laws],
         overlap=overlap_sentence(diagnosis.places),
-        unexplained=[place_sentence(place, unit) for place in diagnosis.unexplained],
+        unexplained=[place_sentence(place, unit) for place in told_places(diagnosis.unexplained)],
         candidates=diagnosis.candidates,
         best=max(best, 1e-9),
         rivals={effect.name: rivals_of(effect, diagnosis.candidates) for effect in diagnosis.effects},
