@@ -42,6 +42,7 @@ from sim.discrepancy.judging import (
     left_over,
     matters,
     systematic,
+    too_short,
     untested,
 )
 from sim.discrepancy.law_search import candidate_laws
@@ -190,7 +191,7 @@ def diagnose(
         material=material,
         traces=traces_of(path),
         absorbed=law,
-        untested=untested(entries, present, roles),
+        untested={**too_short(entries, path), **untested(entries, present, roles)},
         held_out=held,
         floor=floor,
         began=began,
