@@ -108,8 +108,9 @@ def by_call(one: Case, limit: float) -> Outcome:
             return Outcome(one.name, "timeout", perf_counter() - began, message=f"over {limit:g} s")
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a tool under test raises is its score
             if not isinstance(error, SystemExit) or error.code:
-                message = f"{type(error).__name__}: {error} {words.getvalue()}"
-                return Outcome(one.name, "error", perf_counter() - began, message=message[:WORDS])
+                # A command's last words are its error; what it says before are warnings of the traces.
+                message = f"{type(error).__name__}: {error} "[:WORDS] + words.getvalue()[-WORDS:]
+                return Outcome(one.name, "error", perf_counter() - began, message=message)
         return read_diagnosis(one.name, out, perf_counter() - began)
 
 

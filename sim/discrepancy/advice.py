@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from itertools import combinations
 
 from sim.discrepancy.diagnosis import CandidateLaw, Diagnosis, HeatPlace
-from sim.discrepancy.fitting import catalogue
+from sim.discrepancy.fitting import catalogue, rivals
 from sim.discrepancy.heat_maps import span
 
 TOLD = 2
@@ -16,6 +16,7 @@ def look_at(diagnosis: Diagnosis) -> tuple[str, ...]:
     """What to look at at the machine, in the plant's words, the likeliest first; nothing where nothing is wrong."""
     looks = {entry.name: entry.candidate.look for entry in catalogue()}
     looks |= {effect.name: effect.look for effect in diagnosis.effects if effect.look}
+    looks_of_rivals = {entry.name: entry.candidate.look for entry in rivals()}
     lines = []
     for effect in diagnosis.effects:
         lines += [f"{looks[name]} ({name})" for name in effect.members if looks.get(name)]
@@ -27,6 +28,9 @@ def look_at(diagnosis: Diagnosis) -> tuple[str, ...]:
             )
             lines.append(f"what the machine does in {place.location}{after}{with_}")
         lines += [f"what goes with {in_words(law.expression)}: {law.experiment}" for law in diagnosis.laws]
+        if diagnosis.description:
+            best = next((tried.name for tried in diagnosis.candidates if tried.step == 1), "")
+            lines = [f"{looks_of_rivals[best]} ({diagnosis.description})", *lines]
         if not lines:
             lines.append("what is not recorded yet: no measured signal goes with the gap")
     if not lines and diagnosis.shifts:

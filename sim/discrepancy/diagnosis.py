@@ -252,7 +252,8 @@ class Diagnosis:
     follow, if they follow one. `settings` holds seed, thresholds and noise, by name. `unit` is that of the followed
     variable: what is said to be in degC anywhere in a diagnosis is in it. `laws` are expressions to look at where the
     gap has no name, `floor` what a free run errs by where nothing is missing, `began` says since when it errs by more
-    (None where that is from the first cycle on).
+    (None where that is from the first cycle on), `description` in the plant's words what goes best with a gap that has
+    no name, "" where nothing does.
     """
 
     verdict: Verdict
@@ -278,3 +279,4 @@ class Diagnosis:
     model_after: str | None
     unit: str = DEGREES
     laws: tuple[CandidateLaw, ...] = ()
+    description: str = ""

@@ -1,6 +1,6 @@
 """From the path of names to a verdict: what may be said, what is withheld and why."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,10 +108,8 @@ def dubious(candidate: NamingStep) -> str:
         return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
     if weak and best.carried <= 0:
         return "does not carry over from cycle to cycle"
-    if best.entry.candidate.rival:
-        return f"({best.entry.plain}) goes best with the data, and no model can have it"
-    if candidate.rivals:
-        return f"goes hardly better with the data than {candidate.rivals[0].entry.plain}, which no model can have"
+    if best.entry.rival:
+        return "goes best with the data, and has no name"
     if candidate.margin < MARGIN:
         return f"beats its rivals outside its class by {candidate.margin:.1f} nats only"
     return unbelievable(candidate)
@@ -154,6 +152,15 @@ def fastest_movement(fitted: Fitted) -> float:
     moved, dt = np.abs(np.diff(smooth_course(fitted))), runs.dt[1:]
     steps = (dt > 0) & ~runs.first[1:]
     return float(np.max(moved[steps] / dt[steps])) if steps.any() else np.inf
+
+
+def description(path: NamingResult) -> str:
+    """What has no name and goes best with the data, in the plant's words; "" where there is no such thing."""
+    best = path.steps[0][0].best if path.steps and not path.taken else None
+    if best is None or best.fitted is None or not best.entry.rival or insignificant(path.steps[0][0]):
+        return ""
+    words = best.entry.candidate.words
+    return words(best.fitted.state.named[-1].params) if words is not None else best.entry.plain
 
 
 def systematic(ceiling: Ceiling | None) -> bool:
@@ -240,20 +247,33 @@ def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | Non
     """What speaks for a gap to which no name was given, the strongest first; nothing where nothing does."""
     step, refusal = path.steps[0]
     if refusal and not insignificant(step):
-        return (f"{step.members[0]} {refusal}",)
+        return (f"{description(path) or step.members[0]} {refusal}",)
     # No candidate stands for it: then the free learner's word alone, or the model's own noise (decision 0031).
     if systematic(before) and before is not None and before.p <= SURELY:
         return ("a free learner predicts heat on cycles that it has not seen",)
     return (beyond.words,) if beyond is not None and beyond.exceeded else ()
 
 
-def untested(entries: Sequence[CatalogueEntry], present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:
-    """The effects that were off the table, with the reason."""
+def untested(
+    entries: Sequence[CatalogueEntry],
+    present: Mapping[str, str],
+    roles: Mapping[str, str],
+    *,
+    following: Container[str] = (),
+    temperature: str = "",
+) -> dict[str, str]:
+    """The effects that were off the table, with the reason; `following` are the roles that follow the `temperature`."""
     out = {}
     for entry in entries:
         missing = [role for role in entry.needs if entry.role_key(role) not in present]
         if missing:
             signal = roles.get(entry.role_key(missing[0]), missing[0])
+            role = entry.role_key(missing[0])
+            if role in following:
+                out[entry.name] = (
+                    f"{roles[role]} ({role}) follows {temperature} in these traces: it is a consequence, and no cause"
+                )
+                continue
             out[entry.name] = f"needs {signal} ({missing[0]}), which these traces do not have or which never changes"
     return out
 

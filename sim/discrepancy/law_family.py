@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from sim.discrepancy.fitting import Fitted, held, lagged
+from sim.discrepancy.fitting import Fitted, held, lagged_signal
 from sim.discrepancy.heat import since_switch
 from sim.effects import SINCE, TEMPERATURE
 from sim.learning import first_switch
@@ -62,8 +62,10 @@ def columns_on(
     for name, signal in names.items():
         column = held(record, signal)
         values[name] = column
+        history = record.history(signal)
+        history = np.where(np.isfinite(history), history, float(np.nanmean(history)))
         for label, lag in LAGS.items():
-            values[f"lag_{name}_{label}"] = lagged(record, column, lag)
+            values[f"lag_{name}_{label}"] = lagged_signal(record, history, lag)
     middle = runs.time - runs.dt / 2.0
     # A day at most: where no start or stop was seen, the time since is a placeholder.
     values[SINCE] = np.minimum(record.since + runs.dt / 2.0, DAY)

@@ -1,6 +1,6 @@
 """One step towards a name: the catalogue screened, the likeliest confirmed by joint refits and weighed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -90,11 +90,6 @@ class NamingStep:
         return (self.best.entry.name, *near)
 
     @property
-    def rivals(self) -> tuple[EffectEvidence, ...]:
-        """Those of the members that have no name: where there is one, none is given."""
-        return tuple(each for each in self.evidence if each.entry.candidate.rival and each.entry.name in self.members)
-
-    @property
     def margin(self) -> float:
         """Nats by which the best beats every entry outside its members."""
         if self.best is None:
@@ -103,8 +98,14 @@ class NamingStep:
         return self.best.gain - max(others, default=0.0)
 
 
-def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], seed: int) -> NamingStep:
-    """Screen and confirm `entries` on top of a fit."""
+def step(
+    before: Fitted,
+    entries: Sequence[CatalogueEntry],
+    roles: Mapping[str, str],
+    seed: int,
+    told: Callable[[str], None] = lambda _: None,
+) -> NamingStep:
+    """Screen and confirm `entries` on top of a fit; each that is fitted is `told` by its name before."""
     screened = screen(before, entries, roles)
     # The catalogue is searched, so the greatest gain of many is judged: by its own law under "nothing is missing",
     # drawn from the fitted noise, not by the chi-square of a single test.
@@ -112,28 +113,36 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
     evidence = [_evidence(screened, number) for number in screened.best().values()]
     # The screen orders well but judges too low (its noise has swallowed a part of the effect): the first few are fitted
     # jointly, and only a gain of a joint refit can become a name.
-    likely = [each for each in evidence[:CONFIRMED] if each.gain >= WORTH]
-    confirmed = [confirm(before, each) for each in likely]
-    # A rival that could win is weighed against its special cases: they are fitted too, wherever the screen has them.
+    # So are rivals that would be among them; they take no name's place.
+    names = [each for each in evidence if not each.entry.rival]
+    first = {each.entry.name for each in (*names[:CONFIRMED], *evidence[:CONFIRMED])}
+    likely = [each for each in evidence if each.entry.name in first and each.gain >= WORTH]
+    confirmed = []
+    for each in likely:
+        told(each.entry.name)
+        confirmed.append(confirm(before, each))
+    # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
     top = max((each.gain for each in confirmed), default=0.0)
     near = top - max(MARGIN, ALIKE * top)
-    special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.rival}
-    behind = [each for each in evidence[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
+    special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.special}
+    behind = [each for each in names[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
     confirmed += [confirm(before, each) for each in behind]
-    names = {each.entry.name for each in confirmed}
-    rest = [other for other in evidence if other.entry.name not in names]
-    order = tuple(sorted(without_idle_rivals([*confirmed, *rest]), key=lambda each: -each.gain))
+    done = {each.entry.name for each in confirmed}
+    rest = [other for other in evidence if other.entry.name not in done]
+    order = tuple(sorted(without_idle([*confirmed, *rest]), key=lambda each: -each.gain))
     return NamingStep(before, order, threshold, _cosines(before, order))
 
 
-def without_idle_rivals(evidence: Sequence[EffectEvidence]) -> list[EffectEvidence]:
-    """The evidence without rivals that do no better than a special case of themselves."""
+def without_idle(evidence: Sequence[EffectEvidence]) -> list[EffectEvidence]:
+    """The evidence without what does no better than a special case of itself, and a rival no better than the names."""
+    names = [each for each in evidence if not each.entry.rival]
 
-    def idle(rival: EffectEvidence) -> bool:
-        special = [each.gain for each in evidence if each.entry.name in rival.entry.candidate.rival]
-        return rival.gain - max(special, default=-np.inf) < max(MARGIN, ALIKE * rival.gain)
+    def idle(wider: EffectEvidence) -> bool:
+        special = wider.entry.candidate.special
+        of = [each.gain for each in names if wider.entry.rival or each.entry.name in special]
+        return wider.gain - max(of, default=-np.inf) < max(MARGIN, ALIKE * wider.gain)
 
-    return [each for each in evidence if not (each.entry.candidate.rival and idle(each))]
+    return [each for each in evidence if not idle(each)]
 
 
 def _evidence(screened: Screen, number: int) -> EffectEvidence:

@@ -30,15 +30,17 @@ def name(
     """
     fitted, taken, refused = base, list[Judged](), list[Judged]()
     for number in range(most):
-        progress(f"looking for effect {number + 1}", 0.25 + 0.6 * number / (most + 1))
-        candidate = step(fitted, entries_besides(fitted.state.named, entries), present, seed + number)
+        stage, share = f"looking for effect {number + 1}", 0.25 + 0.6 * number / (most + 1)
+        progress(stage, share)
+        told = _told(progress, stage, share)
+        candidate = step(fitted, entries_besides(fitted.state.named, entries), present, seed + number, told)
         earlier = [judged for judged, _ in taken]
         chance = insignificant(candidate, earlier)
         refusal = chance or dubious(candidate)
         best = candidate.best
         # Clear beyond doubt but for a rival that stands too near: it stays for the time being, with its refusal.
         clear = best is not None and best.gain >= OVERWHELMING and not chance
-        only_rivalled = clear and not candidate.rivals and candidate.margin < MARGIN
+        only_rivalled = clear and best is not None and not best.entry.rival and candidate.margin < MARGIN
         if best is None or best.fitted is None or (refusal and not only_rivalled):
             refused = [(candidate, refusal)]
             break
@@ -54,8 +56,10 @@ def name(
         if not any(refusal for _, refusal in taken[:count])
     ]
     if len(taken) > 1:
-        progress("looking at each name again", 0.25 + 0.6 * most / (most + 1))
-        taken, fitted = revised(fitted, taken, present, seed + most, len(taken) - 1, entries=entries)
+        stage, share = "looking at each name again", 0.25 + 0.6 * most / (most + 1)
+        progress(stage, share)
+        told = _told(progress, stage, share)
+        taken, fitted = revised(fitted, taken, present, seed + most, len(taken) - 1, entries=entries, told=told)
     if any(refusal for _, refusal in taken):
         return NamingResult(base, base, tuple(taken[-1:])), *beginnings
     return NamingResult(base, fitted, (*taken, *refused)), *beginnings
@@ -67,6 +71,11 @@ def _last_fit(base: Fitted, taken: Sequence[Judged]) -> Fitted:
     return last.fitted if last is not None and last.fitted is not None else base
 
 
+def _told(progress: Progress, stage: str, share: float) -> Callable[[str], None]:
+    """What says, at a stage, which effect is being fitted."""
+    return lambda what: progress(f"{stage}: {what}", share)
+
+
 def revised(
     fitted: Fitted,
     taken: Sequence[Judged],
@@ -75,6 +84,7 @@ def revised(
     count: int,
     *,
     entries: Sequence[CatalogueEntry] = (),
+    told: Callable[[str], None] = lambda _: None,
 ) -> tuple[list[Judged], Fitted]:
     """The first `count` names left out by turns and looked for again, and the fit with all that remains.
 
@@ -86,13 +96,13 @@ def revised(
         old = before.best.entry.name if before.best is not None else ""
         others = [named for named in fitted.state.named if named.entry.name != old]
         without = fit(fitted.frame, others, fitted, rounds=2, iterations=8)
-        again = step(without, entries_besides(others, entries), present, seed + number)
+        again = step(without, entries_besides(others, entries), present, seed + number, told)
         rest = [other for place, (other, _) in enumerate(judged) if place != number]
         chance = insignificant(again, rest)
         if chance and rest:
             # Each removal changes what the others must explain, so the round begins anew without it.
             left = [*judged[:number], *judged[number + 1 :]]
-            return revised(without, left, present, seed, len(left), entries=entries)
+            return revised(without, left, present, seed, len(left), entries=entries, told=told)
         refusal = chance or dubious(again)
         judged[number] = again, refusal
         if refusal or again.best is None or again.best.fitted is None:

@@ -32,6 +32,7 @@ def sentence_of(
     cycles: int,
     traces: Sequence[TraceOfEffect] = (),
     law: AbsorbedLaw | None = None,
+    description: str = "",
     unit: str,
     began: Beginning | None = None,
 ) -> str:
@@ -72,13 +73,16 @@ def sentence_of(
         return f"Something is missing that these data cannot tell apart: {names}.{gain}{moved}"
     since = "" if began is None else f" {beginning_sentence(began, unit)}"
     where = "the free run is further off than noise allows, in no particular place."
+    if description:
+        where = f"{description}."
     if unexplained:
         place = unexplained[0]
         low, high = place.seconds
         seconds = f"{low:.0f}-{high:.0f} s" if np.isfinite(high) else f"more than {low:.0f} s"
         goes = f", and goes with {place.correlates}" if place.correlates else ""
         goes = f", with {place.when}" if place.when else goes
-        where = (
+        where = f"{description}; " if description else ""
+        where += (
             f"{place.share:.0%} of the unexplained heat is in {place.location}, {seconds} after "
             f"{place.after or 'its beginning'}{goes} ({place.cycles[0]} of {place.cycles[1]} cycles)."
         )

@@ -11,6 +11,7 @@ import numpy as np
 
 from sim.discrepancy.beginning import beginning
 from sim.discrepancy.ceiling import ceiling
+from sim.discrepancy.consequence import follows
 from sim.discrepancy.constants import absorbed
 from sim.discrepancy.diagnosis import CandidateLaw, Ceiling, Diagnosis, HeldOutProof, NoiseFloor, Verdict
 from sim.discrepancy.evidence import candidates_of, effect_of, traces_of
@@ -35,6 +36,7 @@ from sim.discrepancy.judging import (
     MATERIAL,
     NamingResult,
     above,
+    description,
     doubts,
     dubious,
     evidence_of,
@@ -50,7 +52,7 @@ from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.story import course_of, sentence_of
-from sim.effects import ROLES, in_sensor_scale
+from sim.effects import ROLES, in_sensor_scale, signals_of
 from sim.sha import Array, EffectLine, Model, Trace, shown_unit, unit_of
 
 HELD_OUT = 0.3
@@ -60,6 +62,8 @@ MOST_NAMES = 3
 CYCLES_PER_NAME = 6
 """Independent cycles that each name needs for itself, held-out ones included."""
 TOO_FEW = f"would be named from fewer than {CYCLES_PER_NAME} cycles"
+TEMPERATURE_ROLES = ("ambient", "feed", "sink")
+"""Roles of temperatures, which may as well be warmed by the machine as warm it."""
 MOST_OF_A_GAP = 0.5
 """Share of the held-out excess that a small effect must remove to be what the gap is made of."""
 
@@ -98,7 +102,8 @@ def diagnose(
     laid_out = [patiently(trace, model.alphabet) for trace in in_order(traces)]
     entries = catalogue(lines)
     roles = {**roles, **own_roles(lines)}
-    present = present_roles(laid_out, roles)
+    following = following_roles(model, laid_out, roles)
+    present = present_roles(laid_out, {role: each for role, each in roles.items() if role not in following})
     record = record_of(model, laid_out, signals_needed(model, present))
     cycles = np.unique(record.window_cycle)  # those in which something was read
     if cycles.size < LEAST_CYCLES:
@@ -144,6 +149,7 @@ def diagnose(
             reasons = (*reasons, f"over held-out cycles the free run is off by {error}, noise alone by {limit} at most")
     else:
         reasons = ()
+    described = description(path) if verdict == "unexplained" else ""
     if not kept and after is not base:  # nothing is added, so what the report shows "after" is the refit itself
         after = base
         held, _, second = compared(after, after, held_out, seed, floor)
@@ -172,6 +178,7 @@ def diagnose(
             verdict,
             effects,
             unexplained=unexplained,
+            description=described,
             shifts=moved,
             held=held,
             cycles=fitted_cycles,
@@ -191,7 +198,10 @@ def diagnose(
         material=material,
         traces=traces_of(path),
         absorbed=law,
-        untested={**too_short(entries, path), **untested(entries, present, roles)},
+        untested={
+            **too_short(entries, path),
+            **untested(entries, present, roles, following=following, temperature=model.temperature),
+        },
         held_out=held,
         floor=floor,
         began=began,
@@ -211,6 +221,7 @@ def diagnose(
         model_after=None,
         unit=model.unit,
         laws=laws,
+        description=described,
     )
     return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after)
 
@@ -226,18 +237,29 @@ def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str
     return present
 
 
+def following_roles(model: Model, traces: Sequence[Trace], roles: Mapping[str, str]) -> frozenset[str]:
+    """The roles of temperatures whose signal follows the model's own (`follows`); one that the model reads is kept."""
+    read = set(_inputs(model)) | {*signals_of(model.sha)}
+    asked = {role: roles[role] for role in TEMPERATURE_ROLES if role in roles and roles[role] not in read}
+    return frozenset(role for role, signal in asked.items() if follows(traces, model.temperature, signal))
+
+
+def _inputs(model: Model) -> tuple[str, ...]:
+    """The signals that the model's flows are driven by, each as often as it drives one."""
+    return tuple(driving.signal for location in model.sha.locations for driving in location.flow.inputs)
+
+
 def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
     """The inputs of the model's flows and the signals of the roles, each once."""
-    inputs = [driving.signal for location in model.sha.locations for driving in location.flow.inputs]
-    return tuple(dict.fromkeys([*inputs, *present.values()]))
+    return tuple(dict.fromkeys([*_inputs(model), *present.values()]))
 
 
 def measured_signals(model: Model, traces: Sequence[Trace]) -> tuple[str, ...]:
-    """All signals beside the temperature that some trace has with at least two different values."""
+    """All signals that some trace has with at least two different values, none of which follows the temperature."""
     names = dict.fromkeys(name for trace in traces for name in trace.signals if name != model.temperature)
     present = present_roles(traces, {name: name for name in names})
-    inputs = [driving.signal for location in model.sha.locations for driving in location.flow.inputs]
-    return tuple(dict.fromkeys([*inputs, *present]))
+    causes = [name for name in present if not follows(traces, model.temperature, name)]
+    return tuple(dict.fromkeys([*_inputs(model), *causes]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,7 +52,9 @@ def expressed(heat: str) -> ExpressedLaws:
 def late_part(heat: str, *, lag: str) -> LatePart:
     """The part of a heat that comes through the lag of that name, written as one line. Raises ExpressionError."""
     law = held_law(heat).heat_and_loss
-    return LatePart(lag=lag, source=lambda effect, signals: law(effect, signals)[0], heat=parse(heat))
+    return LatePart(
+        lag=lag, source=lambda effect, signals: law(effect, signals)[0], heat=parse(heat), text=text_law(heat)
+    )
 
 
 def heat_and_loss(tree: Expression) -> tuple[Expression, Expression]:

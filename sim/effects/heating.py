@@ -8,17 +8,13 @@ from sim.effects.expressed import expressed, late_part
 from sim.effects.kind import (
     EffectCandidate,
     EffectKind,
-    EffectRefusal,
-    LateLaw,
     MachineLog,
     Parameter,
     Params,
     Role,
     Roles,
-    Signals,
 )
 from sim.effects.roles import AMBIENT, CURRENT, SPEED, TORQUE, VIBRATION
-from sim.sha import Array, Effect
 
 REFERENCE = Parameter(unit="of the signal", rescaled="stays")
 LAGS = (15.0, 30.0, 60.0, 120.0, 240.0, 480.0)
@@ -69,13 +65,6 @@ def _rooms(log: MachineLog) -> Sequence[Params]:
     return [{**shape, "at_rest": share} for share in (1.0, 0.4)]
 
 
-def _late(effect: Effect, signals: Signals, late: Callable[[Array], Array]) -> Array:
-    """gain (late(I) - reference), the reference counting only as far as there has been a current."""
-    p = effect.params
-    current = np.maximum(signals[effect.signals["current"]], 0.0)
-    return np.asarray(p["gain"] * (late(current) - p["reference"] * (current > 0)))
-
-
 def _lates(log: MachineLog) -> Sequence[Params]:
     """About the current's mean, at each of the lags."""
     return [{**shape, "lag": lag} for shape in about_usual("current")(log) for lag in LAGS]
@@ -124,6 +113,29 @@ HEATING = (
             look="the motor and its cables: losses in copper, loose or hot terminals",
             shapes=_losses,
             refine={"lag": LAG_RANGE},
+        ),
+    ),
+    EffectKind(
+        name="late-current-heating",
+        meaning="heat of the current that comes late",
+        parameters={
+            "gain": Parameter(unit="degC/s per unit of the signal", rescaled="scaled"),
+            "reference": REFERENCE,
+            "lag": Parameter(unit="s", positive=True, rescaled="stays"),
+        },
+        roles=Roles(needed=(CURRENT,)),
+        acts="running",
+        **expressed("gain * (current - reference)"),
+        late=late_part("gain * current", lag="lag"),
+        candidate=EffectCandidate(
+            strength="gain",
+            sign=1.0,
+            experiment="stop from full load, then switch the pump at rest: a lag of the sensor delays both, this only "
+            "the first",
+            look="the motor and its cables: heat that is made there and reaches the measured part later",
+            shapes=_lates,
+            refine={"lag": LAG_RANGE},
+            special=("current-heating",),
         ),
     ),
     EffectKind(
@@ -191,31 +203,3 @@ HEATING = (
         ),
     ),
 )
-
-LATE_CURRENT = EffectKind(
-    name="late-current-heating",
-    # heat gain (L - reference), dL/dt = (current - L) / lag
-    meaning="heat of the current that comes some time after it",
-    parameters={
-        "gain": Parameter(unit="degC/s per unit of the signal", rescaled="scaled"),
-        "reference": REFERENCE,
-        "lag": Parameter(unit="s", positive=True, rescaled="stays"),
-    },
-    roles=Roles(needed=(CURRENT,)),
-    acts="anywhere",  # it goes on for a while after a stop
-    law=LateLaw(_late),
-    bound=EffectRefusal("what the current was is no part of the state"),
-    uppaal=EffectRefusal("what the current was is no part of the state"),
-    candidate=EffectCandidate(
-        strength="gain",
-        sign=1.0,
-        experiment="stop from full load, then switch the pump at rest: a lag of the sensor delays both, this only the "
-        "first",
-        look="the motor and its cables: heat that is made there and reaches the measured part later",
-        shapes=_lates,
-        refine={"lag": LAG_RANGE},
-        rival=("current-heating",),
-    ),
-)
-"""Heat of the current itself that comes late. A model whose targets follow the current has that heat already, and its
-lag is not told from the sensor's: so neither is named where the other explains as much."""

@@ -122,15 +122,27 @@ class VaryingLaw:
     from_event: bool
 
 
-@dataclass(frozen=True, slots=True)
-class LateLaw:
-    """dX/dt += heat(effect, signals, late), with late(column) a column through a first-order lag of `lag` seconds.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordView:
+    """A record as a law that only a diagnosis knows reads it, each (n,): `time` (absolute s) in the middle of each step
+    of it, `running` 0 or 1, `signals` by role.
 
-    For a rival, which a diagnosis holds beside the names: no engine executes it, and each refuses it by its name. A
-    kind with a name has a `LatePart`.
+    `late(role, lag)` is a signal through a first-order lag (s), `run_since(at)` the seconds that the machine has run
+    since a moment (absolute s; below 0 before it); both run on through what was cut out of the record.
     """
 
-    heat: Callable[[Effect, Signals, Callable[[Array], Array]], Array]
+    time: Array
+    running: Array
+    signals: Signals
+    late: Callable[[str, float], Array]
+    run_since: Callable[[float], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedLaw:
+    """dX/dt += heat - loss X along a record: of a rival without a name, which no engine executes."""
+
+    heat_and_loss: Callable[[Effect, RecordView], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,12 +155,13 @@ class LatePart:
         dX/dt += D,    D = late - source,    d late/dt = (source - late) / lag
 
     with late = source at the first reading. So it follows from the signals alone (`sim.effects.late`). `heat` is the
-    source as an expression; what else the law holds does not change with the signals.
+    source as an expression and `text` as UPPAAL's; what else the law holds does not change with the signals.
     """
 
     lag: str
     source: Callable[[Effect, Signals], Array]
     heat: Expression
+    text: "TextLaw"
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +178,7 @@ class EffectRefusal:
     reason: str
 
 
-Law = HeldLaw | VaryingLaw | LateLaw | Structural
+Law = HeldLaw | VaryingLaw | RecordedLaw | Structural
 
 
 # ------------------------------------------------------------------ bounds: the law over intervals, for `verify`
@@ -286,8 +299,9 @@ class EffectCandidate:
     `once`: the strength is itself a time, so that twice of it is not twice the effect. A shape may have parameters that
     the kind has not: what they stand for is another effect (`besides`: (kind, parameters) from the whole shape), or
     that optional signals are left unread (`unread`, where it is not 0), or which share of the strength acts where the
-    machine rests (`at_rest`; 1 where a shape has it not). `rival`: it is held beside the others so that
-    none of them is taken for it, and has no name itself; the kinds given there are special cases of it.
+    machine rests (`at_rest`; 1 where a shape has it not). `special`: the kinds that are special cases of it; where
+    it does no better than they do, it is one of them and is left out. `words` says one of given parameters in the
+    plant's words, for what has no name.
     """
 
     strength: str
@@ -307,7 +321,8 @@ class EffectCandidate:
     besides: Callable[[Params], tuple[str, Mapping[str, float]] | None] | None = None
     unread: str = ""
     at_rest: str = ""
-    rival: tuple[str, ...] = ()
+    special: tuple[str, ...] = ()
+    words: Callable[[Params], str] | None = None
 
 
 # ------------------------------------------------------------------ the kind

@@ -8,17 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effects.exchange import BENDING, FLOWING, HOUSING
-from sim.effects.heating import HEATING, LATE_CURRENT
+from sim.effects.heating import HEATING
 from sim.effects.kind import (
     EffectKind,
-    EffectRefusal,
     Feature,
     Structural,
-    UppaalLaw,
     VaryingBound,
 )
 from sim.effects.lines import LineError, kind_of_line
 from sim.effects.random import RANDOM
+from sim.effects.rivals import RIVAL_KINDS
 from sim.effects.sensing import SENSING
 from sim.effects.varying import VARYING
 from sim.sha import SHA, Array, Effect, EffectLine
@@ -28,10 +27,8 @@ EFFECTS: dict[str, EffectKind] = {
 }
 """All kinds by name, in the order in which a diagnosis tries them."""
 
-RIVALS: dict[str, EffectKind] = {LATE_CURRENT.name: LATE_CURRENT}
+RIVALS: dict[str, EffectKind] = {kind.name: kind for kind in RIVAL_KINDS}
 """Kinds that a diagnosis holds beside the others, and that no engine executes."""
-
-_LATE = EffectRefusal("with a lag what the signals were counts, which is no part of the state")
 
 ROLES: dict[str, str] = {
     role.name: role.signal
@@ -77,11 +74,6 @@ def lag_of(effect: Effect) -> float:
     """Seconds by which a part of the effect's heat comes late; 0 where all of it is there at once."""
     late = kind_of(effect).late
     return 0.0 if late is None else parameter(effect, late.lag)
-
-
-def text_of(effect: Effect) -> UppaalLaw:
-    """The text of an effect, or why there is none."""
-    return _LATE if lag_of(effect) > 0 else kind_of(effect).uppaal
 
 
 def acts_in(effect: Effect, location: str) -> bool:

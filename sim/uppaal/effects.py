@@ -7,7 +7,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects import EffectRefusal, Structural, TextLaw, acts_in, of_feature, parameter, text_of, unknown
+from sim.effects import EffectRefusal, Structural, TextLaw, acts_in, kind_of, lag_of, of_feature, parameter, unknown
 from sim.engine import Plant, compile_plant
 from sim.sha import SHA, Effect
 from sim.uppaal.document import Arrow, number
@@ -110,9 +110,12 @@ class _Writer:
     def written(self) -> EffectTexts:
         bounds, arrows = self._sensor()
         heats = [(effect, self._heat(effect)) for effect in self.sha.effects]
+        late = "".join(map(self._coming, self.plant.late, self.clocks.late))
         offsets = self._offset_terms()
         terms = {
-            place.name: "".join(text for effect, text in heats if acts_in(effect, place.name)) + offsets[place.name]
+            place.name: "".join(text for effect, text in heats if acts_in(effect, place.name))
+            + late
+            + offsets[place.name]
             for place in self.sha.locations
         }
         shown = f"Temp = {self.jump} + {self.offset}" if self.offset else f"Temp = {self.jump}"
@@ -181,7 +184,7 @@ class _Writer:
 
     def _heat(self, effect: Effect) -> str:
         """The term of a rate, with its sign; "" for what acts on the sensor alone. Raises ValueError."""
-        match text_of(effect):
+        match kind_of(effect).uppaal:
             case TextLaw(term=term):
                 return term(self, effect)
             case Structural(feature="housing"):
@@ -213,6 +216,20 @@ class _Writer:
                 raise ValueError(f"effects of the kind {effect.kind!r} have no text: {reason}")
             case text:
                 raise unknown("the UPPAAL export", effect.kind, text)
+
+    def _coming(self, effect: Effect, begin: float) -> str:
+        """The term of what comes late, in every location; its clock is the late source, from `begin` (degC/s) on."""
+        part = kind_of(effect).late
+        if part is None:
+            raise unknown("the UPPAAL export", effect.kind, part)
+        clock, lag = self.names.fresh("late"), self.constant("LAG", lag_of(effect))
+        source = f"({part.text.term(self, effect).removeprefix(' + ')})"
+        known = " * ".join(dict.fromkeys(self.inputs[signal][1] for signal in effect.signals.values()))
+        self.declared += ["// The heat of the signals that comes late, in degC/s.", _hybrid(clock)]
+        # Before its signals are read it waits where their first reading will find it.
+        self.rates.append(f"{clock}' == {known} * ({source} - {clock}) / {lag}")
+        self.opening.append(f"{clock} = {number(begin)}")
+        return f" + {known} * ({clock} - {source})"
 
     def _offset_terms(self) -> dict[str, str]:
         """For each location what the machine's own offset adds to the rate."""

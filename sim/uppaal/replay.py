@@ -6,9 +6,9 @@ from math import ceil
 
 import numpy as np
 
-from sim.effects import dead_time, signals_of
-from sim.engine import Policy, Start, open_loop_schedule, resync_targets, start_law
-from sim.sha import SHA, UNKNOWN, Array, Distribution, Event, Model, Trace, transitions
+from sim.effects import dead_time, late_source, signals_of
+from sim.engine import Policy, Start, compile_plant, open_loop_schedule, resync_targets, start_law
+from sim.sha import SHA, UNKNOWN, Array, Distribution, Effect, Event, Model, Trace, transitions
 
 DIGITS = 6
 """Decimals of exported times (microseconds): a trace's clock, in seconds since 1970, has no more in a double."""
@@ -28,10 +28,14 @@ class InputReadings:
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """Where a run begins: `start` in absolute s, seconds since each start-up's event (inf: none yet), by effect."""
+    """Where a run begins: `start` in absolute s, seconds since each start-up's event (inf: none yet), by effect.
+
+    `late` (degC/s) is the late part of each heat that has one: at the start, or where its signals are first read.
+    """
 
     start: float
     since: tuple[float, ...] = ()
+    late: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +96,9 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
             break
         location = target
     since = () if steps.segments is None else tuple(float(column[0]) for column in steps.segments.since)
+    coming = () if steps.segments is None else tuple(float(column[0]) for column in steps.segments.late)
+    readings, late = _readings(model, delayed, begin, end), compile_plant(model.sha).late if coming else ()
+    lates = tuple(_late_at(effect, now, readings) for effect, now in zip(late, coming, strict=True))
     return ReplayedTrace(
         trace=trace.name,
         location=model.sha.locations[int(steps.location[0])].name,
@@ -100,14 +107,25 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
         times=tuple(round(event.time - begin, DIGITS) for event in events),
         symbols=tuple(event.symbol for event in events),
         duration=round(end - begin, DIGITS),
-        readings=_readings(model, delayed, begin, end),
+        readings=readings,
         added=added,
         dropped=len(passed_over),
         passed_over=passed_over,
-        clocks=Clocks(begin, since),
+        clocks=Clocks(begin, since, lates),
         all_symbols=tuple(event.symbol for event in trace.events),
         accepted=accepted,
     )
+
+
+def _late_at(effect: Effect, deviation: float, readings: InputReadings) -> float:
+    """degC/s: the late part of a heat at the start, or as its signals' first readings will find it; 0 without any."""
+    now = {
+        signal: np.append(readings.first.get(signal, np.nan), readings.values.get(signal, np.empty(0)))
+        for signal in effect.signals.values()
+    }
+    source = late_source(effect, now)
+    known = source[np.isfinite(source)]
+    return float(known[0]) + deviation if known.size else 0.0
 
 
 def _moves(

@@ -1,5 +1,6 @@
 """A small plant with one hidden effect at will (one mass, two levels of heat, rough as plants are), and model runs."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -51,12 +52,13 @@ def plant(
     room: float = 0.0,
     runs_on: bool = False,
     period: float = PERIOD,
+    more: Callable[[Array, Array, Array], tuple[Array, Array]] | None = None,
 ) -> Trace:
     """`days` days of three cycles, or one run of them all. `pump` 1/s cools towards 19 degC, `churning` degC/s dies
     away after each start over 400 s as a logistic, `winding` degC/s at 200 A goes with the square of the current and
     comes through two masses of 120 s and 60 s, `room` is the share of all heat
     that is lost to a room of its own days, `offset` degC is read too much from 40 % of the time on. A row
-    each `period` s."""
+    each `period` s. `more` gives (heat in degC/s, loss in 1/s) of each row from times, running and current."""
     rng = np.random.default_rng(seed)
     size = int(days * 86400 / period)
     on, current, pumping = operation(rng, size, runs_on, period)
@@ -65,6 +67,9 @@ def plant(
     copper, rotor = 0.0, 0.0
     days_of_room = 17.0 + 6.0 * np.sin(2.0 * np.pi * period * np.arange(size) / 86400.0 + seed)
     feed = np.repeat(np.random.default_rng([seed, 1]).uniform(10.0, 40.0, size // 200 + 1), 200)[:size]
+    gained, lost = np.zeros(size), np.zeros(size)
+    if more is not None:
+        gained, lost = more(1.7e9 + period * np.arange(size), on, current)
     for row in range(size):
         temperature[row] = x
         if row and on[row] > on[row - 1]:
@@ -81,6 +86,7 @@ def plant(
         copper += (1.0 - np.exp(-period / 120.0)) * ((current[row] / 200.0) ** 2 - copper)
         rotor += (1.0 - np.exp(-period / 60.0)) * (copper - rotor)
         drive += winding * rotor
+        drive += gained[row] - lost[row] * (x - 17.0)
         x += period * drive + 0.003 * np.sqrt(period) * rng.standard_normal()
         since += period
     read = temperature + 0.06 * rng.standard_normal(size)

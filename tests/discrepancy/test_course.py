@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sim.discrepancy.fitting import course
 from sim.discrepancy.fitting.baseline import Frame, frame_of
 from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.course import CourseState, at, grid_at, scattered, sensitivity
@@ -62,3 +63,39 @@ def test_a_course_with_a_thermostat_stands_still(frame: Frame) -> None:
     assert 0.1 < opened[running].mean() < 0.9, "the valve opens and closes"
     again = state_with(frame, "thermostatic-cooling", VALVE, state.course)
     np.testing.assert_allclose(again.course, state.course, atol=1e-6)
+
+
+SHAPES: dict[str, tuple[dict[str, str], dict[str, float]]] = {
+    "dead-time": ({}, DELAY),
+    "sensor-lag": ({}, {"tau": 120.0, "order": 2.0}),
+    "sensor-offset-step": ({}, {"size": 0.5, "at": 1.7e9 + 86400.0}),
+    "pump-cooling": ({"pump": "MarciaPmpFango"}, {"loss": 2e-4, "sink": 19.0}),
+    "quadratic-current-heating": ({"current": "Assorbimento"}, {"gain": 1e-7, "reference": 200.0, "lag": 140.0}),
+    "radiation-loss": ({}, {"gain": 1e-12, "surroundings": 20.0, "zero": -273.15}),
+    "housing-thermal-mass": ({}, {"coupling": 2e-4, "tau": 7200.0}),
+    "thermostatic-cooling": ({}, {**VALVE, "closes": 46.0, "sink": 46.0, "gradual": 1.0}),
+}
+
+
+@pytest.mark.parametrize("second", [(), ("dead-time",)], ids=["alone", "read late"])
+@pytest.mark.parametrize("kind", list(SHAPES))
+def test_derivatives_in_closed_form_are_those_of_the_simulation(
+    kind: str, second: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By no free run of their own: one for each parameter would be most of what a diagnosis costs."""
+    frame = frame_of(record_of(model(), [plant(5, days=1)], ("MarciaPmpFango", "Assorbimento")))
+    entries = {entry.name: entry for entry in catalogue()}
+    named = [Named(entries[name], *SHAPES[name]) for name in dict.fromkeys((kind, *second))]
+    point = np.concatenate([frame.centre, *(effect.point for effect in named)])
+    start = frame.record.reading[frame.record.window_first]
+    state = at(frame, point, start, named)
+    sizes = [*(1e-4 * frame.shape.spread), *[1e-4] * frame.count[1]]
+    sizes += [size for effect in named for size in (1e-4 * effect.strength, *[1e-3] * (len(effect.free) - 1))]
+    moved = [point + size * (np.arange(point.size) == number) for number, size in enumerate(sizes)]
+    runs = [at(frame, each, start, named, state.course) for each in moved]
+    expected = np.column_stack([(run.mean - state.mean) / size for run, size in zip(runs, sizes, strict=True)])
+    monkeypatch.setattr(course, "run_free", None)
+    columns = sensitivity(frame, state, start)
+    # What a valve's bend is worth in a row that it falls into is known to the row's length.
+    near = 6e-3 if kind == "thermostatic-cooling" else 1e-3
+    assert np.all(np.max(np.abs(columns - expected), axis=0) <= near * np.max(np.abs(expected), axis=0))

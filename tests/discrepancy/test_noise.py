@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sim.discrepancy.fitting.noise import DIFFUSE, Grid, NoiseModel, Whitener, WindowBelief, decay_and_pull, fit_noise
+from sim.discrepancy.fitting.noise import (
+    DIFFUSE,
+    Grid,
+    NoiseModel,
+    Whitener,
+    WindowBelief,
+    decay_and_pull,
+    fit_noise,
+    noise_of,
+    vector,
+)
 from sim.engine.recursion import linear_recursion
 from sim.learning.runs import Indices
 from sim.sha.trace import Array, Mask
@@ -72,8 +82,9 @@ def dense(grid: Grid, noise: NoiseModel) -> Array:
 
 
 @pytest.mark.parametrize("noise", [NOISE, LASTING])
-def test_weighing_and_determinant_are_those_of_the_dense_covariance(noise: NoiseModel) -> None:
-    grid = small_grid()
+@pytest.mark.parametrize("size", [40, 700], ids=["few", "windows by pieces"])
+def test_weighing_and_determinant_are_those_of_the_dense_covariance(noise: NoiseModel, size: int) -> None:
+    grid = small_grid(size=size)
     covariance = dense(grid, noise)
     columns = np.random.default_rng(0).standard_normal((grid.dt.size, 3))
     whitener = Whitener(grid, noise)
@@ -135,9 +146,10 @@ def test_the_noise_is_found_again_from_its_own_draws() -> None:
     truth = NoiseModel(sensor=0.04, process=0.003, rough=0.001, cycle=0.05, memory=400.0, rest=0.2)
     residual = Whitener(grid, truth).draw(rng, 1)
 
-    def cost(trial: NoiseModel) -> float:
+    def cost(trial: NoiseModel) -> tuple[float, Array]:
         whitener = Whitener(grid, trial)
-        return 0.5 * float(residual[:, 0] @ whitener.weigh(residual)[:, 0] + whitener.logdet)
+        value = 0.5 * float(residual[:, 0] @ whitener.weigh(residual)[:, 0] + whitener.logdet)
+        return value, 0.5 * whitener.slopes(residual)
 
     found, _ = fit_noise(
         cost,
@@ -148,3 +160,20 @@ def test_the_noise_is_found_again_from_its_own_draws() -> None:
     assert found.sensor == pytest.approx(truth.sensor, rel=0.15)
     assert found.rough == pytest.approx(truth.rough, rel=0.4)
     assert found.cycle == pytest.approx(truth.cycle, rel=0.7)
+
+
+@pytest.mark.parametrize("noise", [NOISE, LASTING])
+@pytest.mark.parametrize("size", [40, 900])
+def test_the_slopes_of_a_likelihood_are_those_of_its_differences(noise: NoiseModel, size: int) -> None:
+    grid = small_grid(size=size)
+    columns = np.random.default_rng(2).standard_normal((size, 3))
+    point, step = vector(noise), 1e-4
+
+    def value(at: Array) -> float:
+        whitener = Whitener(grid, noise_of(at))
+        return whitener.logdet + float(np.trace(whitener.gram(columns)))
+
+    moves = step * np.eye(point.size)
+    expected = [(value(point + move) - value(point - move)) / (2.0 * step) for move in moves]
+    slopes = Whitener(grid, noise).slopes(columns)
+    np.testing.assert_allclose(slopes, expected, rtol=1e-3, atol=1e-3 * np.max(np.abs(expected)))

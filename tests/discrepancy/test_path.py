@@ -7,7 +7,7 @@ from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.naming import confirm, step
-from sim.discrepancy.path import revised
+from sim.discrepancy.path import name, revised
 from tests.discrepancy.plants import model, plant
 
 
@@ -37,3 +37,14 @@ def test_a_name_that_adds_nothing_beside_the_others_is_dropped_and_the_others_st
     assert [one.entry.name for one in fitted.state.named] == ["pump-cooling"]
     assert [(one.best.entry.name, refusal) for one, refusal in judged if one.best] == [("pump-cooling", "")]
     assert len(judged) == 1
+
+
+def test_each_effect_that_is_fitted_is_told_before() -> None:
+    """A fit may take many seconds, and a stage has several."""
+    record = record_of(model(), [plant(3, days=2, pump=2e-4)], ("MarciaPmpFango",))
+    base = fit(on(frame_of(record), record))
+    said: list[str] = []
+    found = name(base, {"pump": "MarciaPmpFango"}, 0, 1, lambda stage, _: said.append(stage), entries=catalogue())
+    fitted = [each.entry.name for each in found.steps[0][0].evidence if each.confirmed]
+    assert {f"looking for effect 1: {each}" for each in fitted} <= set(said)
+    assert fitted

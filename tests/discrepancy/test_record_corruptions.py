@@ -9,6 +9,7 @@ import pytest
 from sim.discrepancy.fitting import fit, frame_of, grid_at, in_order, on, patiently, record_of
 from sim.discrepancy.fitting.course import run_free
 from sim.discrepancy.fitting.record import Record, RecordFault, broken
+from sim.discrepancy.gap import floor_of
 from sim.discrepancy.held_out import compared, let_run
 from sim.discrepancy.workflow import diagnose
 from sim.learning import LearningError
@@ -175,7 +176,8 @@ def followed(traces: Sequence[Trace], seed: int, *, fits: bool) -> str:
     if fits and cycles.size > 1:
         base = fit(on(frame_of(record), parts[3]), rounds=1, iterations=2)
         assert np.isfinite(let_run(base, parts[2]).residual).all()
-        held, _, _ = compared(base, base, parts[2], seed, 0.06)
+        stated = np.full(np.unique(base.frame.record.whole).size, 0.06)
+        held, _, _ = compared(base, base, parts[2], seed, floor_of(stated, base, parts[2], seed))
         assert np.isfinite(held.rmse_before)
     return ""
 

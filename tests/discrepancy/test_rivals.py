@@ -10,12 +10,12 @@ from sim.checking.proof.verification import verify
 from sim.discrepancy import naming
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.diagnosis import Diagnosis
-from sim.discrepancy.fitting import frame_of, heat_and_loss, on, record_of, rivals
-from sim.discrepancy.fitting.candidates import catalogue
+from sim.discrepancy.fitting import frame_of, heat_and_loss, on, record_of
+from sim.discrepancy.fitting.candidates import catalogue, entry_of
 from sim.discrepancy.fitting.effects import deviation
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import Named, effect_of
-from sim.discrepancy.naming import begins, likeness, step, without_idle_rivals
+from sim.discrepancy.naming import begins, likeness, step, without_idle
 from sim.discrepancy.workflow import diagnose
 from sim.engine.moment_equations import moments
 from sim.engine.open_loop_run import errors, open_loop
@@ -30,37 +30,44 @@ CURRENT = {"current": "Assorbimento"}
 LATE = {"gain": 1e-5, "reference": 200.0, "lag": 300.0}
 
 
-def test_late_heat_goes_on_after_a_stop_and_no_engine_executes_it() -> None:
+def test_late_heat_goes_on_after_a_stop() -> None:
     record = record_of(model(), [plant(1, days=1)], ("Assorbimento",))
-    effect = effect_of(Named(rivals()[0], CURRENT, LATE), record.model)
+    effect = effect_of(Named(entry_of("late-current-heating"), CURRENT, LATE), record.model)
     heat, loss = heat_and_loss(record, effect, np.zeros(len(record.runs)))
     stop = int(np.flatnonzero(np.diff(record.running) < 0)[0]) + 1
     assert heat[stop] > 0 and not loss.any()
     assert heat[stop + 5] == pytest.approx(heat[stop] * np.exp(-5 * PERIOD / LATE["lag"]))
-    assert "late-current-heating" not in [entry.name for entry in catalogue()]
-    made = model()
-    with pytest.raises(ValueError, match="late-current-heating"):
-        schedule(replace(made, sha=replace(made.sha, effects=(effect,))), [], np.array([0.0, 10.0]))
 
 
-def test_a_rival_that_does_no_better_than_its_special_case_is_that_case() -> None:
+def test_what_comes_late_runs_on_through_cuts() -> None:
+    record = record_of(model(), [plant(1, days=2)], ("Assorbimento",))
+    effect = effect_of(Named(entry_of("late-current-heating"), CURRENT, {**LATE, "lag": 3000.0}), record.model)
+    whole = deviation(record, effect)
+    later = record.cycle >= 3
+    for cut, kept in ((record.where(later), later), (record.by_cycles(), later | True)):
+        begun = np.flatnonzero(cut.runs.first)
+        assert np.array_equal(deviation(cut, effect), whole[kept])
+        assert np.abs(deviation(cut, effect)[begun[1:] + 1]).max(initial=0.0) > 0 or begun.size == 1
+    assert deviation(record.where(later), effect)[1] != 0.0
+
+
+def test_what_does_no_better_than_its_special_case_is_that_case() -> None:
     record = record_of(model(), [plant(3, days=2)], ("Assorbimento",))
     base = fit(on(frame_of(record), record))
-    few = [entry for entry in catalogue() if entry.name == "current-heating"]
-    found = step(base, [*few, *rivals()], CURRENT, 0).before
-    (special,) = step(found, few, CURRENT, 0).evidence
-    (rival,) = (replace(special, entry=entry, gain=special.gain) for entry in rivals())
+    (special,) = step(base, [entry_of("current-heating")], CURRENT, 0).evidence
+    late = replace(special, entry=entry_of("late-current-heating"))
     for ahead, left in ((5.0, 1), (7.0, 2)):
-        evidence = [special, replace(rival, gain=special.gain + ahead)]
-        assert len(without_idle_rivals(evidence)) == left
+        evidence = [special, replace(late, gain=special.gain + ahead)]
+        assert len(without_idle(evidence)) == left
 
 
-def test_a_rivals_special_cases_are_fitted_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_special_cases_are_fitted_where_what_has_them_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(naming, "CONFIRMED", 1)
     record = record_of(model(), [plant(3, days=2, winding=0.01)], ("Assorbimento",))
-    special = rivals()[0].candidate.rival
+    late = entry_of("late-current-heating")
+    special = late.candidate.special
     few = [entry for entry in catalogue() if entry.name in special]
-    found = step(fit(on(frame_of(record), record)), [*few, *rivals()], CURRENT, 0)
+    found = step(fit(on(frame_of(record), record)), [*few, late], CURRENT, 0)
     assert {each.entry.name for each in found.evidence if each.confirmed} == {*special, "late-current-heating"}
 
 
@@ -124,12 +131,10 @@ def test_the_heat_of_a_winding_is_named_with_its_lag() -> None:
     assert after < 0.2 * before
 
 
-def heated(lag: float) -> Trace:
-    """Days at many currents, of the very automaton with a quadratic heat that comes so late."""
+def heated(lag: float, kind: str = "quadratic-current-heating", gain: float = 2e-7) -> Trace:
+    """Days at many currents, of the very automaton with a heat of the current that comes so late."""
     rng, rough = np.random.default_rng(5), random_model(2e-4, 400.0, 0.2)
-    effect = Effect(
-        "quadratic-current-heating", {"gain": 2e-7, "reference": 200.0, "lag": lag}, CURRENT, ("LOW", "HIGH")
-    )
+    effect = Effect(kind, {"gain": gain, "reference": 200.0, "lag": lag}, CURRENT, ("LOW", "HIGH"))
     trace = simulated(rough, 3)
     levels = np.repeat(rng.uniform(80.0, 330.0, trace.times.size // 40 + 1), 40)[: trace.times.size]
     signals = {**trace.signals, "Assorbimento": levels * trace.signals["MarciaDecanter"]}
@@ -146,6 +151,19 @@ def test_the_lag_that_is_named_is_that_of_the_plant(lag: float, least: float, mo
     found = named(diagnose(random_model(2e-4, 400.0, 0.2), [heated(lag)], seed=0).diagnosis)
     assert found.keys() == {"quadratic-current-heating"}
     assert least <= found["quadratic-current-heating"].get("lag", 0.0) < most
+
+
+def test_heat_of_the_current_that_comes_late_is_named() -> None:
+    trace = heated(400.0, "late-current-heating", 8e-5)
+    found = diagnose(random_model(2e-4, 400.0, 0.2), [trace], seed=0)
+    (params,) = named(found.diagnosis).values()
+    assert found.diagnosis.effects[0].plain == "heat of the current that comes late"
+    assert 250.0 < params["lag"] < 600.0, params
+    assert params["gain"] == pytest.approx(8e-5, rel=0.3)
+    assert found.fitted is not None
+    made = augmented(found.fitted, readings=[trace])
+    after = errors(open_loop(made, trace), trace, "T").at_samples.rmse
+    assert after < 0.5 * errors(open_loop(random_model(2e-4, 400.0, 0.2), trace), trace, "T").at_samples.rmse
 
 
 def test_a_further_name_looks_like_an_earlier_one_by_the_shape_that_it_has_there() -> None:

@@ -30,7 +30,7 @@ def _radiation(e: Effect, x: float, u: float, t: float, s: dict[str, float]) -> 
 HEATS: dict[str, Heat] = {
     "current-heating": _with("current", lambda p, i: p["gain"] * (i - p["reference"])),
     "quadratic-current-heating": _with("current", lambda p, i: p["gain"] * (i * i - p["reference"] ** 2)),
-    "late heat": _with("current", lambda p, i: p["gain"] * i * i),
+    "late-current-heating": _with("current", lambda p, i: p["gain"] * (i - p["reference"])),
     "current-saturation": _with("current", lambda p, i: -p["gain"] * max(i - p["knee"], 0.0)),
     "torque-friction": _with("torque", _power),
     "speed-friction": _with("speed", _power),
@@ -49,6 +49,11 @@ HEATS: dict[str, Heat] = {
     ),
     "wear-drift": lambda e, x, u, t, s: e.params["gain"] * max(t - e.params["since"], 0.0),
     "radiation-loss": _radiation,
+}
+# What of a heat comes through its lag.
+SOURCES: dict[str, Heat] = {
+    "quadratic-current-heating": _with("current", lambda p, i: p["gain"] * i * i),
+    "late-current-heating": _with("current", lambda p, i: p["gain"] * i),
 }
 
 
@@ -97,7 +102,7 @@ def reference(sha: SHA, events: Sequence[Event], outputs: Array, inputs: Trace, 
         read += [state[-1 if lag else 0] + offset(begin)] * int(np.sum(outputs == begin))
         if late is not None and not isfinite(before[late.signals["current"]]):
             # At its first reading the heat is what it is late behind; before, a state that nothing reads.
-            state[1] = np.nan_to_num(HEATS["late heat"](late, 0.0, 0.0, 0.0, signals))
+            state[1] = np.nan_to_num(SOURCES[late.kind](late, 0.0, 0.0, 0.0, signals))
         before = signals
         if end > begin:
             place = (sha, known[here], signals, entered, started)
@@ -113,7 +118,7 @@ def _piece(place: tuple, state: Array, begin: float, end: float, opened: bool) -
     there = [e for e in sha.effects if not e.locations or location.name in e.locations]
     acting = [e for e in there if all(isfinite(signals[name]) for name in e.signals.values())]
     late = next((e for e in sha.effects if "lag" in e.params), None)
-    source = HEATS["late heat"](late, 0.0, 0.0, 0.0, signals) if late is not None else nan
+    source = SOURCES[late.kind](late, 0.0, 0.0, 0.0, signals) if late is not None else nan
     # The solver asks for the slope some thousand times: what stays in the piece is looked up once.
     m = location.distribution.params["mu"] if location.distribution else 0.0
     heats = [(HEATS[e.kind], e) for e in acting if e.kind in HEATS]
@@ -170,6 +175,9 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
     "quadratic-current-heating": (
         Effect("quadratic-current-heating", {"gain": 2e-6, "reference": 80.0}, {"current": "I"}),
     ),
+    "late-current-heating": (
+        Effect("late-current-heating", {"gain": 4e-4, "reference": 80.0, "lag": 60.0}, {"current": "I"}, ("on",)),
+    ),
     "current-saturation": (Effect("current-saturation", {"gain": 4e-4, "knee": 100.0}, {"current": "I"}),),
     "torque-friction": (
         Effect("torque-friction", {"gain": 1e-3, "reference": 20.0, "power": 1.4}, {"torque": "M"}, ("on",)),
@@ -204,7 +212,7 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
     "radiation to ambient": (Effect("radiation-loss", {"gain": 2e-11}, {"ambient": "Ta"}, ("on",)),),
 }
 
-# Heat that goes on after a stop, which is not exported.
+# Heat that goes on after a stop.
 LATE: dict[str, tuple[Effect, ...]] = {
     "late heat": (
         Effect("quadratic-current-heating", {"gain": 4e-6, "reference": 80.0, "lag": 70.0}, {"current": "I"}, ("on",)),

@@ -16,7 +16,7 @@ from tests.uppaal.support import courses, middle
 
 START, LENGTH = 0.0, 1500.0
 ALPHABET = Alphabet((Switch("on", "W_ON", "W_OFF"),))
-EVERY = {**EFFECTS, **TOGETHER}
+EVERY = {**EFFECTS, **LATE, **TOGETHER}
 POLLED = {name for name, many in EVERY.items() if any(one.kind == "thermostatic-cooling" for one in many)}
 
 
@@ -46,12 +46,6 @@ def seen_and_native(exported: Exported, model: Model, trace: Trace) -> list[tupl
         if abs(native.times[at] - native.times[0] - time) < 1e-4:
             rows.append((time, float(np.mean(seen[time])), float(native.mean[at])))
     return rows
-
-
-def test_what_comes_late_is_refused_by_its_name() -> None:
-    model = Model(plant("exponential", LATE["late heat"]), ALPHABET, "T", 0.1)
-    with pytest.raises(ExportError, match="'quadratic-current-heating' have no text: with a lag what the signals were"):
-        export(model, cased("current-heating")[1])
 
 
 def test_every_kind_of_effect_is_exported_here() -> None:

@@ -3,7 +3,7 @@
 from sim.discrepancy.fitting.baseline import anchored, frame_of, on, shown_locations
 from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, rivals, signals_of
 from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at, sensitivity
-from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged, on_sensor
+from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged_signal, on_sensor
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit, readings_in_window, rounding
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
 from sim.discrepancy.fitting.noise import Grid, NoiseModel, Whitener, decay_and_pull
@@ -32,7 +32,7 @@ __all__ = [
     "heat_and_loss",
     "held",
     "in_order",
-    "lagged",
+    "lagged_signal",
     "named_of",
     "on",
     "on_sensor",

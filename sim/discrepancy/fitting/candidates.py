@@ -59,6 +59,11 @@ class CatalogueEntry:
         return self.candidate.either
 
     @property
+    def rival(self) -> bool:
+        """True where it has no name itself."""
+        return self.name in RIVALS
+
+    @property
     def needs(self) -> tuple[str, ...]:
         """The roles of the signals without which it cannot be told."""
         return self.kind.needed

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 
 from sim.discrepancy.fitting.baseline import Frame
-from sim.discrepancy.fitting.effects import as_sensed, follows_course, heat_and_loss, on_sensor
+from sim.discrepancy.fitting.effects import as_sensed, coupled, follows_course, heat_and_loss, on_sensor
 from sim.discrepancy.fitting.named import Named, effects_of
 from sim.discrepancy.fitting.noise import Grid, decay_and_pull
+from sim.effects import Structural, is_gradual, kind_of
 from sim.engine import linear_recursion
 from sim.learning import RATES, steps
 from sim.sha import Array, Effect
@@ -81,10 +83,7 @@ def run_free(
     if heating:
         flow = (decay, np.where(first, start[np.cumsum(first) - 1], push), k)
         course, loss, heat = _driven(frame, heating, flow, course if guess is None else guess)
-    mean = course
-    for effect in effects:
-        if on_sensor(effect):
-            mean = as_sensed(frame.record, effect, mean)
+    mean = _sensed(frame, named, course)
     return CourseState(
         linear=linear,
         log_rates=log_rates,
@@ -114,7 +113,7 @@ def _driven(
     for _ in range(ITERATIONS):
         loss, heat = np.zeros(len(runs)), own_heat.copy()
         # Heat that depends on the course is taken at the middle of the step: second order in dt, as the trapezoid is.
-        middle = np.where(first, course, 0.5 * (course + np.concatenate([course[:1], course[:-1]])))
+        middle = midway(frame, course)
         for effect in effects:
             added, lost = heat_and_loss(record, effect, middle)
             loss += lost
@@ -125,6 +124,11 @@ def _driven(
         if not followed or not np.isfinite(course).all() or np.max(np.abs(course - before)) < STILL:
             break
     return course, loss, heat - own_heat
+
+
+def midway(frame: Frame, course: Array) -> Array:
+    """(n,) degC a course at the middle of each step."""
+    return np.where(frame.record.runs.first, course, 0.5 * (course + np.concatenate([course[:1], course[:-1]])))
 
 
 def rates_of(frame: Frame, log_rates: Array) -> Array:
@@ -148,34 +152,144 @@ def filtered(frame: Frame, state: CourseState, heat: Array) -> Array:
 def sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
     """(n, p + r + e) derivative of the reading's mean by every parameter of the state; the start is held.
 
-    In closed form without effects; with them by finite differences of the simulation itself.
+    In closed form: the course's own recursion, driven by the change of its coefficients. Only a valve that switches has
+    none, since it opens a row earlier or does not; it is told by differences of the simulation itself.
     """
+    model = frame.record.model
+    effects = [effect for named in state.named for effect in effects_of(named, model)]
+    if any(kind_of(effect).law == VALVE and not is_gradual(effect) for effect in effects):
+        return _by_differences(frame, state, start)
     p, r = frame.count
-    if state.named:
-        # Heats that depend on the course (a valve that opens, a housing) have no closed form. One more free run each,
-        # begun from the course at hand, so that only the change is iterated.
-        point = state.parameters
-        strengths = [size for named in state.named for size in _steps_of(named)]
-        columns = []
-        for number, size in enumerate([*(1e-3 * frame.shape.spread).tolist(), *[1e-3] * r, *strengths]):
-            moved = point.copy()
-            moved[number] += size
-            trial = at(frame, moved, start, state.named, state.course)
-            columns.append((trial.mean - state.mean) / size)
-        return np.column_stack(columns)
+    heating = any(not on_sensor(effect) for effect in effects)
+    loss = state.loss if heating else None
+    here = _steps_at(frame, state.log_rates, loss)
+    by_target, group = here.pull[:, None] * frame.load, np.append(frame.shape.rate, -1)[frame.record.runs.place]
+    up, down = (_steps_at(frame, state.log_rates + sign * RATE_STEP, loss) for sign in (1, -1))
+    by_rate = (_pushed(up, state, state.heat) - _pushed(down, state, state.heat)) / (2 * RATE_STEP)
+    by_strength, read = _by_strengths(frame, state, here, heating=heating)
+    forcing = np.column_stack([by_target, np.where(group[:, None] == np.arange(r), by_rate[:, None], 0.0), by_strength])
+    columns = _carried(frame, effects, here, forcing)
+    if any(named.entry.whole for named in state.named):
+        columns = np.column_stack([as_read(frame, state, column) for column in columns.T])
+    columns[:, p + r :] += read
+    return columns
 
-    runs, shape, step = frame.record.runs, frame.shape, 1e-4
-    decay, pull = steps(runs, shape, state.log_rates)
-    linear = linear_recursion(decay[:, None], pull[:, None] * frame.load, np.zeros(p))
-    before = np.concatenate([[0.0], state.mean[:-1]])
-    # As in sim.learning.free_run: the course's own recursion, driven by the change of its coefficients with log(rate).
-    up, down = (steps(runs, shape, state.log_rates + sign * step) for sign in (1, -1))
-    forcing = ((up[0] - down[0]) * before + (up[1] - down[1]) * state.target) / (2 * step)
-    forcing[runs.first] = 0.0
-    group = np.append(shape.rate, -1)[runs.place]
-    forcings = np.where(group[:, None] == np.arange(r), forcing[:, None], 0.0)
-    rates = linear_recursion(decay[:, None], forcings, np.zeros(r))
-    return np.column_stack([linear, rates])
+
+RATE_STEP = 1e-4
+"""By how much a log(rate) is moved for the derivative of a step's coefficients."""
+VALVE, HOUSING = Structural("thermostat"), Structural("housing")
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """Of each step (n,): `decay`, and what a heat of 1 degC/s (`heated`) and a target of 1 degC (`pull`) add."""
+
+    decay: Array
+    heated: Array
+    pull: Array
+
+
+def _steps_at(frame: Frame, log_rates: Array, loss: Array | None) -> _Steps:
+    """The steps of `run_free` at other rates, with what effects lose (None: none of them heats)."""
+    runs = frame.record.runs
+    decay, pull = steps(runs, frame.shape, log_rates)
+    if loss is None:
+        return _Steps(decay, np.zeros(len(runs)), pull)
+    k = rates_of(frame, log_rates)
+    _, own = decay_and_pull(k, runs.dt)
+    decay, heated = decay_and_pull(k + loss, runs.dt)
+    decay, heated = np.where(runs.first, 0.0, decay), np.where(runs.first, 0.0, heated)
+    return _Steps(decay, heated, heated * pull / np.maximum(own, 1e-12))
+
+
+def _pushed(moved: _Steps, state: CourseState, heat: Array) -> Array:
+    """(n,) degC to which each step would lead from where the state has it begin; nothing where a run begins."""
+    before = np.concatenate([[0.0], state.course[:-1]])
+    return np.asarray(moved.decay * before + moved.heated * heat + moved.pull * state.target)
+
+
+def _by_strengths(frame: Frame, state: CourseState, here: _Steps, *, heating: bool) -> tuple[Array, Array]:
+    """(n, e) what each free parameter of the effects changes of a step's end, and (n, e) what of the reading at once.
+
+    The temperature along which an effect heats is held: what follows it comes in by `_carried`.
+    """
+    record = frame.record
+    middle, pushed = midway(frame, state.course), _pushed(here, state, state.heat)
+    forcing, read = [np.empty((len(record.runs), 0))], [np.empty((len(record.runs), 0))]
+    for number, named in enumerate(state.named):
+        was = _heats(frame, named, middle)
+        for place, size in enumerate(_steps_of(named)):
+            moved = named.at([value + size * (place == other) for other, value in enumerate(named.point)])
+            heat, loss = (new - old for new, old in zip(_heats(frame, moved, middle), was, strict=True))
+            changed, shown = np.zeros(len(record.runs)), np.zeros(len(record.runs))
+            if np.any(heat) or np.any(loss):
+                trial = _steps_at(frame, state.log_rates, state.loss + loss) if np.any(loss) else here
+                changed = (_pushed(trial, state, state.heat + heat) - pushed) / size
+            if any(on_sensor(effect) for effect in effects_of(moved, record.model)):
+                chain = [*state.named[:number], moved, *state.named[number + 1 :]]
+                shown = (_sensed(frame, chain, state.course) - state.mean) / size
+            forcing.append(changed[:, None])
+            read.append(shown[:, None])
+    return np.column_stack(forcing), np.column_stack(read)
+
+
+def _heats(frame: Frame, named: Named, middle: Array) -> tuple[Array, Array]:
+    """(heat, loss) of each step by one effect along a temperature (n,) degC."""
+    heat, loss = np.zeros(middle.size), np.zeros(middle.size)
+    for effect in effects_of(named, frame.record.model):
+        if not on_sensor(effect):
+            added, lost = heat_and_loss(frame.record, effect, middle)
+            heat, loss = heat + added, loss + lost
+    return heat, loss
+
+
+def _sensed(frame: Frame, named: Sequence[Named], course: Array) -> Array:
+    """(n,) degC what the sensor reads of a course."""
+    for effect in (effect for each in named for effect in effects_of(each, frame.record.model)):
+        if on_sensor(effect):
+            course = as_sensed(frame.record, effect, course)
+    return course
+
+
+def _carried(frame: Frame, effects: Sequence[Effect], here: _Steps, forcing: Array) -> Array:
+    """(n, c) degC the courses that are pushed by `forcing` (n, c) degC, what a housing gives back of them included."""
+    housings = [effect for effect in effects if kind_of(effect).law == HOUSING]
+    if not housings:
+        return linear_recursion(here.decay[:, None], forcing, np.zeros(forcing.shape[1]))
+    record, runs = frame.record, frame.record.runs
+    coupling = sum(coupled(record, effect) for effect in housings)
+    # x = decay x' + push (coupling y) + forcing and y = keep y' + (1 - keep) (x + x') / 2, y = x where a run begins:
+    # one lower band of the unknowns (x, y) of each knot, with y for a share of x put in at the step's end.
+    keep = np.exp(-runs.dt / housings[0].params["tau"])
+    half, back = 0.5 * (1.0 - keep), here.heated * coupling
+    own = np.where(runs.first, 0.0, half * back)
+    bands = np.zeros((4, 2 * len(runs)), order="F")
+    bands[0, 0::2], bands[0, 1::2] = 1.0 - own, 1.0
+    bands[1, 0::2] = np.where(runs.first, -1.0, -half)
+    bands[1, 1:-1:2] = -(back * keep)[1:]
+    bands[2, 0:-2:2] = -(here.decay + half * back)[1:]
+    bands[2, 1:-2:2] = np.where(runs.first, 0.0, -keep)[1:]
+    bands[3, 0:-2:2] = np.where(runs.first, 0.0, -half)[1:]
+    right = np.zeros((2 * len(runs), forcing.shape[1]), order="F")
+    right[0::2] = forcing
+    solved, _ = dtbtrs(bands, right, uplo="L", overwrite_b=True)
+    return np.asarray(solved[0::2])
+
+
+def _by_differences(frame: Frame, state: CourseState, start: Array) -> Array:
+    """(n, p + r + e) the same by finite differences of the simulation itself."""
+    # One more free run each, begun from the course at hand, so that only the change is iterated.
+    point = state.parameters
+    strengths = [size for named in state.named for size in _steps_of(named)]
+    columns = []
+    for number, size in enumerate(
+        [*(1e-3 * frame.shape.spread).tolist(), *[1e-3] * frame.shape.rate_spread.size, *strengths]
+    ):
+        moved = point.copy()
+        moved[number] += size
+        trial = at(frame, moved, start, state.named, state.course)
+        columns.append((trial.mean - state.mean) / size)
+    return np.column_stack(columns)
 
 
 def _steps_of(named: Named) -> list[float]:

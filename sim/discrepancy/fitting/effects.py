@@ -12,7 +12,8 @@ import numpy as np
 from sim.discrepancy.fitting.record import Record
 from sim.effects import (
     HeldLaw,
-    LateLaw,
+    RecordedLaw,
+    RecordView,
     Structural,
     VaryingLaw,
     acts_in,
@@ -61,9 +62,8 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
         case VaryingLaw() as law:
             middle = runs.dt / 2.0
             heat, loss = law.heat(effect, runs.time - middle, record.since + middle), nothing
-        case LateLaw() as law:
-            heat = law.heat(effect, signals, lambda column: lagged(record, np.nan_to_num(column), effect.params["lag"]))
-            loss = nothing
+        case RecordedLaw() as law:
+            heat, loss = law.heat_and_loss(effect, _view(record, effect))
         case Structural(feature="housing"):
             coupling = effect.params["coupling"]
             heat, loss = coupling * lagged(record, course, effect.params["tau"]), nothing + coupling
@@ -90,14 +90,35 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
     return np.where(acting, heat, 0.0) + late, np.where(acting, loss, 0.0)
 
 
-def deviation(record: Record, effect: Effect) -> Array:
-    """(n,) degC/s: the mean over each step of what comes late (`sim.effects.late`), nothing at a run's begin."""
+def coupled(record: Record, effect: Effect) -> Array:
+    """(n,) 1/s the coupling of a housing in each step, 0 where it does not act."""
+    acting = np.array([acts_in(effect, location.name) for location in record.model.sha.locations])
+    return np.asarray(np.where(acting[record.runs.place], effect.params["coupling"], 0.0))
+
+
+def _view(record: Record, effect: Effect) -> RecordView:
+    """What a law that only a diagnosis knows may read of a record."""
     runs = record.runs
-    source = late_source(effect, {name: record.signal(name) for name in effect.signals.values()})
+    return RecordView(
+        time=runs.time - runs.dt / 2.0,
+        running=record.running,
+        signals={role: record.signal(signal) for role, signal in effect.signals.items()},
+        late=lambda role, lag: lagged_signal(record, np.nan_to_num(record.history(effect.signals[role])), lag),
+        run_since=lambda at: record.ran[record.kept] - np.interp(at, record.uncut.time, record.ran),
+    )
+
+
+def deviation(record: Record, effect: Effect) -> Array:
+    """(n,) degC/s: the mean over each step of what comes late (`sim.effects.late`), nothing where the traces begin.
+
+    It follows from the signals alone, so it runs on through what was cut: over other cycles, and those held out.
+    """
+    uncut = record.uncut
+    source = late_source(effect, {name: record.history(name) for name in effect.signals.values()})
     jumps = late_jumps(np.concatenate([source[:1], source[:-1]]), source)
-    kept = np.concatenate([[0.0], late_kept(effect, runs.dt[:-1])])
-    begins = linear_recursion(np.where(runs.first, 0.0, kept), np.where(runs.first, 0.0, jumps), 0.0)
-    return begins * late_mean(effect, runs.dt)
+    kept = np.concatenate([[0.0], late_kept(effect, uncut.dt[:-1])])
+    begins = linear_recursion(np.where(uncut.first, 0.0, kept), np.where(uncut.first, 0.0, jumps), 0.0)
+    return np.asarray((begins * late_mean(effect, uncut.dt))[record.kept])
 
 
 def as_sensed(record: Record, effect: Effect, course: Array) -> Array:
@@ -130,6 +151,15 @@ def lagged(record: Record, column: Array, lag: float) -> Array:
     runs = record.runs
     keep = np.where(runs.first, 0.0, np.exp(-runs.dt / lag))
     return linear_recursion(keep, (1.0 - keep) * column, 0.0)
+
+
+def lagged_signal(record: Record, column: Array, lag: float) -> Array:
+    """(n,) a column (N,) of `Record.uncut` through a first-order lag (s), from its first value in each trace on."""
+    if lag <= 0:
+        return np.asarray(column[record.kept])
+    uncut = record.uncut
+    keep = np.where(uncut.first, 0.0, np.exp(-uncut.dt / lag))
+    return np.asarray(linear_recursion(keep, (1.0 - keep) * column, 0.0)[record.kept])
 
 
 def delayed(record: Record, column: Array, delay: float) -> Array:

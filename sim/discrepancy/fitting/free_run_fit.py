@@ -8,7 +8,6 @@ strengths of the effects are maximised.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -18,7 +17,8 @@ from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
 from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
-from sim.effects import DisturbanceStep, disturbance_step, of_feature
+from sim.discrepancy.fitting.scattering import spans_of
+from sim.effects import of_feature
 from sim.engine import repeat_factor
 from sim.sha import Array, Model
 
@@ -198,14 +198,12 @@ def noise_around(
     # different effects have the same integral and their likelihoods differ by what the effects explain.
     own = sum(frame.count)
     columns, prior, off = point.columns[:, :own], frame.prior, point.off[:own]
-    grid = point.grid
+    grid, spans = point.grid, spans_of(point.grid.heats)
 
-    @lru_cache(maxsize=2)
-    def rough(memory: float) -> DisturbanceStep:  # most trials have the memory of the one before
-        return disturbance_step(memory, grid.k, grid.dt)
-
-    def cost(trial: NoiseModel) -> float:
-        return -restricted(Whitener(grid, trial, rough(trial.memory)), columns, point.residual, prior, off)
+    def cost(trial: NoiseModel) -> tuple[float, Array]:
+        whitener = Whitener(grid, trial, spans=spans)
+        value, slopes = restricted(whitener, columns, point.residual, prior, off)
+        return -value, -slopes
 
     return fit_noise(cost, belief, noise, iterations)
 
@@ -274,13 +272,19 @@ def _allowed(effects: Sequence[Named], point: Array) -> Array:
     return out
 
 
-def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array, off: Array) -> float:
-    """The log-likelihood with the parameters integrated out around the free run (their belief included)."""
+def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array, off: Array) -> tuple[float, Array]:
+    """The log-likelihood with the parameters integrated out around the free run (their belief included), and its
+    derivatives by the noise's coordinates (`noise.vector`)."""
     # Laplace's integral, exact for the linear problem around the free run: with N = C' V^-1 C + P the parameters'
     # posterior precision and g the score at the state, -2 ln L = ln |V| + ln |N| - ln |P| + misfit - g' N^-1 g.
     gram = whitener.gram(np.column_stack([residual, columns]))
     score = gram[1:, 0] - prior * off
-    factor = scipy.linalg.cho_factor(gram[1:, 1:] + np.diag(prior))
-    misfit = float(gram[0, 0] + off @ (prior * off) - score @ scipy.linalg.cho_solve(factor, score))
-    determinant = 2.0 * float(np.log(np.diag(factor[0])).sum()) - float(np.log(prior).sum())
-    return -0.5 * (whitener.logdet + determinant + misfit)
+    root = scipy.linalg.cholesky(gram[1:, 1:] + np.diag(prior), lower=True)
+    best = scipy.linalg.cho_solve((root, True), score)
+    misfit = float(gram[0, 0] + off @ (prior * off) - score @ best)
+    determinant = 2.0 * float(np.log(np.diag(root)).sum()) - float(np.log(prior).sum())
+    # d ln |N| = tr(N^-1 C' dV^-1 C): the columns C R^-T, with N = R R', each weighed by itself. The misfit's derivative
+    # is that of the residual left by the best parameters, which are where it does not change with them.
+    mixed = scipy.linalg.solve_triangular(root, columns.T, lower=True).T
+    slopes = whitener.slopes(np.column_stack([mixed, residual - columns @ best]))
+    return -0.5 * (whitener.logdet + determinant + misfit), -0.5 * slopes

@@ -16,12 +16,11 @@ cycles is a random effect on top (Woodbury).
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import scipy
-from scipy.linalg.lapack import dtbtrs
 
+from sim.discrepancy.fitting.scattering import Band, Scattering, Spans, spans_of
 from sim.effects import DisturbanceStep, disturbance_step
 from sim.engine import linear_recursion
 from sim.learning import Indices
@@ -89,9 +88,6 @@ def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
     return np.exp(-k * dt), pull
 
 
-_Halved = tuple[Array, Array]
-
-
 class Whitener:
     """The inverse covariance of the windows under one `NoiseModel`.
 
@@ -100,48 +96,89 @@ class Whitener:
     inrush. Both steps are Woodbury's identity; V itself (m x m) is never formed.
     """
 
-    def __init__(self, grid: Grid, noise: NoiseModel, rough: DisturbanceStep | None = None) -> None:
-        """`rough` is the step of the rough heat at the noise's memory, where it is at hand."""
+    def __init__(
+        self, grid: Grid, noise: NoiseModel, rough: DisturbanceStep | None = None, spans: Spans | None = None
+    ) -> None:
+        """`rough` is the step of the rough heat at the noise's memory, `spans` those of the grid's heats, where they
+        are at hand."""
         self.grid, self.noise = grid, noise
         self._rough = disturbance_step(noise.memory, grid.k, grid.dt) if rough is None else rough
-        posterior, self._prior_logdet = _precision(grid, noise, self._rough)
-        self._states = 3 if noise.lasting > 0 else 2
-        # Each window is one reading of its x, or of x + u: the sensor's precision comes to the entries of these.
-        posterior[0, :: self._states] += 1.0 / noise.sensor**2
-        if noise.lasting > 0:
-            posterior[2, ::3] += 1.0 / noise.sensor**2
-            posterior[0, 2::3] += 1.0 / noise.sensor**2
-        self._factor = scipy.linalg.cholesky_banded(posterior, lower=True, overwrite_ab=True, check_finite=False)
-        self._heats = np.column_stack([grid.heats * noise.cycle, grid.shared, grid.inrush])
-        self._halved_heats = self._halved(self._heats)
-        gram = np.eye(self._heats.shape[1]) + self._product(self._halved_heats, self._halved_heats)
-        self._root = scipy.linalg.cholesky(gram, lower=True, check_finite=False)
+        self._precision, self._prior_logdet = _precision(grid, noise, self._rough)
+        factor = scipy.linalg.cholesky_banded(_given(self._precision, noise), lower=True, check_finite=False)
+        self._band = Band(factor, self._precision.shape[0] - 2, 1.0 / noise.sensor**2)
+        others = np.column_stack([grid.shared, grid.inrush])
+        spans = spans_of(grid.heats) if spans is None else spans
+        self._scattering = Scattering(self._band, grid.heats, noise.cycle, others, spans)
 
     def gram(self, columns: Array) -> Array:
         """(c, c) C' V^-1 C of the columns C (m, c), for half of what weighing them costs."""
-        halved = self._halved(columns)
-        across = self._product(self._halved_heats, halved)
-        part = scipy.linalg.solve_triangular(self._root, across, lower=True, check_finite=False)
-        return np.asarray(self._product(halved, halved) - part.T @ part)
+        halved = self._band.halved(columns)
+        part = self._scattering.half(self._scattering.across(columns, halved))
+        return np.asarray(columns.T @ columns * self._band.weight - halved.T @ halved - part.T @ part)
 
     def weigh(self, columns: Array) -> Array:
         """V^-1 times the columns (m, c)."""
-        inner = self._within(columns)
-        part = scipy.linalg.cho_solve((self._root, True), self._heats.T @ inner, check_finite=False)
-        return np.asarray(inner - self._weighed_heats @ part)
+        left = self._unscattered(columns)
+        return self._band.left(left, self._band.solved(left))
 
-    @cached_property
-    def _weighed_heats(self) -> Array:
-        return self._within(self._heats)
+    def slopes(self, columns: Array) -> Array:
+        """The derivative of ln |V| + the sum of c' V^-1 c over the columns c (m, k), by each coordinate of `vector`."""
+        # d(c' V^-1 c) = -(V^-1 c)' dV V^-1 c, and the derivative of ln |V| takes the columns of Z so from that of
+        # ln |V0|: all of them are V0^-1 times something. In the states X that these stand for, dV0 is -X' dQ X with Q
+        # the states' own precision, of whose band alone the products of X are needed.
+        grid, noise, band, scattering = self.grid, self.noise, self._band, self._scattering
+        unscattered, others = self._unscattered(columns), scattering.others_besides()
+        dense = np.column_stack([scattering.times(others), unscattered])
+        states = band.solved(dense)
+        size, products = (
+            float(np.sum(band.left(dense, states) ** 2)),
+            _products(states, states, self._precision.shape[0]),
+        )
+        inverse = scattering.inner_inverse()
+        for piece in scattering.solved():
+            mixed = inverse[piece.columns, piece.columns]
+            left = band.left(piece.own, piece.states)
+            size += float(np.sum(left * (left @ mixed)))
+            rows = slice(band.states * piece.rows.start, band.states * piece.rows.stop)
+            products[:, rows] += _products(
+                piece.states @ mixed, np.vstack([piece.states, piece.after]), products.shape[0]
+            )
+        alike = np.diag(inverse) + np.sum(others[: inverse.shape[0]] ** 2, axis=1)
+        cycles = scattering.solve(scattering.across(columns, band.halved(columns)))[: inverse.shape[0]]
+        point, logdet, out = vector(noise), self._unscattered_logdet(self._precision, self._prior_logdet, noise), []
+        for number in range(point.size):
+            if number == CYCLE:
+                out.append(2.0 * float(np.sum(1.0 - alike) - np.sum(cycles**2)))
+                continue
+            trial = noise_of(point + SLOPE_STEP * (np.arange(point.size) == number))
+            if number == SENSOR:
+                moved, prior, change = self._precision, self._prior_logdet, -2.0 * noise.sensor**2 * size
+            else:
+                rough = self._rough if number != MEMORY else disturbance_step(trial.memory, grid.k, grid.dt)
+                moved, prior = _precision(grid, trial, rough)
+                change = float(np.sum((moved - self._precision) * products)) / SLOPE_STEP
+            out.append(change + (self._unscattered_logdet(moved, prior, trial) - logdet) / SLOPE_STEP)
+        return np.array(out)
+
+    @staticmethod
+    def _unscattered_logdet(precision: Array, prior_logdet: float, noise: NoiseModel) -> float:
+        """ln |V0|, without the columns of Z."""
+        # The determinant lemma: |A + U U'| = |A| |I + U' A^-1 U|.
+        factor = scipy.linalg.cholesky_banded(_given(precision, noise), lower=True, check_finite=False)
+        windows = precision.shape[1] // (precision.shape[0] - 2)
+        return float(2.0 * windows * np.log(noise.sensor) + 2.0 * np.log(factor[0]).sum() - prior_logdet)
+
+    def _unscattered(self, columns: Array) -> Array:
+        """(m, c) columns that V0^-1 weighs as V^-1 weighs the given ones."""
+        scattering = self._scattering
+        return columns - scattering.times(scattering.solve(scattering.across(columns, self._band.halved(columns))))
 
     @property
     def logdet(self) -> float:
         """ln |V| of the windows."""
-        # The determinant lemma beside each Woodbury step: |A + U U'| = |A| |I + U' A^-1 U|, first for the states, then
-        # for the cycles' scatter.
         sensor = 2.0 * self.grid.dt.size * np.log(self.noise.sensor)
-        banded = 2.0 * np.log(self._factor[0]).sum() - self._prior_logdet
-        return float(sensor + banded + 2.0 * np.log(np.diag(self._root)).sum())
+        banded = 2.0 * np.log(self._band.factor[0]).sum() - self._prior_logdet
+        return float(sensor + banded + self._scattering.logdet)
 
     def smoothed(self, residual: Array) -> Array:
         """(m,) the residual without the errors of the reading, white and lasting: its mean given all readings, degC."""
@@ -173,7 +210,7 @@ class Whitener:
                 deviation = deviation + np.sqrt(variance[row]) * rng.standard_normal(count)
                 heat = heat_step.keep[row] * heat + new
             out[row] = deviation
-        scatter = self._heats @ rng.standard_normal((self._heats.shape[1], count))
+        scatter = self._scattering.times(rng.standard_normal((grid.heats.shape[1] + 2, count)))
         return out + scatter + self._lasting(rng, size) + noise.sensor * rng.standard_normal(size)
 
     def _lasting(self, rng: np.random.Generator, size: tuple[int, int]) -> Array | float:
@@ -183,29 +220,33 @@ class Whitener:
         keep, fresh = _lasting_steps(self.grid, self.noise)
         return linear_recursion(keep[:, None], np.sqrt(fresh)[:, None] * rng.standard_normal(size), np.zeros(size[1]))
 
-    def _within(self, columns: Array) -> Array:
-        """The inverse covariance without the cycles' scatter, by the posterior of the states given the columns."""
-        precision, states = 1.0 / self.noise.sensor**2, self._states
-        solved = scipy.linalg.cho_solve_banded(
-            (self._factor, True), self._pushed(columns), overwrite_b=True, check_finite=False
-        )
-        return np.asarray(columns * precision - sum(solved[part::states] for part in range(0, states, 2)) * precision)
 
-    def _halved(self, columns: Array) -> _Halved:
-        """The columns and half of that solution: only down the factor of the states' posterior, (states m, c)."""
-        forward, _ = dtbtrs(self._factor, self._pushed(columns), uplo="L", overwrite_b=True)
-        return columns, np.asarray(forward)
+SENSOR, CYCLE, MEMORY = 0, 3, 4
+"""Places in `vector`."""
+SLOPE_STEP = 1e-4
+"""By how much a coordinate is moved for the derivatives of the banded precision and of its determinant."""
 
-    def _pushed(self, columns: Array) -> Array:
-        """(states m, c) what the columns, read as residuals, say of the states."""
-        pushed = np.zeros((self._states * self.grid.dt.size, columns.shape[1]), order="F")
-        for part in range(0, self._states, 2):  # x and u
-            pushed[part :: self._states] = columns / self.noise.sensor**2
-        return pushed
 
-    def _product(self, left: _Halved, right: _Halved) -> Array:
-        """Of two sets of columns under the inverse covariance without the cycles' scatter."""
-        return np.asarray(left[0].T @ right[0] / self.noise.sensor**2 - left[1].T @ right[1])
+def _given(precision: Array, noise: NoiseModel) -> Array:
+    """The states' banded precision given the readings: each window is one of its x, or of x + u."""
+    posterior, weight = precision.copy(), 1.0 / noise.sensor**2
+    posterior[0, :: 3 if noise.lasting > 0 else 2] += weight
+    if noise.lasting > 0:
+        posterior[2, ::3] += weight
+        posterior[0, 2::3] += weight
+    return posterior
+
+
+def _products(left: Array, right: Array, rows: int) -> Array:
+    """(`rows`, n) the sums over columns of left (n, c) times right (n or more, c), 0 to so many rows further down.
+
+    Twice that where it is further down at all: what weighs a symmetric band in lower form.
+    """
+    out = np.zeros((rows, left.shape[0]))
+    for down in range(rows):
+        below = right[down : down + left.shape[0]]
+        out[down, : below.shape[0]] = (2.0 if down else 1.0) * np.einsum("ij,ij->i", left[: below.shape[0]], below)
+    return out
 
 
 def _steps(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[Array, Array, DisturbanceStep]:
@@ -306,18 +347,25 @@ def noise_of(point: Array) -> NoiseModel:
 
 
 def fit_noise(
-    objective: Callable[[NoiseModel], float], belief: WindowBelief, begin: NoiseModel, iterations: int = 12
+    objective: Callable[[NoiseModel], tuple[float, Array]],
+    belief: WindowBelief,
+    begin: NoiseModel,
+    iterations: int = 12,
 ) -> tuple[NoiseModel, float]:
-    """(the noise of least `objective` (minus a log-likelihood) plus the belief's, and that sum), from `begin`."""
+    """(the noise of least `objective` (minus a log-likelihood) plus the belief's, and that sum), from `begin`.
+
+    The objective comes with its derivatives by the coordinates of `vector`.
+    """
     centre = vector(belief.centre)
     spread = np.array([*belief.spread, 1.0, *(belief.lasts if centre.size > 6 else ())])
     start = vector(begin)
 
-    def cost(point: Array) -> float:
-        return objective(noise_of(point)) + 0.5 * float(np.sum(((point - centre) / spread) ** 2))
+    def cost(point: Array) -> tuple[float, Array]:
+        value, slopes = objective(noise_of(point))
+        off = (point - centre) / spread
+        return value + 0.5 * float(np.sum(off**2)), slopes + off / spread
 
-    # Differences of 1e-3 in the logarithms: the objective has a Cholesky decomposition in it, and its rounding would
-    # show in smaller ones. Few iterations are enough, since the fit comes back here with better parameters.
+    # Few iterations are enough, since the fit comes back here with better parameters.
     bounds = [(value - 4.0, value + 4.0) for value in centre]
     bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
     bounds[3] = bounds[3][0], MOST_SCATTER
@@ -328,7 +376,8 @@ def fit_noise(
         cost,
         np.clip(start, [low for low, _ in bounds], [high for _, high in bounds]),
         method="L-BFGS-B",
+        jac=True,
         bounds=bounds,
-        options={"maxiter": iterations, "ftol": 2e-6, "eps": 1e-3},
+        options={"maxiter": iterations, "ftol": 2e-6},
     )
     return noise_of(optimum.x), float(optimum.fun)

@@ -56,6 +56,8 @@ class Record:
     the drum up (`_rushed`).
     `window` (s) is the length of a window at rest, `rows` (r,) are the knots with a reading, `begins` (m,) the place in
     `rows` where each window begins.
+    `uncut` holds the knots before anything was cut, `kept` (n,) the place of each knot there: what follows from signals
+    alone runs on through cuts (`history`). `ran` (N,) are the seconds that the machine had run by then.
     What holds of every record, whatever its recorder did, is asked of it when it is made (`broken`).
     """
 
@@ -71,6 +73,9 @@ class Record:
     window: float
     rows: Indices
     begins: Indices
+    uncut: FreeRuns
+    kept: Indices
+    ran: Array
 
     def __post_init__(self) -> None:
         if wrong := broken(self):
@@ -111,6 +116,10 @@ class Record:
     def signal(self, name: str) -> Array:
         """(n,) a signal held over each step; NaN while it was never read."""
         return self.runs.inputs[:, self.signals.index(name)]
+
+    def history(self, name: str) -> Array:
+        """(N,) a signal held over each step of `uncut`; NaN while it was never read."""
+        return self.uncut.inputs[:, self.signals.index(name)]
 
     def grid(self, k: Array, running: Array, heats: Array, *, jumps: Array, shared: Array, inrush: Array) -> Grid:
         """The windows as the noise sees them; `k` (n,) 1/s and `running` (n,) are each step's rate and whether rough
@@ -168,6 +177,9 @@ class _Knots:
     turned: Mask
     rushed: Mask
     window: float
+    uncut: FreeRuns
+    kept: Indices
+    ran: Array
 
 
 class RecordFault(AssertionError):
@@ -204,6 +216,9 @@ def _laid(knots: Record | _Knots, runs: FreeRuns, keep: Mask) -> Record:
         window=knots.window,
         rows=rows,
         begins=begins,
+        uncut=knots.uncut,
+        kept=knots.kept[keep],
+        ran=knots.ran,
     )
 
 
@@ -291,7 +306,7 @@ def record_of(
     running, since, whole = _machine(runs, having, first_switch(model.alphabet))
     rates = np.array([location.flow.params.get("k", 0.0) for location in model.sha.locations])
     cycle = in_pieces(whole, runs, running, rates[runs.place])
-    runs = _cut_late(runs, running)
+    uncut, runs = runs, _cut_late(runs, running)
     laid_out = _Knots(
         model=model,
         signals=tuple(signals),
@@ -302,6 +317,9 @@ def record_of(
         turned=_turned(model, runs, running, signals),
         rushed=_rushed(model, runs, running, since, signals),
         window=max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER),
+        uncut=uncut,
+        kept=np.arange(len(runs)),
+        ran=np.cumsum(running * uncut.dt),
     )
     return _laid(laid_out, runs, np.ones(len(runs), dtype=bool))
 

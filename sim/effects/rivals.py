@@ -1,0 +1,296 @@
+"""What a plant has and no name stands for: held by a diagnosis beside the names, so that none of them is taken for it.
+
+Each is a heat or a loss along a record (`kind.RecordedLaw`) and a sentence in plant words; no engine executes one.
+Where one explains more than every name does, the gap is described and stays without a name.
+"""
+
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from itertools import product
+
+import numpy as np
+
+from sim.effects.kind import (
+    ABSOLUTE_SECONDS,
+    EffectCandidate,
+    EffectKind,
+    EffectRefusal,
+    MachineLog,
+    Parameter,
+    Params,
+    RecordedLaw,
+    RecordView,
+    Roles,
+)
+from sim.effects.roles import CURRENT
+from sim.sha import Array, Effect
+
+HOUR, DAY = 3600.0, 86400.0
+DATED = 1e8
+"""Seconds from which a trace's clock is taken for that of the world (1973)."""
+MOMENTS = 24
+"""Moments of a record at which something is tried to begin, at most."""
+REFUSED = EffectRefusal("it has no name")
+BURDEN = 3.0
+"""Nats that looking at a dozen moments or hours costs."""
+
+
+def moment_words(time: float) -> str:
+    """A moment (absolute s) as people read it, in UTC; of a clock that is not the world's, its hours."""
+    if time < DATED:
+        return f"{time / HOUR:.1f} h on the traces' clock"
+    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _hour_words(seconds: float) -> str:
+    minutes = round(seconds % DAY / 60.0) % 1440
+    return f"{minutes // 60:02d}:{minutes % 60:02d} UTC"
+
+
+def _moments(log: MachineLog) -> list[float]:
+    """Moments inside the record, evenly over what it ran (at rest hardly anything begins to show), none at its ends."""
+    ran = np.cumsum(log.dt * (log.running if log.running.any() else 1.0))
+    shares = (np.arange(MOMENTS) + 1.0) / (MOMENTS + 1)
+    return [float(time) for time in np.interp(shares * ran[-1], ran, log.time)]
+
+
+def _heat_only(heat: Callable[[Params, RecordView], Array]) -> RecordedLaw:
+    def law(effect: Effect, view: RecordView) -> tuple[Array, Array]:
+        gained = heat(effect.params, view)
+        return gained, np.zeros_like(gained)
+
+    return RecordedLaw(law)
+
+
+def _after_steps(p: Params, view: RecordView) -> Array:
+    """gain (I - late(I)), or its size where `both` directions heat."""
+    moved = view.signals["current"] - view.late("current", p["lag"])
+    return np.asarray(p["gain"] * (np.abs(moved) if p["both"] else moved))
+
+
+def _step_words(p: Params) -> str:
+    return f"heat that follows each step of the load and fades over {p['lag'] / 60.0:.0f} min"
+
+
+def _daily(p: Params, view: RecordView) -> Array:
+    """gain cos(2 pi (t - at) / period)."""
+    return np.asarray(p["gain"] * np.cos(2.0 * np.pi * (view.time - p["at"]) / p["period"]))
+
+
+def _daily_words(p: Params) -> str:
+    most = p["at"] + (0.0 if p["gain"] > 0 else p["period"] / 2.0)
+    twice = p["period"] < DAY
+    hours = _hour_words(most) + (f" and {_hour_words(most + p['period'])}" if twice else "")
+    return f"heat that comes with the clock, most at {hours}"
+
+
+def _in_shift(p: Params, view: RecordView) -> Array:
+    """gain within `length` s from `at` on of each day, everywhere or while the machine runs."""
+    inside = (view.time - p["at"]) % DAY < p["length"]
+    return np.asarray(p["gain"] * inside * (view.running if p["turning"] else 1.0))
+
+
+def _shift_words(p: Params) -> str:
+    begin, end = p["at"], p["at"] + p["length"]
+    if p["gain"] < 0:
+        begin, end = end, begin
+    while_ = " while the machine runs" if p["turning"] else ""
+    return f"heat that comes with the clock, between {_hour_words(begin)} and {_hour_words(end)}{while_}"
+
+
+def _on_weekends(p: Params, view: RecordView) -> Array:
+    """gain on Saturdays and Sundays (UTC); 1970-01-01 was a Thursday."""
+    return np.asarray(p["gain"] * ((np.floor(view.time / DAY) + 3.0) % 7.0 >= 5.0) * view.running)
+
+
+def _weekend_words(p: Params) -> str:
+    return f"heat that comes with the weekday, more {'at weekends' if p['gain'] > 0 else 'on working days'}"
+
+
+def _fading(p: Params, view: RecordView) -> Array:
+    """gain exp(-u / tau) while the machine runs, u its running seconds since `at`."""
+    run = np.maximum(view.run_since(p["at"]), 0.0)
+    return np.asarray(np.where(view.time >= p["at"], p["gain"] * np.exp(-run / p["tau"]), 0.0) * view.running)
+
+
+def _fading_words(p: Params) -> str:
+    return f"heat after an event at {moment_words(p['at'])}, fading over {p['tau'] / HOUR:.1f} running hours"
+
+
+def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
+    """Heat loss s (X - sink): s goes from 0 to 1 at `at`, or grows from there by 1 each `over` s (not 0)."""
+    p = effect.params
+    since = view.time - p["at"]
+    loss = np.asarray(-p["loss"] * (np.maximum(since, 0.0) / p["over"] if p["over"] > 0 else 1.0 * (since >= 0)))
+    return loss * p["sink"], loss
+
+
+def _cooling_words(p: Params) -> str:
+    return f"less cooling {'more and more ' if p['over'] > 0 else ''}since {moment_words(p['at'])}"
+
+
+GAIN = Parameter(unit="degC/s", rescaled="scaled")
+MOMENT = Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays")
+SECONDS = Parameter(unit="s", positive=True, rescaled="stays")
+CHOICE = Parameter(unit="1", low=0.0, high=1.0, whole=True, rescaled="stays")
+
+
+def _cooling(name: str, meaning: str, shapes: Callable[[MachineLog], Sequence[Params]]) -> EffectKind:
+    """A loss that becomes smaller at a moment, or from it on."""
+    return EffectKind(
+        name=name,
+        meaning=meaning,
+        parameters={
+            "loss": Parameter(unit="1/s", low=0.0, rescaled="stays"),
+            "sink": Parameter(unit="degC", rescaled="mapped"),
+            "at": MOMENT,
+            "over": Parameter(unit="s", low=0.0, rescaled="stays"),
+        },
+        roles=Roles(),
+        acts="anywhere",
+        law=RecordedLaw(_less_cooling),
+        bound=REFUSED,
+        uppaal=REFUSED,
+        candidate=EffectCandidate(
+            strength="loss",
+            sign=1.0,
+            experiment="clean the cooler or open the air's way, and compare the same load before and after",
+            look="what carries heat away: cooler, fan, filter, flow of oil and water, dirt on the housing",
+            shapes=shapes,
+            refine={"at": (-1e12, 1e12)},
+            widths={"at": 4 * HOUR},
+            burden=BURDEN,
+            words=_cooling_words,
+        ),
+    )
+
+
+RIVAL_KINDS = (
+    EffectKind(
+        name="heat-after-load-steps",
+        meaning="heat that follows each step of the load and fades",
+        parameters={
+            "gain": Parameter(unit="degC/s per unit of the signal", rescaled="scaled"),
+            "lag": SECONDS,
+            "both": CHOICE,
+        },
+        roles=Roles(needed=(CURRENT,)),
+        acts="running",
+        law=_heat_only(_after_steps),
+        bound=REFUSED,
+        uppaal=REFUSED,
+        candidate=EffectCandidate(
+            strength="gain",
+            sign=1.0,
+            experiment="step the load up and down twice within an hour, without a stop",
+            look="what each change of the load does: belt, coupling, scroll, the grease as the load settles",
+            shapes=lambda _: [
+                {"lag": lag, "both": both} for lag, both in product((60.0, 180.0, 480.0, 1200.0), (0.0, 1.0))
+            ],
+            refine={"lag": (20.0, 7200.0)},
+            words=_step_words,
+        ),
+    ),
+    EffectKind(
+        name="heat-by-the-clock",
+        meaning="heat that comes with the time of day",
+        parameters={"gain": GAIN, "at": MOMENT, "period": SECONDS},
+        roles=Roles(),
+        acts="anywhere",
+        law=_heat_only(_daily),
+        bound=REFUSED,
+        uppaal=REFUSED,
+        candidate=EffectCandidate(
+            strength="gain",
+            sign=0.0,
+            experiment="log the room for three days, with a night at rest",
+            look="what goes by the hour beside the machine: sun, ventilation, heating, another machine",
+            shapes=lambda _: [
+                {"period": period, "at": period / 2.0 * number / 4.0}
+                for period, number in product((DAY, DAY / 2.0), range(4))
+            ],
+            refine={"at": (0.0, DAY)},
+            widths={"at": 6 * HOUR},
+            burden=BURDEN,
+            words=_daily_words,
+        ),
+    ),
+    EffectKind(
+        name="heat-in-a-shift",
+        meaning="heat that comes with a shift",
+        parameters={"gain": GAIN, "at": MOMENT, "length": SECONDS, "turning": CHOICE},
+        roles=Roles(),
+        acts="anywhere",
+        law=_heat_only(_in_shift),
+        bound=REFUSED,
+        uppaal=REFUSED,
+        candidate=EffectCandidate(
+            strength="gain",
+            sign=0.0,
+            experiment="run the same load in each shift, on three days",
+            look="what a shift does differently: feed, doors, settings, another machine",
+            shapes=lambda _: [
+                {"at": hour * HOUR, "length": length * HOUR, "turning": turning}
+                for (length, hours), turning in product(((8.0, range(0, 24, 2)), (12.0, range(0, 12, 2))), (0.0, 1.0))
+                for hour in hours
+            ],
+            refine={"at": (0.0, DAY), "length": (2 * HOUR, 22 * HOUR)},
+            widths={"at": 3 * HOUR, "length": 3 * HOUR},
+            burden=BURDEN,
+            words=_shift_words,
+        ),
+    ),
+    EffectKind(
+        name="heat-at-weekends",
+        meaning="heat that comes with the weekday",
+        parameters={"gain": GAIN},
+        roles=Roles(),
+        acts="running",
+        law=_heat_only(_on_weekends),
+        bound=REFUSED,
+        uppaal=REFUSED,
+        candidate=EffectCandidate(
+            strength="gain",
+            sign=0.0,
+            experiment="run the same load on a working day and at a weekend",
+            look="what is different at weekends: feed, staff, ventilation, other machines",
+            shapes=lambda log: [{}] if log.time[-1] - log.time[0] > 7 * DAY else [],
+            burden=BURDEN,
+            words=_weekend_words,
+        ),
+    ),
+    EffectKind(
+        name="heat-after-an-event",
+        meaning="heat after an event, fading over running hours",
+        parameters={"gain": GAIN, "at": MOMENT, "tau": SECONDS},
+        roles=Roles(),
+        acts="running",
+        law=_heat_only(_fading),
+        bound=REFUSED,
+        uppaal=REFUSED,
+        candidate=EffectCandidate(
+            strength="gain",
+            sign=1.0,
+            experiment="do again what was done then, and watch the same load for as many hours",
+            look="what was done to the machine then: greasing, a new part, a cleaning",
+            shapes=lambda log: [{"at": at, "tau": hours * HOUR} for at, hours in product(_moments(log), (2.0, 6.0))],
+            refine={"tau": (0.5 * HOUR, 60 * HOUR), "at": (-1e12, 1e12)},
+            widths={"at": 4 * HOUR},
+            burden=BURDEN,
+            words=_fading_words,
+        ),
+    ),
+    _cooling(
+        "less-cooling",
+        "less cooling from some moment on",
+        lambda log: [{"at": at, "over": 0.0, "sink": log.cold} for at in _moments(log)],
+    ),
+    _cooling(
+        "less-and-less-cooling",
+        "a cooling that grows less from some moment on",
+        lambda log: [
+            {"at": at, "over": float(log.time[-1]) - at, "sink": log.cold} for at in [log.time[0], *_moments(log)[::2]]
+        ],
+    ),
+)
+"""Kinds that a diagnosis holds beside the names, and that no engine executes."""

@@ -1,0 +1,116 @@
+"""What a plant has and no name stands for takes the name away, and is said in the plant's words."""
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from sim.discrepancy.advice import look_at
+from sim.discrepancy.fitting import anchored, frame_of, heat_and_loss, on, record_of, rivals
+from sim.discrepancy.fitting.free_run_fit import fit
+from sim.discrepancy.fitting.named import Named, effect_of
+from sim.discrepancy.judging import NamingResult, description, dubious
+from sim.discrepancy.naming import entries_besides, step
+from sim.discrepancy.workflow import diagnose
+from sim.engine.schedules import schedule
+from sim.sha.automaton import SHA
+from sim.sha.trace import Array
+from tests.discrepancy.plants import PERIOD, model, plant
+
+BEGIN, DAY, DAYS = 1.7e9, 86400.0, 5
+"""The plant's traces begin on 2023-11-14 at 22:13 UTC."""
+ROLES = {"current": "Assorbimento", "pump": "MarciaPmpFango", "ambient": "TAmbiente"}
+Plant = Callable[[Array, Array, Array], tuple[Array, Array]]
+
+
+def steps(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """Heat after each step of the load, two masses of 200 s behind its size."""
+    slow, slower = current.copy(), current.copy()
+    for row in range(1, current.size):
+        slow[row] = slow[row - 1] + (1.0 - np.exp(-PERIOD / 200.0)) * (current[row] - slow[row - 1])
+        slower[row] = slower[row - 1] + (1.0 - np.exp(-PERIOD / 200.0)) * (slow[row] - slower[row - 1])
+    return 1e-4 * on * np.abs(current - slower), 0.0 * time
+
+
+def clock(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """Most at 03:00, in a peak."""
+    return 1.5e-3 * np.exp(np.cos(2.0 * np.pi * (time - 3 * 3600.0) / DAY)), 0.0 * time
+
+
+def shift(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """While the machine runs between 13:30 and 22:00."""
+    return 4e-3 * on * (np.abs(time % DAY - 17.75 * 3600.0) < 4.25 * 3600.0), 0.0 * time
+
+
+def event(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """Greased at the second day's end: gone after ten running hours, on a straight line."""
+    ran = np.cumsum(on * (time >= BEGIN + 2 * DAY)) * PERIOD
+    return 9e-3 * on * (time >= BEGIN + 2 * DAY) * np.maximum(1.0 - ran / 36000.0, 0.0), 0.0 * time
+
+
+def cooler(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """Less cooling from 2023-11-17 05:25 on, within half an hour."""
+    return 0.0 * time, -2e-4 * np.clip((time - BEGIN - 2.3 * DAY) / 1800.0, 0.0, 1.0)
+
+
+def dirt(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """Less and less cooling from the first day's end on."""
+    return 0.0 * time, -6e-5 * np.maximum((time - BEGIN) / DAY - 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (steps, r"heat that follows each step of the load and fades over [5-9] min"),
+        (clock, r"heat that comes with the clock, most at 0[23]:\d\d UTC"),
+        (shift, r"heat that comes with the clock, between 1[34]:\d\d UTC and 2[123]:\d\d UTC while the machine runs"),
+        (event, r"heat after an event at 2023-11-1[67] \d\d:\d\d UTC, fading over \d.\d running hours"),
+        (cooler, r"less cooling since 2023-11-17 0[4-6]:\d\d UTC"),
+        (dirt, r"less cooling more and more since 2023-11-1[56] \d\d:\d\d UTC"),
+    ],
+    ids=lambda value: value.__name__ if callable(value) else "",
+)
+def test_what_has_no_name_is_held_beside_the_names_and_described(more: Plant, words: str) -> None:
+    record = record_of(model(), [plant(2, days=DAYS, more=more)], tuple(ROLES.values()))
+    base = fit(anchored(on(frame_of(record), record)))
+    found = step(base, entries_besides(()), ROLES, 0)
+    assert found.best is not None and found.best.entry.rival
+    refusal = dubious(found)
+    assert "has no name" in refusal
+    assert re.fullmatch(words, description(NamingResult(base, base, ((found, refusal),))))
+
+
+def test_the_sentence_says_what_has_no_name_and_the_advice_where_to_look() -> None:
+    found = diagnose(model(), [plant(3, days=DAYS, more=cooler)], seed=0).diagnosis
+    assert found.verdict == "unexplained" and not found.effects
+    assert found.description.startswith("less cooling since 2023-11-17")
+    assert found.description in found.sentence and found.description in found.reasons[0]
+    assert "in no particular place" not in found.sentence
+    assert look_at(found)[0] == (
+        f"what carries heat away: cooler, fan, filter, flow of oil and water, dirt on the housing ({found.description})"
+    )
+
+
+def test_no_engine_executes_what_has_no_name() -> None:
+    made = model()
+    for entry in rivals():
+        params = dict.fromkeys(entry.kind.parameters, 1.0)
+        effect = effect_of(Named(entry, {role: ROLES[role] for role in entry.needs}, params), made)
+        sha = SHA(made.sha.name, made.sha.locations, made.sha.edges, made.sha.initial, effects=(effect,))
+        with pytest.raises(ValueError, match=entry.name):
+            schedule(sha, [], np.array([0.0, 10.0]))
+
+
+def test_an_events_running_hours_run_on_through_cuts() -> None:
+    record = record_of(model(), [plant(1, days=3)], ("Assorbimento",))
+    entry = next(each for each in rivals() if each.name == "heat-after-an-event")
+    params = {"gain": 1e-3, "at": BEGIN + 0.5 * DAY, "tau": 20000.0}
+    effect = effect_of(Named(entry, {}, params), record.model)
+    whole, _ = heat_and_loss(record, effect, np.zeros(len(record.runs)))
+    later = record.cycle >= 5
+    cut = record.where(later)
+    # The first step of a piece is no step of the cut record: its middle is its end.
+    found, _ = heat_and_loss(cut, effect, np.zeros(len(cut.runs)))
+    inside = ~cut.runs.first
+    assert np.array_equal(found[inside], whole[later][inside]) and 0.0 < found.max() < 1e-3 * np.exp(-1.0)
