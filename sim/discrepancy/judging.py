@@ -32,6 +32,8 @@ BEYOND_DOUBT = 60.0
 CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
 """Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
 systematic heat they found are withheld."""
+LEAST_REMOVED = 0.1
+"""Share of a held-out excess that matters which names remove at least: what leaves more is not what is missing."""
 MOSTLY_COVERED = 1.2
 """Times the model's own spread up to which an error counts as covered by it."""
 MOST_HEAT = 10.0
@@ -208,6 +210,8 @@ def doubts(
         reasons.append("the held-out cycles are not better foreseen with it")
     if held.rmse_after > held.rmse_before:
         reasons.append("the free run over the held-out cycles is further off with it")
+    elif _hardly_smaller(path, held):
+        reasons.append(f"it removes {held.excess_removed:.0%} of what the free run over the held-out cycles is off by")
     # What the names leave is held against all that was systematic: what trees could predict before, or, where that is
     # more, what the names themselves have taken out of the heat.
     explained = before is not None and left is not None and before.heat > left.heat
@@ -215,6 +219,12 @@ def doubts(
     if left is not None and systematic(left) and systematic_heat(left) > CEILING_LEFT * whole:
         reasons.append(f"a free learner still predicts {left.share:.0%} of the heat on cycles that it has not seen")
     return tuple(reasons)
+
+
+def _hardly_smaller(path: NamingResult, held: HeldOutProof) -> bool:
+    """True where there is a held-out excess that could be felt, and nearly all of it is left."""
+    removed = held.excess_removed
+    return removed is not None and removed < LEAST_REMOVED and matters(held, sensor_noise(path.base.frame.record))
 
 
 def left_over(path: NamingResult, before: Excess | None, after: Excess | None) -> tuple[str, ...]:

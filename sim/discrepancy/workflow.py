@@ -186,6 +186,7 @@ def diagnose(
             law=law,
             unit=shown_unit(model.unit),
             began=began,
+            gap=gap,
         ),
         reasons=reasons,
         effects=effects,
