@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, NoiseFloor
-from sim.discrepancy.fitting import CatalogueEntry, Fitted
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, effects_of, heat_and_loss, on_sensor
 from sim.discrepancy.gap import Excess, sensor_noise
+from sim.discrepancy.heat import HOUR
 from sim.discrepancy.held_out import HeldOutRun
 from sim.discrepancy.naming import MARGIN, NEAR, NamingStep, likeness
+from sim.discrepancy.screen import TIMES, shortest_visible, smooth_course
 from sim.sha import shown_unit
 
 ROBUST, SPREAD, OVERWHELMING = 1.0, 3.0, 20.0
@@ -30,8 +32,13 @@ BEYOND_DOUBT = 60.0
 CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
 """Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
 systematic heat they found are withheld."""
+LEAST_REMOVED = 0.1
+"""Share of a held-out excess that matters which names remove at least: what leaves more is not what is missing."""
 MOSTLY_COVERED = 1.2
 """Times the model's own spread up to which an error counts as covered by it."""
+MOST_HEAT = 10.0
+"""Times the fastest movement that a record shows (both in degC/s) up to which a heat or a cooling is believed: those of
+plants make 0.3 to 0.9 times, what was named of a measured box without being there thousands."""
 SURELY = 0.002
 """The p from which such heat is a gap by itself, where no candidate stands for it."""
 
@@ -107,7 +114,46 @@ def dubious(candidate: NamingStep) -> str:
         return "goes best with the data, and has no name"
     if candidate.margin < MARGIN:
         return f"beats its rivals outside its class by {candidate.margin:.1f} nats only"
+    return unbelievable(candidate)
+
+
+def unbelievable(candidate: NamingStep) -> str:
+    """Why the best entry of a step is nothing that a machine does, or that its rows show; "" where it may be."""
+    best = candidate.best
+    if best is None or best.fitted is None:
+        return ""
+    record = candidate.before.frame.record
+    named, shortest = best.fitted.state.named[-1], shortest_visible(record)
+    for time in (named.params[name] for name in TIMES if name in named.params):
+        if 0 < time < shortest:
+            return f"lasts {time:.3g} s, and nothing shorter than {shortest:.3g} s is visible in these rows"
+    most, fastest = greatest_heat(candidate.before, named), fastest_movement(candidate.before)
+    if most > MOST_HEAT * fastest:
+        unit = shown_unit(record.model.unit)
+        return (
+            f"would heat or cool by up to {most * HOUR:.3g} {unit}/h, and the fastest movement in these data is "
+            f"{fastest * HOUR:.3g} {unit}/h"
+        )
     return ""
+
+
+def greatest_heat(fitted: Fitted, named: Named) -> float:
+    """degC/s the greatest heat or cooling of an effect along the course of a fit; 0 of what acts on the reading."""
+    record, smooth = fitted.frame.record, smooth_course(fitted)
+    total = np.zeros(len(record.runs))
+    for effect in effects_of(named, record.model):
+        if not on_sensor(effect):
+            heat, loss = heat_and_loss(record, effect, smooth)
+            total += heat - loss * smooth
+    return float(np.max(np.abs(total)))
+
+
+def fastest_movement(fitted: Fitted) -> float:
+    """degC/s the fastest movement of the temperature over a step of the record, without the sensor's noise."""
+    runs = fitted.frame.record.runs
+    moved, dt = np.abs(np.diff(smooth_course(fitted))), runs.dt[1:]
+    steps = (dt > 0) & ~runs.first[1:]
+    return float(np.max(moved[steps] / dt[steps])) if steps.any() else np.inf
 
 
 def description(path: NamingResult) -> str:
@@ -164,6 +210,8 @@ def doubts(
         reasons.append("the held-out cycles are not better foreseen with it")
     if held.rmse_after > held.rmse_before:
         reasons.append("the free run over the held-out cycles is further off with it")
+    elif _hardly_smaller(path, held):
+        reasons.append(f"it removes {held.excess_removed:.0%} of what the free run over the held-out cycles is off by")
     # What the names leave is held against all that was systematic: what trees could predict before, or, where that is
     # more, what the names themselves have taken out of the heat.
     explained = before is not None and left is not None and before.heat > left.heat
@@ -171,6 +219,12 @@ def doubts(
     if left is not None and systematic(left) and systematic_heat(left) > CEILING_LEFT * whole:
         reasons.append(f"a free learner still predicts {left.share:.0%} of the heat on cycles that it has not seen")
     return tuple(reasons)
+
+
+def _hardly_smaller(path: NamingResult, held: HeldOutProof) -> bool:
+    """True where there is a held-out excess that could be felt, and nearly all of it is left."""
+    removed = held.excess_removed
+    return removed is not None and removed < LEAST_REMOVED and matters(held, sensor_noise(path.base.frame.record))
 
 
 def left_over(path: NamingResult, before: Excess | None, after: Excess | None) -> tuple[str, ...]:
@@ -232,3 +286,12 @@ def untested(
                 continue
             out[entry.name] = f"needs {signal} ({missing[0]}), which these traces do not have or which never changes"
     return out
+
+
+def too_short(entries: Sequence[CatalogueEntry], path: NamingResult) -> dict[str, str]:
+    """The effects over some time of which no shape was looked for though their signals are there, with the reason."""
+    tried = {each.entry.name for each in path.steps[0][0].evidence}
+    shortest = shortest_visible(path.base.frame.record)
+    timed = [entry for entry in entries if any(name in TIMES for name in entry.kind.parameters)]
+    reason = f"is looked for up to less than {shortest:.3g} s only, and nothing shorter is visible in these rows"
+    return {entry.name: reason for entry in timed if entry.name not in tried}

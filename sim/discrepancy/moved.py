@@ -3,7 +3,7 @@
 import numpy as np
 
 from sim.discrepancy.diagnosis import Shift
-from sim.discrepancy.fitting import Fitted
+from sim.discrepancy.fitting import Fitted, shown_locations
 from sim.effects import of_feature
 from sim.learning import RATES
 from sim.sha import RELAXING
@@ -15,8 +15,13 @@ BOTH = 2.0
 
 
 def shifts(fitted: Fitted) -> tuple[Shift, ...]:
-    """The moved parameters of a fit, the surest first; a target that lies off as machines do has not moved."""
+    """The moved parameters of a fit, the surest first; a target that lies off as machines do has not moved.
+
+    A parameter is told in a location that the record shows; what no shown location has is not told at all: that it is
+    fitted elsewhere than the model says is the belief's doing, or that of what else it is tied to.
+    """
     frame = fitted.frame
+    where = told_in(fitted)
     sha = frame.record.model.sha
     p, r = frame.count
     variance = np.maximum(np.diag(fitted.covariance)[: p + r], 1e-300) * BOTH
@@ -26,14 +31,28 @@ def shifts(fitted: Fitted) -> tuple[Shift, ...]:
     errors = np.sqrt(variance)
     off = fitted.off[: p + r]
     moved = [
-        _shift(fitted, number, float(off[number]), float(off[number] / errors[number]))
+        _shift(fitted, number, where[number], float(off[number]), float(off[number] / errors[number]))
         for number in np.flatnonzero(np.abs(off) >= SIGMAS * errors).tolist()
+        if number in where
     ]
     significant = [shift for shift in moved if abs(shift.change) >= LEAST_CHANGE]
     return tuple(sorted(significant, key=lambda shift: -abs(shift.sigma)))
 
 
-def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
+def told_in(fitted: Fitted) -> dict[int, str]:
+    """number of a parameter, counted as the fit lays them out -> the first location that has it and is shown."""
+    frame = fitted.frame
+    shape, linear = frame.shape, frame.shape.centre.size
+    where: dict[int, str] = {}
+    for place in np.flatnonzero(shown_locations(frame)).tolist():
+        rate = [linear + shape.rate[place]] if shape.rate[place] >= 0 else []
+        for number in (shape.target[place], *shape.gain[place], *rate):
+            where.setdefault(int(number), frame.record.model.sha.locations[place].name)
+    where.pop(-1, None)
+    return where
+
+
+def _shift(fitted: Fitted, number: int, location: str, off: float, sigma: float) -> Shift:
     """The parameter of this number, counted through targets, gains and rates as the fit lays them out, as moved."""
     frame = fitted.frame
     targets, gains, rates = frame.names.targets, frame.names.gains, frame.names.rates
@@ -52,7 +71,7 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
             size = height if height > 1.0 else before
         what = {"linear": "drift", "logarithmic": "factor", "transient": "amplitude"}.get(kind, "target")
         return Shift(
-            location=name,
+            location=location,
             parameter=what,
             before=before,
             after=before + off,
@@ -63,7 +82,7 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
     if number < len(targets) + len(gains):
         group, signal = gains[number - len(targets)]
         return Shift(
-            location=group,
+            location=location,
             parameter=f"gain of {signal}",
             before=before,
             after=before + off,
@@ -75,7 +94,7 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
     rate = RATES[by_name[group].flow.kind]
     old, new = float(np.exp(before)), float(np.exp(before + off))
     return Shift(
-        location=group,
+        location=location,
         parameter=rate,
         before=old,
         after=new,

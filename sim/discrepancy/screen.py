@@ -16,6 +16,7 @@ from sim.discrepancy.fitting import (
     CatalogueEntry,
     Fitted,
     Named,
+    Record,
     Whitener,
     as_read,
     as_sensed,
@@ -32,6 +33,10 @@ from sim.sha import Array
 DRAWS = 20_000
 SIMPLEX = 60
 """Evaluations at most when the shape of an effect is refined."""
+TIMES = ("tau", "delay", "lag")
+"""Parameters of a shape that are a time (s) over which something happens."""
+VISIBLE_ROWS = 2.0
+"""Rows that something must last to be seen in them: between two of them it could be anything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,8 +173,9 @@ def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
 def shapes_of(
     fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], smooth: Array
 ) -> Iterator[Shape]:
-    """Every shape of every entry whose signals are there."""
+    """Every shape of every entry whose signals are there, but those too short to be seen between the rows."""
     record = fitted.frame.record
+    shortest = shortest_visible(record)
     score = Projector(fitted).weighed_residual
     for entry in entries:
         signals = signals_of(entry, roles)
@@ -184,7 +190,14 @@ def shapes_of(
         )
         further = entry.candidate.scan(record.times, score) if entry.candidate.scan is not None else []
         for params in [*entry.candidate.shapes(log), *further]:
-            yield Shape(entry, signals, params)
+            if all(params[name] >= shortest for name in TIMES if name in params):
+                yield Shape(entry, signals, params)
+
+
+def shortest_visible(record: Record) -> float:
+    """s below which nothing that happens is visible in the record's readings."""
+    between = np.diff(record.runs.time[record.rows])
+    return VISIBLE_ROWS * float(np.median(between)) if between.size else 0.0
 
 
 def screen(fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str]) -> Screen:
@@ -225,13 +238,14 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
     """The effect with its shape where the gain is greatest, searched from a shape of the screen."""
     smooth = smooth_course(fitted)
     projector = Projector(fitted)
+    shortest = shortest_visible(fitted.frame.record)
     names = [name for name in shape.entry.candidate.refine if name in shape.params]
     if not names:
         return shape.named(strength)
     best: list[tuple[float, Shape, float]] = []
 
     def loss(point: Array) -> float:
-        trial = _at(shape, names, point)
+        trial = _at(shape, names, point, shortest)
         column = columns_of(fitted, [trial], smooth)
         _, weighed, _ = projector.clean(column)
         size = float(column[:, 0] @ weighed[:, 0])
@@ -260,11 +274,15 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
     return top.named(value)
 
 
-def _at(shape: Shape, names: Sequence[str], point: Array) -> Shape:
-    """The shape at coordinates of the search: logarithms of times, else steps of a width or of ten, within bounds."""
+def _at(shape: Shape, names: Sequence[str], point: Array, shortest: float) -> Shape:
+    """The shape at coordinates of the search: logarithms of times, else steps of a width or of ten, within bounds.
+
+    No time is made shorter than `shortest` (s).
+    """
     values = {}
     for name, coordinate in zip(names, point.tolist(), strict=True):
         low, high = shape.entry.candidate.refine[name]
+        low = max(low, shortest) if _is_time(name) else low
         # A simplex may step anywhere; beyond e^20 s the exponential would overflow before the bound could hold it.
         value = (
             float(np.exp(min(coordinate, 20.0)))
@@ -277,7 +295,7 @@ def _at(shape: Shape, names: Sequence[str], point: Array) -> Shape:
 
 
 def _is_time(name: str) -> bool:
-    return name in ("tau", "delay", "lag")
+    return name in TIMES
 
 
 def null_maximum(screened: Screen, seed: int, draws: int = DRAWS) -> Array:

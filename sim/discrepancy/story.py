@@ -38,8 +38,12 @@ def sentence_of(
     description: str = "",
     unit: str,
     began: Beginning | None = None,
+    gap: bool = True,
 ) -> str:
-    """The verdict in one or two sentences; errors are in `unit`, as people read it."""
+    """The verdict in one or two sentences; errors are in `unit`, as people read it.
+
+    `gap`: over the held-out cycles the free run is further off than chance makes of the noise.
+    """
     if verdict == "too-little-data":
         return f"Too little data: {cycles} cycle{'s' if cycles != 1 else ''} cannot tell an effect from chance."
     moved = ""
@@ -75,6 +79,10 @@ def sentence_of(
         names = "; ".join(" or ".join(effect.members) for effect in effects)
         return f"Something is missing that these data cannot tell apart: {names}.{since}{gain}{moved}"
     where = "the free run is further off than noise allows, in no particular place."
+    if not gap:
+        where = (
+            "the fitted cycles show it, in no particular place; on the others the free run is off by what noise allows."
+        )
     if description:
         where = f"{description}."
     if told := told_places(unexplained):

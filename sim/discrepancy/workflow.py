@@ -44,6 +44,7 @@ from sim.discrepancy.judging import (
     left_over,
     matters,
     systematic,
+    too_short,
     untested,
 )
 from sim.discrepancy.law_search import candidate_laws
@@ -187,6 +188,7 @@ def diagnose(
             law=law,
             unit=shown_unit(model.unit),
             began=began,
+            gap=gap,
         ),
         reasons=reasons,
         effects=effects,
@@ -199,7 +201,10 @@ def diagnose(
         material=material,
         traces=traces_of(path),
         absorbed=law,
-        untested=untested(entries, present, roles, following=following, temperature=model.temperature),
+        untested={
+            **too_short(entries, path),
+            **untested(entries, present, roles, following=following, temperature=model.temperature),
+        },
         held_out=held,
         floor=floor,
         began=began,

@@ -14,6 +14,7 @@ from sim.discrepancy.heat import REACH, implied_heat
 from sim.discrepancy.held_out import let_run
 from sim.discrepancy.judging import NamingResult, doubts
 from sim.discrepancy.naming import NamingStep, confirm, step
+from sim.discrepancy.story import sentence_of
 from tests.discrepancy.plants import model, plant
 
 
@@ -64,3 +65,31 @@ def test_heat_is_not_judged_where_a_change_is_on_its_way_through_a_dead_time() -
     assert np.isnan(implied_heat(delayed)[soon]).all()
     assert 0.3 < np.isfinite(implied_heat(delayed)).mean() < 0.95
     assert np.isnan(implied_heat(base)).sum() == base.grid.first.sum()
+
+
+@pytest.mark.parametrize(
+    ("before", "removed", "withheld"), [(0.6, 0.02, True), (0.6, 0.3, False), (0.201, 0.02, False)]
+)
+def test_a_name_that_leaves_nearly_all_of_a_gap_is_not_given(
+    base: Fitted, pumped: NamingStep, before: float, removed: float, withheld: bool
+) -> None:
+    """A sensor said to have moved by ten degrees took the error from 13.3 to 13.2 over a floor of 5.3."""
+    best = pumped.evidence[0]
+    assert best.fitted is not None
+    found = NamingResult(base, best.fitted, ((pumped, ""),))
+    record = base.frame.record.by_cycles()
+    held = HeldOutProof(5, 5, 0.6, before, 0.99 * before, 0.2, removed, (0.01, 0.5), ())
+    reasons = doubts(
+        found, let_run(base, record), second=let_run(best.fitted, record), held=held, before=None, left=None
+    )
+    assert any("it removes 2%" in reason for reason in reasons) is withheld
+
+
+def test_a_gap_within_the_noise_of_held_out_cycles_is_not_said_to_be_beyond_it() -> None:
+    held = HeldOutProof(2, 2, 2.6, 2.54, 2.54, 1.8, None, None, ())
+    said = {
+        gap: sentence_of("unexplained", (), unexplained=(), shifts=(), held=held, cycles=6, unit="°C", gap=gap)
+        for gap in (False, True)
+    }
+    assert "further off than noise allows" in said[True]
+    assert "by what noise allows" in said[False] and "further off" not in said[False]

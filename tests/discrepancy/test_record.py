@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.discrepancy.fitting.record import in_order, overlapping
+from sim.discrepancy.fitting.record import PIECE_ROWS, in_order, overlapping, record_of
 from sim.discrepancy.workflow import diagnose
+from sim.sha.events import encode
 from sim.sha.trace import Event, Trace
-from tests.discrepancy.plants import model, plant
+from tests.discrepancy.plants import ALPHABET, model, plant, sparse
 
 
 def trace(name: str, begin: float, end: float) -> Trace:
@@ -40,3 +41,16 @@ def test_days_without_dates_still_show_when_the_sensor_moved() -> None:
     assert len(days) == 3 and overlapping(days)
     found = diagnose(model(), days, seed=0).diagnosis
     assert [one.name for one in found.effects] == ["sensor-offset-step"]
+
+
+def test_a_machine_that_runs_on_is_cut_into_pieces_of_several_rows_however_rare_they_are() -> None:
+    """Six time constants of 1,500 s are three rows of 50 minutes, as with a transformer that is read by the hour."""
+    whole = plant(6, days=40, runs_on=True)
+    patient = replace(ALPHABET, gap=7200.0)
+    given = replace(model(), alphabet=patient)
+    for every in (1, 100):
+        rare = sparse(whole, every)
+        record = record_of(given, [replace(rare, events=encode(rare, patient))], ())
+        pieces, rows = np.unique(record.cycle[record.rows], return_counts=True)
+        assert np.median(rows) >= PIECE_ROWS
+        assert pieces.size >= 40

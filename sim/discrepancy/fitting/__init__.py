@@ -1,6 +1,6 @@
 """Free runs under effects fitted to measured traces, with the noise of a rough plant."""
 
-from sim.discrepancy.fitting.baseline import anchored, frame_of, on
+from sim.discrepancy.fitting.baseline import anchored, frame_of, on, shown_locations
 from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, rivals, signals_of
 from sim.discrepancy.fitting.course import (
     CourseState,
@@ -53,5 +53,6 @@ __all__ = [
     "rivals",
     "rounding",
     "sensitivity",
+    "shown_locations",
     "signals_of",
 ]

@@ -8,6 +8,7 @@ Locations of equal rate share it, and so do those of equal gains, as the learner
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.discrepancy.fitting.record import Record
 from sim.engine import linear_recursion
@@ -105,14 +106,9 @@ def anchored(frame: Frame) -> Frame:
     (the standard deviation of its law, which is wide where it saw little or has only borrowed). A rate or gain is kept
     where no location that has it is shown.
     """
-    runs, shape, locations = frame.record.runs, frame.shape, frame.record.model.sha.locations
-    decay, pull = steps(runs, shape, shape.rate_centre)
-    spread = shape.spread.copy()
-    shown = np.zeros(len(locations), dtype=bool)
-    for place in np.unique(runs.place):
-        way = linear_recursion(decay, np.where(runs.place == place, pull, 0.0), 0.0)
-        # Of a flow without a target to relax to nothing is said: it counts as shown.
-        shown[place] = RATES.get(shape.kinds[place]) != "k" or way.max() >= SHOWN
+    shape, locations = frame.shape, frame.record.model.sha.locations
+    shown, spread = shown_locations(frame), shape.spread.copy()
+    for place in np.unique(frame.record.runs.place):
         target = shape.target[place]
         if not shown[place] and target >= 0:
             own = max(float(np.sqrt(mode_parameter(locations[place])[1])), ANCHORED * spread[target])
@@ -122,3 +118,15 @@ def anchored(frame: Frame) -> Frame:
     rates = np.isin(np.arange(shape.rate_spread.size), shape.rate[shown])
     kept = replace(shape, spread=spread, rate_spread=shape.rate_spread * np.where(rates, 1.0, ANCHORED))
     return replace(frame, shape=kept)
+
+
+def shown_locations(frame: Frame) -> NDArray[np.bool_]:
+    """(L,) True for the locations of which the record shows what their parameters are."""
+    runs, shape = frame.record.runs, frame.shape
+    decay, pull = steps(runs, shape, shape.rate_centre)
+    shown = np.zeros(len(shape.kinds), dtype=np.bool_)
+    for place in np.unique(runs.place):
+        way = linear_recursion(decay, np.where(runs.place == place, pull, 0.0), 0.0)
+        # Of a flow without a target to relax to nothing is said: it counts as shown.
+        shown[place] = RATES.get(shape.kinds[place]) != "k" or way.max() >= SHOWN
+    return shown

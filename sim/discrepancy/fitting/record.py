@@ -28,6 +28,9 @@ LATE = 1.5
 MANY, FORGOTTEN = 8, 6.0
 """Cycles from which they are the independent pieces of evidence. Where they are fewer, a run or a rest that goes on for
 twice so many of its time constants is several pieces: e^-6 of how a piece began is left at its end."""
+PIECE_ROWS = 24
+"""Readings of such a piece at least: of fewer neither its mean nor how it wanders can be told, and where rows are as
+rare as the time constant is long there would be a piece for every second row."""
 BETWEEN = 3600.0
 """Seconds that are put between traces of which nobody knows when they were recorded."""
 BESIDE, STANDS_OUT = 5, 4.5
@@ -443,7 +446,8 @@ def _machine(runs: FreeRuns, traces: Sequence[Trace], switch: Switch | None) -> 
 def in_pieces(cycle: Indices, runs: FreeRuns, running: Array, k: Array) -> Indices:
     """(n,) the cycles; where they are few, their long runs and rests cut into equal pieces of FORGOTTEN time constants.
 
-    `k` (n,) 1/s is the given model's rate of each step; a flow that does not relax forgets nothing and is not cut.
+    `k` (n,) 1/s is the given model's rate of each step; a flow that does not relax forgets nothing and is not cut. Of
+    a stretch there are so few pieces that they have PIECE_ROWS readings each, in the mean.
     """
     if np.unique(cycle).size >= MANY:
         return cycle
@@ -453,7 +457,9 @@ def in_pieces(cycle: Indices, runs: FreeRuns, running: Array, k: Array) -> Indic
     whole = np.bincount(stretch, passed)
     before = np.cumsum(passed) - passed
     within = before - before[changed][stretch]
-    count = np.where(whole >= 2.0 * FORGOTTEN, np.floor(whole / FORGOTTEN), 1.0)
+    read = np.bincount(stretch, np.isfinite(runs.reading))
+    most = np.minimum(np.floor(whole / FORGOTTEN), np.floor(read / PIECE_ROWS))
+    count = np.where(whole >= 2.0 * FORGOTTEN, np.maximum(most, 1.0), 1.0)
     piece = np.floor(within / np.maximum(whole, 1e-12)[stretch] * count[stretch])
     inside = (np.diff(piece, prepend=0.0) != 0) & ~changed
     return np.asarray(np.cumsum(inside | (np.diff(cycle, prepend=cycle[:1]) != 0)), dtype=np.intp)

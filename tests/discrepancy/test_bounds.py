@@ -1,0 +1,102 @@
+"""What is not believed: effects too short for the rows, and heats that no machine has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, Record, anchored, catalogue, fit, frame_of, on, record_of
+from sim.discrepancy.judging import NamingResult, dubious, fastest_movement, greatest_heat, too_short
+from sim.discrepancy.naming import NamingStep, step
+from sim.discrepancy.screen import TIMES, Shape, refined, screen, shortest_visible
+from sim.sha import Trace
+from tests.discrepancy.plants import PERIOD, model, plant, sparse
+
+
+def laid_out(trace: Trace) -> Record:
+    return record_of(model(), [trace], ())
+
+
+def fitted(trace: Trace) -> Fitted:
+    return fit(anchored(on(frame_of(laid_out(trace)), laid_out(trace))))
+
+
+def entry(name: str) -> CatalogueEntry:
+    return next(each for each in catalogue() if each.name == name)
+
+
+def times_of(shape: Shape) -> list[float]:
+    return [shape.params[name] for name in TIMES if name in shape.params]
+
+
+@pytest.fixture(scope="module")
+def churned() -> Fitted:
+    """A start-up heat of 400 s in rows of 30 s."""
+    return fitted(plant(3, days=2, churning=0.02))
+
+
+@pytest.fixture(scope="module")
+def named(churned: Fitted) -> NamingStep:
+    return step(churned, [entry("startup-churning")], {}, 0)
+
+
+def test_what_is_shorter_than_two_rows_is_not_offered(churned: Fitted) -> None:
+    for rows, base in ((1, churned), (10, fitted(sparse(plant(3, days=2, churning=0.02), 10)))):
+        shortest = 2.0 * rows * PERIOD
+        assert shortest_visible(base.frame.record) == pytest.approx(shortest)
+        offered = screen(base, catalogue(), {}).shapes
+        times = [time for shape in offered for time in times_of(shape)]
+        assert times and min(times) >= shortest
+        names = {shape.entry.name for shape in offered}
+        assert ("dead-time" in names, "startup-churning" in names) == (rows == 1, True)
+
+
+def test_a_refinement_stops_at_two_rows() -> None:
+    """The reading is a row late: what fits best is shorter than what can be seen."""
+    trace = plant(3, days=2)
+    read = trace.signals["T"]
+    base = fitted(replace(trace, signals={**trace.signals, "T": np.concatenate([read[:1], read[:-1]])}))
+    found = refined(base, Shape(entry("dead-time"), {}, {"delay": 80.0, "blur": 0.0}), 1.0)
+    assert found.params["delay"] == pytest.approx(2.0 * PERIOD, abs=0.1)
+
+
+def test_of_effects_that_these_rows_cannot_show_it_is_said() -> None:
+    base = fitted(sparse(plant(3, days=2, churning=0.02), 10))
+    entries = [entry(name) for name in ("dead-time", "startup-churning", "wear-drift", "pump-cooling")]
+    path = NamingResult(base, base, ((step(base, entries, {}, 0), "adds nothing"),))
+    said = too_short([entry for entry in entries if entry.name != "pump-cooling"], path)
+    assert list(said) == ["dead-time"]
+    assert "600 s" in said["dead-time"]
+
+
+def with_strength(named: NamingStep, times: float) -> NamingStep:
+    """The step whose best effect has so many times its strength."""
+    best = named.best
+    assert best is not None and best.fitted is not None
+    (effect,) = best.fitted.state.named
+    params = {**effect.params, "gain": effect.params["gain"] * times}
+    state = replace(best.fitted.state, named=(replace(effect, params=params),))
+    return replace(named, evidence=(replace(best, fitted=replace(best.fitted, state=state)),))
+
+
+def test_a_heat_beyond_what_a_machine_does_is_refused_in_degrees_an_hour(named: NamingStep) -> None:
+    assert dubious(named) == ""
+    assert dubious(with_strength(named, 10.0)) == ""
+    best = named.best
+    assert best is not None and best.fitted is not None
+    heat = greatest_heat(named.before, best.fitted.state.named[0])
+    assert 0.2 * fastest_movement(named.before) < heat < fastest_movement(named.before)
+    said = dubious(with_strength(named, 1000.0))
+    assert said.startswith(
+        f"would heat or cool by up to {heat * 3.6e6:.3g} °C/h, and the fastest movement in these data"
+    )
+
+
+def test_a_time_that_the_joint_fit_made_shorter_than_two_rows_is_refused(named: NamingStep) -> None:
+    best = named.best
+    assert best is not None and best.fitted is not None
+    (effect,) = best.fitted.state.named
+    short = replace(effect, params={**effect.params, "tau": 40.0})
+    state = replace(best.fitted.state, named=(short,))
+    found = replace(named, evidence=(replace(best, fitted=replace(best.fitted, state=state)),))
+    assert dubious(found) == "lasts 40 s, and nothing shorter than 60 s is visible in these rows"
