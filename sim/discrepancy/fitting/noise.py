@@ -194,13 +194,13 @@ class Whitener:
 
     def heat(self, residual: Array) -> tuple[Array, Array]:
         """(mean, variance) (m,) of the rough heat h at each window, degC/s, given all readings."""
-        part = scipy.linalg.cho_solve((self._root, True), self._heats.T @ self._within(residual[:, None]))
-        pushed = self._pushed(np.column_stack([residual - (self._heats @ part)[:, 0], self._heats]))
-        solved = scipy.linalg.cho_solve_banded((self._factor, True), pushed, overwrite_b=True)[1 :: self._states]
+        band, scattering = self._band, self._scattering
+        each = np.eye(self.grid.heats.shape[1] + 2)
+        pushed = np.column_stack([self._unscattered(residual[:, None]), scattering.times(each)])
+        solved = band.solved(pushed)[1 :: band.states]
         # What is not known of the columns' sizes adds to what the states themselves leave open.
-        open_ = scipy.linalg.solve_triangular(self._root, solved[:, 1:].T, lower=True)
-        own = inverse_diagonal(self._factor)[1 :: self._states]
-        return np.asarray(solved[:, 0]), np.asarray(own + np.einsum("cm,cm->m", open_, open_))
+        open_ = np.sum(solved[:, 1:] * (solved[:, 1:] @ scattering.solve(each)), axis=1)
+        return np.asarray(solved[:, 0]), np.asarray(inverse_diagonal(band.factor)[1 :: band.states] + open_)
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """(m, count) residuals of a plant that has nothing but this noise."""
