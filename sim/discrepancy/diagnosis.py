@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from sim.learning import Indices
-from sim.sha import DEGREES, Array, EffectLine
+from sim.sha import DEGREES, Array, EffectLine, Trace
 
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
@@ -223,6 +223,46 @@ class CandidateLaw:
 
 
 @dataclass(frozen=True, slots=True)
+class ExperimentStep:
+    """`signal` is set to `value` and kept for so many seconds; 0: the next one is set at the same time."""
+
+    signal: str
+    value: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class PairOfRivals:
+    """Two effects that the measured traces cannot tell apart, and the nats by which an experiment is expected to."""
+
+    one: str
+    other: str
+    nats: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProposedExperiment:
+    """What to set at the machine so that rivals are told apart: `what` in words, its `steps`, done `repeats` times.
+
+    `seconds` is how long all of it takes, `pairs` what it is expected to give, the less whichever of the two is true,
+    `needed` the nats from which a name can be counted on. `trace` has the set-points as rows.
+    """
+
+    what: str
+    steps: tuple[ExperimentStep, ...]
+    repeats: int
+    seconds: float
+    pairs: tuple[PairOfRivals, ...]
+    needed: float
+    trace: Trace
+
+    @property
+    def enough(self) -> bool:
+        """Whether every pair is expected to be told apart."""
+        return all(pair.nats >= self.needed for pair in self.pairs)
+
+
+@dataclass(frozen=True, slots=True)
 class DiagnosisCourse:
     """What the pictures show, over all windows (m,): absolute times, readings, free runs before and after.
 
@@ -252,7 +292,7 @@ class Diagnosis:
     follow, if they follow one. `settings` holds seed, thresholds and noise, by name. `unit` is that of the followed
     variable: what is said to be in degC anywhere in a diagnosis is in it. `laws` are expressions to look at where the
     gap has no name, `floor` what a free run errs by where nothing is missing, `began` says since when it errs by more
-    (None where that is from the first cycle on).
+    (None where that is from the first cycle on). `experiment` is what would tell rivals apart, where it was asked for.
     """
 
     verdict: Verdict
@@ -278,3 +318,4 @@ class Diagnosis:
     model_after: str | None
     unit: str = DEGREES
     laws: tuple[CandidateLaw, ...] = ()
+    experiment: ProposedExperiment | None = None

@@ -1,18 +1,19 @@
 """Free runs under effects fitted to measured traces, with the noise of a rough plant."""
 
-from sim.discrepancy.fitting.baseline import anchored, frame_of, on
+from sim.discrepancy.fitting.baseline import Frame, anchored, frame_of, on
 from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, rivals, signals_of
 from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at, sensitivity
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged, on_sensor
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit, readings_in_window, rounding
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
 from sim.discrepancy.fitting.noise import Grid, NoiseModel, Whitener, decay_and_pull
-from sim.discrepancy.fitting.record import Record, in_order, overlapping, patiently, record_of
+from sim.discrepancy.fitting.record import Record, first_cycle_after, in_order, overlapping, patiently, record_of
 
 __all__ = [
     "CatalogueEntry",
     "CourseState",
     "Fitted",
+    "Frame",
     "Grid",
     "Named",
     "NoiseModel",
@@ -26,6 +27,7 @@ __all__ = [
     "decay_and_pull",
     "effects_of",
     "filtered",
+    "first_cycle_after",
     "fit",
     "frame_of",
     "grid_at",
