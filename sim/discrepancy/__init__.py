@@ -1,6 +1,6 @@
 """The gap workflow: from traces to a diagnosis, and the model with what was missing."""
 
-from sim.discrepancy.advice import in_words, law_sentence, look_at, overlap_sentence
+from sim.discrepancy.advice import experiment_lines, in_words, law_sentence, look_at, overlap_sentence
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.diagnosis import (
     Beginning,
@@ -10,8 +10,10 @@ from sim.discrepancy.diagnosis import (
     HeatPlace,
     HeldOutProof,
     NamedEffect,
+    ProposedExperiment,
     TriedEffect,
 )
+from sim.discrepancy.experiment import propose_experiment
 from sim.discrepancy.heat_maps import LONGEST, HeatMap, heat_map, span
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 
@@ -26,13 +28,16 @@ __all__ = [
     "HeatPlace",
     "HeldOutProof",
     "NamedEffect",
+    "ProposedExperiment",
     "TriedEffect",
     "augmented",
     "diagnose",
+    "experiment_lines",
     "heat_map",
     "in_words",
     "law_sentence",
     "look_at",
     "overlap_sentence",
+    "propose_experiment",
     "span",
 ]

@@ -1,10 +1,10 @@
 """The experiment that tells rival effects apart: set-points and their durations, with what each pair would differ by.
 
-A handful of schedules of what a person can set is run through the given model under each rival's own fit. What one rival
-foresees and another could not follow, even with its parameters fitted anew to the measured traces and the experiment
-together, is the expected gain: half of d' (V + C N^-1 C')^-1 d, the expected log-likelihood ratio of two Gaussian
-forecasts (Atkinson & Fedorov 1975, T-optimality), d being the difference of the courses, V the fitted noise, C the
-sensitivities of the rival that is wrong and N what the measured traces say of its parameters.
+A handful of schedules of what a person can set is run through the given model under each rival's own fit. What one
+rival foresees and another could not follow, even with its parameters fitted anew to the measured traces and the
+experiment together, is the expected gain: half of d' (V + C N^-1 C')^-1 d, the expected log-likelihood ratio of two
+Gaussian forecasts (Atkinson & Fedorov 1975, T-optimality), d being the difference of the courses, V the fitted noise, C
+the sensitivities of the rival that is wrong and N what the measured traces say of its parameters.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -47,13 +47,15 @@ SHORTEST_DWELL_S, LONGEST_DWELL_S = 300.0, 3.0 * 3600.0
 """Seconds of a dwell at least and at most."""
 RAMP_STEPS = 8
 """Steps of a slow ramp, one way."""
-TRIED_S, LONGEST_EXPERIMENT_S = 12.0 * 3600.0, 48.0 * 3600.0
-"""Seconds over which schedules are compared, each repeated until then (what one short run shows, a rival may yet follow),
-and of an experiment with its repetitions at most."""
+TRIED_S, LONGEST_EXPERIMENT_S = 8.0 * 3600.0, 48.0 * 3600.0
+"""Seconds over which schedules are compared, each repeated until then (what one short run shows, a rival may yet
+follow), and of an experiment with its repetitions at most."""
 GROWTHS = 4
 """How often an experiment is made longer where it turns out to give less than its first hours promised."""
 LEVEL_SHARES = (0.05, 0.95)
 """Quantiles of what a signal had while the machine ran, between which it is set."""
+FOLLOWS = 0.5
+"""The correlation with the load from which a signal that nobody sets is what it usually is at that load."""
 MOST_ROWS = 20_000
 """Rows of a schedule at most; beyond, they lie further apart than those of the record."""
 SURE_SIGMAS = 1.64
@@ -127,8 +129,12 @@ def machine_operation(model: Model, traces: Sequence[Trace], roles: Mapping[str,
     levels = {name: _levels(columns[name][runs]) for name in (*loads[:1], *can_set) if name in columns}
     levels = {name: (low, high) for name, (low, high) in levels.items() if high > low}
     load = loads[0] if loads and loads[0] in levels else ""
-    running, resting = _usual(columns, runs), _usual(columns, ~runs)
-    follow = [name for name in columns if name not in levels and name != stops]
+    running = _usual(columns, runs)
+    running |= {name: _settable(running[name]) for name in levels}
+    resting = _usual({name: columns[name] for name in columns if _changes(columns[name], runs)}, ~runs)
+    follow = [
+        name for name in columns if load and name not in (*levels, stops) and _goes_with(columns, name, load, runs)
+    ]
 
     def near(level: float) -> Mapping[str, float]:
         if not load:
@@ -171,7 +177,30 @@ def _levels(column: Array) -> tuple[float, float]:
     if np.unique(seen).size <= 2:
         return float(seen.min()), float(seen.max())
     low, high = np.quantile(seen, LEVEL_SHARES).tolist()
-    return float(f"{low:.2g}"), float(f"{high:.2g}")
+    return _settable(low), _settable(high)
+
+
+def _settable(value: float) -> float:
+    """A set-point with no more digits than somebody would turn to."""
+    return float(f"{value:.3g}")
+
+
+def _changes(column: Array, runs: Mask) -> bool:
+    """Whether a signal is another one at rest; what merely drifts from day to day would seem to jump at each start."""
+    turning, still = (column[rows & np.isfinite(column)] for rows in (runs, ~runs))
+    if turning.size == 0 or still.size == 0:
+        return False
+    low, high = np.quantile(turning, LEVEL_SHARES)
+    return not low <= float(np.median(still)) <= high
+
+
+def _goes_with(columns: Mapping[str, Array], name: str, load: str, runs: Mask) -> bool:
+    """Whether a signal follows the load while the machine runs."""
+    rows = runs & np.isfinite(columns[name]) & np.isfinite(columns[load])
+    one, other = columns[name][rows], columns[load][rows]
+    if one.size < 2 or np.ptp(one) == 0 or np.ptp(other) == 0:
+        return False
+    return bool(abs(np.corrcoef(one, other)[0, 1]) >= FOLLOWS)
 
 
 # -------------------------------------------------------------------- schedules
@@ -195,8 +224,8 @@ def _of_the_load(operation: MachineOperation, dwell: float) -> list[Schedule]:
     def loads(*levels: float, seconds: float = dwell) -> tuple[Phase, ...]:
         return tuple(operation.turning(seconds, **{operation.load: level}) for level in levels)
 
-    middle = 0.5 * (low + high)
-    ramp = np.linspace(low, high, RAMP_STEPS).tolist()
+    middle = _settable(0.5 * (low + high))
+    ramp = [_settable(level) for level in np.linspace(low, high, RAMP_STEPS).tolist()]
     slow = max(dwell / 2.0, SHORTEST_DWELL_S)
     return [
         Schedule("dwell at three loads, up and down", (*rest, *loads(low, middle, high, middle))),
@@ -361,7 +390,7 @@ def _nats(true: _Trial, wrong: _Trial, precision: Array) -> float:
 
 
 def _pairs(alternatives: Sequence[_Alternative], record: Record, start: float) -> dict[tuple[str, str], float]:
-    """nats by pair of rivals, whichever of the two is true; a case of another one tells nothing where itself is true."""
+    """nats by pair of rivals, the less whichever of the two is true; a rival follows whatever is a case of it."""
     trials = [_trial(each, record, start) for each in alternatives]
     found = {}
     for (first, one), (second, other) in combinations(zip(alternatives, trials, strict=True), 2):

@@ -20,9 +20,9 @@ from sim.discrepancy.fitting import (
     Record,
     anchored,
     catalogue,
+    first_cycle_after,
     fit,
     frame_of,
-    first_cycle_after,
     in_order,
     named_of,
     on,
@@ -92,8 +92,8 @@ def diagnose(
 
     `lines` are engineers' own effects, which are looked for beside the catalogue's. `roles` gives the signal of each
     role of these; those that no trace has take their effects off the table. `experiments` are traces of experiments
-    that were made to tell rivals apart: all of them are fitted, and none is held out. Raises ValueError, in one sentence, when
-    the traces cannot be followed at all.
+    that were made to tell rivals apart: all of them are fitted, and none is held out. Raises ValueError, in one
+    sentence, when the traces cannot be followed at all.
     """
     report = progress or (lambda _stage, _share: None)
     # Artefacts of the public learner know no unit: then that of the traces is the model's.

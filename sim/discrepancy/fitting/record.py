@@ -304,7 +304,7 @@ def record_of(
 
 
 def first_cycle_after(record: Record, traces: Sequence[Trace]) -> float:
-    """The record's first piece of evidence (`cycle`) that is of none of the `traces` it begins with; inf: there is none."""
+    """The record's first piece of evidence (`cycle`) after the `traces` that it begins with; inf: there is none."""
     count = sum(_can_be_followed(trace, record.model) for trace in traces)
     later = record.cycle[record.runs.trace >= count]
     return float(later[0]) if later.size else inf
