@@ -39,7 +39,7 @@ Sources = tuple[list[Path], list[Path]]
 class MeasuredRecord:
     """A measured record: `lay_out` gives (what the model is learned from, what is diagnosed), `known` what is known.
 
-    `drives` are the signals of the grey box, `pieces` into how many stretches it cuts each trace, `parts` what it tries.
+    `drives` are the signals of the grey box, `pieces` the stretches of each trace, `parts` what it tries.
     """
 
     name: str

@@ -31,11 +31,14 @@ from sim.checking.proof import verify
 from sim.discrepancy import (
     Diagnosis,
     DiagnosisOutcome,
+    ProposedExperiment,
     augmented,
+    experiment_lines,
     held_out_sentence,
     law_sentence,
     look_at,
     overlap_sentence,
+    propose_experiment,
     span,
 )
 from sim.discrepancy import diagnose as diagnose_model
@@ -43,7 +46,7 @@ from sim.discrepancy.fitting import overlapping, patiently
 from sim.discrepancy.output import MISSING_HEAT, MODEL, Occasion, check_folder, document, write_diagnosis
 from sim.effects import ROLES
 from sim.sha import EffectLine, Model, Trace, joint_hash, shown_unit
-from sim.traces import ColumnMap, load_map
+from sim.traces import ColumnMap, load_map, write_trace
 
 Progress = Callable[[str, float], None]
 
@@ -54,6 +57,7 @@ class DiagnosisRequest:
 
     `source` says where the traces are from, as it stands in the report; `most` is how many effects may be named.
     Without `report` there are no page and no pictures. `lines` are effects of the engineer's own that may be named too.
+    With `experiment` the experiment is proposed that tells rivals apart.
     """
 
     where: str
@@ -65,6 +69,7 @@ class DiagnosisRequest:
     temperature: str | None = None
     report: bool = True
     lines: tuple[EffectLine, ...] = ()
+    experiment: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,17 +113,39 @@ def check_traces(model: Model, traces: Sequence[Trace], source: str) -> None:
 
 
 def run(
-    request: DiagnosisRequest, model: Model, traces: Sequence[Trace], roles: Mapping[str, str], progress: Progress
+    request: DiagnosisRequest,
+    model: Model,
+    traces: Sequence[Trace],
+    roles: Mapping[str, str],
+    progress: Progress,
+    *,
+    experiments: Sequence[Trace] = (),
 ) -> DiagnosisResult:
-    """Diagnose and write everything. Raises ValueError or OSError; then nothing in the folder has changed."""
+    """Diagnose and write everything. Raises ValueError or OSError; then nothing in the folder has changed.
+
+    `experiments` are traces of an experiment that was proposed: they are fitted and never held out.
+    """
     check_traces(model, traces, request.source)
+    if experiments:
+        check_traces(model, experiments, "--with-experiment")
     # For the new model too, whose stays learn from them what the effects' signals are like.
-    traces = [patiently(trace, model.alphabet) for trace in traces]
+    traces, experiments = ([patiently(trace, model.alphabet) for trace in those] for those in (traces, experiments))
     outcome = diagnose_model(
-        model, traces, seed=request.seed, roles=roles, lines=request.lines, most=request.most, progress=progress
+        model,
+        traces,
+        seed=request.seed,
+        roles=roles,
+        lines=request.lines,
+        most=request.most,
+        experiments=experiments,
+        progress=progress,
     )
+    if request.experiment and outcome.path is not None:
+        progress("the experiment that tells rivals apart", 0.97)
+        proposed = propose_experiment(outcome.path, traces, roles)
+        outcome = replace(outcome, diagnosis=replace(outcome.diagnosis, experiment=proposed))
     progress("writing the report", 0.97)
-    new = new_model(request, model, traces, outcome)
+    new = new_model(request, model, [*traces, *experiments], outcome)
     reasons = None if new is None else verify(new).reasons
     after = None if new is None else str(request.out / MODEL)
     diagnosis = replace(outcome.diagnosis, model_before=request.where, model_after=after)
@@ -203,6 +230,14 @@ class DiagnoseCommand(click.Command):
 )
 @click.option("--if-drifting", is_flag=True, help="Only while the drift alarm stands in the historian; for schedules.")
 @click.option("--no-report", is_flag=True, help="No page and no pictures: half of the time, for programs.")
+@click.option("--experiment", is_flag=True, help="Propose set-points and times that tell rival effects apart.")
+@click.option(
+    "--experiment-trace",
+    "schedule",
+    type=click.Path(path_type=Path),
+    help="Write the proposed set-points as CSV.",
+)
+@click.option("--with-experiment", "made", multiple=True, help="Traces of an experiment made: fitted, never held out.")
 @seed_option
 @json_option
 def diagnose(
@@ -220,6 +255,9 @@ def diagnose(
     proposes: bool,
     if_drifting: bool,
     no_report: bool,
+    experiment: bool,
+    schedule: Path | None,
+    made: Sequence[str],
     seed: int,
     as_json: bool,
 ) -> None:
@@ -234,6 +272,10 @@ def diagnose(
 
     --propose keeps a new model that verifies as a version of the store, with the experiment that would confirm it;
     nothing is promoted, and a finding that waits already is not proposed again.
+
+    --experiment proposes what to set and for how long, so that effects which these traces cannot tell apart are told
+    apart; --experiment-trace writes it as a trace that `decanter emulate` replays. Once it was made, its recording goes
+    to --with-experiment.
     """
     sources = (*paths, *more)
     if bool(sources) == (historian is not None):
@@ -252,6 +294,7 @@ def diagnose(
             temperature=temperature,
             report=not no_report,
             lines=() if effects is None else read_effect_lines(effects),
+            experiment=experiment or schedule is not None,
         )
         report("reading", 0.0)
         # The model before the traces: it is refused in a moment, and a historian of weeks takes its time.
@@ -274,7 +317,11 @@ def diagnose(
             traces = [recent(historian, since or RECENT, machine=machine)]
         if overlap := overlapping(traces):
             click.echo(f"{overlap}: the traces are taken one after the other, as given (a folder by names)", err=True)
-        result = run(request, model, traces, roles_of(column_map), report)
+        experiments = load(made, map_name)[0] if made else ()
+        result = run(request, model, traces, roles_of(column_map), report, experiments=experiments)
+        proposed = result.diagnosis.experiment
+        if schedule is not None and proposed is not None:
+            write_trace(proposed.trace, schedule)
         candidate: tuple[str, bool] | None = None
         if store is not None and result.model is not None and not result.verification:
             candidate = propose(store, result.model, result.diagnosis, created=request.created)
@@ -287,6 +334,8 @@ def diagnose(
 
     def shown() -> None:
         show(result, out)
+        if request.experiment:
+            show_experiment(proposed)
         if candidate is not None:
             name, fresh = candidate
             click.echo(f"{'proposed' if fresh else 'waits already for the same finding'}: {where}@{name}")
@@ -349,3 +398,12 @@ def show(result: DiagnosisResult, out: Path) -> None:
     if diagnosis.model_after is not None:
         verdict = f"it DOES NOT VERIFY: {'; '.join(result.verification)}" if result.verification else "it verifies"
         click.echo(f"new model: {diagnosis.model_after}; {verdict}")
+
+
+def show_experiment(proposed: ProposedExperiment | None) -> None:
+    """Print an experiment as a numbered list for whoever stands at the machine."""
+    if proposed is None:
+        click.echo("experiment: none; there are no two effects to be told apart, or nothing that could be set for it")
+        return
+    for line in experiment_lines(proposed):
+        click.echo(line)

@@ -2,6 +2,7 @@
 
 from sim.discrepancy.advice import (
     LEAST_TOLD_SHARE,
+    experiment_lines,
     in_words,
     law_sentence,
     look_at,
@@ -19,8 +20,10 @@ from sim.discrepancy.diagnosis import (
     MissingHeat,
     NamedEffect,
     NoiseFloor,
+    ProposedExperiment,
     TriedEffect,
 )
+from sim.discrepancy.experiment import propose_experiment
 from sim.discrepancy.heat_maps import LONGEST, HeatMap, heat_map, span
 from sim.discrepancy.story import (
     beginning_sentence,
@@ -45,10 +48,12 @@ __all__ = [
     "MissingHeat",
     "NamedEffect",
     "NoiseFloor",
+    "ProposedExperiment",
     "TriedEffect",
     "augmented",
     "beginning_sentence",
     "diagnose",
+    "experiment_lines",
     "floor_sentence",
     "heat_map",
     "held_out_count",
@@ -57,6 +62,7 @@ __all__ = [
     "law_sentence",
     "look_at",
     "overlap_sentence",
+    "propose_experiment",
     "shown_time",
     "span",
     "told_places",

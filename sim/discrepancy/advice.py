@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from itertools import combinations
 
-from sim.discrepancy.diagnosis import CandidateLaw, Diagnosis, HeatPlace
+from sim.discrepancy.diagnosis import CandidateLaw, Diagnosis, HeatPlace, ProposedExperiment
 from sim.discrepancy.fitting import catalogue, rivals
 from sim.discrepancy.heat_maps import span
 
@@ -78,6 +78,24 @@ def law_sentence(law: CandidateLaw) -> str:
         f"{law.cycles[0]} of {law.cycles[1]} held-out cycles ({law.tried} expressions were tried{alike}); to find out: "
         f"{law.experiment}"
     )
+
+
+def experiment_lines(proposed: ProposedExperiment) -> tuple[str, ...]:
+    """The experiment as a numbered list: what to set, for how long, and what it is expected to tell."""
+    times = "" if proposed.repeats == 1 else f", {proposed.repeats} times"
+    lines = [f"experiment: {proposed.what}{times}, {proposed.seconds / 3600.0:.1f} h in all"]
+    settings = list[str]()
+    number = 0
+    for each in proposed.steps:
+        settings.append(f"{each.signal} = {each.value:g}")
+        if each.seconds > 0:
+            number += 1
+            lines.append(f"  {number}. {', '.join(settings)}; for {each.seconds / 60.0:.0f} min")
+            settings = []
+    lines += [f"  tells {pair.one} from {pair.other} by {pair.nats:.0f} nats" for pair in proposed.pairs]
+    if not proposed.enough:
+        lines.append(f"  a name can be counted on from {proposed.needed:.0f} nats on: it may have to be made again")
+    return tuple(lines)
 
 
 def in_words(expression: str) -> str:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from sim.learning import Indices
-from sim.sha import DEGREES, Array, EffectLine, Mask
+from sim.sha import DEGREES, Array, EffectLine, Mask, Trace
 
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
@@ -223,6 +223,46 @@ class CandidateLaw:
 
 
 @dataclass(frozen=True, slots=True)
+class ExperimentStep:
+    """`signal` is set to `value` and kept for so many seconds; 0: the next one is set at the same time."""
+
+    signal: str
+    value: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class PairOfRivals:
+    """Two effects that the measured traces cannot tell apart, and the nats by which an experiment is expected to."""
+
+    one: str
+    other: str
+    nats: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProposedExperiment:
+    """What to set at the machine so that rivals are told apart: `what` in words, its `steps`, done `repeats` times.
+
+    `seconds` is how long all of it takes, `pairs` what it is expected to give, the less whichever of the two is true,
+    `needed` the nats from which a name can be counted on. `trace` has the set-points as rows.
+    """
+
+    what: str
+    steps: tuple[ExperimentStep, ...]
+    repeats: int
+    seconds: float
+    pairs: tuple[PairOfRivals, ...]
+    needed: float
+    trace: Trace
+
+    @property
+    def enough(self) -> bool:
+        """Whether every pair is expected to be told apart."""
+        return all(pair.nats >= self.needed for pair in self.pairs)
+
+
+@dataclass(frozen=True, slots=True)
 class DiagnosisCourse:
     """What the pictures show, over all windows (m,): absolute times, readings, free runs before and after.
 
@@ -269,7 +309,8 @@ class Diagnosis:
     variable: what is said to be in degC anywhere in a diagnosis is in it. `laws` are expressions to look at where the
     gap has no name, `floor` what a free run errs by where nothing is missing, `began` says since when it errs by more
     (None where that is from the first cycle on), `description` in the plant's words what goes best with a gap that has
-    no name, "" where nothing does. `missing_heat` is the heat over time that the model lacks.
+    no name, "" where nothing does. `missing_heat` is the heat over time that the model lacks, `experiment`
+    what would tell rivals apart, where it was asked for.
     """
 
     verdict: Verdict
@@ -297,3 +338,4 @@ class Diagnosis:
     laws: tuple[CandidateLaw, ...] = ()
     description: str = ""
     missing_heat: MissingHeat | None = None
+    experiment: ProposedExperiment | None = None

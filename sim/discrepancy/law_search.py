@@ -56,13 +56,16 @@ class _Scored:
         )
 
 
-def candidate_laws(base: Fitted, record: Record, fitted_until: int, floor: float) -> tuple[CandidateLaw, ...]:
+def candidate_laws(
+    base: Fitted, record: Record, fitted_until: int, floor: float, fitted_again: float = inf
+) -> tuple[CandidateLaw, ...]:
     """At most three laws for what `base` leaves, the surest first; none where none holds on the held-out cycles.
 
     `record` has all that is measured, on the knots from which the fit's record was cut; cycles from `fitted_until` on
-    are held out. `floor` (degC) is the error that the given model allows itself.
+    are held out, but for those from `fitted_again` on. `floor` (degC) is the error that the given model allows itself.
     """
-    training, later = record.where(record.cycle < fitted_until), record.where(record.cycle >= fitted_until)
+    held_out = (record.cycle >= fitted_until) & (record.cycle < fitted_again)
+    training, later = record.where(~held_out), record.where(held_out)
     if not later.rows.size or training.runs.time.shape != base.frame.record.runs.time.shape:
         return ()
     fitted = replace(base, frame=on(base.frame, training))

@@ -21,6 +21,7 @@ from sim.discrepancy.fitting import (
     Record,
     anchored,
     catalogue,
+    first_cycle_after,
     fit,
     frame_of,
     in_order,
@@ -73,11 +74,13 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisOutcome:
-    """A diagnosis, the effects that it adds to the model, and the fit that has them (None with too little data)."""
+    """A diagnosis, the effects that it adds to the model, the fit that has them and the path to it (None with too
+    little data)."""
 
     diagnosis: Diagnosis
     named: tuple[Named, ...]
     fitted: Fitted | None
+    path: NamingResult | None
 
 
 def diagnose(
@@ -88,32 +91,38 @@ def diagnose(
     roles: Mapping[str, str] = ROLES,
     lines: Sequence[EffectLine] = (),
     most: int = MOST_NAMES,
+    experiments: Sequence[Trace] = (),
     progress: Progress | None = None,
 ) -> DiagnosisOutcome:
     """The diagnosis of `traces` against `model`, with at most `most` names.
 
     `lines` are engineers' own effects, which are looked for beside the catalogue's. `roles` gives the signal of each
-    role of these; those that no trace has take their effects off the table. Raises ValueError, in one sentence, when
-    the traces cannot be followed at all.
+    role of these; those that no trace has take their effects off the table. `experiments` are traces of experiments
+    that were made to tell rivals apart: all of them are fitted, and none is held out. Raises ValueError, in one
+    sentence, when the traces cannot be followed at all.
     """
     report = progress or (lambda _stage, _share: None)
     # Artefacts of the public learner know no unit: then that of the traces is the model's.
     model = replace(in_sensor_scale(model), unit=unit_of(traces, model.temperature, model.unit))
     report("laying out the traces", 0.0)
-    laid_out = [patiently(trace, model.alphabet) for trace in in_order(traces)]
+    usual = in_order(traces)
+    laid_out = [patiently(trace, model.alphabet) for trace in (*usual, *in_order(experiments))]
     entries = catalogue(lines)
     roles = {**roles, **own_roles(lines)}
     following = following_roles(model, laid_out, roles)
     present = present_roles(laid_out, {role: each for role, each in roles.items() if role not in following})
     record = record_of(model, laid_out, signals_needed(model, present))
+    first_made = first_cycle_after(record, usual)
     cycles = np.unique(record.window_cycle)  # those in which something was read
+    cycles = cycles[cycles < first_made]
     if cycles.size < LEAST_CYCLES:
-        return DiagnosisOutcome(_too_little(model, int(cycles.size)), (), None)
+        return DiagnosisOutcome(_too_little(model, int(cycles.size)), (), None, None)
 
     # The last cycles are held out from everything but the proof: not even the screen may have seen them.
     first_held_out = cycles[max(round((1.0 - HELD_OUT) * cycles.size), LEAST_CYCLES - 1)]
-    training = anchored(on(frame_of(record), record.where(record.cycle < first_held_out)))
-    held_out = record.where(record.cycle >= first_held_out).by_cycles()
+    to_fit = (record.cycle < first_held_out) | (record.cycle >= first_made)
+    training = anchored(on(frame_of(record), record.where(to_fit)))
+    held_out = record.where(~to_fit).by_cycles()
 
     # The refit comes first: what parameters that have moved explain is no missing effect.
     report("fitting the model's own parameters", 0.05)
@@ -170,7 +179,7 @@ def diagnose(
         report("laws to look at", 0.97)
         # All that is measured, not only what the catalogue knows a role for: a record of its own on the same knots.
         everything = record_of(model, laid_out, measured_signals(model, laid_out))
-        laws = candidate_laws(base, everything, int(first_held_out), floor.error)
+        laws = candidate_laws(base, everything, int(first_held_out), floor.error, first_made)
     fitted_cycles = int(np.unique(base.frame.record.window_cycle).size)
     noise = path.fitted.noise
     excesses = {"excess_before": proof.before, "excess_after": judged.excess}
@@ -227,7 +236,7 @@ def diagnose(
         description=described,
         missing_heat=missing_heat(base, record, cycles[cycles >= first_held_out]),
     )
-    return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after)
+    return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after, path)
 
 
 def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str, str]:

@@ -49,6 +49,7 @@ from sim.effects.kinds import (
 from sim.effects.late import SETTLED, late_jumps, late_kept, late_mean, late_source
 from sim.effects.lines import LineError
 from sim.effects.random import DisturbanceStep, disturbance_step
+from sim.effects.roles import SETTABLE
 
 __all__ = [
     "ABSOLUTE_SECONDS",
@@ -57,6 +58,7 @@ __all__ = [
     "FEATURES",
     "RIVALS",
     "ROLES",
+    "SETTABLE",
     "SETTLED",
     "SINCE",
     "TEMPERATURE",

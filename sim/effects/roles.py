@@ -11,6 +11,9 @@ FEED = Role("feed", "TFango")
 AMBIENT = Role("ambient", "TAmbiente")
 SINK = Role("sink", "")
 
+SETTABLE = (CURRENT.name, SPEED.name, PUMP.name)
+"""Roles whose signals a person sets, the load first; what a room, a feed or a vibration has is theirs."""
+
 TO_SCALE_OF_X = {
     "scale": Parameter(unit="1", positive=True, default=1.0, rescaled="scaled"),
     "shift": Parameter(unit="degC", default=0.0, rescaled="mapped"),

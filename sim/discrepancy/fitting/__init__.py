@@ -1,6 +1,6 @@
 """Free runs under effects fitted to measured traces, with the noise of a rough plant."""
 
-from sim.discrepancy.fitting.baseline import anchored, frame_of, on, shown_locations
+from sim.discrepancy.fitting.baseline import Frame, anchored, frame_of, on, shown_locations
 from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, rivals, signals_of
 from sim.discrepancy.fitting.course import (
     CourseState,
@@ -15,12 +15,13 @@ from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagg
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit, readings_in_window, rounding
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
 from sim.discrepancy.fitting.noise import Grid, NoiseModel, Whitener, decay_and_pull
-from sim.discrepancy.fitting.record import Record, in_order, overlapping, patiently, record_of
+from sim.discrepancy.fitting.record import Record, first_cycle_after, in_order, overlapping, patiently, record_of
 
 __all__ = [
     "CatalogueEntry",
     "CourseState",
     "Fitted",
+    "Frame",
     "Grid",
     "Named",
     "NoiseModel",
@@ -34,6 +35,7 @@ __all__ = [
     "decay_and_pull",
     "effects_of",
     "filtered",
+    "first_cycle_after",
     "fit",
     "frame_of",
     "friction_heat",

@@ -7,6 +7,7 @@ a window count as one, at their mean time, so that a day of 1 s samples costs no
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
+from math import inf
 
 import numpy as np
 import scipy
@@ -296,11 +297,7 @@ def record_of(
                 "looked for in a temperature that goes on over events, so give a model that was learned with "
                 "--default-flow exponential"
             )
-    having = [
-        _each_time_once(trace)
-        for trace in traces
-        if np.isfinite(trace.signals.get(model.temperature, np.empty(0))).any() and trace.times.size > 1
-    ]
+    having = [_each_time_once(trace) for trace in traces if _can_be_followed(trace, model)]
     if not having:
         raise LearningError(f"no trace has a reading of {model.temperature!r}, the model's temperature")
     runs = thinned(
@@ -325,6 +322,17 @@ def record_of(
         ran=np.cumsum(running * uncut.dt),
     )
     return _laid(laid_out, runs, np.ones(len(runs), dtype=bool))
+
+
+def first_cycle_after(record: Record, traces: Sequence[Trace]) -> float:
+    """The record's first piece of evidence (`cycle`) after the `traces` that it begins with; inf: there is none."""
+    count = sum(_can_be_followed(trace, record.model) for trace in traces)
+    later = record.cycle[record.runs.trace >= count]
+    return float(later[0]) if later.size else inf
+
+
+def _can_be_followed(trace: Trace, model: Model) -> bool:
+    return bool(np.isfinite(trace.signals.get(model.temperature, np.empty(0))).any()) and trace.times.size > 1
 
 
 def _each_time_once(trace: Trace) -> Trace:

@@ -19,6 +19,7 @@ from sim.discrepancy import (
     HeatPlace,
     MissingHeat,
     NamedEffect,
+    ProposedExperiment,
     TriedEffect,
     held_out_sentence,
     law_sentence,
@@ -70,6 +71,8 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     }
     if diagnosis.began is not None:
         content["began"] = _beginning(diagnosis.began)
+    if diagnosis.experiment is not None:
+        content["experiment"] = _experiment(diagnosis.experiment)
     return {key: strict(value) for key, value in content.items()}
 
 
@@ -93,6 +96,19 @@ def missing_heat_text(heat: MissingHeat) -> str:
 def _beginning(began: Beginning) -> dict[str, Any]:
     fields = asdict(began)
     return fields | {"cycles": {"before": fields.pop("before"), "after": fields.pop("after")}}
+
+
+def _experiment(proposed: ProposedExperiment) -> dict[str, Any]:
+    """`steps` are done `repeats` times, which takes `seconds` in all; a step of 0 seconds goes with the next one."""
+    return {
+        "what": proposed.what,
+        "steps": [asdict(step) for step in proposed.steps],
+        "repeats": proposed.repeats,
+        "seconds": proposed.seconds,
+        "nats": [{"pair": [pair.one, pair.other], "expected": pair.nats} for pair in proposed.pairs],
+        "needed_nats": proposed.needed,
+        "enough": proposed.enough,
+    }
 
 
 def _effect(effect: NamedEffect) -> dict[str, Any]:

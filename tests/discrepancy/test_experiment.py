@@ -1,0 +1,157 @@
+"""An experiment that tells rivals apart: proposed from what a person can set, made on the plant, diagnosed again."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from gateway.cli.main import main
+from sim.artefacts.formats import write_model_directory
+from sim.discrepancy.advice import experiment_lines
+from sim.discrepancy.diagnosis import ProposedExperiment
+from sim.discrepancy.experiment import (
+    Schedule,
+    machine_operation,
+    propose_experiment,
+    rivals_to_tell,
+    schedules,
+    steps_of,
+)
+from sim.discrepancy.fitting import first_cycle_after, frame_of, on, record_of, rivals
+from sim.discrepancy.fitting.candidates import catalogue
+from sim.discrepancy.fitting.free_run_fit import fit
+from sim.discrepancy.judging import NamingResult
+from sim.discrepancy.naming import NamingStep, step
+from sim.discrepancy.workflow import diagnose
+from sim.engine.schedules import schedule
+from sim.engine.simulation import simulate
+from sim.sha.automaton import Effect
+from sim.sha.events import encode
+from sim.sha.model import Model
+from sim.sha.trace import Trace
+from sim.traces import write_trace
+from tests.discrepancy.plants import ALPHABET, model, plant, random_model, simulated, sparse
+
+CURRENT = {"current": "Assorbimento"}
+ROLES = {**CURRENT, "pump": "MarciaPmpFango"}
+WEAK = Effect("quadratic-current-heating", {"gain": 8e-8, "reference": 200.0, "lag": 75.0}, CURRENT, ("LOW", "HIGH"))
+GIVEN, TRUE = random_model(2e-4, 400.0, 0.2), random_model(2e-4, 400.0, 1e-6, WEAK)  # one machine, always the same
+EVERY = 4
+
+
+def looked_at(traces: list[Trace]) -> NamingStep:
+    """A weak heat of the current that comes late, and the rival of which it is a case."""
+    record = record_of(GIVEN, traces, ("Assorbimento",))
+    entries = [entry for entry in catalogue() if entry.name == WEAK.kind]
+    return step(fit(on(frame_of(record), record)), [*entries, *rivals()], CURRENT, 0)
+
+
+@pytest.fixture(scope="module")
+def first() -> Trace:
+    return sparse(simulated(TRUE, 3, days=2), EVERY)
+
+
+@pytest.fixture(scope="module")
+def path(first: Trace) -> NamingResult:
+    found = looked_at([first])
+    return NamingResult(found.before, found.before, ((found, "is not told from its rival"),))
+
+
+@pytest.fixture(scope="module")
+def proposed(path: NamingResult, first: Trace) -> ProposedExperiment:
+    found = propose_experiment(path, [first], ROLES)
+    assert found is not None
+    return found
+
+
+def made(proposed: ProposedExperiment, truth: Model, seed: int) -> Trace:
+    """The recording of an experiment on a plant that is `truth`, whose current is as restless as ever."""
+    rng, rows = np.random.default_rng(seed), proposed.trace
+    current = rows.signals["Assorbimento"]
+    restless = np.where(current > 0, current + 5 * rng.standard_normal(current.size), 0.0)
+    rows = replace(rows, signals={**rows.signals, "Assorbimento": restless})
+    rows = replace(rows, events=encode(rows, ALPHABET))
+    course = simulate(schedule(truth.sha, rows.events, rows.times, inputs=rows, policy="resync"), 17.0, 1, rng)
+    read = course.temperatures[0] + truth.sensor_sigma * rng.standard_normal(rows.times.size)
+    return replace(rows, signals={**rows.signals, "T": np.round(read, 1)})
+
+
+def test_what_is_set_lies_within_what_was_seen_and_a_room_is_not_set() -> None:
+    trace = plant(1, days=2, room=0.3)
+    operation = machine_operation(model(), [trace], {**ROLES, "ambient": "TAmbiente"})
+    assert set(operation.levels) == {"Assorbimento", "MarciaPmpFango"}
+    on_ = trace.signals["MarciaDecanter"] > 0.5
+    found = schedules(operation, 1500.0)
+    assert len({each.what for each in found}) == 6
+    for each in found:
+        assert {one.signal for one in steps_of(each)} <= {"MarciaDecanter", "Assorbimento", "MarciaPmpFango"}
+        assert sum(one.seconds for one in steps_of(each)) == pytest.approx(each.seconds)
+        assert all(one.value in (0.0, 1.0) for one in steps_of(each) if one.signal != "Assorbimento")
+        values = [one.value for one in steps_of(each) if one.signal == "Assorbimento"]
+        assert all(trace.signals["Assorbimento"][on_].min() <= value <= 260.0 for value in values), (each.what, values)
+
+
+def test_what_is_set_at_once_is_one_step_with_a_time() -> None:
+    steps = steps_of(Schedule("", (({"W": 0.0}, 60.0), ({"W": 1.0, "A": 5.0}, 120.0), ({"W": 1.0, "A": 5.0}, 30.0))))
+    assert [(one.signal, one.value, one.seconds) for one in steps] == [
+        ("W", 0.0, 60.0),
+        ("W", 1.0, 0.0),
+        ("A", 5.0, 120.0),
+        ("W", 1.0, 30.0),
+    ]
+
+
+def test_nothing_is_proposed_where_nothing_is_to_be_told_apart(path: NamingResult, first: Trace) -> None:
+    ((found, _),) = path.steps
+    alone = replace(found, evidence=found.evidence[:1])
+    assert rivals_to_tell(path) and not rivals_to_tell(replace(path, steps=((alone, "is dubious"),)))
+    chance = replace(found, threshold=1e6)
+    assert propose_experiment(replace(path, steps=((chance, "is chance"),)), [first], ROLES) is None
+
+
+def test_an_experiment_makes_the_margin_that_it_promises(proposed: ProposedExperiment, first: Trace) -> None:
+    """Of days with two loads the pair is not told apart; with the experiment it is."""
+    (pair,) = proposed.pairs
+    assert {pair.one, pair.other} == {WEAK.kind, "late-current-heating"}
+    both = looked_at([first, made(proposed, TRUE, 0)])
+    assert both.members == (WEAK.kind,)
+    assert both.margin > 6.0
+
+
+def test_the_experiment_is_written_as_a_list_a_table_of_steps_and_a_trace(
+    proposed: ProposedExperiment, tmp_path: Path
+) -> None:
+    lines = experiment_lines(proposed)
+    assert lines[0].startswith("experiment: ") and lines[1].startswith("  1. ")
+    assert any(line.startswith("  tells ") for line in lines)
+    write_trace(proposed.trace, tmp_path / "rows.csv")
+    assert proposed.trace.times[-1] - proposed.trace.times[0] == pytest.approx(proposed.seconds, rel=0.02)
+
+
+def test_an_experiment_is_fitted_and_never_held_out() -> None:
+    days, later = plant(1, days=2), plant(5, days=1)
+    later = replace(later, times=later.times + 3 * 86400.0, events=())
+    record = record_of(model(), [days, replace(later, events=encode(later, ALPHABET))], ())
+    assert first_cycle_after(record, [days]) == 6 and first_cycle_after(record, [days, later]) == np.inf
+    found = diagnose(model(), [days], seed=0, experiments=[later]).diagnosis
+    course = found.course
+    assert course is not None
+    assert course.held_out[(course.times < later.times[0])].any()
+    assert not course.held_out[(course.times >= later.times[0])].any()
+
+
+def test_the_command_proposes_and_writes_the_experiment(first: Trace, tmp_path: Path) -> None:
+    named = {("TCuscinettiRiduttore" if name == "T" else name): column for name, column in first.signals.items()}
+    write_trace(replace(first, signals=named, events=()), tmp_path / "days.csv")
+    write_model_directory(tmp_path / "model", replace(GIVEN, temperature="TCuscinettiRiduttore"))
+    arguments = ["diagnose", "--model", str(tmp_path / "model"), "--traces", str(tmp_path / "days.csv")]
+    arguments += ["--out", str(tmp_path / "out"), "--experiment-trace", str(tmp_path / "rows.csv"), "--no-report"]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert "experiment: " in result.output
+    assert document["experiment"]["steps"][0].keys() == {"signal", "value", "seconds"}
+    assert (tmp_path / "rows.csv").read_text().count("\n") > 100
