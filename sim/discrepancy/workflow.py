@@ -144,7 +144,9 @@ def diagnose(
     path, held, second = judged.path, judged.held, judged.second
     gap = above(held, floor, sensor)
     kept = bool(path.taken) and not judged.reasons
-    began = beginning((let_run(base if not kept else path.fitted, by_cycles), second), MATERIAL * sensor)
+    # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
+    told = (path.fitted, second) if kept else (base, let_run(base, held_out))
+    began = beginning((let_run(told[0], by_cycles), told[1]), MATERIAL * sensor)
     material = matters(held, sensor)
     after, ceiling_after, reasons = path.fitted, judged.ceiling, judged.reasons
     verdict: Verdict = "agree"
