@@ -194,13 +194,16 @@ class Whitener:
 
     def heat(self, residual: Array) -> tuple[Array, Array]:
         """(mean, variance) (m,) of the rough heat h at each window, degC/s, given all readings."""
-        part = scipy.linalg.cho_solve((self._root, True), self._heats.T @ self._within(residual[:, None]))
-        pushed = self._pushed(np.column_stack([residual - (self._heats @ part)[:, 0], self._heats]))
-        solved = scipy.linalg.cho_solve_banded((self._factor, True), pushed, overwrite_b=True)[1 :: self._states]
+        band, scattering = self._band, self._scattering
+        mean = band.solved(self._unscattered(residual[:, None]))[1 :: band.states, 0]
         # What is not known of the columns' sizes adds to what the states themselves leave open.
-        open_ = scipy.linalg.solve_triangular(self._root, solved[:, 1:].T, lower=True)
-        own = inverse_diagonal(self._factor)[1 :: self._states]
-        return np.asarray(solved[:, 0]), np.asarray(own + np.einsum("cm,cm->m", open_, open_))
+        besides = band.solved(scattering.times(scattering.others_besides()))[1 :: band.states]
+        variance = inverse_diagonal(band.factor)[1 :: band.states] + np.sum(besides**2, axis=1)
+        inverse = scattering.inner_inverse()
+        for piece in scattering.solved():
+            heats = piece.states[1 :: band.states]
+            variance[piece.rows] += np.einsum("mc,mc->m", heats @ inverse[piece.columns, piece.columns], heats)
+        return np.asarray(mean), np.asarray(variance)
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """(m, count) residuals of a plant that has nothing but this noise."""
