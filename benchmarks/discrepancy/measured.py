@@ -183,7 +183,7 @@ def diagnose(record: MeasuredRecord, out: Path) -> dict[str, Any]:
             raise click.ClickException(f"{record.name}: `decanter {words[0]}` ended with {code}")
         return perf_counter() - began
 
-    def given(files: Sequence[Path]) -> list[object]:
+    def given(files: Sequence[Path]) -> list[str | Path]:
         return [word for path in files for word in ("--traces", path)] + ["--map", record.column_map]
 
     row["learning_s"] = call("model", "learn", *given(learned), "--out", out / "model", "--json")
