@@ -39,7 +39,8 @@ Sources = tuple[list[Path], list[Path]]
 class MeasuredRecord:
     """A measured record: `lay_out` gives (what the model is learned from, what is diagnosed), `known` what is known.
 
-    `drives` are the signals of the grey box, `pieces` the stretches of each trace, `parts` what it tries.
+    `drives` are the signals of the grey box, `pieces` into how many stretches it cuts each trace, `parts` what it
+    tries.
     """
 
     name: str
@@ -182,19 +183,19 @@ def diagnose(record: MeasuredRecord, out: Path) -> dict[str, Any]:
             raise click.ClickException(f"{record.name}: `decanter {words[0]}` ended with {code}")
         return perf_counter() - began
 
-    def given(files: Sequence[Path]) -> list[object]:
+    def given(files: Sequence[Path]) -> list[str | Path]:
         return [word for path in files for word in ("--traces", path)] + ["--map", record.column_map]
 
     row["learning_s"] = call("model", "learn", *given(learned), "--out", out / "model", "--json")
     found = out / "found"
     where = ("--model", out / "model", "--out", found, "--no-report", "--json")
     row["diagnosis_s"] = call("diagnose", *where, *given(diagnosed))
+    row["processor_s"] = resource.getrusage(resource.RUSAGE_SELF).ru_utime
     row["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     row["diagnosis"] = json.loads((found / "diagnosis.json").read_text(encoding="utf-8"))
     traces, column_map = load([str(path) for path in diagnosed], record.column_map)
-    row["grey_box"] = dict(
-        compare(stretches_of(traces, column_map.temperature, record.drives, record.pieces), record.parts)
-    )
+    stretches = stretches_of(traces, column_map.temperature, record.drives, record.pieces)
+    row["grey_box"] = dict(compare(stretches, record.parts))
     return row
 
 
@@ -217,7 +218,7 @@ def row_file(out: Path, record: MeasuredRecord) -> Path:
 
 COLUMNS = (
     "record", "said", "names", "error before -> after", "floor", "began", "known", "own grey box, rms",
-    "learning, diagnosis (s)", "peak (MB)",
+    "learning, diagnosis, processor (s)", "peak (MB)",
 )  # fmt: skip
 
 
@@ -242,7 +243,7 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
         date = f"{began['time']:.0f} s, {began['moves']:+.2g}"
     names = "; ".join(f"{'/'.join(each['class'])} {each['confidence']:.2f}" for each in found["effects"])
     grey = ", ".join(f"{words} {rms:.3g}" for words, rms in row["grey_box"].items())
-    seconds = f"{row['learning_s']:.0f}, {row['diagnosis_s']:.0f}"
+    seconds = f"{row['learning_s']:.0f}, {row['diagnosis_s']:.0f}, {row['processor_s']:.0f}"
     said = f"**{found['verdict']}**: {found['sentence']}"
     return row["record"], said, names, error, limits, date, row["known"], grey, seconds, f"{row['peak_mb']:.0f}"
 

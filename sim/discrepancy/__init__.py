@@ -11,10 +11,10 @@ from sim.discrepancy.advice import (
 )
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.diagnosis import (
-    Beginning,
     CandidateLaw,
     Diagnosis,
     DiagnosisCourse,
+    GapBeginning,
     HeatPlace,
     HeldOutProof,
     MissingHeat,
@@ -37,11 +37,11 @@ from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 __all__ = [
     "LEAST_TOLD_SHARE",
     "LONGEST",
-    "Beginning",
     "CandidateLaw",
     "Diagnosis",
     "DiagnosisCourse",
     "DiagnosisOutcome",
+    "GapBeginning",
     "HeatMap",
     "HeatPlace",
     "HeldOutProof",

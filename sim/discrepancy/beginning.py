@@ -6,7 +6,7 @@ grows steadily begins nowhere, and one that wanders has no beginning that could 
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import Beginning
+from sim.discrepancy.diagnosis import GapBeginning
 from sim.discrepancy.held_out import LEAST_WINDOWS, HeldOutRun
 from sim.sha import Array
 
@@ -21,7 +21,7 @@ LIKELY = 3.84
 """The 95 % quantile of chi-square with one degree of freedom: 2 nats of the profile likelihood about the date."""
 
 
-def beginning(trials: tuple[HeldOutRun, ...], least: float) -> Beginning | None:
+def beginning(trials: tuple[HeldOutRun, ...], least: float) -> GapBeginning | None:
     """The surest change point of the free runs' errors over all cycles, in order; None where none is sure.
 
     `least` (degC) is what a change must be to matter. The interval is that of the profile likelihood of the date.
@@ -31,7 +31,7 @@ def beginning(trials: tuple[HeldOutRun, ...], least: float) -> Beginning | None:
     return min(known, key=lambda each: (each.p, -abs(each.moves))) if known else None
 
 
-def _of_phase(trials: tuple[HeldOutRun, ...], running: bool, least: float) -> Beginning | None:
+def _of_phase(trials: tuple[HeldOutRun, ...], running: bool, least: float) -> GapBeginning | None:
     times, errors = _errors_by_cycle(trials, running)
     n = errors.size
     if n < 2 * LEAST_SIDE:
@@ -57,7 +57,7 @@ def _of_phase(trials: tuple[HeldOutRun, ...], running: bool, least: float) -> Be
     profile = n * np.log(np.maximum(total - gain, 1e-300) / max(total - float(gain[number]), 1e-300))
     likely = np.flatnonzero(profile <= LIKELY) + LEAST_SIDE
     # What begins with a cycle may have begun at any time since the cycle before it did.
-    return Beginning(
+    return GapBeginning(
         time=float(times[before]),
         interval=(float(times[likely[0] - 1]), float(times[likely[-1]])),
         before=before,

@@ -163,7 +163,7 @@ class NoiseFloor:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Beginning:
+class GapBeginning:
     """Where over the cycles a gap begins: the start of the first cycle that has it, s UTC, and its 95 % interval.
 
     `before` and `after` count the cycles, `moves` (degC) is by how much more the free run errs from then on in the mean
@@ -329,7 +329,7 @@ class Diagnosis:
     untested: Mapping[str, str]
     held_out: HeldOutProof | None
     floor: NoiseFloor | None
-    began: Beginning | None
+    began: GapBeginning | None
     course: DiagnosisCourse | None
     settings: Mapping[str, float]
     model_before: str

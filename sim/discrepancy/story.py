@@ -8,9 +8,9 @@ import numpy as np
 from sim.discrepancy.advice import told_places
 from sim.discrepancy.diagnosis import (
     AbsorbedLaw,
-    Beginning,
     Diagnosis,
     DiagnosisCourse,
+    GapBeginning,
     HeatPlace,
     HeldOutProof,
     NamedEffect,
@@ -37,7 +37,7 @@ def sentence_of(
     law: AbsorbedLaw | None = None,
     description: str = "",
     unit: str,
-    began: Beginning | None = None,
+    began: GapBeginning | None = None,
     gap: bool = True,
 ) -> str:
     """The verdict in one or two sentences; errors are in `unit`, as people read it.
@@ -99,7 +99,7 @@ def sentence_of(
     return f"Something is missing that has no honest name: {where}{since}{moved}"
 
 
-def beginning_sentence(began: Beginning, unit: str) -> str:
+def beginning_sentence(began: GapBeginning, unit: str) -> str:
     """Since when the machine is warmer or cooler than before, and how sure the date is; `unit` as people read it."""
     low, moment, high = (shown_time(time) for time in (began.interval[0], began.time, began.interval[1]))
     way = "warmer" if began.moves > 0 else "cooler"

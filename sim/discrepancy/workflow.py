@@ -61,9 +61,9 @@ HELD_OUT = 0.3
 LEAST_CYCLES = 4
 """Cycles below which nothing is said: three to fit, one to judge by."""
 MOST_NAMES = 3
-CYCLES_PER_NAME = 6
-"""Independent cycles that each name needs for itself, held-out ones included."""
-TOO_FEW = f"would be named from fewer than {CYCLES_PER_NAME} cycles"
+FIRST_NAME_CYCLES, CYCLES_PER_NAME = 6, 4
+"""Independent cycles, held-out ones included, without which nothing is named, and for each of several names."""
+TOO_FEW = f"would be named from fewer than {FIRST_NAME_CYCLES} cycles"
 TEMPERATURE_ROLES = ("ambient", "feed", "sink")
 """Roles of temperatures, which may as well be warmed by the machine as warm it."""
 MOST_OF_A_GAP = 0.5
@@ -129,7 +129,7 @@ def diagnose(
     base = fit(training, named_of(model))
     report("what a free learner could still explain", 0.2)
     ceiling_before = ceiling(base, seed)
-    allowed = min(most, int(cycles.size) // CYCLES_PER_NAME)
+    allowed = min(most, int(cycles.size) // CYCLES_PER_NAME if cycles.size >= FIRST_NAME_CYCLES else 0)
     paths = name(base, present, seed, max(allowed, 1), report, entries=entries)
 
     report("held-out cycles", 0.85)
@@ -147,12 +147,12 @@ def diagnose(
     # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
     told = (path.fitted, second) if kept else (base, let_run(base, held_out))
     began = beginning((let_run(told[0], by_cycles), told[1]), MATERIAL * sensor)
-    material = matters(held, sensor)
+    material = matters(held, sensor) and (gap or kept or bool(evidence_of(path, ceiling_before, proof.before)))
     after, ceiling_after, reasons = path.fitted, judged.ceiling, judged.reasons
     verdict: Verdict = "agree"
     if kept:
         verdict = "named" if all(len(step.members) == 1 for step in path.taken) else "class"
-    elif gap or began is not None or (material and evidence_of(path, ceiling_before, proof.before)):
+    elif material or began is not None:
         # Names that held-out cycles contradict are no evidence by themselves.
         verdict = "unexplained"
         reasons = reasons or evidence_of(path, ceiling_before, proof.before)
@@ -328,7 +328,7 @@ def _judge_path(proof: _Proof, path: NamingResult, shorter: NamingResult | None)
         ),
         *left_over(path, proof.before, excess_after),
     )
-    return _JudgedPath(path, reasons, held, second, left, excess_after)
+    return _JudgedPath(path=path, reasons=reasons, held=held, second=second, ceiling=left, excess=excess_after)
 
 
 def _with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor: NoiseFloor) -> NamingResult:

@@ -131,6 +131,14 @@ def _cooling_words(p: Params) -> str:
 
 GAIN = Parameter(unit="degC/s", rescaled="scaled")
 MOMENT = Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays")
+CLOCK_DAYS = 2.0
+"""Days beyond which a record shows what comes with the time of day: an hour that came once is a moment."""
+
+
+def _has_days(log: MachineLog) -> bool:
+    return float(log.time[-1] - log.time[0]) > CLOCK_DAYS * DAY
+
+
 SECONDS = Parameter(unit="s", positive=True, rescaled="stays")
 CHOICE = Parameter(unit="1", low=0.0, high=1.0, whole=True, rescaled="stays")
 
@@ -205,9 +213,10 @@ RIVAL_KINDS = (
             sign=0.0,
             experiment="log the room for three days, with a night at rest",
             look="what goes by the hour beside the machine: sun, ventilation, heating, another machine",
-            shapes=lambda _: [
+            shapes=lambda log: [
                 {"period": period, "at": period / 2.0 * number / 4.0}
                 for period, number in product((DAY, DAY / 2.0), range(4))
+                if _has_days(log)
             ],
             refine={"at": (0.0, DAY)},
             widths={"at": 6 * HOUR},
@@ -229,10 +238,11 @@ RIVAL_KINDS = (
             sign=0.0,
             experiment="run the same load in each shift, on three days",
             look="what a shift does differently: feed, doors, settings, another machine",
-            shapes=lambda _: [
+            shapes=lambda log: [
                 {"at": hour * HOUR, "length": length * HOUR, "turning": turning}
                 for (length, hours), turning in product(((8.0, range(0, 24, 2)), (12.0, range(0, 12, 2))), (0.0, 1.0))
                 for hour in hours
+                if _has_days(log)
             ],
             refine={"at": (0.0, DAY), "length": (2 * HOUR, 22 * HOUR)},
             widths={"at": 3 * HOUR, "length": 3 * HOUR},

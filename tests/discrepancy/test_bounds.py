@@ -5,7 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.fitting import CatalogueEntry, Fitted, Record, anchored, catalogue, fit, frame_of, on, record_of
+from sim.discrepancy.fitting import (
+    CatalogueEntry,
+    Fitted,
+    Record,
+    anchored,
+    catalogue,
+    fit,
+    frame_of,
+    on,
+    record_of,
+    rivals,
+)
 from sim.discrepancy.judging import NamingResult, dubious, fastest_movement, greatest_heat, too_short
 from sim.discrepancy.naming import NamingStep, step
 from sim.discrepancy.screen import TIMES, Shape, refined, screen, shortest_visible
@@ -100,3 +111,11 @@ def test_a_time_that_the_joint_fit_made_shorter_than_two_rows_is_refused(named: 
     state = replace(best.fitted.state, named=(short,))
     found = replace(named, evidence=(replace(best, fitted=replace(best.fitted, state=state)),))
     assert dubious(found) == "lasts 40 s, and nothing shorter than 60 s is visible in these rows"
+
+
+@pytest.mark.parametrize(("days", "offered"), [(2, False), (3, True)])
+def test_the_clock_is_no_rival_on_a_record_that_has_an_hour_but_once_or_twice(days: int, offered: bool) -> None:
+    """A cooler that failed, in a record of a day and a half, was heat of a shift "between 06:09 and 22:04"."""
+    names = {shape.entry.name for shape in screen(fitted(plant(3, days=days)), rivals(), {}).shapes}
+    clocks = {"heat-by-the-clock", "heat-in-a-shift"}
+    assert names & clocks == (clocks if offered else set())

@@ -13,7 +13,7 @@ from sim.discrepancy.gap import floor_of, scatter_of_equal_cycles, stated_errors
 from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares
 from sim.discrepancy.judging import NamingResult, above
 from sim.discrepancy.naming import NamingStep, confirm, step
-from sim.discrepancy.workflow import CYCLES_PER_NAME, diagnose
+from sim.discrepancy.workflow import FIRST_NAME_CYCLES, diagnose
 from sim.sha import Model, Trace
 from tests.discrepancy.plants import model, plant
 
@@ -140,7 +140,7 @@ def test_a_superfluous_second_name_does_not_take_the_first_one_down(pumped: tupl
 def test_a_name_needs_cycles_of_its_own() -> None:
     trace = plant(7, days=2, churning=0.006)
     starts = [event.time for event in trace.events if event.symbol == "W_ON"]
-    few = trace.between(float(trace.times[0]), starts[CYCLES_PER_NAME - 1] - 60.0)
+    few = trace.between(float(trace.times[0]), starts[FIRST_NAME_CYCLES - 1] - 60.0)
     few = replace(few, events=tuple(event for event in trace.events if event.time <= few.times[-1]))
     found = diagnose(model(), [few], seed=0).diagnosis
     assert found.verdict == "unexplained" and found.effects == ()

@@ -6,10 +6,10 @@ from math import inf, nan
 import numpy as np
 
 from sim.discrepancy.diagnosis import (
-    Beginning,
     Ceiling,
     Diagnosis,
     DiagnosisCourse,
+    GapBeginning,
     HeatPlace,
     HeldOutProof,
     MissingHeat,
@@ -71,10 +71,10 @@ def missing(whole: DiagnosisCourse) -> MissingHeat:
     )
 
 
-def beginning() -> Beginning:
+def beginning() -> GapBeginning:
     """Since the fifth of eleven cycles the machine is warmer."""
     begin = 1.7e9 + 4 * 10_800.0
-    return Beginning(
+    return GapBeginning(
         time=begin, interval=(begin - 10_800.0, begin), before=4, after=7, moves=1.2, running=True, p=0.0002
     )
 

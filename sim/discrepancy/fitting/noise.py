@@ -195,12 +195,15 @@ class Whitener:
     def heat(self, residual: Array) -> tuple[Array, Array]:
         """(mean, variance) (m,) of the rough heat h at each window, degC/s, given all readings."""
         band, scattering = self._band, self._scattering
-        each = np.eye(self.grid.heats.shape[1] + 2)
-        pushed = np.column_stack([self._unscattered(residual[:, None]), scattering.times(each)])
-        solved = band.solved(pushed)[1 :: band.states]
+        mean = band.solved(self._unscattered(residual[:, None]))[1 :: band.states, 0]
         # What is not known of the columns' sizes adds to what the states themselves leave open.
-        open_ = np.sum(solved[:, 1:] * (solved[:, 1:] @ scattering.solve(each)), axis=1)
-        return np.asarray(solved[:, 0]), np.asarray(inverse_diagonal(band.factor)[1 :: band.states] + open_)
+        besides = band.solved(scattering.times(scattering.others_besides()))[1 :: band.states]
+        variance = inverse_diagonal(band.factor)[1 :: band.states] + np.sum(besides**2, axis=1)
+        inverse = scattering.inner_inverse()
+        for piece in scattering.solved():
+            heats = piece.states[1 :: band.states]
+            variance[piece.rows] += np.einsum("mc,mc->m", heats @ inverse[piece.columns, piece.columns], heats)
+        return np.asarray(mean), np.asarray(variance)
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """(m, count) residuals of a plant that has nothing but this noise."""

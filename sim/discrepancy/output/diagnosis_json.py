@@ -12,10 +12,10 @@ import numpy as np
 from sim.artefacts import effect_line_part
 from sim.discrepancy import (
     LONGEST,
-    Beginning,
     CandidateLaw,
     Diagnosis,
     DiagnosisCourse,
+    GapBeginning,
     HeatPlace,
     MissingHeat,
     NamedEffect,
@@ -93,7 +93,7 @@ def missing_heat_text(heat: MissingHeat) -> str:
     return "\n".join(["time,mean,low,high,running,held_out", *lines]) + "\n"
 
 
-def _beginning(began: Beginning) -> dict[str, Any]:
+def _beginning(began: GapBeginning) -> dict[str, Any]:
     fields = asdict(began)
     return fields | {"cycles": {"before": fields.pop("before"), "after": fields.pop("after")}}
 

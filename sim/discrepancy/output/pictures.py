@@ -16,9 +16,9 @@ import numpy as np
 
 from drivers.named_files import writing
 from sim.discrepancy import (
-    Beginning,
     Diagnosis,
     DiagnosisCourse,
+    GapBeginning,
     HeatMap,
     HeldOutProof,
     MissingHeat,
@@ -140,7 +140,7 @@ def _figure(width: float, height: float) -> Figure:
 MISSING_HEIGHT = 3.6
 
 
-def draw_missing_heat(axis: Axes, heat: MissingHeat, began: Beginning | None, unit: str) -> None:
+def draw_missing_heat(axis: Axes, heat: MissingHeat, began: GapBeginning | None, unit: str) -> None:
     """The missing heat over time with its band, in `unit`/h: rests shaded, a dated line where it begins."""
     # Where nothing was recorded for long, NaN breaks the curves: nothing is known there.
     steps = np.diff(heat.times)
