@@ -70,7 +70,7 @@ Phase = tuple[Mapping[str, float], float]
 
 
 @dataclass(frozen=True, slots=True)
-class Schedule:
+class ExperimentSchedule:
     """Set-points in words, one after the other."""
 
     what: str
@@ -81,9 +81,9 @@ class Schedule:
         """How long it takes."""
         return sum(seconds for _, seconds in self.phases)
 
-    def repeated(self, times: int) -> "Schedule":
+    def repeated(self, times: int) -> "ExperimentSchedule":
         """The same schedule so many times."""
-        return Schedule(self.what, self.phases * times)
+        return ExperimentSchedule(self.what, self.phases * times)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,7 +206,7 @@ def _goes_with(columns: Mapping[str, Array], name: str, load: str, runs: Mask) -
 # -------------------------------------------------------------------- schedules
 
 
-def schedules(operation: MachineOperation, time_constant: float) -> tuple[Schedule, ...]:
+def schedules(operation: MachineOperation, time_constant: float) -> tuple[ExperimentSchedule, ...]:
     """The schedules that are tried, for a running machine of that thermal time constant (s)."""
     found = []
     for share in DWELLS:
@@ -215,7 +215,7 @@ def schedules(operation: MachineOperation, time_constant: float) -> tuple[Schedu
     return tuple(found)
 
 
-def _of_the_load(operation: MachineOperation, dwell: float) -> list[Schedule]:
+def _of_the_load(operation: MachineOperation, dwell: float) -> list[ExperimentSchedule]:
     if not operation.load:
         return []
     low, high = operation.levels[operation.load]
@@ -228,16 +228,16 @@ def _of_the_load(operation: MachineOperation, dwell: float) -> list[Schedule]:
     ramp = [_settable(level) for level in np.linspace(low, high, RAMP_STEPS).tolist()]
     slow = max(dwell / 2.0, SHORTEST_DWELL_S)
     return [
-        Schedule("dwell at three loads, up and down", (*rest, *loads(low, middle, high, middle))),
-        Schedule("sharp steps of the load after a rest", (*rest, *loads(high, low, high, low))),
-        Schedule("a slow ramp of the load, up and down", (*rest, *loads(*ramp, *ramp[-2::-1], seconds=slow))),
+        ExperimentSchedule("dwell at three loads, up and down", (*rest, *loads(low, middle, high, middle))),
+        ExperimentSchedule("sharp steps of the load after a rest", (*rest, *loads(high, low, high, low))),
+        ExperimentSchedule("a slow ramp of the load, up and down", (*rest, *loads(*ramp, *ramp[-2::-1], seconds=slow))),
     ]
 
 
-def _of_others(operation: MachineOperation, dwell: float) -> list[Schedule]:
+def _of_others(operation: MachineOperation, dwell: float) -> list[ExperimentSchedule]:
     rest = operation.at_rest(REST_S)
     return [
-        Schedule(
+        ExperimentSchedule(
             f"{name} changed at a constant load",
             (*rest, *(operation.turning(dwell, **{name: value}) for value in (low, high, low, high))),
         )
@@ -246,19 +246,19 @@ def _of_others(operation: MachineOperation, dwell: float) -> list[Schedule]:
     ]
 
 
-def _of_starts(operation: MachineOperation, dwell: float) -> list[Schedule]:
+def _of_starts(operation: MachineOperation, dwell: float) -> list[ExperimentSchedule]:
     if not operation.switch:
         return []
     highest = {operation.load: operation.levels[operation.load][1]} if operation.load else {}
     run, rest = operation.turning(dwell, **highest), operation.at_rest(REST_S)
     long = operation.turning(3.0 * dwell, **highest)
     return [
-        Schedule("a long run and a long rest", (*rest, long, *operation.at_rest(3.0 * dwell))),
-        Schedule("two starts that follow closely", (*rest, run, *operation.at_rest(PAUSE_S), run)),
+        ExperimentSchedule("a long run and a long rest", (*rest, long, *operation.at_rest(3.0 * dwell))),
+        ExperimentSchedule("two starts that follow closely", (*rest, run, *operation.at_rest(PAUSE_S), run)),
     ]
 
 
-def steps_of(schedule: Schedule) -> tuple[ExperimentStep, ...]:
+def steps_of(schedule: ExperimentSchedule) -> tuple[ExperimentStep, ...]:
     """The schedule as steps in which one signal is set: what is set at once has 0 seconds but for the last of it."""
     steps = []
     last: dict[str, float] = {}
@@ -270,7 +270,7 @@ def steps_of(schedule: Schedule) -> tuple[ExperimentStep, ...]:
     return tuple(steps)
 
 
-def schedule_trace(schedule: Schedule, operation: MachineOperation, begin: float) -> Trace:
+def schedule_trace(schedule: ExperimentSchedule, operation: MachineOperation, begin: float) -> Trace:
     """The schedule as rows from `begin` (absolute s) on: what is set, and of all other signals what is usual then."""
     row = max(operation.row, schedule.seconds / MOST_ROWS)
     times = np.arange(0.0, schedule.seconds, row)
@@ -425,7 +425,7 @@ def propose_experiment(
     alternatives = [_alternative(each) for each in rivals]
     start = resting_temperature(record)
 
-    def expected(schedule: Schedule, repeats: int) -> dict[tuple[str, str], float] | None:
+    def expected(schedule: ExperimentSchedule, repeats: int) -> dict[tuple[str, str], float] | None:
         ahead = _record(path.base, schedule.repeated(repeats), operation, start)
         return None if ahead is None else _pairs(alternatives, ahead, start)
 
@@ -441,7 +441,7 @@ def propose_experiment(
     told = [pair for pair in pairs if max(nats[pair] for _, _, nats in tried) >= INSEPARABLE_NATS] or pairs
     needed = _needed(rivals)
 
-    def rate(trial: tuple[Schedule, int, Mapping[tuple[str, str], float]]) -> float:
+    def rate(trial: tuple[ExperimentSchedule, int, Mapping[tuple[str, str], float]]) -> float:
         schedule, repeats, nats = trial
         return min(nats[pair] for pair in told) / (repeats * schedule.seconds)
 
@@ -490,7 +490,7 @@ def time_constant(fitted: Fitted) -> float:
     return 1.0 / float(np.median(rate)) if rate.size else 3600.0
 
 
-def _record(fitted: Fitted, schedule: Schedule, operation: MachineOperation, start: float) -> Record | None:
+def _record(fitted: Fitted, schedule: ExperimentSchedule, operation: MachineOperation, start: float) -> Record | None:
     """The schedule laid out; None where the model does not follow it, or it leads where the measured traces never came.
 
     There the rivals would be told apart by parameters of which nothing is known.

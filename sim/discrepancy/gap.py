@@ -40,6 +40,8 @@ LEAST_ROWS = 50
 """Rows at rest from which the sensor's noise is told by them alone."""
 DRAWS = 200
 """Draws of the noise from which a floor is told."""
+MOST_BY_PARAMETERS = 2.0**0.5
+"""Times the noise alone that it is with what the fit's parameters took from it: as much again in the mean square."""
 LEAST_READING = 1e-4
 """degC that no window's mean is nearer to the truth."""
 PHASES_S = (240.0, 900.0, 3600.0, 7200.0)
@@ -97,7 +99,10 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int) -> Noi
     taken = np.linalg.solve(precision, explained.columns.T @ whitener.weigh(noise))
     fitted = _rms(noise - explained.columns @ taken)
     beyond = trial.record.windowed(sensitivity(on(explained.frame, record), trial.state, trial.start))
-    own, drawn = predicted(trial, cycles, trial.whitener.draw(rng, DRAWS) - beyond @ taken)
+    alone = trial.whitener.draw(rng, DRAWS)
+    own, drawn = predicted(trial, cycles, alone - beyond @ taken)
+    # Where held-out cycles show what the fitted ones hardly do, the linear problem would let a parameter go anywhere.
+    own = np.minimum(own, MOST_BY_PARAMETERS * predicted(trial, cycles, alone)[0])
     expected = _rms(predicted(training, known, training.whitener.draw(rng, DRAWS))[0])
     # Each bound says how many times the noise of the fit there is; how cycles differ among themselves (how long they
     # are, how much is heated in them) that noise knows.

@@ -136,7 +136,9 @@ def diagnose(
     by_cycles, sensor = training.record.by_cycles(), sensor_noise(training.record)
     stated = stated_errors(model, laid_out, base)
     floor = floor_of(stated, paths[0].explained, held_out, seed)
-    proof = _Proof(held_out, floor, stated, excess(stated, base), ceiling_before, seed)
+    proof = _Proof(
+        held_out=held_out, floor=floor, stated=stated, before=excess(stated, base), ceiling=ceiling_before, seed=seed
+    )
     paths = (_with_the_gap_itself(paths[0], held_out, seed, floor), *paths[1:])
     if not allowed:
         paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], TOO_FEW),)) for path in paths[:1])

@@ -13,7 +13,7 @@ from sim.artefacts.formats import write_model_directory
 from sim.discrepancy.advice import experiment_lines
 from sim.discrepancy.diagnosis import ProposedExperiment
 from sim.discrepancy.experiment import (
-    Schedule,
+    ExperimentSchedule,
     machine_operation,
     propose_experiment,
     rivals_to_tell,
@@ -45,7 +45,7 @@ EVERY = 4
 def looked_at(traces: list[Trace]) -> NamingStep:
     """A weak heat of the current that comes late, and the rival of which it is a case."""
     record = record_of(GIVEN, traces, ("Assorbimento",))
-    entries = [entry for entry in catalogue() if entry.name == WEAK.kind]
+    entries = [entry for entry in catalogue() if entry.name in (WEAK.kind, "late-current-heating")]
     return step(fit(on(frame_of(record), record)), [*entries, *rivals()], CURRENT, 0)
 
 
@@ -95,7 +95,9 @@ def test_what_is_set_lies_within_what_was_seen_and_a_room_is_not_set() -> None:
 
 
 def test_what_is_set_at_once_is_one_step_with_a_time() -> None:
-    steps = steps_of(Schedule("", (({"W": 0.0}, 60.0), ({"W": 1.0, "A": 5.0}, 120.0), ({"W": 1.0, "A": 5.0}, 30.0))))
+    steps = steps_of(
+        ExperimentSchedule("", (({"W": 0.0}, 60.0), ({"W": 1.0, "A": 5.0}, 120.0), ({"W": 1.0, "A": 5.0}, 30.0)))
+    )
     assert [(one.signal, one.value, one.seconds) for one in steps] == [
         ("W", 0.0, 60.0),
         ("W", 1.0, 0.0),
