@@ -181,7 +181,7 @@ VALVE, HOUSING = Structural("thermostat"), Structural("housing")
 
 
 @dataclass(frozen=True, slots=True)
-class _Steps:
+class _LinearSteps:
     """Of each step (n,): `decay`, and what a heat of 1 degC/s (`heated`) and a target of 1 degC (`pull`) add."""
 
     decay: Array
@@ -189,26 +189,26 @@ class _Steps:
     pull: Array
 
 
-def _steps_at(frame: Frame, log_rates: Array, loss: Array | None) -> _Steps:
+def _steps_at(frame: Frame, log_rates: Array, loss: Array | None) -> _LinearSteps:
     """The steps of `run_free` at other rates, with what effects lose (None: none of them heats)."""
     runs = frame.record.runs
     decay, pull = steps(runs, frame.shape, log_rates)
     if loss is None:
-        return _Steps(decay, np.zeros(len(runs)), pull)
+        return _LinearSteps(decay, np.zeros(len(runs)), pull)
     k = rates_of(frame, log_rates)
     _, own = decay_and_pull(k, runs.dt)
     decay, heated = decay_and_pull(k + loss, runs.dt)
     decay, heated = np.where(runs.first, 0.0, decay), np.where(runs.first, 0.0, heated)
-    return _Steps(decay, heated, heated * pull / np.maximum(own, 1e-12))
+    return _LinearSteps(decay, heated, heated * pull / np.maximum(own, 1e-12))
 
 
-def _pushed(moved: _Steps, state: CourseState, heat: Array) -> Array:
+def _pushed(moved: _LinearSteps, state: CourseState, heat: Array) -> Array:
     """(n,) degC to which each step would lead from where the state has it begin; nothing where a run begins."""
     before = np.concatenate([[0.0], state.course[:-1]])
     return np.asarray(moved.decay * before + moved.heated * heat + moved.pull * state.target)
 
 
-def _by_strengths(frame: Frame, state: CourseState, here: _Steps, *, heating: bool) -> tuple[Array, Array]:
+def _by_strengths(frame: Frame, state: CourseState, here: _LinearSteps, *, heating: bool) -> tuple[Array, Array]:
     """(n, e) what each free parameter of the effects changes of a step's end, and (n, e) what of the reading at once.
 
     The temperature along which an effect heats is held: what follows it comes in by `_carried`.
@@ -251,7 +251,7 @@ def _sensed(frame: Frame, named: Sequence[Named], course: Array) -> Array:
     return course
 
 
-def _carried(frame: Frame, effects: Sequence[Effect], here: _Steps, forcing: Array) -> Array:
+def _carried(frame: Frame, effects: Sequence[Effect], here: _LinearSteps, forcing: Array) -> Array:
     """(n, c) degC the courses that are pushed by `forcing` (n, c) degC, what a housing gives back of them included."""
     housings = [effect for effect in effects if kind_of(effect).law == HOUSING]
     if not housings:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from sim.discrepancy.fitting.scattering import Band, Scattering, Spans, spans_of
+from sim.discrepancy.fitting.scattering import Scattering, Spans, StateBand, spans_of
 from sim.effects import DisturbanceStep, disturbance_step
 from sim.engine import linear_recursion
 from sim.learning import Indices
@@ -105,7 +105,7 @@ class Whitener:
         self._rough = disturbance_step(noise.memory, grid.k, grid.dt) if rough is None else rough
         self._precision, self._prior_logdet = _precision(grid, noise, self._rough)
         factor = scipy.linalg.cholesky_banded(_given(self._precision, noise), lower=True, check_finite=False)
-        self._band = Band(factor, self._precision.shape[0] - 2, 1.0 / noise.sensor**2)
+        self._band = StateBand(factor, self._precision.shape[0] - 2, 1.0 / noise.sensor**2)
         others = np.column_stack([grid.shared, grid.inrush])
         spans = spans_of(grid.heats) if spans is None else spans
         self._scattering = Scattering(self._band, grid.heats, noise.cycle, others, spans)

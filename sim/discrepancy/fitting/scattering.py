@@ -24,7 +24,7 @@ FADED = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
-class Band:
+class StateBand:
     """The states of m windows given readings: `factor` (d + 1, states m) is the lower Cholesky factor of their banded
     precision, `weight` (1/degC^2) that of one reading, which is the sum of every other state of its window."""
 
@@ -121,7 +121,7 @@ class SolvedPiece:
 class Scattering:
     """The columns Z beside a band: of the cycles, with the rows that their `spans` say, and `others` (m, c)."""
 
-    def __init__(self, band: Band, cycles: Array, scatter: float, others: Array, spans: Spans) -> None:
+    def __init__(self, band: StateBand, cycles: Array, scatter: float, others: Array, spans: Spans) -> None:
         """Of the cycles' columns (m, C), each times the `scatter`."""
         self.band, self.others, self.count = band, others, cycles.shape[1]
         self._spans = spans
@@ -234,7 +234,7 @@ def _substituted(factor: Array, columns: Array, trans: str) -> Array:
     return np.asarray(dtbtrs(factor, columns, uplo="L", trans=trans)[0]) if columns.size else columns
 
 
-def _pieces(band: Band, columns: Array, scatter: float, spans: Spans) -> Iterator[_Piece]:
+def _pieces(band: StateBand, columns: Array, scatter: float, spans: Spans) -> Iterator[_Piece]:
     """The columns (m, C) half solved, from the first windows to the last."""
     m, count = columns.shape
     reach = band.reach
