@@ -66,7 +66,7 @@ class PlantWorker:
     """One worker from process to process; `loaded` and `begun` are how its first one came up.
 
     `former` says why the one before ended, `retired` that no other follows, `undelivered` which recipients of messages
-    its machines' alarms do not reach.
+    its machines' alarms do not reach, `is_seen` that the pictures are of the present process.
     """
 
     def __init__(self, number: int) -> None:
@@ -76,7 +76,7 @@ class PlantWorker:
         self.progress: dict[str, ScanProgress] = {}
         self.seen = monotonic()
         self.former = self.refusal = self.undelivered = ""
-        self.retired = self.is_opened = False
+        self.retired = self.is_opened = self.is_seen = False
         self.is_ready, self.opening = asyncio.Event(), asyncio.Lock()
         self.audits = set[asyncio.Future[Any]]()
         self.loaded, self.begun = _awaited(), _awaited()
@@ -96,7 +96,8 @@ class PlantWorker:
         """The process has ended."""
         self.is_ready.clear()
         self.progress, self.undelivered = {}, ""
-        self.is_opened, self.former = False, str(error)
+        self.is_opened = self.is_seen = False
+        self.former = str(error)
         if self._line is not None:
             self._line.ended(error)
         for outcome in (self.loaded, self.begun):
@@ -135,7 +136,7 @@ class PlantWorker:
 
     def see(self, pictures: dict[str, dict[str, Any]]) -> None:
         """How its machines are now."""
-        self.pictures, self.seen = pictures, monotonic()
+        self.pictures, self.seen, self.is_seen = pictures, monotonic(), True
 
 
 def _awaited() -> asyncio.Future[None]:

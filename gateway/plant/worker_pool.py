@@ -470,9 +470,11 @@ class WorkerPool:
             shown["parts"] = {**picture["parts"], "process": process}
         passed = monotonic() - worker.seen
         silent = passed > self._look_seconds + LATE_SECONDS
-        if worker.retired or (worker.ready and not silent):
+        # Between a process's start and the first look at it, what is known is of the one before.
+        running = worker.ready and worker.is_seen
+        if worker.retired or (running and not silent):
             return shown | ({"phase": "stopping"} if self._stopping and not worker.retired else {})
-        why = self._hung(worker) if worker.ready else f"its process is being begun anew: {worker.former}"
+        why = self._hung(worker) if running else f"its process is being begun anew: {worker.former}"
         period, scan = picture["scan"]["period"], picture["scan"]
         passed *= self.clock.speed
         silence = (scan["age"] or 0.0) + passed
@@ -484,7 +486,7 @@ class WorkerPool:
             aged[name] = {**value, **told}
         return shown | {
             "time": picture["time"] + passed,
-            "phase": picture["phase"] if worker.ready else "starting",
+            "phase": picture["phase"] if running else "starting",
             "values": aged,
             "link": {**picture["link"], "alive": False, "connected": False, "reason": why},
             "scan": {**scan, "age": silence, "late": True},
