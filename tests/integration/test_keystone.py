@@ -26,6 +26,11 @@ SHORTEST_STAY = 50.0
 LONGEST_GAP = 0.6 * SHORTEST_STAY
 """Plant seconds without a reading after which a trip tells of the computer, not of the gateway: 0.4 s of real time."""
 TRIES = 3
+HALF_A_BIN = 50.0
+"""A."""
+LEAST_FOLLOWING = 1.0
+"""degC by which a target may move inside its bin, of the 15 between two bins: how late a busy computer reads decides
+by chance whether a gain that says nothing is kept."""
 
 
 def plan(rng: np.random.Generator) -> list[tuple[float, float]]:
@@ -143,13 +148,14 @@ def assert_the_same_locations(trip: RoundTrip) -> None:
 
 
 def assert_the_same_flow(trip: RoundTrip, name: str) -> None:
-    """Target within three standard errors and 0.5 degC, rate within 15 %, and no dependence on the current."""
+    """Target within three standard errors and 0.5 degC, rate within 15 %, and inside a bin the current has no say."""
     one = next(one for one in trip.learned.locations if one.name == name)
     assert abs(one.mu - TARGETS[name]) < 3.0 * one.mu_error + 0.5, one
     assert one.mu_error < 1.0
     assert one.k == pytest.approx(RATES[name.partition("/")[0]], rel=0.15), one
     flow = trip.learned.model.sha.by_name[name].flow
-    assert flow.kind == "exponential", "the known targets do not follow the current inside a bin"
+    assert flow.kind in ("exponential", "driven")
+    assert sum(abs(driver.gain) * HALF_A_BIN for driver in flow.inputs) < LEAST_FOLLOWING, one
 
 
 def assert_the_same_course(trip: RoundTrip) -> None:
