@@ -8,54 +8,51 @@ import numpy as np
 
 from sim.discrepancy.diagnosis import GapBeginning
 from sim.discrepancy.held_out import LEAST_WINDOWS, HeldOutRun
+from sim.discrepancy.rules import DecisionRules
 from sim.sha import Array
 
-LEAST_SIDE = 3
-"""Cycles before and after a beginning at least."""
-LEAST_P, DRAWS = 0.001, 10_000
-"""The p of a beginning among draws of as many normal errors: it is looked for at all cycles and in two phases.
-Permutations would do without the normal law, but of fifteen cycles there are too few ways to take the last four."""
-WANDERS = 0.5
-"""Correlation of neighbouring cycles, once the step is taken out, from which the error wanders."""
+DRAWS = 10_000
+"""Draws of normal errors that a beginning is held against."""
 LIKELY = 3.84
 """The 95 % quantile of chi-square with one degree of freedom: 2 nats of the profile likelihood about the date."""
 
 
-def beginning(trials: tuple[HeldOutRun, ...], least: float) -> GapBeginning | None:
+def beginning(trials: tuple[HeldOutRun, ...], least: float, rules: DecisionRules) -> GapBeginning | None:
     """The surest change point of the free runs' errors over all cycles, in order; None where none is sure.
 
     `least` (degC) is what a change must be to matter. The interval is that of the profile likelihood of the date.
     """
-    found = [_of_phase(trials, running, least) for running in (True, False)]
+    found = [_of_phase(trials, running, least, rules) for running in (True, False)]
     known = [each for each in found if each is not None]
     return min(known, key=lambda each: (each.p, -abs(each.moves))) if known else None
 
 
-def _of_phase(trials: tuple[HeldOutRun, ...], running: bool, least: float) -> GapBeginning | None:
+def _of_phase(trials: tuple[HeldOutRun, ...], running: bool, least: float, rules: DecisionRules) -> GapBeginning | None:
     times, errors = _errors_by_cycle(trials, running)
-    n = errors.size
-    if n < 2 * LEAST_SIDE:
+    n, side = errors.size, rules.beginning_least_cycles
+    if n < 2 * side:
         return None
-    gain = _split_gain(errors)
+    gain = _split_gain(errors, side)
     number = int(np.argmax(gain))
-    before = LEAST_SIDE + number
+    before = side + number
     step = np.where(np.arange(n) >= before, errors[before:].mean(), errors[:before].mean())
     moves = float(errors[before:].mean() - errors[:before].mean())
     left = errors - step
     line = np.polynomial.polynomial.polyfit(np.arange(n), errors, 1)
     of_line = errors - np.polynomial.polynomial.polyval(np.arange(n), line)
     size = max(float(np.sum(left**2)), 1e-300)
-    if abs(moves) < least or size >= float(np.sum(of_line**2)) or float(left[1:] @ left[:-1]) / size >= WANDERS:
+    wanders = float(left[1:] @ left[:-1]) / size >= rules.beginning_wanders_from
+    if abs(moves) < least or size >= float(np.sum(of_line**2)) or wanders:
         return None
     # Under "nothing begins" the share of the squares that the best cut takes depends on the number of cycles alone.
     drawn = np.random.default_rng(0).standard_normal((DRAWS, n))
-    shares = _split_gain(drawn).max(axis=-1) / np.sum((drawn - drawn.mean(axis=-1, keepdims=True)) ** 2, axis=-1)
+    shares = _split_gain(drawn, side).max(axis=-1) / np.sum((drawn - drawn.mean(axis=-1, keepdims=True)) ** 2, axis=-1)
     total = float(np.sum((errors - errors.mean()) ** 2))
     p = (1.0 + float(np.count_nonzero(shares >= float(gain[number]) / total))) / (1.0 + DRAWS)
-    if p > LEAST_P:
+    if p > rules.beginning_most_p:
         return None
     profile = n * np.log(np.maximum(total - gain, 1e-300) / max(total - float(gain[number]), 1e-300))
-    likely = np.flatnonzero(profile <= LIKELY) + LEAST_SIDE
+    likely = np.flatnonzero(profile <= LIKELY) + side
     # What begins with a cycle may have begun at any time since the cycle before it did.
     return GapBeginning(
         time=float(times[before]),
@@ -83,11 +80,11 @@ def _errors_by_cycle(trials: tuple[HeldOutRun, ...], running: bool) -> tuple[Arr
     return np.array(times), np.array(errors)
 
 
-def _split_gain(errors: Array) -> Array:
-    """(..., n - 2 LEAST_SIDE + 1) by how much two means leave less of the squares than one, for each place of a cut."""
+def _split_gain(errors: Array, side: int) -> Array:
+    """(..., n - 2 side + 1) by how much two means leave less of the squares than one, for each place of a cut."""
     n = errors.shape[-1]
     count = np.arange(1, n + 1)
     sums = np.cumsum(errors, axis=-1)
     whole = sums[..., -1:]
     gain = sums**2 / count + (whole - sums) ** 2 / np.maximum(n - count, 1) - whole**2 / n
-    return np.asarray(gain[..., LEAST_SIDE - 1 : n - LEAST_SIDE])
+    return np.asarray(gain[..., side - 1 : n - side])

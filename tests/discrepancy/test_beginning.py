@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from sim.discrepancy import beginning_sentence
-from sim.discrepancy.beginning import LEAST_SIDE, beginning
+from sim.discrepancy.beginning import beginning
 from sim.discrepancy.fitting import Fitted, fit, frame_of, on, record_of
 from sim.discrepancy.held_out import HeldOutRun, let_run
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.workflow import diagnose
 from sim.engine import linear_recursion
 from sim.sha import Array
@@ -34,7 +35,7 @@ def changed(trial: HeldOutRun, errors: Array) -> HeldOutRun:
 
 @pytest.mark.parametrize("cut", [4, 8, 11])
 def test_a_step_is_dated_by_the_cycle_with_which_it_begins(trial: HeldOutRun, cut: int) -> None:
-    found = beginning((changed(trial, np.where(np.arange(15) >= cut, 1.5, 0.0)),), 0.03)
+    found = beginning((changed(trial, np.where(np.arange(15) >= cut, 1.5, 0.0)),), 0.03, RULES)
     assert found is not None and found.running
     assert (found.before, found.after) == (cut, 15 - cut)
     starts = trial.record.runs.time[trial.record.runs.first]
@@ -46,17 +47,17 @@ def test_what_is_clean_grows_or_wanders_begins_nowhere(trial: HeldOutRun) -> Non
     grows = np.linspace(0.0, 2.5, 15)
     wanders = np.repeat([0.0, 1.5, 0.0, 1.5, 0.0], 3)
     for errors in (np.zeros(15), grows, wanders):
-        assert beginning((changed(trial, errors),), 0.03) is None
-    late = np.where(np.arange(15) >= 16 - LEAST_SIDE, 1.5, 0.0)
-    found = beginning((changed(trial, late),), 0.03)
-    assert found is None or found.after >= LEAST_SIDE
+        assert beginning((changed(trial, errors),), 0.03, RULES) is None
+    late = np.where(np.arange(15) >= 16 - RULES.beginning_least_cycles, 1.5, 0.0)
+    found = beginning((changed(trial, late),), 0.03, RULES)
+    assert found is None or found.after >= RULES.beginning_least_cycles
 
 
 def test_clean_plants_begin_nowhere() -> None:
     for seed in range(20, 28):
         record = record_of(model(), [plant(seed, days=4)], ())
         base = fit(on(frame_of(record), record), rounds=2)
-        assert beginning((let_run(base, record.by_cycles()),), 0.03) is None, seed
+        assert beginning((let_run(base, record.by_cycles()),), 0.03, RULES) is None, seed
 
 
 def test_an_exchanged_bearing_is_a_gap_with_its_date() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from sim.discrepancy.fitting import Fitted, anchored, fit, frame_of, on, record_of
 from sim.discrepancy.moved import shifts
+from sim.discrepancy.rules import RULES
 from sim.sha import Model
 from sim.sha.events import encode
 from tests.discrepancy.plants import ALPHABET, model, plant
@@ -34,7 +35,7 @@ def never_off(k: float) -> Fitted:
 
 
 def test_a_rate_that_moved_is_said_of_a_location_in_which_the_machine_was() -> None:
-    found = shifts(never_off(1 / 700))
+    found = shifts(never_off(1 / 700), RULES)
     rates = [each for each in found if each.parameter == "k"]
     assert [each.location for each in rates] == ["LOW"]
     assert rates[0].after == pytest.approx(1 / 1500, rel=0.2)
@@ -48,4 +49,4 @@ def test_only_of_a_location_that_the_record_shows_a_target_is_said_to_have_moved
     high = fitted.frame.names.targets.index("HIGH")
     off = fitted.off.copy()
     off[high] = 10.0 * np.sqrt(2.0 * fitted.covariance[high, high])
-    assert ("HIGH" in {each.location for each in shifts(replace(fitted, off=off))}) is told
+    assert ("HIGH" in {each.location for each in shifts(replace(fitted, off=off), RULES)}) is told
