@@ -41,7 +41,8 @@ LEAST_ROWS = 50
 DRAWS = 200
 """Draws of the noise from which a floor is told."""
 MOST_BY_PARAMETERS = 2.0**0.5
-"""Times the noise alone that it is with what the fit's parameters took from it: as much again in the mean square."""
+"""Times the noise alone that it is with what the fit's parameters took from it, in a cycle: as much again in the mean
+square."""
 LEAST_READING = 1e-4
 """degC that no window's mean is nearer to the truth."""
 PHASES_S = (240.0, 900.0, 3600.0, 7200.0)
@@ -100,9 +101,7 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int) -> Noi
     fitted = _rms(noise - explained.columns @ taken)
     beyond = trial.record.windowed(sensitivity(on(explained.frame, record), trial.state, trial.start))
     alone = trial.whitener.draw(rng, DRAWS)
-    own, drawn = predicted(trial, cycles, alone - beyond @ taken)
-    # Where held-out cycles show what the fitted ones hardly do, the linear problem would let a parameter go anywhere.
-    own = np.minimum(own, MOST_BY_PARAMETERS * predicted(trial, cycles, alone)[0])
+    own, drawn = predicted(trial, cycles, alone - limit_parameter_errors(trial, beyond @ taken, alone))
     expected = _rms(predicted(training, known, training.whitener.draw(rng, DRAWS))[0])
     # Each bound says how many times the noise of the fit there is; how cycles differ among themselves (how long they
     # are, how much is heated in them) that noise knows.
@@ -117,10 +116,30 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int) -> Noi
     source = "the sensor alone" if _rms(floor) < _rms(least) else source
     floor = np.maximum(floor, least)
     error = float(np.sqrt(np.average(floor**2, weights=weights)))
-    # The noise itself is known from so many cycles: its standard error in logarithms is 1 / sqrt(2 n).
-    unsure = np.exp(rng.standard_normal(drawn.size) / np.sqrt(2.0 * known.size))
+    # The noise itself is known from so many independent pieces: its standard error in logarithms is 1 / sqrt(2 n).
+    pieces = np.unique(training.record.window_cycle[np.isin(training.record.window_whole, known)]).size
+    unsure = np.exp(rng.standard_normal(drawn.size) / np.sqrt(2.0 * pieces))
     low, high = np.quantile(drawn / _rms(drawn) * unsure, [0.025, 0.975])
     return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
+
+
+def limit_parameter_errors(trial: HeldOutRun, taken: Array, alone: Array) -> Array:
+    """(m, d) degC what a fit's wrong parameters err by, `taken`, made so small in each cycle that the noise `alone` and
+    they together are at most MOST_BY_PARAMETERS of the noise alone (rms over the draws).
+
+    Where held-out cycles show what the fitted ones hardly do, the linear problem would let a parameter go anywhere. One
+    share for all draws of a cycle, so that the floor and its interval are told from the same errors.
+    """
+    cycle = np.unique(trial.record.window_whole, return_inverse=True)[1]
+    noise, wrong = trial.started(alone), trial.started(taken)
+    own, both, by = (
+        np.bincount(cycle, np.sum(one * other, axis=1))
+        for one, other in ((noise, noise), (noise, wrong), (wrong, wrong))
+    )
+    # The positive root s of |n - s w|^2 = MOST_BY_PARAMETERS^2 |n|^2.
+    more = (MOST_BY_PARAMETERS**2 - 1.0) * own
+    share = (both + np.sqrt(both**2 + by * more)) / np.maximum(by, 1e-300)
+    return np.asarray(np.minimum(share, 1.0)[cycle][:, None] * taken)
 
 
 def _rms(values: Array) -> float:

@@ -9,7 +9,14 @@ from sim.discrepancy import workflow
 from sim.discrepancy.diagnosis import HeldOutProof, NoiseFloor
 from sim.discrepancy.fitting import Fitted, Record, fit, frame_of, on, record_of
 from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.gap import floor_of, scatter_of_equal_cycles, stated_errors
+from sim.discrepancy.gap import (
+    MOST_BY_PARAMETERS,
+    floor_of,
+    limit_parameter_errors,
+    predicted,
+    scatter_of_equal_cycles,
+    stated_errors,
+)
 from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares
 from sim.discrepancy.judging import NamingResult, above
 from sim.discrepancy.naming import NamingStep, confirm, step
@@ -61,6 +68,32 @@ def test_a_model_that_takes_everything_for_noise_does_not_lift_the_floor(clean: 
     assert made.error < 0.5 and made.source != "what the model states of its own free runs"
     modest = replace(model(), provenance=replace(model().provenance, scores={"held_out_rmse": 0.07}))
     assert floor(modest, plant(1), base, held_out).source == "what the model states of its own free runs"
+
+
+def test_parameters_that_the_fitted_cycles_hardly_show_widen_the_interval_no_more_than_the_floor(
+    clean: tuple[Fitted, Record],
+) -> None:
+    """The car's two held-out trips had a floor of 0.96 degC that was bounded and an interval of 0.08 to 2.2, not."""
+    base, held_out = clean
+    known = floor(model(), plant(1), base, held_out)
+    shown = np.where(np.arange(base.columns.shape[1]) < 3, 0.01, 1.0)
+    vague = floor(model(), plant(1), replace(base, columns=base.columns * shown, prior=base.prior * shown**2), held_out)
+    assert known.error < vague.error < 2.0 * known.error
+    low, high = (limit / vague.error for limit in vague.interval)
+    assert 0.35 < low and high < 2.2, (low, high)
+
+
+def test_what_wrong_parameters_err_by_is_at_most_what_the_noise_does_in_each_cycle(clean: tuple[Fitted, Record]) -> None:
+    base, held_out = clean
+    trial = let_run(base, held_out)
+    noise = trial.whitener.draw(np.random.default_rng(0), 50)
+    cycles = mean_squares(trial)[2]
+    wrong = trial.record.windowed(trial.record.running)[:, None] * np.random.default_rng(1).standard_normal(50)
+    alone, _ = predicted(trial, cycles, noise)
+    for size, most in ((1e-4, 1.01), (10.0, MOST_BY_PARAMETERS)):
+        errs, drawn = predicted(trial, cycles, noise - limit_parameter_errors(trial, size * wrong, noise))
+        assert (errs <= most * alone * (1 + 1e-9)).all() and drawn.size == 50
+    assert errs == pytest.approx(MOST_BY_PARAMETERS * alone), "from the same draws as the interval"
 
 
 def test_what_all_equal_cycles_err_by_alike_is_no_noise() -> None:
