@@ -167,7 +167,9 @@ class GapBeginning:
     """Where over the cycles a gap begins: the start of the first cycle that has it, s UTC, and its 95 % interval.
 
     `before` and `after` count the cycles, `moves` (degC) is by how much more the free run errs from then on in the mean
-    of a cycle, while the machine is `running` or at rest.
+    of a cycle, while the machine is `running` or at rest. Of a machine that runs on, `stretch` is the length (s) of the
+    pieces of its runs that stand for cycles here; 0: they are cycles. `then` are the start (s UTC) of the first one
+    with which the gap changes once more, and by how much more than before the beginning it errs from there on.
     """
 
     time: float
@@ -177,6 +179,8 @@ class GapBeginning:
     moves: float
     running: bool
     p: float
+    stretch: float = 0.0
+    then: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

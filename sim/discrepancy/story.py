@@ -102,12 +102,24 @@ def sentence_of(
 def beginning_sentence(began: GapBeginning, unit: str) -> str:
     """Since when the machine is warmer or cooler than before, and how sure the date is; `unit` as people read it."""
     low, moment, high = (shown_time(time) for time in (began.interval[0], began.time, began.interval[1]))
-    way = "warmer" if began.moves > 0 else "cooler"
     how = "while it runs" if began.running else "at rest"
+    what, count = "cycle", "cycles"
+    if began.stretch:
+        what, count = "stretch", f"stretches of {shown_span(began.stretch)}"
+    more = "" if began.then is None else f", and from {shown_time(began.then[0])} on {_warmer(began.then[1], unit)}"
     return (
-        f"It begins with the cycle of {moment} (between {low} and {high}): since then the machine is "
-        f"{abs(began.moves):.2g} {unit} {way} {how} than before ({began.before} cycles before, {began.after} after)."
+        f"It begins with the {what} of {moment} (between {low} and {high}): since then the machine is "
+        f"{_warmer(began.moves, unit)} {how} than before{more} ({began.before} {count} before, {began.after} after)."
     )
+
+
+def _warmer(moves: float, unit: str) -> str:
+    return f"{abs(moves):.2g} {unit} {'warmer' if moves > 0 else 'cooler'}"
+
+
+def shown_span(seconds: float) -> str:
+    """A time in hours, or in minutes where it is shorter, as people read it."""
+    return f"{seconds / 3600:.2g} hours" if seconds >= 3600 else f"{seconds / 60:.2g} minutes"
 
 
 def held_out_sentence(diagnosis: Diagnosis) -> str:
