@@ -14,7 +14,8 @@ Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shift:
-    """A parameter of the given model that has moved: `change` is relative to its size (a target's: over rest).
+    """A parameter of the given model that has moved: `change` is relative to its size (a target's: over rest), None
+    where that says nothing, since it moved by more than its size.
 
     `before` and `after` are its values in `unit`, `sigma` the size of the move over its standard error.
     """
@@ -24,7 +25,7 @@ class Shift:
     before: float
     after: float
     unit: str
-    change: float
+    change: float | None
     sigma: float
 
 

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from sim.discrepancy.advice import told_places
+from sim.discrepancy.advice import shown_move, told_places
 from sim.discrepancy.diagnosis import (
     AbsorbedLaw,
     Diagnosis,
@@ -50,7 +50,7 @@ def sentence_of(
     if shifts:
         surest = shifts[0]
         moved = (
-            f" Parameters have moved: {surest.parameter} in {surest.location} {surest.change:+.0%}, "
+            f" Parameters have moved: {surest.parameter} in {surest.location} {shown_move(surest)}, "
             f"{abs(surest.sigma):.0f} sigma."
         )
     if law is not None:
