@@ -189,9 +189,10 @@ class HeldOutProof:
     """Free runs over cycles that were never fitted: root mean squares in degC, the noise floor, the excess removed.
 
     `cycles` counts them, `pieces` the independent pieces of evidence in them; `per_cycle` holds (before, after, floor)
-    of each cycle. `rmse_given` is of the model as it was given, `rmse_before` with its parameters refitted. The excess
-    removed (at most 1: all of it, to within the floor) and its interval are None where nothing was named, or where the
-    error before is no greater than the floor: then there is no excess.
+    of each cycle. `rmse_given` is of the model as it was given, `rmse_before` with its parameters refitted; where the
+    refit foresees these cycles worse it is refused: `rmse_refit` is its error, else None, and before is as given. The
+    excess removed (at most 1: all of it, to within the floor) and its interval are None where nothing was named, or
+    where the error before is no greater than the floor: then there is no excess.
     """
 
     cycles: int
@@ -203,6 +204,7 @@ class HeldOutProof:
     excess_removed: float | None
     ci95: tuple[float, float] | None
     per_cycle: tuple[tuple[float, float, float], ...]
+    rmse_refit: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -210,6 +210,8 @@ def doubts(
         reasons.append("the held-out cycles are not better foreseen with it")
     if held.rmse_after > held.rmse_before:
         reasons.append("the free run over the held-out cycles is further off with it")
+    elif felt(held.rmse_after, held.rmse_given, sensor_noise(path.base.frame.record)):
+        reasons.append("the free run over the held-out cycles is further off with it than the model as it was given")
     elif _hardly_smaller(path, held):
         reasons.append(f"it removes {held.excess_removed:.0%} of what the free run over the held-out cycles is off by")
     # What the names leave is held against all that was systematic: what trees could predict before, or, where that is
@@ -245,7 +247,12 @@ def matters(held: HeldOutProof, sensor: float) -> bool:
 
     `sensor` (degC) is what one reading errs by.
     """
-    return held.rmse_before**2 - held.noise_floor**2 >= (MATERIAL * sensor) ** 2
+    return felt(held.rmse_before, held.noise_floor, sensor)
+
+
+def felt(error: float, other: float, sensor: float) -> bool:
+    """True where an error (degC rms) is greater than another one by what could be felt."""
+    return error**2 - other**2 >= (MATERIAL * sensor) ** 2
 
 
 def above(held: HeldOutProof, floor: NoiseFloor, sensor: float) -> bool:

@@ -58,6 +58,11 @@ def sentence_of(
             f" The model's {law.constants} constants follow one law, {law.words} ({law.name}): {law.instead} numbers "
             f"stand for them, the held-out error goes from {law.rmse_before:.3g} to {law.rmse_after:.3g} {unit}."
         )
+    if held is not None and held.rmse_refit is not None:
+        moved += (
+            f" With its parameters refitted the model is further off on cycles that were never fitted "
+            f"({held.rmse_refit:.3g} against {held.rmse_given:.3g} {unit}): they stay as given."
+        )
     if verdict == "agree":
         trace = "".join(
             f" A trace of {each.name} moves the temperature by {each.moves:.2g} {unit}, less than could be felt."
@@ -131,6 +136,8 @@ def held_out_sentence(diagnosis: Diagnosis) -> str:
     if held is None:
         return ""
     errors = f"{held.rmse_given:.3f} {unit} as given, {held.rmse_before:.3f} {unit} refitted"
+    if held.rmse_refit is not None:
+        errors = f"{held.rmse_given:.3f} {unit} as given, {held.rmse_refit:.3f} {unit} refitted, which is refused"
     if diagnosis.effects:
         errors += f", {held.rmse_after:.3f} {unit} with what was added"
     parts = (

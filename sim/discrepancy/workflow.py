@@ -24,6 +24,7 @@ from sim.discrepancy.fitting import (
     first_cycle_after,
     fit,
     frame_of,
+    given_fit,
     in_order,
     named_of,
     on,
@@ -41,6 +42,7 @@ from sim.discrepancy.judging import (
     doubts,
     dubious,
     evidence_of,
+    felt,
     immaterial,
     left_over,
     matters,
@@ -143,14 +145,21 @@ def diagnose(
     if not allowed:
         paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], TOO_FEW),)) for path in paths[:1])
     judged = _longest_that_passes(proof, paths)
-    path, held, second = judged.path, judged.held, judged.second
+    path, kept = judged.path, bool(judged.path.taken) and not judged.reasons
+    if kept:
+        after, held, first, second = path.fitted, judged.held, let_run(base, held_out), judged.second
+    else:
+        # Nothing is added: what the report shows is the refit itself, or the model as given, if that is better.
+        refit = judged.held.rmse_before
+        refused = felt(refit, judged.held.rmse_given, sensor)
+        base = after = given_fit(base) if refused else base
+        held, first, second = compared(base, base, held_out, seed, floor)
+        held = replace(held, rmse_refit=refit if refused else None)
     gap = above(held, floor, sensor)
-    kept = bool(path.taken) and not judged.reasons
     # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
-    told = (path.fitted, second) if kept else (base, let_run(base, held_out))
-    began = beginning((let_run(told[0], by_cycles), told[1]), MATERIAL * sensor)
+    began = beginning((let_run(after, by_cycles), second), MATERIAL * sensor)
     material = matters(held, sensor) and (gap or kept or bool(evidence_of(path, ceiling_before, proof.before)))
-    after, ceiling_after, reasons = path.fitted, judged.ceiling, judged.reasons
+    ceiling_after, reasons = judged.ceiling, judged.reasons
     verdict: Verdict = "agree"
     if kept:
         verdict = "named" if all(len(step.members) == 1 for step in path.taken) else "class"
@@ -165,10 +174,6 @@ def diagnose(
     else:
         reasons = ()
     described = description(path) if verdict == "unexplained" else ""
-    if not kept and after is not base:  # nothing is added, so what the report shows "after" is the refit itself
-        after = base
-        held, _, second = compared(after, after, held_out, seed, floor)
-    first = let_run(base, held_out) if kept else second
 
     law = absorbed(after, present["current"], held_out, pump=present.get("pump")) if "current" in present else None
     report("where the heat is", 0.95)

@@ -18,8 +18,9 @@ from sim.discrepancy.gap import (
     stated_errors,
 )
 from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares
-from sim.discrepancy.judging import NamingResult, above
+from sim.discrepancy.judging import NamingResult, above, doubts
 from sim.discrepancy.naming import NamingStep, confirm, step
+from sim.discrepancy.story import held_out_sentence
 from sim.discrepancy.workflow import FIRST_NAME_CYCLES, diagnose
 from sim.sha import Model, Trace
 from tests.discrepancy.plants import model, plant
@@ -179,3 +180,37 @@ def test_a_name_needs_cycles_of_its_own() -> None:
     found = diagnose(model(), [few], seed=0).diagnosis
     assert found.verdict == "unexplained" and found.effects == ()
     assert any("fewer than 6 cycles" in reason for reason in found.reasons), found.reasons
+
+
+def test_a_refit_that_foresees_held_out_cycles_worse_than_the_model_as_given_is_refused() -> None:
+    """What was warmer for the first half and is as ever since: the fitted cycles ask for other parameters."""
+    trace = plant(1, days=4, period=60.0)
+    early = np.arange(trace.times.size) < 0.6 * trace.times.size
+    warmer = trace.signals["T"] + 4.0 * (early & (trace.signals["MarciaDecanter"] > 0.5))
+    found = diagnose(model(), [replace(trace, signals={**trace.signals, "T": warmer})], seed=0, most=1).diagnosis
+    held = found.held_out
+    assert held is not None and held.rmse_refit is not None and found.floor is not None
+    assert held.rmse_before == held.rmse_after == held.rmse_given < 0.5 * held.rmse_refit
+    assert found.shifts == () and found.effects == () and found.verdict == "unexplained"
+    assert "they stay as given" in found.sentence and "which is refused" in held_out_sentence(found)
+
+
+def test_no_name_is_given_under_which_the_error_is_greater_than_that_of_the_model_as_given(
+    pumped: tuple[Fitted, Record],
+) -> None:
+    base, held_out = pumped
+    first = confirmed(base, "pump-cooling")
+    best = first.evidence[0].fitted
+    assert best is not None
+    path = NamingResult(base, best, ((first, ""),))
+    held = HeldOutProof(4, 4, 0.3, 2.0, 0.8, 0.2, 0.85, (0.7, 0.9), ())
+    for given, withheld in ((0.3, True), (0.9, False)):
+        reasons = doubts(
+            path,
+            let_run(base, held_out),
+            second=let_run(best, held_out),
+            held=replace(held, rmse_given=given),
+            before=None,
+            left=None,
+        )
+        assert any("as it was given" in reason for reason in reasons) is withheld, reasons

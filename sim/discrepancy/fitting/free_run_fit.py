@@ -14,7 +14,7 @@ import scipy
 
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
-from sim.discrepancy.fitting.named import Named
+from sim.discrepancy.fitting.named import Named, named_of
 from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.fitting.scattering import spans_of
@@ -172,6 +172,23 @@ def fit(
         noise, cost = noise_around(point, frame, belief, noise, iterations)
         if largest_change(before, noise) < SETTLED:
             break
+    return _fitted(frame, point, start=start, noise=noise, prior=prior, cost=cost)
+
+
+def given_fit(fitted: Fitted) -> Fitted:
+    """The given model's own numbers on the same record, none of them fitted; the noise is that of greatest likelihood
+    beside them."""
+    frame, named = fitted.frame, named_of(fitted.frame.record.model)
+    record = frame.record
+    numbers = np.concatenate([frame.centre, *(np.array(each.point) for each in named)])
+    prior = np.concatenate([frame.prior, np.zeros(numbers.size - frame.centre.size)])
+    point = _around(frame, at(frame, numbers, fitted.start, named), fitted.start, record.reading)
+    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    noise, cost = noise_around(point, frame, belief, fitted.noise, 12)
+    return _fitted(frame, point, start=fitted.start, noise=noise, prior=prior, cost=cost)
+
+
+def _fitted(frame: Frame, point: _Point, *, start: Array, noise: NoiseModel, prior: Array, cost: float) -> Fitted:
     whitener = Whitener(point.grid, noise)
     inverse = np.linalg.inv(whitener.gram(point.columns) + np.diag(np.maximum(prior, 1e-12)))
     covariance = np.asarray(inverse, dtype=float)
