@@ -25,6 +25,7 @@ from sim.discrepancy.diagnosis import (
 )
 from sim.discrepancy.experiment import propose_experiment
 from sim.discrepancy.heat_maps import LONGEST, HeatMap, heat_map, span
+from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.story import (
     beginning_sentence,
     floor_sentence,
@@ -38,6 +39,7 @@ __all__ = [
     "LEAST_TOLD_SHARE",
     "LONGEST",
     "CandidateLaw",
+    "DecisionRules",
     "Diagnosis",
     "DiagnosisCourse",
     "DiagnosisOutcome",

@@ -13,27 +13,23 @@ import scipy
 
 from sim.discrepancy.diagnosis import GapBeginning
 from sim.discrepancy.held_out import LEAST_WINDOWS, HeldOutRun
+from sim.discrepancy.rules import DecisionRules
 from sim.learning import Indices
 from sim.sha import Array
 
-LEAST_SIDE = 3
-"""Cycles before and after a beginning at least."""
-LEAST_P, DRAWS = 0.001, 10_000
-"""The p of a beginning among draws of as many normal errors: it is looked for at all cycles and in two phases.
-Permutations would do without the normal law, but of fifteen cycles there are too few ways to take the last four."""
-WANDERS = 0.5
-"""Correlation of neighbouring cycles, once the step is taken out, from which the error wanders."""
+DRAWS = 10_000
+"""Draws of normal errors that a beginning is held against."""
 LIKELY = 3.84
 """The 95 % quantile of chi-square with one degree of freedom: 2 nats of the profile likelihood about the date."""
 
 
-def beginning(trials: tuple[HeldOutRun, ...], least: float) -> GapBeginning | None:
+def beginning(trials: tuple[HeldOutRun, ...], least: float, rules: DecisionRules) -> GapBeginning | None:
     """The surest change point of the free runs' errors over all cycles, in order; None where none is sure.
 
     `least` (degC) is what a change must be to matter. The interval is that of the profile likelihood of the date.
-    Where fewer than 2 LEAST_SIDE cycles show a phase, it is looked for over the record's pieces of long runs.
+    Where too few cycles show a phase for both sides of it, it is looked for over the record's pieces of long runs.
     """
-    found = [_of_phase(trials, running, least) for running in (True, False)]
+    found = [_of_phase(trials, running, least, rules) for running in (True, False)]
     known = [each for each in found if each is not None]
     return min(known, key=lambda each: (each.p, -abs(each.moves))) if known else None
 
@@ -49,36 +45,37 @@ class _PhaseErrors:
     stretch: float
 
 
-def _of_phase(trials: tuple[HeldOutRun, ...], running: bool, least: float) -> GapBeginning | None:
-    phase = _errors_of(trials, running)
-    if phase.errors.size < 2 * LEAST_SIDE:
+def _of_phase(trials: tuple[HeldOutRun, ...], running: bool, least: float, rules: DecisionRules) -> GapBeginning | None:
+    phase = _errors_of(trials, running, rules.beginning_least_cycles)
+    if phase.errors.size < 2 * rules.beginning_least_cycles:
         return None
-    return _jump(phase, running, least) if phase.stretch else _step(phase, running, least)
+    return (_jump if phase.stretch else _step)(phase, running, least, rules)
 
 
-def _step(phase: _PhaseErrors, running: bool, least: float) -> GapBeginning | None:
+def _step(phase: _PhaseErrors, running: bool, least: float, rules: DecisionRules) -> GapBeginning | None:
     """The cycle from which on the mean error is another one."""
-    times, errors, n = phase.times, phase.errors, phase.errors.size
-    gain = _split_gain(errors)
+    times, errors, n, side = phase.times, phase.errors, phase.errors.size, rules.beginning_least_cycles
+    gain = _split_gain(errors, side)
     number = int(np.argmax(gain))
-    before = LEAST_SIDE + number
+    before = side + number
     step = np.where(np.arange(n) >= before, errors[before:].mean(), errors[:before].mean())
     moves = float(errors[before:].mean() - errors[:before].mean())
     left = errors - step
     line = np.polynomial.polynomial.polyfit(np.arange(n), errors, 1)
     of_line = errors - np.polynomial.polynomial.polyval(np.arange(n), line)
     size = max(float(np.sum(left**2)), 1e-300)
-    if abs(moves) < least or size >= float(np.sum(of_line**2)) or float(left[1:] @ left[:-1]) / size >= WANDERS:
+    wanders = float(left[1:] @ left[:-1]) / size >= rules.beginning_wanders_from
+    if abs(moves) < least or size >= float(np.sum(of_line**2)) or wanders:
         return None
     # Under "nothing begins" the share of the squares that the best cut takes depends on the number of cycles alone.
     drawn = np.random.default_rng(0).standard_normal((DRAWS, n))
-    shares = _split_gain(drawn).max(axis=-1) / np.sum((drawn - drawn.mean(axis=-1, keepdims=True)) ** 2, axis=-1)
+    shares = _split_gain(drawn, side).max(axis=-1) / np.sum((drawn - drawn.mean(axis=-1, keepdims=True)) ** 2, axis=-1)
     total = float(np.sum((errors - errors.mean()) ** 2))
     p = (1.0 + float(np.count_nonzero(shares >= float(gain[number]) / total))) / (1.0 + DRAWS)
-    if p > LEAST_P:
+    if p > rules.beginning_most_p:
         return None
     profile = n * np.log(np.maximum(total - gain, 1e-300) / max(total - float(gain[number]), 1e-300))
-    likely = np.flatnonzero(profile <= LIKELY) + LEAST_SIDE
+    likely = np.flatnonzero(profile <= LIKELY) + side
     # What begins with a cycle may have begun at any time since the cycle before it did.
     return GapBeginning(
         time=float(times[before]),
@@ -91,52 +88,52 @@ def _step(phase: _PhaseErrors, running: bool, least: float) -> GapBeginning | No
     )
 
 
-def _jump(phase: _PhaseErrors, running: bool, least: float) -> GapBeginning | None:
+def _jump(phase: _PhaseErrors, running: bool, least: float, rules: DecisionRules) -> GapBeginning | None:
     """The first change from one neighbourhood to the next that stands out of how the error of a long run wanders.
 
     A model that is not quite right errs by more and less as the run goes on; a random walk, which wanders most, has
     such a change anywhere in one case of a thousand.
     """
-    errors, n = phase.errors, phase.errors.size
+    errors, n, side = phase.errors, phase.errors.size, rules.beginning_least_cycles
     # A free run over held-out cycles begins anew: what changes there is not the machine.
-    apart = np.abs(phase.of_trial[2 * LEAST_SIDE - 1 :] - phase.of_trial[: n - 2 * LEAST_SIDE + 1]) > 0
-    changes = _local_changes(errors)
-    walks = np.abs(_local_changes(np.cumsum(np.random.default_rng(0).standard_normal((DRAWS, n)), axis=-1)))
+    apart = np.abs(phase.of_trial[2 * side - 1 :] - phase.of_trial[: n - 2 * side + 1]) > 0
+    changes = _local_changes(errors, side)
+    walks = np.abs(_local_changes(np.cumsum(np.random.default_rng(0).standard_normal((DRAWS, n)), axis=-1), side))
     chance = walks.max(axis=-1) / np.median(walks, axis=-1)
     sizes = np.abs(changes) / max(float(np.median(np.abs(changes))), 1e-300)
     sizes = np.where(apart, 0.0, sizes)
-    greatest = scipy.ndimage.maximum_filter1d(sizes, 2 * LEAST_SIDE + 1) == sizes
-    sure = greatest & (sizes > np.quantile(chance, 1.0 - LEAST_P)) & (np.abs(changes) >= least)
-    places = (np.flatnonzero(sure) + LEAST_SIDE).tolist()
+    greatest = scipy.ndimage.maximum_filter1d(sizes, 2 * side + 1) == sizes
+    sure = greatest & (sizes > np.quantile(chance, 1.0 - rules.beginning_most_p)) & (np.abs(changes) >= least)
+    places = (np.flatnonzero(sure) + side).tolist()
     if not places:
         return None
-    first, before = places[0], float(errors[places[0] - LEAST_SIDE : places[0]].mean())
+    first, before = places[0], float(errors[places[0] - side : places[0]].mean())
     then = None
     if len(places) > 1:
-        then = float(phase.times[places[1]]), float(errors[places[1] : places[1] + LEAST_SIDE].mean()) - before
+        then = float(phase.times[places[1]]), float(errors[places[1] : places[1] + side].mean()) - before
     return GapBeginning(
         time=float(phase.times[first]),
         interval=(float(phase.times[first - 1]), float(phase.times[first + 1])),
         before=first,
         after=n - first,
-        moves=float(changes[first - LEAST_SIDE]),
+        moves=float(changes[first - side]),
         running=running,
-        p=(1.0 + float(np.count_nonzero(chance >= sizes[first - LEAST_SIDE]))) / (1.0 + DRAWS),
+        p=(1.0 + float(np.count_nonzero(chance >= sizes[first - side]))) / (1.0 + DRAWS),
         stretch=phase.stretch,
         then=then,
     )
 
 
-def _local_changes(errors: Array) -> Array:
-    """(..., n - 2 LEAST_SIDE + 1) the mean of the next LEAST_SIDE errors less that of the LEAST_SIDE before."""
-    means = np.lib.stride_tricks.sliding_window_view(errors, LEAST_SIDE, axis=-1).mean(axis=-1)
-    return np.asarray(means[..., LEAST_SIDE:] - means[..., :-LEAST_SIDE])
+def _local_changes(errors: Array, side: int) -> Array:
+    """(..., n - 2 side + 1) the mean of the next side errors less that of the side before."""
+    means = np.lib.stride_tricks.sliding_window_view(errors, side, axis=-1).mean(axis=-1)
+    return np.asarray(means[..., side:] - means[..., :-side])
 
 
-def _errors_of(trials: tuple[HeldOutRun, ...], running: bool) -> _PhaseErrors:
+def _errors_of(trials: tuple[HeldOutRun, ...], running: bool, side: int) -> _PhaseErrors:
     """The mean error of each cycle that shows the phase; of each piece of the long runs, where these are too few."""
     cycles = _mean_errors(trials, [(trial.record.whole, trial.record.window_whole) for trial in trials], running)
-    if cycles.errors.size >= 2 * LEAST_SIDE:
+    if cycles.errors.size >= 2 * side:
         return replace(cycles, stretch=0.0)
     pieces = _mean_errors(trials, [(trial.record.cycle, trial.record.window_cycle) for trial in trials], running)
     return pieces if pieces.errors.size > cycles.errors.size else replace(cycles, stretch=0.0)
@@ -160,11 +157,11 @@ def _mean_errors(
     return _PhaseErrors(times, errors, of_trial.astype(np.intp), float(np.median(seconds)) if seconds.size else 0.0)
 
 
-def _split_gain(errors: Array) -> Array:
-    """(..., n - 2 LEAST_SIDE + 1) by how much two means leave less of the squares than one, for each place of a cut."""
+def _split_gain(errors: Array, side: int) -> Array:
+    """(..., n - 2 side + 1) by how much two means leave less of the squares than one, for each place of a cut."""
     n = errors.shape[-1]
     count = np.arange(1, n + 1)
     sums = np.cumsum(errors, axis=-1)
     whole = sums[..., -1:]
     gain = sums**2 / count + (whole - sums) ** 2 / np.maximum(n - count, 1) - whole**2 / n
-    return np.asarray(gain[..., LEAST_SIDE - 1 : n - LEAST_SIDE])
+    return np.asarray(gain[..., side - 1 : n - side])

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sim.discrepancy.rules import DecisionRules
 from sim.engine import linear_recursion
 from sim.sha import Array, Trace
 
@@ -21,18 +22,11 @@ CHANGE = 15
 """Blocks over which a change is taken, half an hour: starts and loads, and of a day's rhythm hardly anything."""
 LAGS = (0.0, 120.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0)
 """Seconds of the lags by which one is foreseen from the other."""
-FOLLOWS = 0.6
-"""The share of the variance of a signal's changes that the temperature's past foresees where it follows. A room that is
-warmed by a tenth of what the machine is warmed by reaches 0.4 to 0.8, one that the machine does not reach below 0.1 and
-the oil temperatures of one circuit (measured) 0.97."""
-LEADS = 0.03
-"""The share by which the temperature's future tells more of a signal than its past where the signal leads: 0.03 to 0.15
-for a room that heats a mass of 300 to 6000 s, at most 0.02 for oil temperatures of one circuit."""
 LEAST_CHANGES, LEAST_VALUES = 100, 8
 """Changes that are needed, and different values: a switch follows nothing by a lag."""
 
 
-def follows(traces: Sequence[Trace], temperature: str, signal: str) -> bool:
+def follows(traces: Sequence[Trace], temperature: str, signal: str, rules: DecisionRules) -> bool:
     """True where a signal lags behind the temperature, or moves with it, and does not lead it."""
     having = [trace for trace in traces if {temperature, signal} <= trace.signals.keys() and trace.times.size]
     values = np.concatenate([np.empty(0), *(trace.signals[signal] for trace in having)])
@@ -40,7 +34,9 @@ def follows(traces: Sequence[Trace], temperature: str, signal: str) -> bool:
         return False
     pairs = [(_block_means(trace, temperature), _block_means(trace, signal)) for trace in having]
     past = _foreseen(pairs)
-    return past >= FOLLOWS and _foreseen([(warm[::-1], own[::-1]) for warm, own in pairs]) - past < LEADS
+    if past < rules.follows_least_share:
+        return False
+    return _foreseen([(warm[::-1], own[::-1]) for warm, own in pairs]) - past < rules.follows_most_lead_share
 
 
 def _block_means(trace: Trace, name: str) -> Array:

@@ -17,14 +17,9 @@ from sim.discrepancy.diagnosis import AbsorbedLaw
 from sim.discrepancy.fitting import Fitted, Record, held
 from sim.discrepancy.gap import sensor_noise
 from sim.discrepancy.held_out import let_run
-from sim.discrepancy.judging import MATERIAL
+from sim.discrepancy.rules import DecisionRules
 from sim.learning import Indices
 from sim.sha import RELAXING, Array
-
-CHANCE = 0.01
-"""The p from which constants differ from a law by chance."""
-LEAST_SAVED = 2
-"""Constants that a law must save to be worth a word."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +46,9 @@ class ConstantsLaw:
         return len(self.terms) + self.searched
 
 
-def absorbed(fitted: Fitted, current: str, held_out: Record, *, pump: str | None = None) -> AbsorbedLaw | None:
+def absorbed(
+    fitted: Fitted, current: str, held_out: Record, rules: DecisionRules, *, pump: str | None = None
+) -> AbsorbedLaw | None:
     """The law over the signals that stands for the targets and gains of the bins in which the machine runs; None: none.
 
     Only among locations of one rate, which together are one heat balance.
@@ -71,16 +68,16 @@ def absorbed(fitted: Fitted, current: str, held_out: Record, *, pump: str | None
     weight = np.linalg.pinv(covariance[np.ix_(numbers, numbers)], hermitian=True)
     possible: list[tuple[int, float, ConstantsLaw, Array, Array]] = []
     for law in laws(record, places, current, pump):
-        if numbers.size - law.count < LEAST_SAVED:
+        if numbers.size - law.count < rules.absorbed_least_saved:
             continue
         design = np.column_stack([imitated(fitted, places, current, numbers, term) for term in law.terms])
         coefficients = np.linalg.lstsq(design.T @ weight @ design, design.T @ weight @ values, rcond=None)[0]
         off = design @ coefficients - values
         misfit = float(off @ weight @ off)
-        if scipy.special.chdtrc(numbers.size - law.count, misfit) >= CHANCE:
+        if scipy.special.chdtrc(numbers.size - law.count, misfit) >= rules.absorbed_least_p:
             possible.append((law.count, misfit, law, coefficients, off))
     before = float(np.sqrt(np.mean(let_run(fitted, held_out).residual ** 2)))
-    felt = MATERIAL * sensor_noise(record)
+    felt = rules.material_sigmas * sensor_noise(record)
     # The fewest numbers first, and of as many the nearest.
     for count, _, law, coefficients, off in sorted(possible, key=lambda each: each[:2]):
         # The other constants go where they would with these held at the law's: their conditional mean.

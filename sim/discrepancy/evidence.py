@@ -7,13 +7,14 @@ import numpy as np
 from sim.discrepancy.diagnosis import NamedEffect, TraceOfEffect, TriedEffect
 from sim.discrepancy.fitting import Fitted
 from sim.discrepancy.judging import NamingResult, immaterial
-from sim.discrepancy.naming import INVISIBLE, NEAR, SAME, EffectEvidence, NamingStep
+from sim.discrepancy.naming import EffectEvidence, NamingStep
 
 
 def candidates_of(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[TriedEffect, ...]:
     """Every entry of every step, in the order of their gains; `kept` says whether the names were given in the end."""
     tried = []
     for number, (step, refusal) in enumerate(steps, start=1):
+        same, near = step.rules.same_least_cosine, step.rules.near_least_cosine
         size = {name: abs(cosine) for name, cosine in step.cosines.items()}
         for evidence in step.evidence:
             top = evidence is step.best
@@ -30,8 +31,8 @@ def candidates_of(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[
                     robust=evidence.robust,
                     cycles=evidence.cycles,
                     params=dict(refit.state.named[-1].params if refit is not None else evidence.shape.params),
-                    twins=tuple(name for name, cosine in size.items() if cosine >= SAME) if top else (),
-                    rivals=tuple(name for name, cosine in size.items() if NEAR <= cosine < SAME) if top else (),
+                    twins=tuple(name for name, cosine in size.items() if cosine >= same) if top else (),
+                    rivals=tuple(name for name, cosine in size.items() if near <= cosine < same) if top else (),
                     needs=tuple(evidence.shape.signals.values()),
                     experiment=evidence.entry.experiment,
                     fate=fate(evidence, step, refusal, kept),
@@ -44,7 +45,7 @@ def fate(evidence: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -
     """Why an entry of a step was named or not, in words."""
     if evidence is step.best:
         return refusal or ("named" if kept else "the best of all, but the name is withheld")
-    if evidence.visible < INVISIBLE:
+    if evidence.visible < step.rules.invisible_most_share:
         return "not visible in these data: the model's own parameters imitate it"
     if evidence.entry.name in step.members:
         return "these data cannot tell it from the best"

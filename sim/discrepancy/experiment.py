@@ -30,7 +30,8 @@ from sim.discrepancy.fitting import (
     sensitivity,
 )
 from sim.discrepancy.judging import NamingResult
-from sim.discrepancy.naming import ALIKE, MARGIN, EffectEvidence, confirm
+from sim.discrepancy.naming import EffectEvidence, confirm, margin_of_class
+from sim.discrepancy.rules import DecisionRules
 from sim.effects import SETTABLE
 from sim.learning import LearningError, first_switch
 from sim.sha import Array, Bins, Mask, Model, Trace
@@ -303,7 +304,7 @@ def rivals_to_tell(path: NamingResult) -> tuple[EffectEvidence, ...]:
         best = step.best
         if best is None or not best.confirmed or best.gain < step.threshold:
             continue
-        close = max(MARGIN, ALIKE * best.gain)
+        close = margin_of_class(best.gain, step.rules)
         near = [
             each
             for each in step.evidence
@@ -439,7 +440,7 @@ def propose_experiment(
         return None
     pairs = list(tried[0][2])
     told = [pair for pair in pairs if max(nats[pair] for _, _, nats in tried) >= INSEPARABLE_NATS] or pairs
-    needed = _needed(rivals)
+    needed = _needed(rivals, path.steps[0][0].rules)
 
     def rate(trial: tuple[ExperimentSchedule, int, Mapping[tuple[str, str], float]]) -> float:
         schedule, repeats, nats = trial
@@ -466,11 +467,11 @@ def propose_experiment(
     )
 
 
-def _needed(rivals: Sequence[EffectEvidence]) -> float:
+def _needed(rivals: Sequence[EffectEvidence], rules: DecisionRules) -> float:
     """nats that an experiment must be expected to give: what a name needs, had in 95 % whichever rival is true."""
     top = max(each.gain for each in rivals)
     behind = top - min(each.gain for each in rivals)
-    name = max(MARGIN, ALIKE * top) + behind
+    name = margin_of_class(top, rules) + behind
     # A log-likelihood ratio of mean m has the variance 2 m: m - 1.64 sqrt(2 m) = what a name needs.
     half = SURE_SIGMAS / sqrt(2.0)
     return (half + sqrt(half**2 + name)) ** 2

@@ -25,35 +25,25 @@ from sim.discrepancy.fitting import (
 )
 from sim.discrepancy.heat import since_switch
 from sim.discrepancy.held_out import HeldOutRun, let_run, mean_squares
+from sim.discrepancy.rules import DecisionRules
 from sim.effects import of_feature, without
 from sim.engine import open_loop
 from sim.learning import Indices
 from sim.sha import Array, Model, Trace
 
-WIDE, MOSTLY, SHARE = 1.5, 1.2, 0.2
-"""A gap: the median cycle is so many times as far off as the model's own noise allows, and all but this share of the
-cycles at least so many times."""
-ROUGHER, FELT = 4.5, 0.75
-"""A gap as well: heat so many times as rough, that moves the temperature by so many sensor sigmas (stationary rms)."""
-
 LEAST_ROWS = 50
 """Rows at rest from which the sensor's noise is told by them alone."""
 DRAWS = 200
 """Draws of the noise from which a floor is told."""
-MOST_BY_PARAMETERS = 2.0**0.5
-"""Times the noise alone that it is with what the fit's parameters took from it, in a cycle: as much again in the mean
-square."""
 LEAST_READING = 1e-4
 """degC that no window's mean is nearer to the truth."""
 PHASES_S = (240.0, 900.0, 3600.0, 7200.0)
 """Seconds since the last start or stop between which cycles are held against one another."""
-LEAST_EQUAL, MOSTLY_COMPARABLE = 4, 0.7
-"""Cycles that a cell needs to compare them, and the share of all windows that must lie in such cells."""
 
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """Of the fitted cycles: the free run's error over the given model's own spread, the median and the lower fifth.
+    """Of the fitted cycles: the free run's error over the given model's own spread, the median and a lower quantile.
 
     Roughness that the model has learned counts as its spread, so a rough plant has no excess; a heat that came after it
     was learned has, even where nothing measured says what it is. `rougher` is the fit's process noise over the given
@@ -64,25 +54,22 @@ class Excess:
     low: float
     rougher: float
 
-    @property
-    def wide(self) -> bool:
+    def wide(self, rules: DecisionRules) -> bool:
         """True where the model's noise does not cover its errors."""
-        return self.median >= WIDE and self.low >= MOSTLY
+        return self.median >= rules.wide_median_times and self.low >= rules.wide_low_times
 
-    @property
-    def exceeded(self) -> bool:
+    def exceeded(self, rules: DecisionRules) -> bool:
         """True where there is a gap: the errors are too great, or the heat is rougher than the model has learned."""
-        return self.wide or self.rougher >= ROUGHER
+        return self.wide(rules) or self.rougher >= rules.rougher_least_times
 
-    @property
-    def words(self) -> str:
+    def words(self, rules: DecisionRules) -> str:
         """What is too much, in a sentence."""
-        if self.wide:
+        if self.wide(rules):
             return f"the free run is {self.median:.1f} times as far off as the model's own noise allows"
         return f"the heat is {self.rougher:.1f} times as rough as the model has learned"
 
 
-def floor_of(stated: Array, explained: Fitted, record: Record, seed: int) -> NoiseFloor:
+def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules: DecisionRules) -> NoiseFloor:
     """The floor under free runs over a record cut by cycles (`Record.by_cycles`).
 
     `stated` (c,) degC is what the given model states of the fitted cycles (`stated_errors`), `explained` the fit with
@@ -101,14 +88,15 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int) -> Noi
     fitted = _rms(noise - explained.columns @ taken)
     beyond = trial.record.windowed(sensitivity(on(explained.frame, record), trial.state, trial.start))
     alone = trial.whitener.draw(rng, DRAWS)
-    own, drawn = predicted(trial, cycles, alone - limit_parameter_errors(trial, beyond @ taken, alone))
+    wrong = limit_parameter_errors(trial, beyond @ taken, alone, rules.floor_parameters_most_times)
+    own, drawn = predicted(trial, cycles, alone - wrong)
     expected = _rms(predicted(training, known, training.whitener.draw(rng, DRAWS))[0])
     # Each bound says how many times the noise of the fit there is; how cycles differ among themselves (how long they
     # are, how much is heated in them) that noise knows.
     sizes = {
         "what the model states of its own free runs": _rms(stated) / expected,
         "what is left of the fitted cycles": _rms(explained.residual) / fitted,
-        "what equal cycles differ by": scatter_of_equal_cycles(training) / expected,
+        "what equal cycles differ by": scatter_of_equal_cycles(training, rules) / expected,
     }
     source = min(sizes, key=lambda name: sizes[name])
     floor = sizes[source] * own
@@ -123,9 +111,9 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int) -> Noi
     return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
 
 
-def limit_parameter_errors(trial: HeldOutRun, taken: Array, alone: Array) -> Array:
+def limit_parameter_errors(trial: HeldOutRun, taken: Array, alone: Array, most: float) -> Array:
     """(m, d) degC what a fit's wrong parameters err by, `taken`, made so small in each cycle that the noise `alone` and
-    they together are at most MOST_BY_PARAMETERS of the noise alone (rms over the draws).
+    they together are at most `most` times the noise alone (rms over the draws).
 
     Where held-out cycles show what the fitted ones hardly do, the linear problem would let a parameter go anywhere. One
     share for all draws of a cycle, so that the floor and its interval are told from the same errors.
@@ -136,8 +124,8 @@ def limit_parameter_errors(trial: HeldOutRun, taken: Array, alone: Array) -> Arr
         np.bincount(cycle, np.sum(one * other, axis=1))
         for one, other in ((noise, noise), (noise, wrong), (wrong, wrong))
     )
-    # The positive root s of |n - s w|^2 = MOST_BY_PARAMETERS^2 |n|^2.
-    more = (MOST_BY_PARAMETERS**2 - 1.0) * own
+    # The positive root s of |n - s w|^2 = most^2 |n|^2.
+    more = (most**2 - 1.0) * own
     share = (both + np.sqrt(both**2 + by * more)) / np.maximum(by, 1e-300)
     return np.asarray(np.minimum(share, 1.0)[cycle][:, None] * taken)
 
@@ -192,7 +180,7 @@ def sensor_alone(fitted: Fitted) -> NoiseModel:
     return NoiseModel(sensor=in_window, process=0.0, rough=0.0, cycle=0.0)
 
 
-def scatter_of_equal_cycles(trial: HeldOutRun) -> float:
+def scatter_of_equal_cycles(trial: HeldOutRun, rules: DecisionRules) -> float:
     """degC rms by which free runs over equal cycles err differently; infinite where too few cycles can be compared.
 
     Cells are a location and a time since the last switch. What errs alike in all cycles of a cell is taken out: a
@@ -205,8 +193,8 @@ def scatter_of_equal_cycles(trial: HeldOutRun) -> float:
     cycle = np.unique(record.window_whole, return_inverse=True)[1]
     pairs, member = np.unique(np.column_stack([cell, cycle]), axis=0, return_inverse=True)
     shared = np.bincount(pairs[:, 0])
-    comparable = shared[cell] >= LEAST_EQUAL
-    if comparable.mean() < MOSTLY_COMPARABLE:
+    comparable = shared[cell] >= rules.equal_least_cycles
+    if comparable.mean() < rules.comparable_least_share:
         return float("inf")
     of_cycle = np.bincount(member.ravel(), trial.residual) / np.bincount(member.ravel())
     mean = np.bincount(pairs[:, 0], of_cycle) / shared
@@ -233,16 +221,16 @@ def sensor_noise(record: Record) -> float:
     return float(np.sqrt(np.mean(second**2) / 6.0)) if second.size else 0.0
 
 
-def excess(stated: Array, fitted: Fitted) -> Excess | None:
+def excess(stated: Array, fitted: Fitted, rules: DecisionRules) -> Excess | None:
     """The excess of a fit over what the given model states (`stated_errors`); None where it states nothing."""
     if not np.isfinite(stated).all():
         return None
     squares, _, cycles = mean_squares(let_run(fitted, fitted.frame.record.by_cycles()))
     ratio = np.sqrt(squares) / stated[np.isin(np.unique(fitted.frame.record.whole), cycles)]
-    return Excess(float(np.median(ratio)), float(np.quantile(ratio, SHARE)), rougher(fitted))
+    return Excess(float(np.median(ratio)), float(np.quantile(ratio, rules.wide_low_share)), rougher(fitted, rules))
 
 
-def rougher(fitted: Fitted) -> float:
+def rougher(fitted: Fitted, rules: DecisionRules) -> float:
     """The fit's process noise over the given model's own, heat with a memory in both; 0 where it hardly moves the
     sensor."""
     sha = fitted.frame.record.model.sha
@@ -256,7 +244,7 @@ def rougher(fitted: Fitted) -> float:
     moves = noise / np.sqrt(2.0 * rate)
     heats = [as_white(heat.params["sigma"], heat.params["memory"], rate) for heat in of_feature(sha, "disturbance")]
     learned = float(np.hypot(np.median(own), sum(heats)))
-    return noise / learned if moves >= FELT * fitted.sensor_sigma else 0.0
+    return noise / learned if moves >= rules.rougher_felt_sigmas * fitted.sensor_sigma else 0.0
 
 
 def spread_of(model: Model, traces: Sequence[Trace], record: Record, cycles: Indices) -> Array:

@@ -10,37 +10,10 @@ from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, effects_of, h
 from sim.discrepancy.gap import Excess, sensor_noise
 from sim.discrepancy.heat import HOUR
 from sim.discrepancy.held_out import HeldOutRun
-from sim.discrepancy.naming import MARGIN, NEAR, NamingStep, likeness
+from sim.discrepancy.naming import NamingStep, likeness
+from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import TIMES, shortest_visible, smooth_course
 from sim.sha import shown_unit
-
-ROBUST, SPREAD, OVERWHELMING = 1.0, 3.0, 20.0
-"""The z by cycles that a name needs where its information is spread over at least so many cycles, unless its gain is
-overwhelming (nats)."""
-FURTHER, LEFTOVER, LEFTOVER_OF_RIVAL = 5.0, 0.02, 0.3
-"""What a further name needs beyond the first one's threshold (nats): an effect whose shape is not quite right leaves
-something behind, of the order of these shares of its gain: from the lesser one, where the shape of the further name
-does not look like it (`NEAR`), up to the greater one, where both are the same."""
-MATERIAL = 0.5
-"""Sensor sigmas (rms) from which something matters: an effect, by what it does beyond what the model's parameters
-imitate, and a gap, by what the held-out free run errs by beyond the floor. Less than half of what one reading errs by
-can be felt by nobody, however certain many readings make it."""
-BESIDE, CLEARLY = 0.2, 40.0
-"""A further name must be so large beside the greatest before it, unless its gain is clear (nats)."""
-BEYOND_DOUBT = 60.0
-"""nats from which a name need not bring the error within the model's own noise."""
-CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
-"""Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
-systematic heat they found are withheld."""
-LEAST_REMOVED = 0.1
-"""Share of a held-out excess that matters which names remove at least: what leaves more is not what is missing."""
-MOSTLY_COVERED = 1.2
-"""Times the model's own spread up to which an error counts as covered by it."""
-MOST_HEAT = 10.0
-"""Times the fastest movement that a record shows (both in degC/s) up to which a heat or a cooling is believed: those of
-plants make 0.3 to 0.9 times, what was named of a measured box without being there thousands."""
-SURELY = 0.002
-"""The p from which such heat is a gap by itself, where no candidate stands for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +43,7 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
 
     `earlier` are the steps whose best entries are in the model already.
     """
-    best = candidate.best
+    best, rules = candidate.best, candidate.rules
     if best is None or not best.confirmed or best.gain < candidate.threshold:
         gain = best.gain if best is not None else 0.0
         return f"adds {gain:.1f} nats, and chance alone does {candidate.threshold:.1f} in one case of a hundred"
@@ -78,15 +51,17 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
         return "is certain and does not matter"
     # A further name must stand out of what the earlier ones' imperfect shapes leave behind, in degrees and in nats.
     others = [each.best.amplitude for each in earlier if each.best is not None]
-    if others and best.gain < CLEARLY and best.amplitude < BESIDE * max(others):
+    small = best.amplitude < rules.further_least_size_share * max(others, default=0.0)
+    if others and best.gain < rules.further_clear_nats and small:
         unit = shown_unit(candidate.before.frame.record.model.unit)
         return f"moves the temperature by {best.amplitude:.3f} {unit}, no more than the shapes before may have left"
-    needed = 0.0
+    needed, near = 0.0, rules.near_least_cosine
+    least, most = rules.leftover_share, rules.leftover_of_rival_share
     for step in earlier:
         if step.best is not None:
-            alike = max(likeness(step, best) - NEAR, 0.0) / (1.0 - NEAR)
-            needed = max(needed, step.best.gain * (LEFTOVER + alike * (LEFTOVER_OF_RIVAL - LEFTOVER)))
-    if earlier and best.gain < max(candidate.threshold + FURTHER, needed):
+            alike = max(likeness(step, best) - near, 0.0) / (1.0 - near)
+            needed = max(needed, step.best.gain * (least + alike * (most - least)))
+    if earlier and best.gain < max(candidate.threshold + rules.further_nats, needed):
         return f"adds {best.gain:.1f} nats, no more than the effects before may have left behind"
     return ""
 
@@ -96,23 +71,23 @@ def immaterial(candidate: NamingStep) -> bool:
     best = candidate.best
     if best is None or not best.confirmed or best.gain < candidate.threshold:
         return False
-    return best.amplitude < MATERIAL * sensor_noise(candidate.before.frame.record)
+    return best.amplitude < candidate.rules.material_sigmas * sensor_noise(candidate.before.frame.record)
 
 
 def dubious(candidate: NamingStep) -> str:
     """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
-    best = candidate.best
+    best, rules = candidate.best, candidate.rules
     if best is None:
         return "there is nothing to name"
     # Where the information lies in fewer than three cycles, single cycles cannot be asked to agree.
-    weak = best.spread >= SPREAD and best.gain < OVERWHELMING
-    if weak and abs(best.robust) < ROBUST:
+    weak = best.spread >= rules.spread_least_cycles and best.gain < rules.overwhelming_nats
+    if weak and abs(best.robust) < rules.robust_least_z:
         return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
     if weak and best.carried <= 0:
         return "does not carry over from cycle to cycle"
     if best.entry.rival:
         return "goes best with the data, and has no name"
-    if candidate.margin < MARGIN:
+    if candidate.margin < rules.margin_nats:
         return f"beats its rivals outside its class by {candidate.margin:.1f} nats only"
     return unbelievable(candidate)
 
@@ -128,7 +103,7 @@ def unbelievable(candidate: NamingStep) -> str:
         if 0 < time < shortest:
             return f"lasts {time:.3g} s, and nothing shorter than {shortest:.3g} s is visible in these rows"
     most, fastest = greatest_heat(candidate.before, named), fastest_movement(candidate.before)
-    if most > MOST_HEAT * fastest:
+    if most > candidate.rules.most_heat_times * fastest:
         unit = shown_unit(record.model.unit)
         return (
             f"would heat or cool by up to {most * HOUR:.3g} {unit}/h, and the fastest movement in these data is "
@@ -165,9 +140,10 @@ def description(path: NamingResult) -> str:
     return words(best.fitted.state.named[-1].params) if words is not None else best.entry.plain
 
 
-def systematic(ceiling: Ceiling | None) -> bool:
+def systematic(ceiling: Ceiling | None, rules: DecisionRules) -> bool:
     """True where a free learner predicts a share of the heat on unseen cycles that is no chance and no trifle."""
-    return ceiling is not None and ceiling.p <= CEILING_P and ceiling.share >= CEILING_SHARE
+    known = ceiling is not None and ceiling.p <= rules.ceiling_most_p
+    return known and ceiling is not None and ceiling.share >= rules.ceiling_least_share
 
 
 def systematic_heat(ceiling: Ceiling | None) -> float:
@@ -201,7 +177,7 @@ def doubts(
     """
     if not path.taken:
         return ()
-    reasons = []
+    reasons, rules = [], path.taken[0].rules
     if held.rmse_before <= held.noise_floor:
         reasons.append("the free run over the held-out cycles is no further off than noise alone: there is no gap")
     if shorter is not None and foreseen_better(shorter, second) <= 0:
@@ -210,7 +186,7 @@ def doubts(
         reasons.append("the held-out cycles are not better foreseen with it")
     if held.rmse_after > held.rmse_before:
         reasons.append("the free run over the held-out cycles is further off with it")
-    elif felt(held.rmse_after, held.rmse_given, sensor_noise(path.base.frame.record)):
+    elif felt(held.rmse_after, held.rmse_given, sensor_noise(path.base.frame.record), rules):
         reasons.append("the free run over the held-out cycles is further off with it than the model as it was given")
     elif _hardly_smaller(path, held):
         reasons.append(f"it removes {held.excess_removed:.0%} of what the free run over the held-out cycles is off by")
@@ -218,22 +194,26 @@ def doubts(
     # more, what the names themselves have taken out of the heat.
     explained = before is not None and left is not None and before.heat > left.heat
     whole = max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
-    if left is not None and systematic(left) and systematic_heat(left) > CEILING_LEFT * whole:
+    too_much = rules.ceiling_left_most_share * whole
+    if left is not None and systematic(left, rules) and systematic_heat(left) > too_much:
         reasons.append(f"a free learner still predicts {left.share:.0%} of the heat on cycles that it has not seen")
     return tuple(reasons)
 
 
 def _hardly_smaller(path: NamingResult, held: HeldOutProof) -> bool:
     """True where there is a held-out excess that could be felt, and nearly all of it is left."""
-    removed = held.excess_removed
-    return removed is not None and removed < LEAST_REMOVED and matters(held, sensor_noise(path.base.frame.record))
+    removed, rules = held.excess_removed, path.taken[0].rules
+    if removed is None or removed >= rules.removed_least_share:
+        return False
+    return matters(held, sensor_noise(path.base.frame.record), rules)
 
 
 def left_over(path: NamingResult, before: Excess | None, after: Excess | None) -> tuple[str, ...]:
     """Why names without a clear gain are withheld: the model's own noise did not cover its errors, nor does it now."""
-    if not path.taken or before is None or after is None or not before.wide:
+    if not path.taken or before is None or after is None or not before.wide(path.taken[0].rules):
         return ()
-    if _greatest_gain(path) >= BEYOND_DOUBT or after.median < MOSTLY_COVERED:
+    rules = path.taken[0].rules
+    if _greatest_gain(path) >= rules.beyond_doubt_nats or after.median < rules.covered_most_times:
         return ()
     return (f"with it the free run is still {after.median:.1f} times as far off as the model's own noise allows",)
 
@@ -242,33 +222,34 @@ def _greatest_gain(path: NamingResult) -> float:
     return max((step.best.gain for step in path.taken if step.best is not None), default=0.0)
 
 
-def matters(held: HeldOutProof, sensor: float) -> bool:
+def matters(held: HeldOutProof, sensor: float, rules: DecisionRules) -> bool:
     """True where the free run over the held-out cycles is further off than the floor by what could be felt.
 
     `sensor` (degC) is what one reading errs by.
     """
-    return felt(held.rmse_before, held.noise_floor, sensor)
+    return felt(held.rmse_before, held.noise_floor, sensor, rules)
 
 
-def felt(error: float, other: float, sensor: float) -> bool:
+def felt(error: float, other: float, sensor: float, rules: DecisionRules) -> bool:
     """True where an error (degC rms) is greater than another one by what could be felt."""
-    return error**2 - other**2 >= (MATERIAL * sensor) ** 2
+    return error**2 - other**2 >= (rules.material_sigmas * sensor) ** 2
 
 
-def above(held: HeldOutProof, floor: NoiseFloor, sensor: float) -> bool:
+def above(held: HeldOutProof, floor: NoiseFloor, sensor: float, rules: DecisionRules) -> bool:
     """True where the held-out error is a gap: beyond what chance makes of the noise, and by what could be felt."""
-    return held.rmse_before > floor.interval[1] and matters(held, sensor)
+    return held.rmse_before > floor.interval[1] and matters(held, sensor, rules)
 
 
 def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | None) -> tuple[str, ...]:
     """What speaks for a gap to which no name was given, the strongest first; nothing where nothing does."""
     step, refusal = path.steps[0]
+    rules = step.rules
     if refusal and not insignificant(step):
         return (f"{description(path) or step.members[0]} {refusal}",)
     # No candidate stands for it: then the free learner's word alone, or the model's own noise (decision 0031).
-    if systematic(before) and before is not None and before.p <= SURELY:
+    if systematic(before, rules) and before is not None and before.p <= rules.ceiling_alone_most_p:
         return ("a free learner predicts heat on cycles that it has not seen",)
-    return (beyond.words,) if beyond is not None and beyond.exceeded else ()
+    return (beyond.words(rules),) if beyond is not None and beyond.exceeded(rules) else ()
 
 
 def untested(

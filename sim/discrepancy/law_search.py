@@ -15,22 +15,13 @@ from sim.discrepancy.diagnosis import CandidateLaw
 from sim.discrepancy.fitting import Fitted, Record, as_read, filtered, on, sensitivity
 from sim.discrepancy.held_out import HeldOutRun, let_run
 from sim.discrepancy.law_family import LawColumns, LawForm, columns_on, family, products, signal_names
+from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import Projector, smooth_course
 from sim.effects import SINCE, TEMPERATURE, LineError, compiled, names_in, own_kind, parse
 from sim.sha import Array, EffectLine, LineParameter
 
 MOST, BEST = 3, 6
 """Laws that are shown at most, and forms of the first round that go into products."""
-LEAST_GAIN = 9.2
-"""Nats that a law must be worth after all that were tried are paid for: 1 in 10 000, as one more look costs nothing."""
-LEAST_SHARE, MOST_CYCLES = 0.25, 0.6
-"""The share of what is left that a law must take on held-out cycles, and the share of these that must agree."""
-ALIKE = 0.9
-"""Cosine from which two laws are one to these data."""
-SIMPLER = 2.0
-"""Nats that one more term must be worth."""
-CLOSE_BEHIND = 0.7
-"""The part of the surest law's gain that a further one must have."""
 SHORTEST, LONGEST, RHYTHMS = 1200.0, 48 * 3600.0, 2
 """Seconds between which rhythms are looked for, and how many of them become expressions."""
 CHUNK = 64
@@ -57,7 +48,7 @@ class _Scored:
 
 
 def candidate_laws(
-    base: Fitted, record: Record, fitted_until: int, floor: float, fitted_again: float = inf
+    base: Fitted, record: Record, fitted_until: int, floor: float, rules: DecisionRules, *, fitted_again: float = inf
 ) -> tuple[CandidateLaw, ...]:
     """At most three laws for what `base` leaves, the surest first; none where none holds on the held-out cycles.
 
@@ -89,7 +80,7 @@ def candidate_laws(
     there = columns_on(unseen, smooth_course(unseen), names, begin, periods)
     own = trial.record.windowed(sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first]))
     laws: list[CandidateLaw] = []
-    for number in _distinct(scored, tried):
+    for number in _distinct(scored, tried, rules):
         form = scored.forms[number]
         effect = scored.strength[number] * scored.columns[:, number]
         # The model's own parameters make room for the law as a joint fit would let them.
@@ -97,7 +88,7 @@ def candidate_laws(
         unit = _reading(unseen, _heats(unseen, there, [form]))[:, 0]
         after = trial.residual - scored.strength[number] * unit - own[:, : moved.size] @ moved
         share, better, cycles = _held_out(trial, after, floor)
-        if share >= LEAST_SHARE and better >= MOST_CYCLES * cycles:
+        if share >= rules.law_least_share and better >= rules.law_least_cycles_share * cycles:
             laws.append(
                 CandidateLaw(
                     expression=form.text,
@@ -108,7 +99,7 @@ def candidate_laws(
                     cycles=(better, cycles),
                     tried=tried,
                     experiment=form.experiment,
-                    alike=_alike(scored, number),
+                    alike=_alike(scored, number, rules),
                     line=_line(form, names, float(scored.strength[number]), len(laws) + 1),
                 )
             )
@@ -180,11 +171,12 @@ def _cosines(scored: _Scored, number: int) -> Array:
     return np.asarray(scored.weighed.T @ scored.columns[:, number] / (sizes * sizes[number]))
 
 
-def _distinct(scored: _Scored, tried: int) -> list[int]:
+def _distinct(scored: _Scored, tried: int, rules: DecisionRules) -> list[int]:
     """The surest forms that these data can tell apart: each the simplest of its kind, paid for."""
     terms = np.array([form.terms for form in scored.forms], dtype=float)
     # Bonferroni over all that were tried; among forms that say the same the simpler one is taken.
-    worth = np.where(scored.gain - np.log(tried) >= LEAST_GAIN, scored.gain - SIMPLER * terms, -np.inf)
+    paid = scored.gain - np.log(tried) >= rules.law_least_nats
+    worth = np.where(paid, scored.gain - rules.law_term_nats * terms, -np.inf)
     chosen: list[int] = []
     left = worth.copy()
     while len(chosen) < MOST and np.isfinite(left).any():
@@ -193,14 +185,15 @@ def _distinct(scored: _Scored, tried: int) -> list[int]:
         text = scored.forms[number].text
         # What only adds a factor to a surer law says nothing new.
         contained = np.array([text in form.text for form in scored.forms])
-        same = contained | (np.abs(_cosines(scored, number)) >= ALIKE)
-        left = np.where(same | (scored.gain < CLOSE_BEHIND * scored.gain[chosen[0]]), -np.inf, left)
+        same = contained | (np.abs(_cosines(scored, number)) >= rules.law_same_least_cosine)
+        far = scored.gain < rules.law_further_least_share * scored.gain[chosen[0]]
+        left = np.where(same | far, -np.inf, left)
     return chosen
 
 
-def _alike(scored: _Scored, number: int) -> tuple[str, ...]:
+def _alike(scored: _Scored, number: int, rules: DecisionRules) -> tuple[str, ...]:
     """Other expressions that these data cannot tell from one, within a tenth of its gain, three at most."""
-    near = np.abs(_cosines(scored, number)) >= ALIKE
+    near = np.abs(_cosines(scored, number)) >= rules.law_same_least_cosine
     near &= scored.gain >= 0.9 * scored.gain[number]
     order = [other for other in np.argsort(-scored.gain, kind="stable").tolist() if near[other] and other != number]
     texts = dict.fromkeys(scored.forms[other].text for other in order)

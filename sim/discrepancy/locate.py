@@ -13,12 +13,12 @@ import numpy as np
 from sim.discrepancy.diagnosis import HeatPlace
 from sim.discrepancy.fitting import Fitted, Record
 from sim.discrepancy.heat import Blocks, blocks_of, event_names, flips
+from sim.discrepancy.rules import DecisionRules
 from sim.sha import Array, Mask
 
 PHASES = (0.0, 240.0, 900.0, 3600.0, np.inf)
 """Seconds since a start or a stop at which cells are cut."""
-DRAWS, FAMILY = 4000, 0.05
-LEAST_CYCLES, LEAST_SHARE = 3, 0.02
+DRAWS = 4000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,11 +31,11 @@ class _Cell:
     when: str = ""
 
 
-def places(fitted: Fitted, seed: int) -> tuple[HeatPlace, ...]:
+def places(fitted: Fitted, seed: int, rules: DecisionRules) -> tuple[HeatPlace, ...]:
     """The cells in which the heat is not chance, the greatest share first."""
     record = fitted.frame.record
     blocks = blocks_of(fitted, 240.0)
-    cells = _cells(blocks, record)
+    cells = _cells(blocks, record, rules)
     if not cells:
         return ()
     numbers, order = np.unique(blocks.cycle, return_inverse=True)
@@ -54,7 +54,7 @@ def places(fitted: Fitted, seed: int) -> tuple[HeatPlace, ...]:
         p = float(np.mean(greatest >= abs(z[column]) - 1e-12))
         speaking = sums[:, column] != 0
         share = float(np.sum((blocks.heat**2 * blocks.seconds)[cell.rows])) / max(total, 1e-300)
-        if p <= FAMILY and share >= LEAST_SHARE:
+        if p <= rules.place_most_p and share >= rules.place_least_share:
             same = np.sign(sums[speaking, column]) == np.sign(z[column])
             heat = float(np.sum(energy[cell.rows]) / np.sum(blocks.seconds[cell.rows]))
             significant.append(
@@ -66,7 +66,7 @@ def places(fitted: Fitted, seed: int) -> tuple[HeatPlace, ...]:
                     heat=heat,
                     cycles=(int(same.sum()), int(speaking.sum())),
                     p=p,
-                    correlates=cell.signal or correlate(blocks, record, cell.rows),
+                    correlates=cell.signal or correlate(blocks, record, cell.rows, rules),
                     when=cell.when,
                 )
             )
@@ -79,7 +79,7 @@ def _z(sums: Array, signs: Array) -> Array:
     return np.asarray(signs @ sums / np.where(spread > 0, spread, 1.0))
 
 
-def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
+def _cells(blocks: Blocks, record: Record, rules: DecisionRules) -> list[_Cell]:
     """The family of cells that are searched: phases after a start or a stop, and strata of signals, by location."""
     start, stop = event_names(record)
     cells = []
@@ -89,7 +89,7 @@ def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
         phase, after = (blocks.since_start, start) if running else (blocks.since_stop, stop)
         for low, high in pairwise(PHASES):
             rows = in_location & (phase >= low) & (phase < high)
-            if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
+            if np.unique(blocks.cycle[rows]).size >= rules.place_least_cycles:
                 cells.append(_Cell(location=location, after=after, seconds=(low, high), rows=rows))
         # Strata: the location's blocks above and below the middle of each signal that varies in it. The middle of
         # the range, not the median, cuts a switched signal between its two values.
@@ -100,7 +100,7 @@ def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
             middle = 0.5 * (float(np.max(column[in_location])) + float(np.min(column[in_location])))
             for side, when in ((column > middle, "above"), (column <= middle, "up to")):
                 rows = in_location & side
-                if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
+                if np.unique(blocks.cycle[rows]).size >= rules.place_least_cycles:
                     when = f"{name} {when} {middle:.4g}"
                     seconds = (0.0, np.inf)
                     cells.append(
@@ -109,10 +109,10 @@ def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
     return cells
 
 
-def correlate(blocks: Blocks, record: Record, rows: Mask) -> str:
-    """The signal that the heat in `rows` goes with most (rank correlation of at least 0.3 in size), or ""."""
+def correlate(blocks: Blocks, record: Record, rows: Mask, rules: DecisionRules) -> str:
+    """The signal that the heat in `rows` goes with most, or ""."""
     heat = np.argsort(np.argsort(blocks.heat[rows])).astype(float)
-    best, chosen = 0.3, ""
+    best, chosen = rules.place_least_correlation, ""
     columns = [(name, blocks.signals[rows, number]) for number, name in enumerate(record.signals)]
     columns += [(record.model.temperature, blocks.course[rows])]
     for name, column in columns:

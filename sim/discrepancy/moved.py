@@ -4,17 +4,16 @@ import numpy as np
 
 from sim.discrepancy.diagnosis import Shift
 from sim.discrepancy.fitting import Fitted, shown_locations
+from sim.discrepancy.rules import DecisionRules
 from sim.effects import of_feature
 from sim.learning import RATES
 from sim.sha import RELAXING
 
-SIGMAS, LEAST_CHANGE = 4.0, 0.01
-"""A move is told from so many standard errors on, and from so large a change."""
 BOTH = 2.0
 """Variance of the difference over that of one fit: the given value is as uncertain as the fitted one."""
 
 
-def shifts(fitted: Fitted) -> tuple[Shift, ...]:
+def shifts(fitted: Fitted, rules: DecisionRules) -> tuple[Shift, ...]:
     """The moved parameters of a fit, the surest first; a target that lies off as machines do has not moved.
 
     A parameter is told in a location that the record shows; what no shown location has is not told at all: that it is
@@ -32,16 +31,16 @@ def shifts(fitted: Fitted) -> tuple[Shift, ...]:
     off = fitted.off[: p + r]
     moved = [
         _shift(fitted, number, where[number], float(off[number]), float(off[number] / errors[number]))
-        for number in np.flatnonzero(np.abs(off) >= SIGMAS * errors).tolist()
+        for number in np.flatnonzero(np.abs(off) >= rules.moved_least_sigmas * errors).tolist()
         if number in where
     ]
-    significant = [shift for shift in moved if _matters(shift)]
+    significant = [shift for shift in moved if _matters(shift, rules.moved_least_share)]
     return tuple(sorted(significant, key=lambda shift: -abs(shift.sigma)))
 
 
-def _matters(shift: Shift) -> bool:
+def _matters(shift: Shift, least: float) -> bool:
     change = (shift.after - shift.before) / max(abs(shift.before), 1e-12) if shift.change is None else shift.change
-    return abs(change) >= LEAST_CHANGE
+    return abs(change) >= least
 
 
 def told_in(fitted: Fitted) -> dict[int, str]:

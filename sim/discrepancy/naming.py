@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 
 from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit, rivals
+from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import (
     Projector,
     Screen,
@@ -22,16 +23,8 @@ from sim.sha import Array
 
 CONFIRMED, WORTH = 4, 1.0
 """Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
-SURE, LEAST_GAIN = 0.99, 14.0
-"""The share of draws without an effect whose greatest gain must lie below a name's, and the gain it needs at least."""
-SAME, NEAR = 0.9, 0.6
-"""Cosines from which two effects are of one class, or rivals."""
 ONE_CHAIN = frozenset({"dead-time", "sensor-lag"})
 """What lies between the heat and the reading is named once: a second name would mend the first one's shape."""
-MARGIN, ALIKE = 6.0, 0.01
-"""Nats by which a name must beat every rival, and the share of its gain for one of its class: by so little a shape
-that is not quite the plant's may win over its twin."""
-INVISIBLE = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,16 +56,17 @@ class EffectEvidence:
 
 @dataclass(frozen=True, slots=True)
 class NamingStep:
-    """A step from a fit: the evidence of every entry with its signals, best first; the threshold; and cosines.
+    """A step from a fit: the evidence of every entry with its signals, best first; the threshold; cosines; the rules.
 
     `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
-    projected out of both.
+    projected out of both. `rules` are those that it was made by and is judged by.
     """
 
     before: Fitted
     evidence: tuple[EffectEvidence, ...]
     threshold: float
     cosines: Mapping[str, float]
+    rules: DecisionRules
 
     @property
     def best(self) -> EffectEvidence | None:
@@ -81,12 +75,12 @@ class NamingStep:
 
     @property
     def members(self) -> tuple[str, ...]:
-        """The best entry's name and those of its class that do not lie a whole margin, and ALIKE, behind it."""
+        """The best entry's name and those of its class that do not lie a whole margin behind it."""
         if self.best is None:
             return ()
-        top = self.best.gain
-        twins = [twin for twin in self.evidence[1:] if abs(self.cosines.get(twin.entry.name, 0.0)) >= SAME]
-        near = (twin.entry.name for twin in twins if top - twin.gain < max(MARGIN, ALIKE * top))
+        top, same = self.best.gain, self.rules.same_least_cosine
+        twins = [twin for twin in self.evidence[1:] if abs(self.cosines.get(twin.entry.name, 0.0)) >= same]
+        near = (twin.entry.name for twin in twins if top - twin.gain < margin_of_class(top, self.rules))
         return (self.best.entry.name, *near)
 
     @property
@@ -104,12 +98,14 @@ def step(
     roles: Mapping[str, str],
     seed: int,
     told: Callable[[str], None] = lambda _: None,
+    *,
+    rules: DecisionRules,
 ) -> NamingStep:
     """Screen and confirm `entries` on top of a fit; each that is fitted is `told` by its name before."""
     screened = screen(before, entries, roles)
     # The catalogue is searched, so the greatest gain of many is judged: by its own law under "nothing is missing",
     # drawn from the fitted noise, not by the chi-square of a single test.
-    threshold = max(float(np.quantile(null_maximum(screened, seed), SURE)), LEAST_GAIN)
+    threshold = max(float(np.quantile(null_maximum(screened, seed), rules.sure_share)), rules.least_gain_nats)
     evidence = [_evidence(screened, number) for number in screened.best().values()]
     # The screen orders well but judges too low (its noise has swallowed a part of the effect): the first few are fitted
     # jointly, and only a gain of a joint refit can become a name.
@@ -123,24 +119,29 @@ def step(
         confirmed.append(confirm(before, each))
     # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
     top = max((each.gain for each in confirmed), default=0.0)
-    near = top - max(MARGIN, ALIKE * top)
+    near = top - margin_of_class(top, rules)
     special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.special}
     behind = [each for each in names[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
     confirmed += [confirm(before, each) for each in behind]
     done = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in done]
-    order = tuple(sorted(without_idle([*confirmed, *rest]), key=lambda each: -each.gain))
-    return NamingStep(before, order, threshold, _cosines(before, order))
+    order = tuple(sorted(without_idle([*confirmed, *rest], rules), key=lambda each: -each.gain))
+    return NamingStep(before, order, threshold, _cosines(before, order), rules)
 
 
-def without_idle(evidence: Sequence[EffectEvidence]) -> list[EffectEvidence]:
+def margin_of_class(gain: float, rules: DecisionRules) -> float:
+    """nats that one of the class of a name with that gain must lie behind it."""
+    return max(rules.margin_nats, rules.margin_share * gain)
+
+
+def without_idle(evidence: Sequence[EffectEvidence], rules: DecisionRules) -> list[EffectEvidence]:
     """The evidence without what does no better than a special case of itself, and a rival no better than the names."""
     names = [each for each in evidence if not each.entry.rival]
 
     def idle(wider: EffectEvidence) -> bool:
         special = wider.entry.candidate.special
         of = [each.gain for each in names if wider.entry.rival or each.entry.name in special]
-        return wider.gain - max(of, default=-np.inf) < max(MARGIN, ALIKE * wider.gain)
+        return wider.gain - max(of, default=-np.inf) < margin_of_class(wider.gain, rules)
 
     return [each for each in evidence if not idle(each)]
 

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from sim.discrepancy.fitting import CatalogueEntry, Fitted, fit
-from sim.discrepancy.judging import OVERWHELMING, NamingResult, dubious, insignificant
-from sim.discrepancy.naming import MARGIN, NamingStep, entries_besides, step
+from sim.discrepancy.judging import NamingResult, dubious, insignificant
+from sim.discrepancy.naming import NamingStep, entries_besides, step
+from sim.discrepancy.rules import DecisionRules
 
 Progress = Callable[[str, float], None]
 Judged = tuple[NamingStep, str]
@@ -19,6 +20,7 @@ def name(
     most: int,
     progress: Progress,
     *,
+    rules: DecisionRules,
     entries: Sequence[CatalogueEntry] = (),
 ) -> tuple[NamingResult, ...]:
     """Effects named one after the other, each on top of the ones before, until none deserves it; then revised.
@@ -33,14 +35,15 @@ def name(
         stage, share = f"looking for effect {number + 1}", 0.25 + 0.6 * number / (most + 1)
         progress(stage, share)
         told = _told(progress, stage, share)
-        candidate = step(fitted, entries_besides(fitted.state.named, entries), present, seed + number, told)
+        offered = entries_besides(fitted.state.named, entries)
+        candidate = step(fitted, offered, present, seed + number, told, rules=rules)
         earlier = [judged for judged, _ in taken]
         chance = insignificant(candidate, earlier)
         refusal = chance or dubious(candidate)
         best = candidate.best
         # Clear beyond doubt but for a rival that stands too near: it stays for the time being, with its refusal.
-        clear = best is not None and best.gain >= OVERWHELMING and not chance
-        only_rivalled = clear and best is not None and not best.entry.rival and candidate.margin < MARGIN
+        clear = best is not None and best.gain >= rules.overwhelming_nats and not chance
+        only_rivalled = clear and best is not None and not best.entry.rival and candidate.margin < rules.margin_nats
         if best is None or best.fitted is None or (refusal and not only_rivalled):
             refused = [(candidate, refusal)]
             break
@@ -96,7 +99,7 @@ def revised(
         old = before.best.entry.name if before.best is not None else ""
         others = [named for named in fitted.state.named if named.entry.name != old]
         without = fit(fitted.frame, others, fitted, rounds=2, iterations=8)
-        again = step(without, entries_besides(others, entries), present, seed + number, told)
+        again = step(without, entries_besides(others, entries), present, seed + number, told, rules=before.rules)
         rest = [other for place, (other, _) in enumerate(judged) if place != number]
         chance = insignificant(again, rest)
         if chance and rest:

@@ -35,7 +35,6 @@ from sim.discrepancy.fitting import (
 from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors
 from sim.discrepancy.held_out import HeldOutRun, compared, let_run
 from sim.discrepancy.judging import (
-    MATERIAL,
     NamingResult,
     above,
     description,
@@ -55,21 +54,14 @@ from sim.discrepancy.locate import places
 from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
+from sim.discrepancy.rules import RULES, DecisionRules
 from sim.discrepancy.story import course_of, sentence_of
 from sim.effects import ROLES, in_sensor_scale, signals_of
 from sim.sha import Array, EffectLine, Model, Trace, shown_unit, unit_of
 
-HELD_OUT = 0.3
-LEAST_CYCLES = 4
-"""Cycles below which nothing is said: three to fit, one to judge by."""
 MOST_NAMES = 3
-FIRST_NAME_CYCLES, CYCLES_PER_NAME = 6, 4
-"""Independent cycles, held-out ones included, without which nothing is named, and for each of several names."""
-TOO_FEW = f"would be named from fewer than {FIRST_NAME_CYCLES} cycles"
 TEMPERATURE_ROLES = ("ambient", "feed", "sink")
 """Roles of temperatures, which may as well be warmed by the machine as warm it."""
-MOST_OF_A_GAP = 0.5
-"""Share of the held-out excess that a small effect must remove to be what the gap is made of."""
 
 Progress = Callable[[str, float], None]
 
@@ -95,13 +87,14 @@ def diagnose(
     most: int = MOST_NAMES,
     experiments: Sequence[Trace] = (),
     progress: Progress | None = None,
+    rules: DecisionRules = RULES,
 ) -> DiagnosisOutcome:
     """The diagnosis of `traces` against `model`, with at most `most` names.
 
     `lines` are engineers' own effects, which are looked for beside the catalogue's. `roles` gives the signal of each
     role of these; those that no trace has take their effects off the table. `experiments` are traces of experiments
-    that were made to tell rivals apart: all of them are fitted, and none is held out. Raises ValueError, in one
-    sentence, when the traces cannot be followed at all.
+    that were made to tell rivals apart: all of them are fitted, and none is held out. `rules` decide. Raises
+    ValueError, in one sentence, when the traces cannot be followed at all.
     """
     report = progress or (lambda _stage, _share: None)
     # Artefacts of the public learner know no unit: then that of the traces is the model's.
@@ -111,17 +104,17 @@ def diagnose(
     laid_out = [patiently(trace, model.alphabet) for trace in (*usual, *in_order(experiments))]
     entries = catalogue(lines)
     roles = {**roles, **own_roles(lines)}
-    following = following_roles(model, laid_out, roles)
+    following = following_roles(model, laid_out, roles, rules)
     present = present_roles(laid_out, {role: each for role, each in roles.items() if role not in following})
     record = record_of(model, laid_out, signals_needed(model, present))
     first_made = first_cycle_after(record, usual)
     cycles = np.unique(record.window_cycle)  # those in which something was read
     cycles = cycles[cycles < first_made]
-    if cycles.size < LEAST_CYCLES:
-        return DiagnosisOutcome(_too_little(model, int(cycles.size)), (), None, None)
+    if cycles.size < rules.least_cycles:
+        return DiagnosisOutcome(_too_little(model, int(cycles.size), rules), (), None, None)
 
     # The last cycles are held out from everything but the proof: not even the screen may have seen them.
-    first_held_out = cycles[max(round((1.0 - HELD_OUT) * cycles.size), LEAST_CYCLES - 1)]
+    first_held_out = cycles[max(round((1.0 - rules.held_out_share) * cycles.size), rules.least_cycles - 1)]
     to_fit = (record.cycle < first_held_out) | (record.cycle >= first_made)
     training = anchored(on(frame_of(record), record.where(to_fit)))
     held_out = record.where(~to_fit).by_cycles()
@@ -131,19 +124,27 @@ def diagnose(
     base = fit(training, named_of(model))
     report("what a free learner could still explain", 0.2)
     ceiling_before = ceiling(base, seed)
-    allowed = min(most, int(cycles.size) // CYCLES_PER_NAME if cycles.size >= FIRST_NAME_CYCLES else 0)
-    paths = name(base, present, seed, max(allowed, 1), report, entries=entries)
+    enough = cycles.size >= rules.first_name_least_cycles
+    allowed = min(most, int(cycles.size) // rules.each_name_least_cycles if enough else 0)
+    paths = name(base, present, seed, max(allowed, 1), report, rules=rules, entries=entries)
 
     report("held-out cycles", 0.85)
     by_cycles, sensor = training.record.by_cycles(), sensor_noise(training.record)
     stated = stated_errors(model, laid_out, base)
-    floor = floor_of(stated, paths[0].explained, held_out, seed)
+    floor = floor_of(stated, paths[0].explained, held_out, seed, rules)
     proof = _Proof(
-        held_out=held_out, floor=floor, stated=stated, before=excess(stated, base), ceiling=ceiling_before, seed=seed
+        held_out=held_out,
+        floor=floor,
+        stated=stated,
+        before=excess(stated, base, rules),
+        ceiling=ceiling_before,
+        seed=seed,
+        rules=rules,
     )
     paths = (_with_the_gap_itself(paths[0], held_out, seed, floor), *paths[1:])
     if not allowed:
-        paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], TOO_FEW),)) for path in paths[:1])
+        few = f"would be named from fewer than {rules.first_name_least_cycles} cycles"
+        paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], few),)) for path in paths[:1])
     judged = _longest_that_passes(proof, paths)
     path, kept = judged.path, bool(judged.path.taken) and not judged.reasons
     if kept:
@@ -151,14 +152,14 @@ def diagnose(
     else:
         # Nothing is added: what the report shows is the refit itself, or the model as given, if that is better.
         refit = judged.held.rmse_before
-        refused = felt(refit, judged.held.rmse_given, sensor)
+        refused = felt(refit, judged.held.rmse_given, sensor, rules)
         base = after = given_fit(base) if refused else base
         held, first, second = compared(base, base, held_out, seed, floor)
         held = replace(held, rmse_refit=refit if refused else None)
-    gap = above(held, floor, sensor)
+    gap = above(held, floor, sensor, rules)
     # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
-    began = beginning((let_run(after, by_cycles), second), MATERIAL * sensor)
-    material = matters(held, sensor) and (gap or kept or bool(evidence_of(path, ceiling_before, proof.before)))
+    began = beginning((let_run(after, by_cycles), second), rules.material_sigmas * sensor, rules)
+    material = matters(held, sensor, rules) and (gap or kept or bool(evidence_of(path, ceiling_before, proof.before)))
     ceiling_after, reasons = judged.ceiling, judged.reasons
     verdict: Verdict = "agree"
     if kept:
@@ -175,20 +176,23 @@ def diagnose(
         reasons = ()
     described = description(path) if verdict == "unexplained" else ""
 
-    law = absorbed(after, present["current"], held_out, pump=present.get("pump")) if "current" in present else None
+    law = None
+    if "current" in present:
+        law = absorbed(after, present["current"], held_out, rules, pump=present.get("pump"))
     report("where the heat is", 0.95)
-    where = places(base, seed)
-    remaining = places(after, seed) if kept else where
+    where = places(base, seed, rules)
+    remaining = places(after, seed, rules) if kept else where
     shown = held.ci95 is not None and held.ci95[0] > 0.0
     effects = tuple(replace(effect_of(step, after), shrinking_shown=shown) for step in path.taken) if kept else ()
-    moved = shifts(after)
-    unexplained = remaining if verdict == "unexplained" or (kept and systematic(ceiling_after)) else ()
+    moved = shifts(after, rules)
+    unexplained = remaining if verdict == "unexplained" or (kept and systematic(ceiling_after, rules)) else ()
     laws: tuple[CandidateLaw, ...] = ()
     if verdict == "unexplained":
         report("laws to look at", 0.97)
         # All that is measured, not only what the catalogue knows a role for: a record of its own on the same knots.
-        everything = record_of(model, laid_out, measured_signals(model, laid_out))
-        laws = candidate_laws(base, everything, int(first_held_out), floor.error, first_made)
+        everything = record_of(model, laid_out, measured_signals(model, laid_out, rules))
+        until = int(first_held_out)
+        laws = candidate_laws(base, everything, until, floor.error, rules, fitted_again=first_made)
     fitted_cycles = int(np.unique(base.frame.record.window_cycle).size)
     noise = path.fitted.noise
     excesses = {"excess_before": proof.before, "excess_after": judged.excess}
@@ -259,11 +263,13 @@ def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str
     return present
 
 
-def following_roles(model: Model, traces: Sequence[Trace], roles: Mapping[str, str]) -> frozenset[str]:
+def following_roles(
+    model: Model, traces: Sequence[Trace], roles: Mapping[str, str], rules: DecisionRules
+) -> frozenset[str]:
     """The roles of temperatures whose signal follows the model's own (`follows`); one that the model reads is kept."""
     read = set(_inputs(model)) | {*signals_of(model.sha)}
     asked = {role: roles[role] for role in TEMPERATURE_ROLES if role in roles and roles[role] not in read}
-    return frozenset(role for role, signal in asked.items() if follows(traces, model.temperature, signal))
+    return frozenset(role for role, signal in asked.items() if follows(traces, model.temperature, signal, rules))
 
 
 def _inputs(model: Model) -> tuple[str, ...]:
@@ -276,11 +282,11 @@ def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*_inputs(model), *present.values()]))
 
 
-def measured_signals(model: Model, traces: Sequence[Trace]) -> tuple[str, ...]:
+def measured_signals(model: Model, traces: Sequence[Trace], rules: DecisionRules) -> tuple[str, ...]:
     """All signals that some trace has with at least two different values, none of which follows the temperature."""
     names = dict.fromkeys(name for trace in traces for name in trace.signals if name != model.temperature)
     present = present_roles(traces, {name: name for name in names})
-    causes = [name for name in present if not follows(traces, model.temperature, name)]
+    causes = [name for name in present if not follows(traces, model.temperature, name, rules)]
     return tuple(dict.fromkeys([*_inputs(model), *causes]))
 
 
@@ -294,6 +300,7 @@ class _Proof:
     before: Excess | None
     ceiling: Ceiling | None
     seed: int
+    rules: DecisionRules
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,7 +329,7 @@ def _longest_that_passes(proof: _Proof, paths: Sequence[NamingResult]) -> _Judge
 def _judge_path(proof: _Proof, path: NamingResult, shorter: NamingResult | None) -> _JudgedPath:
     held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor)
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
-    excess_after = excess(proof.stated, path.fitted) if path.taken else proof.before
+    excess_after = excess(proof.stated, path.fitted, proof.rules) if path.taken else proof.before
     reasons = (
         *doubts(
             path,
@@ -345,22 +352,24 @@ def _with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor:
     off by elsewhere.
     """
     step, _ = path.steps[-1]
+    rules = step.rules
     if path.taken or not immaterial(step) or dubious(step) or step.best is None or step.best.fitted is None:
         return path
     held, _, _ = compared(path.base, step.best.fitted, held_out, seed, floor)
     removed, interval = held.excess_removed, held.ci95
-    if not matters(held, sensor_noise(path.base.frame.record)) or removed is None or interval is None:
+    if not matters(held, sensor_noise(path.base.frame.record), rules) or removed is None or interval is None:
         return path
-    if removed < MOST_OF_A_GAP or interval[0] <= 0:
+    if removed < rules.gap_itself_least_share or interval[0] <= 0:
         return path
     return replace(path, fitted=step.best.fitted, steps=((step, ""),))
 
 
-def _too_little(model: Model, cycles: int) -> Diagnosis:
+def _too_little(model: Model, cycles: int, rules: DecisionRules) -> Diagnosis:
+    needed = f"at least {rules.least_cycles} are needed, better ten"
     return Diagnosis(
         verdict="too-little-data",
         sentence=sentence_of("too-little-data", (), unexplained=(), shifts=(), held=None, cycles=cycles, unit=""),
-        reasons=(f"{cycles} cycle{'' if cycles == 1 else 's'} in all; at least {LEAST_CYCLES} are needed, better ten",),
+        reasons=(f"{cycles} cycle{'' if cycles == 1 else 's'} in all; {needed}",),
         effects=(),
         shifts=(),
         places=(),

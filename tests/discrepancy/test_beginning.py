@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from sim.discrepancy import beginning_sentence
-from sim.discrepancy.beginning import LEAST_SIDE, beginning
+from sim.discrepancy.beginning import beginning
 from sim.discrepancy.fitting import Fitted, fit, frame_of, on, record_of
 from sim.discrepancy.held_out import HeldOutRun, let_run
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.story import shown_time
 from sim.discrepancy.workflow import diagnose
 from sim.engine import linear_recursion
@@ -35,7 +36,7 @@ def changed(trial: HeldOutRun, errors: Array) -> HeldOutRun:
 
 @pytest.mark.parametrize("cut", [4, 8, 11])
 def test_a_step_is_dated_by_the_cycle_with_which_it_begins(trial: HeldOutRun, cut: int) -> None:
-    found = beginning((changed(trial, np.where(np.arange(15) >= cut, 1.5, 0.0)),), 0.03)
+    found = beginning((changed(trial, np.where(np.arange(15) >= cut, 1.5, 0.0)),), 0.03, RULES)
     assert found is not None and found.running
     assert (found.before, found.after) == (cut, 15 - cut)
     starts = trial.record.runs.time[trial.record.runs.first]
@@ -47,10 +48,10 @@ def test_what_is_clean_grows_or_wanders_begins_nowhere(trial: HeldOutRun) -> Non
     grows = np.linspace(0.0, 2.5, 15)
     wanders = np.repeat([0.0, 1.5, 0.0, 1.5, 0.0], 3)
     for errors in (np.zeros(15), grows, wanders):
-        assert beginning((changed(trial, errors),), 0.03) is None
-    late = np.where(np.arange(15) >= 16 - LEAST_SIDE, 1.5, 0.0)
-    found = beginning((changed(trial, late),), 0.03)
-    assert found is None or found.after >= LEAST_SIDE
+        assert beginning((changed(trial, errors),), 0.03, RULES) is None
+    late = np.where(np.arange(15) >= 16 - RULES.beginning_least_cycles, 1.5, 0.0)
+    found = beginning((changed(trial, late),), 0.03, RULES)
+    assert found is None or found.after >= RULES.beginning_least_cycles
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +71,9 @@ def test_a_machine_that_runs_on_is_dated_by_stretches_of_its_run(run_on: HeldOut
     number, starts = pieces_of(run_on)
     count = starts.size
     assert np.unique(run_on.record.window_whole).size < 3 and count > 20
-    assert beginning((run_on,), 0.03) is None
+    assert beginning((run_on,), 0.03, RULES) is None
     cut = count // 3
-    found = beginning((replace(run_on, residual=run_on.residual + 1.5 * (number >= cut)),), 0.03)
+    found = beginning((replace(run_on, residual=run_on.residual + 1.5 * (number >= cut)),), 0.03, RULES)
     assert found is not None and found.running and found.moves == pytest.approx(1.5, abs=0.3)
     assert found.interval[0] <= starts[cut] <= found.interval[1]
     assert found.stretch == pytest.approx(np.median(np.diff(starts)), rel=0.1)
@@ -85,7 +86,7 @@ def test_what_fails_in_two_steps_begins_with_the_first(run_on: HeldOutRun) -> No
     number, starts = pieces_of(run_on)
     first, second = starts.size // 5, 3 * starts.size // 5
     errors = 2.0 * (number >= first) + 2.0 * (number >= second)
-    found = beginning((replace(run_on, residual=run_on.residual + errors),), 0.03)
+    found = beginning((replace(run_on, residual=run_on.residual + errors),), 0.03, RULES)
     assert found is not None and found.then is not None
     assert abs(found.time - starts[first]) <= found.stretch and abs(found.then[0] - starts[second]) <= found.stretch
     assert found.moves == pytest.approx(2.0, abs=0.4) and found.then[1] == pytest.approx(4.0, abs=0.4)
@@ -95,9 +96,9 @@ def test_what_fails_in_two_steps_begins_with_the_first(run_on: HeldOutRun) -> No
 def test_a_jump_stands_out_of_an_error_that_wanders_as_the_run_goes_on(run_on: HeldOutRun) -> None:
     number, starts = pieces_of(run_on)
     slow = 1.2 * np.sin(np.arange(starts.size) / 6.0)[number]
-    assert beginning((replace(run_on, residual=run_on.residual + slow),), 0.03) is None
+    assert beginning((replace(run_on, residual=run_on.residual + slow),), 0.03, RULES) is None
     cut = starts.size // 2
-    found = beginning((replace(run_on, residual=run_on.residual + slow + 8.0 * (number >= cut)),), 0.03)
+    found = beginning((replace(run_on, residual=run_on.residual + slow + 8.0 * (number >= cut)),), 0.03, RULES)
     assert found is not None and abs(found.time - starts[cut]) <= found.stretch
 
 
@@ -105,7 +106,7 @@ def test_random_walks_of_a_long_run_begin_nowhere(run_on: HeldOutRun) -> None:
     number, starts = pieces_of(run_on)
     rng = np.random.default_rng(5)
     begun = [
-        beginning((replace(run_on, residual=np.cumsum(rng.standard_normal(starts.size))[number]),), 0.03)
+        beginning((replace(run_on, residual=np.cumsum(rng.standard_normal(starts.size))[number]),), 0.03, RULES)
         for _ in range(20)
     ]
     assert sum(found is not None for found in begun) == 0
@@ -115,7 +116,7 @@ def test_clean_plants_begin_nowhere() -> None:
     for seed in range(20, 28):
         record = record_of(model(), [plant(seed, days=4)], ())
         base = fit(on(frame_of(record), record), rounds=2)
-        assert beginning((let_run(base, record.by_cycles()),), 0.03) is None, seed
+        assert beginning((let_run(base, record.by_cycles()),), 0.03, RULES) is None, seed
 
 
 def test_an_exchanged_bearing_is_a_gap_with_its_date() -> None:

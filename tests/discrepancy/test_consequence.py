@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sim.discrepancy.consequence import follows
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.workflow import diagnose, measured_signals
 from sim.sha.trace import Array, Trace
 from tests.discrepancy.plants import PERIOD, model, plant
@@ -33,11 +34,11 @@ def beside(trace: Trace, share: float, lag: float) -> Trace:
 
 @pytest.mark.parametrize("lag", [1.0, 300.0, 1800.0, 7200.0])
 def test_a_sensor_of_the_same_circuit_follows(lag: float) -> None:
-    assert follows([beside(plant(3), 0.8, lag)], "T", "S")
+    assert follows([beside(plant(3), 0.8, lag)], "T", "S", RULES)
 
 
 def test_a_room_that_the_machine_hardly_warms_does_not() -> None:
-    assert not follows([beside(plant(3), 0.03, 600.0)], "T", "S")
+    assert not follows([beside(plant(3), 0.03, 600.0)], "T", "S", RULES)
 
 
 @pytest.mark.parametrize("lag", [300.0, 900.0, 1500.0, 6000.0])
@@ -47,16 +48,16 @@ def test_what_the_temperature_follows_does_not_follow_it(lag: float, heat: float
     room = 17.0 + np.cumsum(0.05 * rng.standard_normal(trace.times.size))
     warm = lagged(room, lag) + heat * (trace.signals["T"] - 17.0) + 0.06 * rng.standard_normal(room.size)
     there = replace(trace, signals={**trace.signals, "S": np.round(room, 1), "T": warm})
-    assert not follows([there], "T", "S")
+    assert not follows([there], "T", "S", RULES)
     if not heat:
         # What is a cause of the one is a consequence of the other: the same readings with the roles exchanged.
-        assert lag > 1500.0 or follows([there], "S", "T")
+        assert lag > 1500.0 or follows([there], "S", "T", RULES)
 
 
 @pytest.mark.parametrize("which", [{}, {"room": 3.0}, {"room": 5.0, "runs_on": True}, {"bowl": 0.05}])
 def test_no_signal_that_drives_a_plant_follows_it(which: dict[str, float]) -> None:
     trace = plant(3, **which)  # type: ignore[arg-type]
-    assert [name for name in trace.signals if name != "T" and follows([trace], "T", name)] == []
+    assert [name for name in trace.signals if name != "T" and follows([trace], "T", name, RULES)] == []
 
 
 def test_in_a_measured_circuit_the_other_oil_temperatures_follow_and_the_cooler_does_not() -> None:
@@ -65,7 +66,7 @@ def test_in_a_measured_circuit_the_other_oil_temperatures_follow_and_the_cooler_
     rows = np.genfromtxt(RIG, delimiter=",", names=True)
     names = ("TS1", "TS2", "TS3", "TS4", "cooler", "leak")
     trace = Trace("rig", rows["time"], {name: rows[name] for name in names})
-    found = {name: follows([trace], "TS1", name) for name in names[1:]}
+    found = {name: follows([trace], "TS1", name, RULES) for name in names[1:]}
     assert found == {"TS2": True, "TS3": True, "TS4": True, "cooler": False, "leak": False}
 
 
@@ -77,4 +78,4 @@ def test_a_consequence_is_no_room_and_drives_no_law() -> None:
     assert found.untested["ambient-coupling"] == (
         "TAmbiente (ambient) follows T in these traces: it is a consequence, and no cause"
     )
-    assert measured_signals(model(), [trace]) == ("MarciaDecanter", "Assorbimento", "MarciaPmpFango")
+    assert measured_signals(model(), [trace], RULES) == ("MarciaDecanter", "Assorbimento", "MarciaPmpFango")

@@ -9,6 +9,7 @@ from sim.discrepancy.constants import absorbed
 from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.record import record_of
+from sim.discrepancy.rules import RULES
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
 from sim.sha.events import Alphabet, Bins, Switch, encode
 from sim.sha.model import Model
@@ -90,7 +91,7 @@ def test_the_law_behind_the_lines_is_told_where_there_is_one(law: dict[str, floa
     last = np.unique(record.cycle)[-3]
     fitted = fit(on(frame_of(record), record.where(record.cycle < last)))
     held_out = record.where(record.cycle >= last).by_cycles()
-    found = absorbed(fitted, "Assorbimento", held_out, pump="MarciaPmpFango")
+    found = absorbed(fitted, "Assorbimento", held_out, RULES, pump="MarciaPmpFango")
     assert (found.name if found else None) == name
     if found:
         assert found.instead == len(found.coefficients) < found.constants == 6

@@ -25,6 +25,7 @@ from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.judging import NamingResult
 from sim.discrepancy.naming import NamingStep, step
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.workflow import diagnose
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
@@ -46,7 +47,7 @@ def looked_at(traces: list[Trace]) -> NamingStep:
     """A weak heat of the current that comes late, and the rival of which it is a case."""
     record = record_of(GIVEN, traces, ("Assorbimento",))
     entries = [entry for entry in catalogue() if entry.name in (WEAK.kind, "late-current-heating")]
-    return step(fit(on(frame_of(record), record)), [*entries, *rivals()], CURRENT, 0)
+    return step(fit(on(frame_of(record), record)), [*entries, *rivals()], CURRENT, 0, rules=RULES)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ from sim.discrepancy.diagnosis import HeldOutProof, NoiseFloor
 from sim.discrepancy.fitting import Fitted, Record, fit, frame_of, on, record_of
 from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.gap import (
-    MOST_BY_PARAMETERS,
     floor_of,
     limit_parameter_errors,
     predicted,
@@ -20,11 +19,13 @@ from sim.discrepancy.gap import (
 from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares
 from sim.discrepancy.judging import NamingResult, above, doubts
 from sim.discrepancy.naming import NamingStep, confirm, step
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.story import held_out_sentence
-from sim.discrepancy.workflow import FIRST_NAME_CYCLES, diagnose
+from sim.discrepancy.workflow import diagnose
 from sim.sha import Model, Trace
 from tests.discrepancy.plants import model, plant
 
+MOST = RULES.floor_parameters_most_times
 FOUR_DAYS = 12
 """Cycles of four days."""
 
@@ -48,7 +49,7 @@ def pumped() -> tuple[Fitted, Record]:
 
 
 def floor(made: Model, trace: Trace, base: Fitted, held_out: Record) -> NoiseFloor:
-    return floor_of(stated_errors(made, [trace], base), base, held_out, 0)
+    return floor_of(stated_errors(made, [trace], base), base, held_out, 0, RULES)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 11])
@@ -93,21 +94,21 @@ def test_what_wrong_parameters_err_by_is_at_most_what_the_noise_does_in_each_cyc
     cycles = mean_squares(trial)[2]
     wrong = trial.record.windowed(trial.record.running)[:, None] * np.random.default_rng(1).standard_normal(50)
     alone, _ = predicted(trial, cycles, noise)
-    for size, most in ((1e-4, 1.01), (10.0, MOST_BY_PARAMETERS)):
-        errs, drawn = predicted(trial, cycles, noise - limit_parameter_errors(trial, size * wrong, noise))
+    for size, most in ((1e-4, 1.01), (10.0, MOST)):
+        errs, drawn = predicted(trial, cycles, noise - limit_parameter_errors(trial, size * wrong, noise, MOST))
         assert (errs <= most * alone * (1 + 1e-9)).all() and drawn.size == 50
-    assert errs == pytest.approx(MOST_BY_PARAMETERS * alone), "from the same draws as the interval"
+    assert errs == pytest.approx(MOST * alone), "from the same draws as the interval"
 
 
 def test_what_all_equal_cycles_err_by_alike_is_no_noise() -> None:
     record = record_of(model(), [plant(1, days=6)], ())
     base = fit(on(frame_of(record), record), rounds=2)
     trial = let_run(base, base.frame.record.by_cycles())
-    before = scatter_of_equal_cycles(trial)
+    before = scatter_of_equal_cycles(trial, RULES)
     # Three degrees more in each cycle's running hours: an error of all alike.
     running = trial.record.windowed(trial.record.running) > 0.5
     missing = replace(trial, residual=trial.residual + 3.0 * running)
-    assert scatter_of_equal_cycles(missing) == pytest.approx(before, rel=0.05)
+    assert scatter_of_equal_cycles(missing, RULES) == pytest.approx(before, rel=0.05)
     assert np.sqrt(np.mean(missing.residual**2)) > 5.0 * before
 
 
@@ -125,9 +126,9 @@ def test_neither_another_column_nor_its_digits_nor_names_move_floor_or_verdict()
 def test_an_error_beyond_the_interval_that_could_be_felt_is_a_gap_and_within_it_none() -> None:
     made = NoiseFloor(0.2, (0.1, 0.3), np.arange(4), np.full(4, 0.2), "the sensor alone")
     held = HeldOutProof(4, 4, 0.5, 0.31, 0.31, 0.2, None, None, ())
-    assert above(held, made, sensor=0.1)
-    assert not above(replace(held, rmse_before=0.29), made, sensor=0.1)
-    assert not above(held, made, sensor=2.0), "nobody feels it"
+    assert above(held, made, sensor=0.1, rules=RULES)
+    assert not above(replace(held, rmse_before=0.29), made, sensor=0.1, rules=RULES)
+    assert not above(held, made, sensor=2.0, rules=RULES), "nobody feels it"
 
 
 def test_before_is_told_of_the_model_as_given_and_refitted_and_no_more_than_all_is_removed(
@@ -146,7 +147,7 @@ def test_before_is_told_of_the_model_as_given_and_refitted_and_no_more_than_all_
 
 def confirmed(before: Fitted, name: str) -> NamingStep:
     present = {"pump": "MarciaPmpFango"}
-    found = step(before, [one for one in catalogue() if one.name == name], present, 0)
+    found = step(before, [one for one in catalogue() if one.name == name], present, 0, rules=RULES)
     assert found.best is not None
     mine = next(each for each in found.evidence if each.entry.name == name)
     return replace(found, evidence=(confirm(before, mine),))
@@ -165,7 +166,7 @@ def test_a_superfluous_second_name_does_not_take_the_first_one_down(pumped: tupl
     whole = NamingResult(base, second, ((first, ""), (harmful, "")))
     beginning = NamingResult(base, pump, ((first, ""), (harmful, "does not pass")))
     made = floor(model(), plant(3, pump=2e-4), pump, held_out)
-    proof = workflow._Proof(held_out, made, np.full(8, 0.1), None, None, 0)
+    proof = workflow._Proof(held_out, made, np.full(8, 0.1), None, None, 0, RULES)
     judged = workflow._longest_that_passes(proof, [whole, beginning])
     assert judged.path is beginning and judged.reasons == ()
     alone = workflow._longest_that_passes(proof, [whole])
@@ -175,7 +176,7 @@ def test_a_superfluous_second_name_does_not_take_the_first_one_down(pumped: tupl
 def test_a_name_needs_cycles_of_its_own() -> None:
     trace = plant(7, days=2, churning=0.006)
     starts = [event.time for event in trace.events if event.symbol == "W_ON"]
-    few = trace.between(float(trace.times[0]), starts[FIRST_NAME_CYCLES - 1] - 60.0)
+    few = trace.between(float(trace.times[0]), starts[RULES.first_name_least_cycles - 1] - 60.0)
     few = replace(few, events=tuple(event for event in trace.events if event.time <= few.times[-1]))
     found = diagnose(model(), [few], seed=0).diagnosis
     assert found.verdict == "unexplained" and found.effects == ()

@@ -14,6 +14,7 @@ from sim.discrepancy.heat import REACH, implied_heat
 from sim.discrepancy.held_out import let_run
 from sim.discrepancy.judging import NamingResult, doubts
 from sim.discrepancy.naming import NamingStep, confirm, step
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.story import sentence_of
 from tests.discrepancy.plants import model, plant
 
@@ -25,7 +26,7 @@ def base() -> Fitted:
 
 
 def confirmed(base: Fitted, name: str) -> NamingStep:
-    found = step(base, [one for one in catalogue() if one.name == name], {"pump": "MarciaPmpFango"}, 0)
+    found = step(base, [one for one in catalogue() if one.name == name], {"pump": "MarciaPmpFango"}, 0, rules=RULES)
     assert found.best is not None
     return replace(found, evidence=(confirm(base, found.best),))
 

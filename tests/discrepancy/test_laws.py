@@ -17,6 +17,7 @@ from sim.discrepancy.law_search import candidate_laws
 from sim.discrepancy.naming import step
 from sim.discrepancy.output.diagnosis_json import document, document_text
 from sim.discrepancy.output.report import Occasion, report_html
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.workflow import diagnose, measured_signals, present_roles, signals_needed
 from tests.cli.support import decanter, only_object, refused
 from tests.discrepancy.plants import model
@@ -29,11 +30,11 @@ SPREAD = 0.39
 def laws_of(hidden: Hidden, seed: int = 1) -> tuple[CandidateLaw, ...]:
     """The laws of what the plant's own model leaves, without the naming before."""
     trace = plant(seed, hidden)
-    record = record_of(model(), [trace], measured_signals(model(), [trace]))
+    record = record_of(model(), [trace], measured_signals(model(), [trace], RULES))
     last = int(np.quantile(np.unique(record.cycle), 0.7))
     training = record.where(record.cycle < last)
     base = fit(on(frame_of(record), training), rounds=2)
-    return candidate_laws(base, record, last, SPREAD)
+    return candidate_laws(base, record, last, SPREAD, RULES)
 
 
 def coupled(_: float, x: float, signals: dict[str, float]) -> float:
@@ -94,7 +95,7 @@ def test_a_law_that_a_person_names_is_named_by_the_next_diagnosis(found: Diagnos
     present = present_roles([trace], {"current": "Assorbimento", **own_roles([line])})
     base = fit(frame_of(record_of(model(), [trace], signals_needed(model(), present))), rounds=2)
     offered = [entry for entry in entries if entry.name in ("rinse", "startup-churning", "quadratic-current-heating")]
-    best = step(base, offered, present, 0).best
+    best = step(base, offered, present, 0, rules=RULES).best
     assert best is not None and best.fitted is not None
     assert (best.entry.name, best.gain > 60.0) == ("rinse", True)
     assert best.fitted.state.named[-1].strength == pytest.approx(1e-4, rel=0.2)

@@ -7,6 +7,7 @@ import pytest
 
 from sim.discrepancy.fitting import Fitted, anchored, fit, frame_of, on, record_of
 from sim.discrepancy.moved import shifts
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.story import sentence_of
 from sim.sha import Model
 from sim.sha.events import encode
@@ -35,7 +36,7 @@ def never_off(k: float) -> Fitted:
 
 
 def test_a_rate_that_moved_is_said_of_a_location_in_which_the_machine_was() -> None:
-    found = shifts(never_off(1 / 700))
+    found = shifts(never_off(1 / 700), RULES)
     rates = [each for each in found if each.parameter == "k"]
     assert [each.location for each in rates] == ["LOW"]
     assert rates[0].after == pytest.approx(1 / 1500, rel=0.2)
@@ -49,7 +50,7 @@ def test_only_of_a_location_that_the_record_shows_a_target_is_said_to_have_moved
     high = fitted.frame.names.targets.index("HIGH")
     off = fitted.off.copy()
     off[high] = 10.0 * np.sqrt(2.0 * fitted.covariance[high, high])
-    assert ("HIGH" in {each.location for each in shifts(replace(fitted, off=off))}) is told
+    assert ("HIGH" in {each.location for each in shifts(replace(fitted, off=off), RULES)}) is told
 
 
 @pytest.mark.parametrize(
@@ -62,7 +63,7 @@ def test_a_target_moves_by_degrees_and_by_a_share_where_that_says_something(heig
     off = np.zeros_like(fitted.off)
     off[high] = heights * 45.0
     covariance = np.where(np.arange(off.size) == high, 1e-4, 1e4)
-    found = shifts(replace(fitted, off=off, covariance=np.diag(covariance)))
+    found = shifts(replace(fitted, off=off, covariance=np.diag(covariance)), RULES)
     assert [each.location for each in found] == ["HIGH"]
     assert found[0].change == (pytest.approx(0.1) if heights == 0.1 else None)
     sentence = sentence_of("agree", (), unexplained=(), shifts=found, held=None, cycles=6, unit="°C")

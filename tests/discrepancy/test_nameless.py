@@ -12,6 +12,7 @@ from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import Named, effect_of
 from sim.discrepancy.judging import NamingResult, description, dubious
 from sim.discrepancy.naming import entries_besides, step
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.workflow import diagnose
 from sim.engine.schedules import schedule
 from sim.sha.automaton import SHA
@@ -74,7 +75,7 @@ def dirt(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
 def test_what_has_no_name_is_held_beside_the_names_and_described(more: Plant, words: str) -> None:
     record = record_of(model(), [plant(2, days=DAYS, more=more)], tuple(ROLES.values()))
     base = fit(anchored(on(frame_of(record), record)))
-    found = step(base, entries_besides(()), ROLES, 0)
+    found = step(base, entries_besides(()), ROLES, 0, rules=RULES)
     assert found.best is not None and found.best.entry.rival
     refusal = dubious(found)
     assert "has no name" in refusal

@@ -11,6 +11,7 @@ from sim.discrepancy.fitting.course import run_free
 from sim.discrepancy.fitting.record import Record, RecordFault, broken
 from sim.discrepancy.gap import floor_of
 from sim.discrepancy.held_out import compared, let_run
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.workflow import diagnose
 from sim.learning import LearningError
 from sim.sha.trace import Array, Trace
@@ -177,7 +178,7 @@ def followed(traces: Sequence[Trace], seed: int, *, fits: bool) -> str:
         base = fit(on(frame_of(record), parts[3]), rounds=1, iterations=2)
         assert np.isfinite(let_run(base, parts[2]).residual).all()
         stated = np.full(np.unique(base.frame.record.whole).size, 0.06)
-        held, _, _ = compared(base, base, parts[2], seed, floor_of(stated, base, parts[2], seed))
+        held, _, _ = compared(base, base, parts[2], seed, floor_of(stated, base, parts[2], seed, RULES))
         assert np.isfinite(held.rmse_before)
     return ""
 

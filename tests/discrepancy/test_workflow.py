@@ -11,6 +11,7 @@ from sim.discrepancy.fitting.baseline import frame_of
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import named_of
 from sim.discrepancy.fitting.record import record_of
+from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 from sim.engine.open_loop_run import open_loop
 from sim.engine.recursion import linear_recursion
@@ -167,8 +168,8 @@ def test_what_the_held_out_gap_is_made_of_is_named_however_little_it_does_to_the
 ) -> None:
     for module in (evidence, judging, workflow):
         monkeypatch.setattr(module, "immaterial", lambda _step: True)
-    monkeypatch.setattr(workflow, "MOST_OF_A_GAP", share)
-    found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0).diagnosis
+    rules = DecisionRules(gap_itself_least_share=share)
+    found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0, rules=rules).diagnosis
     assert found.verdict == verdict
     assert [one.name for one in found.effects] == ["pump-cooling"] * (verdict == "named")
     assert [one.name for one in found.traces] == ["pump-cooling"] * (verdict != "named")

@@ -21,6 +21,7 @@ from sim.discrepancy.fitting.named import Named, named_of
 from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.judging import untested
 from sim.discrepancy.naming import step
+from sim.discrepancy.rules import RULES
 from sim.discrepancy.workflow import present_roles, signals_needed
 from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import effect_summary
@@ -206,7 +207,7 @@ def test_a_diagnosis_finds_it_and_adds_it_to_the_model(tmp_path: Path) -> None:
     base = fit(frame_of(record_of(small_model(), [trace], signals_needed(small_model(), present))), rounds=2)
     entries = catalogue(lines)
     offered = [entry for entry in entries if entry.name in ("cold-water", "startup-churning", "pump-cooling")]
-    found = step(base, offered, present, 0).best
+    found = step(base, offered, present, 0, rules=RULES).best
     assert found is not None and found.fitted is not None
     assert (found.entry.name, found.gain > 40.0) == ("cold-water", True)
     named = found.fitted.state.named[-1]
