@@ -13,7 +13,7 @@ from sim.discrepancy.held_out import HeldOutRun
 from sim.discrepancy.naming import NamingStep, likeness
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import TIMES, shortest_visible, smooth_course
-from sim.sha import shown_unit
+from sim.sha import Array, shown_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,6 +238,12 @@ def felt(error: float, other: float, sensor: float, rules: DecisionRules) -> boo
 def above(held: HeldOutProof, floor: NoiseFloor, sensor: float, rules: DecisionRules) -> bool:
     """True where the held-out error is a gap: beyond what chance makes of the noise, and by what could be felt."""
     return held.rmse_before > floor.interval[1] and matters(held, sensor, rules)
+
+
+def least_told(readings: Array, sensor: float, rules: DecisionRules) -> float:
+    """degC of an error that agreement must exclude in order to say anything: a share of what the temperature varies by,
+    and at least what could be felt."""
+    return max(rules.floor_blind_from_share * float(np.std(readings)), rules.material_sigmas * sensor)
 
 
 def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | None) -> tuple[str, ...]:

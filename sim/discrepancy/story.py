@@ -39,12 +39,14 @@ def sentence_of(
     unit: str,
     began: GapBeginning | None = None,
     gap: bool = True,
+    little: str = "",
 ) -> str:
     """The verdict in one or two sentences; errors are in `unit`, as people read it.
 
-    `gap`: over the held-out cycles the free run is further off than chance makes of the noise.
+    `gap`: over the held-out cycles the free run is further off than chance makes of the noise. `little`: why that it is
+    not says nothing (`little_sentence`).
     """
-    if verdict == "too-little-data":
+    if verdict == "too-little-data" and not little:
         return f"Too little data: {cycles} cycle{'s' if cycles != 1 else ''} cannot tell an effect from chance."
     moved = ""
     if shifts:
@@ -63,6 +65,8 @@ def sentence_of(
             f" With its parameters refitted the model is further off on cycles that were never fitted "
             f"({held.rmse_refit:.3g} against {held.rmse_given:.3g} {unit}): they stay as given."
         )
+    if verdict == "too-little-data":
+        return little + moved
     if verdict == "agree":
         trace = "".join(
             f" A trace of {each.name} moves the temperature by {each.moves:.2g} {unit}, less than could be felt."
@@ -102,6 +106,24 @@ def sentence_of(
             f"{place.after or 'its beginning'}{goes} ({place.cycles[0]} of {place.cycles[1]} cycles)."
         )
     return f"Something is missing that has no honest name: {where}{since}{moved}"
+
+
+def little_sentence(floor: NoiseFloor, held: HeldOutProof, varies: float, least: float, unit: str) -> str:
+    """Why agreement says nothing where the temperature `varies` by so much (rms) and an error of `least` would have to
+    be seen, and what would be needed; both degC, `unit` as people read it."""
+    said = (
+        f"Too little data: over {_count(held.cycles, 'cycle')} that {'was' if held.cycles == 1 else 'were'} never "
+        f"fitted the free run may be off by {floor.interval[1]:.3g} {unit} by chance alone, and all that the "
+        f"temperature varies by is {varies:.3g} {unit} (rms): that it agrees would say nothing."
+    )
+    if floor.error >= least:
+        return (
+            f"{said} More of the same would not help, since noise alone makes {floor.error:.3g} {unit}: record what "
+            "heats and cools the machine (its load, the room)."
+        )
+    # What chance adds to the floor goes with one over the root of the data.
+    times = ((floor.interval[1] - floor.error) / (least - floor.error)) ** 2
+    return f"{said} About {np.ceil(times):.0f} times as much of it is needed."
 
 
 def beginning_sentence(began: GapBeginning, unit: str) -> str:

@@ -43,6 +43,7 @@ from sim.discrepancy.judging import (
     evidence_of,
     felt,
     immaterial,
+    least_told,
     left_over,
     matters,
     systematic,
@@ -55,7 +56,7 @@ from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.rules import RULES, DecisionRules
-from sim.discrepancy.story import course_of, sentence_of
+from sim.discrepancy.story import course_of, little_sentence, sentence_of
 from sim.effects import ROLES, in_sensor_scale, signals_of
 from sim.sha import Array, EffectLine, Model, Trace, shown_unit, unit_of
 
@@ -174,6 +175,12 @@ def diagnose(
             reasons = (*reasons, f"over held-out cycles the free run is off by {error}, noise alone by {limit} at most")
     else:
         reasons = ()
+    varies, least = float(np.std(record.reading)), least_told(record.reading, sensor, rules)
+    little = ""
+    if verdict == "agree" and floor.interval[1] > least:
+        verdict = "too-little-data"
+        little = little_sentence(floor, held, varies, least, shown_unit(model.unit))
+        reasons = (f"noise alone would have to be less than {least:.3g} {shown_unit(model.unit)} for that",)
     described = description(path) if verdict == "unexplained" else ""
 
     law = None
@@ -211,6 +218,7 @@ def diagnose(
             unit=shown_unit(model.unit),
             began=began,
             gap=gap,
+            little=little,
         ),
         reasons=reasons,
         effects=effects,

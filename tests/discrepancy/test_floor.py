@@ -17,11 +17,12 @@ from sim.discrepancy.gap import (
     stated_errors,
 )
 from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares
-from sim.discrepancy.judging import NamingResult, above, doubts
+from sim.discrepancy.judging import NamingResult, above, doubts, least_told
 from sim.discrepancy.naming import NamingStep, confirm, step
 from sim.discrepancy.rules import RULES
-from sim.discrepancy.story import held_out_sentence
+from sim.discrepancy.story import held_out_sentence, little_sentence
 from sim.discrepancy.workflow import diagnose
+from sim.engine import linear_recursion
 from sim.sha import Model, Trace
 from tests.discrepancy.plants import model, plant
 
@@ -215,3 +216,29 @@ def test_no_name_is_given_under_which_the_error_is_greater_than_that_of_the_mode
             left=None,
         )
         assert any("as it was given" in reason for reason in reasons) is withheld, reasons
+
+
+def test_where_an_error_of_half_the_temperatures_spread_would_agree_there_is_too_little_data() -> None:
+    """A machine temperature that varied by 20 degF "agreed" within 3 to 54 degF."""
+    trace = plant(1, days=3, runs_on=True, period=120.0)
+    wanders = 12.0 * linear_recursion(
+        np.full(trace.times.size, 0.99),
+        np.random.default_rng(2).standard_normal(trace.times.size) * np.sqrt(1 - 0.99**2),
+        0.0,
+    )
+    rough = replace(model(), provenance=replace(model().provenance, scores={"held_out_rmse": 12.0}))
+    signals = {**trace.signals, "T": trace.signals["T"] + wanders}
+    found = diagnose(rough, [replace(trace, signals=signals)], seed=0, most=1).diagnosis
+    assert found.floor is not None and found.held_out is not None
+    assert found.held_out.rmse_before < found.floor.interval[1] and found.began is None and not found.material
+    assert found.verdict == "too-little-data" and found.effects == ()
+    assert "would say nothing" in found.sentence and f"{found.floor.interval[1]:.3g} °C by chance" in found.sentence
+
+
+def test_how_much_is_needed_is_said_or_that_more_of_it_would_not_help() -> None:
+    held = HeldOutProof(2, 2, 2.0, 2.0, 2.0, 2.0, None, None, ())
+    made = NoiseFloor(2.0, (1.0, 6.0), np.arange(2), np.full(2, 2.0), "the sensor alone")
+    assert little_sentence(made, held, 8.0, 4.0, "°C").endswith("About 4 times as much of it is needed.")
+    assert "would not help" in little_sentence(made, held, 3.0, 1.5, "°C")
+    readings = np.array([10.0, 30.0])
+    assert least_told(readings, 0.1, RULES) == 5.0 and least_told(readings, 20.0, RULES) == 10.0
