@@ -23,8 +23,8 @@ from sim.discrepancy.rules import RULES
 from sim.discrepancy.story import held_out_sentence, little_sentence
 from sim.discrepancy.workflow import diagnose
 from sim.engine import linear_recursion
-from sim.sha import Model, Trace
-from tests.discrepancy.plants import model, plant
+from sim.sha import Distribution, Model, Trace
+from tests.discrepancy.plants import TARGETS, model, plant, simulated
 
 MOST = RULES.floor_parameters_most_times
 FOUR_DAYS = 12
@@ -220,12 +220,9 @@ def test_no_name_is_given_under_which_the_error_is_greater_than_that_of_the_mode
 
 def test_where_an_error_of_half_the_temperatures_spread_would_agree_there_is_too_little_data() -> None:
     """A machine temperature that varied by 20 degF "agreed" within 3 to 54 degF."""
-    trace = plant(1, days=3, runs_on=True, period=120.0)
-    wanders = 12.0 * linear_recursion(
-        np.full(trace.times.size, 0.99),
-        np.random.default_rng(2).standard_normal(trace.times.size) * np.sqrt(1 - 0.99**2),
-        0.0,
-    )
+    trace = plant(1, days=2, runs_on=True, period=120.0)
+    fresh = np.sqrt(1.0 - 0.97**2) * np.random.default_rng(3).standard_normal(trace.times.size)
+    wanders = 12.0 * linear_recursion(np.full(fresh.size, 0.97), fresh, 0.0)
     rough = replace(model(), provenance=replace(model().provenance, scores={"held_out_rmse": 12.0}))
     signals = {**trace.signals, "T": trace.signals["T"] + wanders}
     found = diagnose(rough, [replace(trace, signals=signals)], seed=0, most=1).diagnosis
@@ -242,3 +239,24 @@ def test_how_much_is_needed_is_said_or_that_more_of_it_would_not_help() -> None:
     assert "would not help" in little_sentence(made, held, 3.0, 1.5, "°C")
     readings = np.array([10.0, 30.0])
     assert least_told(readings, 0.1, RULES) == 5.0 and least_told(readings, 20.0, RULES) == 10.0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_floor_of_a_plant_that_is_exact_but_for_its_readings_is_what_windows_of_every_length_err_by(
+    seed: int,
+) -> None:
+    """Windows after a switch have fewer readings than the median one: the floor was 0.87 of the error."""
+    made = model()
+    flows = {each.name: replace(each.flow, params={**each.flow.params, "noise": 1e-5}) for each in made.sha.locations}
+    places = tuple(
+        replace(each, flow=flows[each.name], distribution=Distribution("normal", {"mu": target, "sigma": 1e-3}))
+        for each, (target, _) in zip(made.sha.locations, TARGETS.values(), strict=True)
+    )
+    scores = {"held_out_rmse": 0.0668}
+    exact = replace(made, sha=replace(made.sha, locations=places), provenance=replace(made.provenance, scores=scores))
+    trace = simulated(exact, seed)
+    base, held_out = parts(exact, trace)
+    told = floor(exact, trace, base, held_out)
+    held, _, _ = compared(base, base, held_out, 0, told)
+    assert held.rmse_before == pytest.approx(told.error, rel=0.07)
+    assert base.sensor_sigma == pytest.approx(0.0668, rel=0.07), "rounding to 0.1 degC is in it"

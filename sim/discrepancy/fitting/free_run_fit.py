@@ -69,8 +69,11 @@ class Fitted:
 
 
 def readings_in_window(record: Record) -> float:
-    """How many readings that err by themselves a window's mean is worth: fewer where the sensor's error lasts."""
-    count = float(np.median(np.diff(np.append(record.begins, record.rows.size))))
+    """How many readings that err by themselves a window's mean is worth: fewer where the sensor's error lasts.
+
+    Windows are shorter after a switch: of as many readings each, they would err by as much (mean square over windows).
+    """
+    count = 1.0 / float(np.mean(1.0 / np.diff(np.append(record.begins, record.rows.size))))
     memory = record.model.sensor_memory
     between = float(np.median(np.diff(record.runs.time[record.rows]))) if memory else 0.0
     return count / repeat_factor(memory, between) if memory else count
