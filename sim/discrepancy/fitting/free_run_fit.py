@@ -73,10 +73,16 @@ def readings_in_window(record: Record) -> float:
 
     Windows are shorter after a switch: of as many readings each, they would err by as much (mean square over windows).
     """
-    count = 1.0 / float(np.mean(1.0 / np.diff(np.append(record.begins, record.rows.size))))
+    count = np.diff(np.append(record.begins, record.rows.size))
     memory = record.model.sensor_memory
-    between = float(np.median(np.diff(record.runs.time[record.rows]))) if memory else 0.0
-    return count / repeat_factor(memory, between) if memory else count
+    if not memory:
+        return 1.0 / float(np.mean(1.0 / count))
+    # The variance of the mean of n readings whose neighbours are correlated by r (Bartlett 1946), as a share of one's:
+    # repeat_factor / n for many of them, 1 for a single one.
+    between = float(np.median(np.diff(record.runs.time[record.rows])))
+    r, factor = np.exp(-max(between / memory, 1e-3)), repeat_factor(memory, between)
+    share = (factor - 2.0 * r * (1.0 - r**count) / (count * (1.0 - r) ** 2)) / count
+    return 1.0 / float(np.mean(share))
 
 
 def first_noise(model: Model, record: Record) -> NoiseModel:
