@@ -7,7 +7,7 @@ strengths of the effects are maximised.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -15,7 +15,7 @@ import scipy
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
 from sim.discrepancy.fitting.named import Named
-from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
+from sim.discrepancy.fitting.noise import LEAST_HEAT, LONGEST, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.fitting.scattering import spans_of
 from sim.effects import of_feature
@@ -32,6 +32,8 @@ AT_REST = 0.95
 """The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
 MOVING = 0.5
 """The share of readings that differ from the one before, up to which a course is a staircase."""
+HOURS, LONGEST_SLOW, SLOW_ITERATIONS = 7200.0, float(np.log(86400.0)), 30
+"""The memory (s) of a slow heat that is believed before the data, the longest (log s), and the steps of its search."""
 SETTLED = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
@@ -206,6 +208,24 @@ def noise_around(
         return -value, -slopes
 
     return fit_noise(cost, belief, noise, iterations)
+
+
+def with_slow_heat(before: Fitted) -> Fitted:
+    """The fit where its heat that wanders may come and go over hours: the same course under another noise.
+
+    A name that a fit has keeps its strength. What wanders so slowly would imitate slow effects, so no other fit may.
+    """
+    frame, record = before.frame, before.frame.record
+    own = first_noise(record.model, record)
+    belief = WindowBelief(
+        replace(own, memory=max(own.memory, HOURS)),
+        least=rounding(record.model, record),
+        memories=(LONGEST, LONGEST_SLOW),
+    )
+    point = _Point(before.state, before.grid, before.residual, before.columns, before.off)
+    begin = replace(before.noise, memory=belief.centre.memory)
+    noise, cost = noise_around(point, frame, belief, begin, SLOW_ITERATIONS)
+    return replace(before, noise=noise, likelihood=-cost)
 
 
 def largest_change(before: NoiseModel, after: NoiseModel) -> float:
