@@ -15,7 +15,7 @@ import scipy
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
 from sim.discrepancy.fitting.named import Named
-from sim.discrepancy.fitting.noise import LEAST_HEAT, LONGEST, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
+from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.fitting.scattering import spans_of
 from sim.effects import of_feature
@@ -32,8 +32,8 @@ AT_REST = 0.95
 """The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
 MOVING = 0.5
 """The share of readings that differ from the one before, up to which a course is a staircase."""
-HOURS, LONGEST_SLOW, SLOW_ITERATIONS = 7200.0, float(np.log(86400.0)), 30
-"""The memory (s) of a slow heat that is believed before the data, the longest (log s), and the steps of its search."""
+LEAST_SCATTER = 1e-5
+"""The relative scatter of the friction below which there is none."""
 SETTLED = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
@@ -210,22 +210,21 @@ def noise_around(
     return fit_noise(cost, belief, noise, iterations)
 
 
-def with_slow_heat(before: Fitted) -> Fitted:
-    """The fit where its heat that wanders may come and go over hours: the same course under another noise.
+def with_heats(before: Fitted, heats: Array, iterations: int = 8) -> Fitted:
+    """The fit with further random heats in its noise, which is fitted anew; its course stays.
 
-    A name that a fit has keeps its strength. What wanders so slowly would imitate slow effects, so no other fit may.
+    `heats` (m, c) degC is what a heat of one standard deviation of each does to the windows, at the noise's `cycle`:
+    they scatter together with the cycles' friction.
     """
+    columns = np.column_stack([before.grid.heats, heats / max(before.noise.cycle, LEAST_SCATTER)])
+    # In the order in which they begin, as the cycles are.
+    begins = np.where((columns != 0.0).any(axis=0), np.argmax(columns != 0.0, axis=0), columns.shape[0])
+    grid = replace(before.grid, heats=columns[:, np.argsort(begins, kind="stable")])
     frame, record = before.frame, before.frame.record
-    own = first_noise(record.model, record)
-    belief = WindowBelief(
-        replace(own, memory=max(own.memory, HOURS)),
-        least=rounding(record.model, record),
-        memories=(LONGEST, LONGEST_SLOW),
-    )
-    point = _Point(before.state, before.grid, before.residual, before.columns, before.off)
-    begin = replace(before.noise, memory=belief.centre.memory)
-    noise, cost = noise_around(point, frame, belief, begin, SLOW_ITERATIONS)
-    return replace(before, noise=noise, likelihood=-cost)
+    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    point = _Point(before.state, grid, before.residual, before.columns, before.off)
+    noise, cost = noise_around(point, frame, belief, before.noise, iterations)
+    return replace(before, grid=grid, noise=noise, likelihood=-cost)
 
 
 def largest_change(before: NoiseModel, after: NoiseModel) -> float:

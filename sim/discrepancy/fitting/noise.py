@@ -347,15 +347,13 @@ class WindowBelief:
     """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory, and of
     lasting and fades where the centre has an error that lasts.
 
-    The sensor's is not below `least` (degC), and the rough heat's memory (log s) lies between `memories` or at the
-    centre's.
+    The sensor's is not below `least` (degC).
     """
 
     centre: NoiseModel
     spread: tuple[float, float, float, float, float] = (1.0, 2.0, 2.0, 1.5, 0.7)
     lasts: tuple[float, float] = (2.0, 0.7)
     least: float = 0.0
-    memories: tuple[float, float] = (SHORTEST, LONGEST)
 
 
 def vector(noise: NoiseModel) -> Array:
@@ -402,7 +400,7 @@ def fit_noise(
     bounds = [(value - 4.0, value + 4.0) for value in centre]
     bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
     bounds[3] = bounds[3][0], MOST_SCATTER
-    bounds[4] = belief.memories[0], max(belief.memories[1], centre[4])
+    bounds[4] = SHORTEST, max(LONGEST, centre[4])
     if centre.size > 6:
         bounds[7] = BRIEFEST, SLOWEST
     optimum = scipy.optimize.minimize(
