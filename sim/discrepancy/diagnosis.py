@@ -214,7 +214,8 @@ class CandidateLaw:
     `strength` times `expression` is the heat (degC/s), while the machine runs where `running`. `gain` (nats) is of the
     fitted cycles, `share` that of what is left on held-out ones, `cycles` (better foreseen, in all) those. `tried` are
     the expressions that were searched, which the gain has to pay for; `alike` are others that these data cannot tell
-    from it. `line` is the effect that a person may adopt; None where no engine can execute it.
+    from it. `line` is the effect that a person may adopt; None where no engine can execute it. `words` are the plant's
+    where there are any, with dates; they are the expression too, where it is none that could be written as one.
     """
 
     expression: str
@@ -227,6 +228,7 @@ class CandidateLaw:
     experiment: str
     alike: tuple[str, ...]
     line: EffectLine | None
+    words: str = ""
 
 
 @dataclass(frozen=True, slots=True)

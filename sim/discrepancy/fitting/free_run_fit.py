@@ -7,7 +7,7 @@ strengths of the effects are maximised.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -32,6 +32,8 @@ AT_REST = 0.95
 """The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
 MOVING = 0.5
 """The share of readings that differ from the one before, up to which a course is a staircase."""
+LEAST_SCATTER = 1e-5
+"""The relative scatter of the friction below which there is none."""
 SETTLED = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
@@ -232,6 +234,23 @@ def noise_around(
         return -value, -slopes
 
     return fit_noise(cost, belief, noise, iterations)
+
+
+def with_heats(before: Fitted, heats: Array, iterations: int = 8) -> Fitted:
+    """The fit with further random heats in its noise, which is fitted anew; its course stays.
+
+    `heats` (m, c) degC is what a heat of one standard deviation of each does to the windows, at the noise's `cycle`:
+    they scatter together with the cycles' friction.
+    """
+    columns = np.column_stack([before.grid.heats, heats / max(before.noise.cycle, LEAST_SCATTER)])
+    # In the order in which they begin, as the cycles are.
+    begins = np.where((columns != 0.0).any(axis=0), np.argmax(columns != 0.0, axis=0), columns.shape[0])
+    grid = replace(before.grid, heats=columns[:, np.argsort(begins, kind="stable")])
+    frame, record = before.frame, before.frame.record
+    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    point = _Point(before.state, grid, before.residual, before.columns, before.off)
+    noise, cost = noise_around(point, frame, belief, before.noise, iterations)
+    return replace(before, grid=grid, noise=noise, likelihood=-cost)
 
 
 def largest_change(before: NoiseModel, after: NoiseModel) -> float:
