@@ -29,19 +29,19 @@ from sim.discrepancy.rules import RULES, DecisionRules
 OFF: Mapping[str, Any] = {
     "least_cycles": 2, "first_name_least_cycles": 0, "each_name_least_cycles": 1,
     "follows_least_share": inf, "follows_most_lead_share": inf,
-    "sure_share": 0.0, "least_gain_nats": 0.0, "same_least_cosine": inf, "near_least_cosine": 0.0, "margin_nats": 0.0,
+    "least_gain_nats": 0.0, "same_least_cosine": inf, "near_least_cosine": 0.0, "margin_nats": 0.0,
     "margin_share": 0.0, "invisible_most_share": 0.0,
     "robust_least_z": 0.0, "spread_least_cycles": 0.0, "overwhelming_nats": inf,
-    "further_nats": 0.0, "leftover_share": 0.0, "leftover_of_rival_share": 0.0, "further_least_size_share": 0.0,
-    "further_clear_nats": inf, "most_heat_times": inf,
+    "further_nats": 0.0, "leftover_share": 0.0, "leftover_of_rival_share": 0.0,
+    "most_heat_times": inf,
     "material_sigmas": 0.0, "gap_itself_least_share": inf,
     "removed_least_share": -inf, "beyond_doubt_nats": inf, "covered_most_times": inf,
     "ceiling_most_p": -1.0, "ceiling_least_share": -inf, "ceiling_left_most_share": inf, "ceiling_alone_most_p": -1.0,
     "wide_median_times": inf, "wide_low_times": 0.0, "wide_low_share": 0.0,
-    "rougher_least_times": inf, "rougher_felt_sigmas": 0.0,
+    "rougher_least_times": inf,
     "floor_parameters_most_times": inf, "equal_least_cycles": 10**9, "comparable_least_share": inf,
     "beginning_least_cycles": 1, "beginning_most_p": -1.0, "beginning_wanders_from": inf,
-    "place_most_p": 1.0, "place_least_cycles": 0, "place_least_share": 0.0, "place_least_correlation": 0.0,
+    "place_most_p": 1.0, "place_least_share": 0.0, "place_least_correlation": 0.0,
     "moved_least_sigmas": 0.0, "moved_least_share": 0.0, "absorbed_least_p": 0.0, "absorbed_least_saved": 0,
     "law_least_nats": -inf, "law_least_share": -inf, "law_least_cycles_share": 0.0, "law_same_least_cosine": inf,
     "law_term_nats": 0.0, "law_further_least_share": 0.0,
@@ -54,6 +54,8 @@ FITS = 6
 """Fits that a variant may need beyond those of the ones before it; with more its path is another, and is not ended."""
 ELSEWHERE = "another path"
 """The verdict of a variant that was not ended."""
+UNTOLD = ("settings", "candidates")
+"""Parts of a diagnosis that are the work behind it."""
 FILE = "ablation.jsonl"
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -81,7 +83,7 @@ def remembered() -> dict[Any, tuple[str, ...]]:
             "frame_of", "anchored", "on", "course_of", "floor_of", "excess", "beginning", "absorbed", "places",
             "shifts", "candidate_laws", "follows", "patiently",
         ),
-        naming: ("fit", "screen", "null_maximum", "confirm", "_cosines"),
+        naming: ("fit", "screen", "confirm", "_cosines"),
         path: ("fit",),
         judging: ("smooth_course", "sensor_noise", "foreseen_better", "greatest_heat", "fastest_movement"),
         gap: ("let_run", "predicted"),
@@ -125,7 +127,7 @@ def ablated(one: Case, names: Sequence[str], fits: float) -> dict[str, Any]:
                 except WorkLimitError:
                     others[name][way] = {"verdict": ELSEWHERE}
                     continue
-                told = [key for key in usual if found[key] != usual[key] and key not in ("settings", "candidates")]
+                told = [key for key in {**usual, **found} if key not in UNTOLD and found.get(key) != usual.get(key)]
                 if told:
                     others[name][way] = {**_short(found), "told": told}
     return {"said": _short(usual), "unread": sorted(set(names) - read), "others": others}
