@@ -115,9 +115,7 @@ def sentences() -> Iterator[None]:
         context = click.get_current_context(silent=True)
         if context is not None and context.find_root().params.get("traceback"):
             raise
-        if is_fault(error):
-            fail(fault_sentence(error), Exit.FAULT)
-        if not isinstance(error, (DriverError, ValueError, OSError)):
+        if not (is_fault(error) or isinstance(error, (DriverError, ValueError, OSError))):
             raise
         fail(sentence(error), exit_code(error))
 
@@ -166,7 +164,9 @@ def _module(at: TracebackType) -> str:
 
 
 def sentence(error: Exception) -> str:
-    """What the error says; where the system only gave a word and a file, the file first and a remedy after."""
+    """What the error says, or that the program is at fault; of the system's words the file first and a remedy after."""
+    if is_fault(error):
+        return fault_sentence(error)
     if not isinstance(error, OSError) or error.strerror is None:
         return str(error)
     reason = error.strerror[0].lower() + error.strerror[1:]
@@ -188,5 +188,7 @@ _CODES: tuple[tuple[type[Exception], Exit], ...] = (
 
 
 def exit_code(error: Exception) -> Exit:
-    """The stable exit code of an error: of a driver's by its kind, of any other that of wrong input."""
+    """The stable exit code of an error: of a driver's by its kind, of a fault its own, of any other wrong input's."""
+    if is_fault(error):
+        return Exit.FAULT
     return next((code for kind, code in _CODES if isinstance(error, kind)), Exit.USAGE)

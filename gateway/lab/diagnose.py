@@ -383,7 +383,15 @@ def show(result: DiagnosisResult, out: Path) -> None:
             click.echo(f"to tell {effect.name} from its twins: {effect.experiment}")
     if diagnosis.shifts:
         rows = [
-            [s.location, s.parameter, s.before, s.after, shown_unit(s.unit), s.change, s.sigma]
+            [
+                s.location,
+                s.parameter,
+                s.before,
+                s.after,
+                shown_unit(s.unit),
+                "–" if s.change is None else s.change,
+                s.sigma,
+            ]
             for s in diagnosis.shifts
         ]
         table("parameters that moved", ("location", "parameter", "before", "after", "unit", "change", "sigma"), rows)

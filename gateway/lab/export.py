@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, table
-from gateway.entry import Exit, fail, sentences
+from gateway.entry import Exit, fail, sentence, sentences
 from gateway.lab.traces.load import load
 from sim.artefacts.formats import FoundModel, file_names, find_model, to_artefacts, write_artefacts
 from sim.engine import Policy, Start
@@ -84,7 +84,7 @@ def export_uppaal(
         try:
             rows.append(_exported(model, trace, order, engine, missing))
         except ValueError as error:
-            rows.append({"trace": trace.name, "error": str(error)})
+            rows.append({"trace": trace.name, "error": sentence(error)})
     return rows
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from gateway.entry import sentence
 from gateway.lab.skill import PastForecaster, fitted_rivals, lacking, persist, skill_rows
 from gateway.settings import ForecastSection
 from sim.learning import PERSISTENCE
@@ -99,7 +100,7 @@ def judged_forecasts(
                     ask_period=lasts / MOST_QUESTIONS if training is not None else 0.0,
                 )
             except ValueError as error:
-                notes.append(f"{name} has no forecast along {trace.name}: {error}")
+                notes.append(f"{name} has no forecast along {trace.name}: {sentence(error)}")
                 continue
             # The others are asked once, at the moments of the first model that forecasts.
             asked = {} if made else asked

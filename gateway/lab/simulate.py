@@ -8,7 +8,7 @@ import click
 import numpy as np
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, table
-from gateway.entry import fail, sentences
+from gateway.entry import fail, sentence, sentences
 from gateway.lab.traces.load import load
 from gateway.lab.traces.picture import picture_option
 from gateway.lab.word import replay_word
@@ -51,7 +51,7 @@ def simulate_traces(
                 )
             )
         except ValueError as error:
-            rows.append({"trace": trace.name, "error": str(error)})
+            rows.append({"trace": trace.name, "error": sentence(error)})
     return rows
 
 

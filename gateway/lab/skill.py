@@ -12,7 +12,7 @@ import click
 import numpy as np
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
-from gateway.entry import sentences
+from gateway.entry import sentence, sentences
 from gateway.lab.traces.load import load
 from gateway.machine.model import forecasts_along, machine_offset_along, recorded_scans
 from gateway.settings import ForecastSection
@@ -203,7 +203,7 @@ def fitted_rivals(
         try:
             fitted[rival.name] = train(rival, past, horizons)
         except (ImportError, ValueError) as error:
-            absent.setdefault(str(error), []).append(rival.name)
+            absent.setdefault(sentence(error), []).append(rival.name)
     return fitted, [f"without {', '.join(names)}: {reason}" for reason, names in absent.items()]
 
 
@@ -335,7 +335,7 @@ def show_skill(found: ForecastSkill, wanted: Sequence[str] = ("by horizon", "by 
     if rows := found.tables["differences"]:
         title = "CRPS minus that of the best other method, over machines (95 % interval)"
         table(title, list(rows[0]), [list(row.values()) for row in rows])
-    for sentence in found.sentences:
-        click.echo(sentence)
+    for said in found.sentences:
+        click.echo(said)
     for note in found.notes:
         click.echo(f"note: {note}")

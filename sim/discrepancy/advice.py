@@ -4,9 +4,10 @@ import re
 from collections.abc import Sequence
 from itertools import combinations
 
-from sim.discrepancy.diagnosis import CandidateLaw, Diagnosis, HeatPlace, ProposedExperiment
+from sim.discrepancy.diagnosis import CandidateLaw, Diagnosis, HeatPlace, ProposedExperiment, Shift
 from sim.discrepancy.fitting import catalogue, rivals
 from sim.discrepancy.heat_maps import span
+from sim.sha import shown_unit
 
 TOLD = 2
 """Places that are told where nothing has a name."""
@@ -43,10 +44,20 @@ def look_at(diagnosis: Diagnosis) -> tuple[str, ...]:
     if not lines and diagnosis.shifts:
         surest = diagnosis.shifts[0]
         lines.append(
-            f"what changed since the model was learned in {surest.location} ({surest.parameter} {surest.change:+.0%}): "
+            f"what changed since the model was learned in {surest.location} ({surest.parameter} {shown_move(surest)}): "
             "load, grease, cooling, an exchanged part or sensor"
         )
     return tuple(dict.fromkeys(lines))
+
+
+def shown_move(shift: Shift) -> str:
+    """By how much a parameter has moved: a temperature in its unit, with the share where it says something; the others
+    as a share, else from where to where."""
+    unit = shown_unit(shift.unit)
+    share = "" if shift.change is None else f"{shift.change:+.0%}"
+    if shift.parameter == "target":
+        return f"{shift.after - shift.before:+.3g} {unit}" + (f" ({share})" if share else "")
+    return share or f"from {shift.before:.2g} to {shift.after:.2g} {unit}"
 
 
 def overlapping_places(places: Sequence[HeatPlace]) -> tuple[HeatPlace, HeatPlace] | None:

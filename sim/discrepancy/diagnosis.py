@@ -14,7 +14,8 @@ Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shift:
-    """A parameter of the given model that has moved: `change` is relative to its size (a target's: over rest).
+    """A parameter of the given model that has moved: `change` is relative to its size (a target's: over rest), None
+    where that says nothing, since it moved by more than its size.
 
     `before` and `after` are its values in `unit`, `sigma` the size of the move over its standard error.
     """
@@ -24,7 +25,7 @@ class Shift:
     before: float
     after: float
     unit: str
-    change: float
+    change: float | None
     sigma: float
 
 
@@ -167,7 +168,9 @@ class GapBeginning:
     """Where over the cycles a gap begins: the start of the first cycle that has it, s UTC, and its 95 % interval.
 
     `before` and `after` count the cycles, `moves` (degC) is by how much more the free run errs from then on in the mean
-    of a cycle, while the machine is `running` or at rest.
+    of a cycle, while the machine is `running` or at rest. Of a machine that runs on, `stretch` is the length (s) of the
+    pieces of its runs that stand for cycles here; 0: they are cycles. `then` are the start (s UTC) of the first one
+    with which the gap changes once more, and by how much more than before the beginning it errs from there on.
     """
 
     time: float
@@ -177,6 +180,8 @@ class GapBeginning:
     moves: float
     running: bool
     p: float
+    stretch: float = 0.0
+    then: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,9 +189,10 @@ class HeldOutProof:
     """Free runs over cycles that were never fitted: root mean squares in degC, the noise floor, the excess removed.
 
     `cycles` counts them, `pieces` the independent pieces of evidence in them; `per_cycle` holds (before, after, floor)
-    of each cycle. `rmse_given` is of the model as it was given, `rmse_before` with its parameters refitted. The excess
-    removed (at most 1: all of it, to within the floor) and its interval are None where nothing was named, or where the
-    error before is no greater than the floor: then there is no excess.
+    of each cycle. `rmse_given` is of the model as it was given, `rmse_before` with its parameters refitted; where the
+    refit foresees these cycles worse it is refused: `rmse_refit` is its error, else None, and before is as given. The
+    excess removed (at most 1: all of it, to within the floor) and its interval are None where nothing was named, or
+    where the error before is no greater than the floor: then there is no excess.
     """
 
     cycles: int
@@ -198,6 +204,7 @@ class HeldOutProof:
     excess_removed: float | None
     ci95: tuple[float, float] | None
     per_cycle: tuple[tuple[float, float, float], ...]
+    rmse_refit: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

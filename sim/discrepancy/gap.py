@@ -88,9 +88,8 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     fitted = _rms(noise - explained.columns @ taken)
     beyond = trial.record.windowed(sensitivity(on(explained.frame, record), trial.state, trial.start))
     alone = trial.whitener.draw(rng, DRAWS)
-    own, drawn = predicted(trial, cycles, alone - beyond @ taken)
-    # Where held-out cycles show what the fitted ones hardly do, the linear problem would let a parameter go anywhere.
-    own = np.minimum(own, rules.floor_parameters_most_times * predicted(trial, cycles, alone)[0])
+    wrong = limit_parameter_errors(trial, beyond @ taken, alone, rules.floor_parameters_most_times)
+    own, drawn = predicted(trial, cycles, alone - wrong)
     expected = _rms(predicted(training, known, training.whitener.draw(rng, DRAWS))[0])
     # Each bound says how many times the noise of the fit there is; how cycles differ among themselves (how long they
     # are, how much is heated in them) that noise knows.
@@ -105,10 +104,30 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     source = "the sensor alone" if _rms(floor) < _rms(least) else source
     floor = np.maximum(floor, least)
     error = float(np.sqrt(np.average(floor**2, weights=weights)))
-    # The noise itself is known from so many cycles: its standard error in logarithms is 1 / sqrt(2 n).
-    unsure = np.exp(rng.standard_normal(drawn.size) / np.sqrt(2.0 * known.size))
+    # The noise itself is known from so many independent pieces: its standard error in logarithms is 1 / sqrt(2 n).
+    pieces = np.unique(training.record.window_cycle[np.isin(training.record.window_whole, known)]).size
+    unsure = np.exp(rng.standard_normal(drawn.size) / np.sqrt(2.0 * pieces))
     low, high = np.quantile(drawn / _rms(drawn) * unsure, [0.025, 0.975])
     return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
+
+
+def limit_parameter_errors(trial: HeldOutRun, taken: Array, alone: Array, most: float) -> Array:
+    """(m, d) degC what a fit's wrong parameters err by, `taken`, made so small in each cycle that the noise `alone` and
+    they together are at most `most` times the noise alone (rms over the draws).
+
+    Where held-out cycles show what the fitted ones hardly do, the linear problem would let a parameter go anywhere. One
+    share for all draws of a cycle, so that the floor and its interval are told from the same errors.
+    """
+    cycle = np.unique(trial.record.window_whole, return_inverse=True)[1]
+    noise, wrong = trial.started(alone), trial.started(taken)
+    own, both, by = (
+        np.bincount(cycle, np.sum(one * other, axis=1))
+        for one, other in ((noise, noise), (noise, wrong), (wrong, wrong))
+    )
+    # The positive root s of |n - s w|^2 = most^2 |n|^2.
+    more = (most**2 - 1.0) * own
+    share = (both + np.sqrt(both**2 + by * more)) / np.maximum(by, 1e-300)
+    return np.asarray(np.minimum(share, 1.0)[cycle][:, None] * taken)
 
 
 def _rms(values: Array) -> float:

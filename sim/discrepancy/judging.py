@@ -13,7 +13,7 @@ from sim.discrepancy.held_out import HeldOutRun
 from sim.discrepancy.naming import NamingStep, likeness
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import TIMES, shortest_visible, smooth_course
-from sim.sha import shown_unit
+from sim.sha import Array, shown_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +181,8 @@ def doubts(
         reasons.append("the held-out cycles are not better foreseen with it")
     if held.rmse_after > held.rmse_before:
         reasons.append("the free run over the held-out cycles is further off with it")
+    elif felt(held.rmse_after, held.rmse_given, sensor_noise(path.base.frame.record), rules):
+        reasons.append("the free run over the held-out cycles is further off with it than the model as it was given")
     elif _hardly_smaller(path, held):
         reasons.append(f"it removes {held.excess_removed:.0%} of what the free run over the held-out cycles is off by")
     # What the names leave is held against all that was systematic: what trees could predict before, or, where that is
@@ -220,12 +222,23 @@ def matters(held: HeldOutProof, sensor: float, rules: DecisionRules) -> bool:
 
     `sensor` (degC) is what one reading errs by.
     """
-    return held.rmse_before**2 - held.noise_floor**2 >= (rules.material_sigmas * sensor) ** 2
+    return felt(held.rmse_before, held.noise_floor, sensor, rules)
+
+
+def felt(error: float, other: float, sensor: float, rules: DecisionRules) -> bool:
+    """True where an error (degC rms) is greater than another one by what could be felt."""
+    return error**2 - other**2 >= (rules.material_sigmas * sensor) ** 2
 
 
 def above(held: HeldOutProof, floor: NoiseFloor, sensor: float, rules: DecisionRules) -> bool:
     """True where the held-out error is a gap: beyond what chance makes of the noise, and by what could be felt."""
     return held.rmse_before > floor.interval[1] and matters(held, sensor, rules)
+
+
+def least_told(readings: Array, sensor: float, rules: DecisionRules) -> float:
+    """degC of an error that agreement must exclude in order to say anything: a share of what the temperature varies by,
+    and at least what could be felt."""
+    return max(rules.floor_blind_from_share * float(np.std(readings)), rules.material_sigmas * sensor)
 
 
 def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | None) -> tuple[str, ...]:

@@ -34,8 +34,13 @@ def shifts(fitted: Fitted, rules: DecisionRules) -> tuple[Shift, ...]:
         for number in np.flatnonzero(np.abs(off) >= rules.moved_least_sigmas * errors).tolist()
         if number in where
     ]
-    significant = [shift for shift in moved if abs(shift.change) >= rules.moved_least_share]
+    significant = [shift for shift in moved if _matters(shift, rules.moved_least_share)]
     return tuple(sorted(significant, key=lambda shift: -abs(shift.sigma)))
+
+
+def _matters(shift: Shift, least: float) -> bool:
+    change = (shift.after - shift.before) / max(abs(shift.before), 1e-12) if shift.change is None else shift.change
+    return abs(change) >= least
 
 
 def told_in(fitted: Fitted) -> dict[int, str]:
@@ -67,7 +72,7 @@ def _shift(fitted: Fitted, number: int, location: str, off: float, sigma: float)
             # A target stands for the heat that holds it above rest, so its change is told as a share of that height:
             # of the zero of degC it would say nothing. Within a degree of the lowest there is no height to speak of.
             height = before - float(np.min(frame.shape.centre[: len(targets)]))
-            size = height if height > 1.0 else before
+            size = height if height > 1.0 else 0.0
         what = {"linear": "drift", "logarithmic": "factor", "transient": "amplitude"}.get(kind, "target")
         return Shift(
             location=location,
@@ -75,7 +80,7 @@ def _shift(fitted: Fitted, number: int, location: str, off: float, sigma: float)
             before=before,
             after=before + off,
             unit=unit,
-            change=off / max(abs(size), 1e-9),
+            change=_share(off, size),
             sigma=sigma,
         )
     if number < len(targets) + len(gains):
@@ -86,7 +91,7 @@ def _shift(fitted: Fitted, number: int, location: str, off: float, sigma: float)
             before=before,
             after=before + off,
             unit=f"{model.unit} per unit",
-            change=off / abs(before) if abs(before) > 1e-9 else float(np.sign(off)),
+            change=_share(off, before),
             sigma=sigma,
         )
     group = rates[number - len(targets) - len(gains)]
@@ -98,6 +103,11 @@ def _shift(fitted: Fitted, number: int, location: str, off: float, sigma: float)
         before=old,
         after=new,
         unit="1/s" if rate == "k" else "s",
-        change=new / old - 1.0,
+        change=_share(new - old, old),
         sigma=sigma,
     )
+
+
+def _share(off: float, size: float) -> float | None:
+    """A change as a share of a size; None beyond all of it, where a share says nothing."""
+    return off / abs(size) if 0 < abs(off) <= abs(size) else None

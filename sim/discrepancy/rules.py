@@ -110,6 +110,10 @@ class DecisionRules:
     comparable_least_share: float = 0.7
     """Of all windows that must lie in such cells."""
 
+    floor_blind_from_share: float = 0.5
+    """Of what the temperature varies by (rms about its mean), from which the upper end of the floor's interval says
+    nothing: a model that explains no more than three quarters of the variance would agree."""
+
     # ---- where a gap begins
     beginning_least_cycles: int = 3
     """Before a beginning and after it, each."""

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from sim.discrepancy.advice import told_places
+from sim.discrepancy.advice import shown_move, told_places
 from sim.discrepancy.diagnosis import (
     AbsorbedLaw,
     Diagnosis,
@@ -39,18 +39,20 @@ def sentence_of(
     unit: str,
     began: GapBeginning | None = None,
     gap: bool = True,
+    little: str = "",
 ) -> str:
     """The verdict in one or two sentences; errors are in `unit`, as people read it.
 
-    `gap`: over the held-out cycles the free run is further off than chance makes of the noise.
+    `gap`: over the held-out cycles the free run is further off than chance makes of the noise. `little`: why that it is
+    not says nothing (`little_sentence`).
     """
-    if verdict == "too-little-data":
+    if verdict == "too-little-data" and not little:
         return f"Too little data: {cycles} cycle{'s' if cycles != 1 else ''} cannot tell an effect from chance."
     moved = ""
     if shifts:
         surest = shifts[0]
         moved = (
-            f" Parameters have moved: {surest.parameter} in {surest.location} {surest.change:+.0%}, "
+            f" Parameters have moved: {surest.parameter} in {surest.location} {shown_move(surest)}, "
             f"{abs(surest.sigma):.0f} sigma."
         )
     if law is not None:
@@ -58,6 +60,13 @@ def sentence_of(
             f" The model's {law.constants} constants follow one law, {law.words} ({law.name}): {law.instead} numbers "
             f"stand for them, the held-out error goes from {law.rmse_before:.3g} to {law.rmse_after:.3g} {unit}."
         )
+    if held is not None and held.rmse_refit is not None:
+        moved += (
+            f" With its parameters refitted the model is further off on cycles that were never fitted "
+            f"({held.rmse_refit:.3g} against {held.rmse_given:.3g} {unit}): they stay as given."
+        )
+    if verdict == "too-little-data":
+        return little + moved
     if verdict == "agree":
         trace = "".join(
             f" A trace of {each.name} moves the temperature by {each.moves:.2g} {unit}, less than could be felt."
@@ -99,15 +108,45 @@ def sentence_of(
     return f"Something is missing that has no honest name: {where}{since}{moved}"
 
 
+def little_sentence(floor: NoiseFloor, held: HeldOutProof, varies: float, least: float, unit: str) -> str:
+    """Why agreement says nothing where the temperature `varies` by so much (rms) and an error of `least` would have to
+    be seen, and what would be needed; both degC, `unit` as people read it."""
+    said = (
+        f"Too little data: over {_count(held.cycles, 'cycle')} that {'was' if held.cycles == 1 else 'were'} never "
+        f"fitted the free run may be off by {floor.interval[1]:.3g} {unit} by chance alone, and all that the "
+        f"temperature varies by is {varies:.3g} {unit} (rms): that it agrees would say nothing."
+    )
+    if floor.error >= least:
+        return (
+            f"{said} More of the same would not help, since noise alone makes {floor.error:.3g} {unit}: record what "
+            "heats and cools the machine (its load, the room)."
+        )
+    # What chance adds to the floor goes with one over the root of the data.
+    times = ((floor.interval[1] - floor.error) / (least - floor.error)) ** 2
+    return f"{said} About {np.ceil(times):.0f} times as much of it is needed."
+
+
 def beginning_sentence(began: GapBeginning, unit: str) -> str:
     """Since when the machine is warmer or cooler than before, and how sure the date is; `unit` as people read it."""
     low, moment, high = (shown_time(time) for time in (began.interval[0], began.time, began.interval[1]))
-    way = "warmer" if began.moves > 0 else "cooler"
     how = "while it runs" if began.running else "at rest"
+    what, count = "cycle", "cycles"
+    if began.stretch:
+        what, count = "stretch", f"stretches of {shown_span(began.stretch)}"
+    more = "" if began.then is None else f", and from {shown_time(began.then[0])} on {_warmer(began.then[1], unit)}"
     return (
-        f"It begins with the cycle of {moment} (between {low} and {high}): since then the machine is "
-        f"{abs(began.moves):.2g} {unit} {way} {how} than before ({began.before} cycles before, {began.after} after)."
+        f"It begins with the {what} of {moment} (between {low} and {high}): since then the machine is "
+        f"{_warmer(began.moves, unit)} {how} than before{more} ({began.before} {count} before, {began.after} after)."
     )
+
+
+def _warmer(moves: float, unit: str) -> str:
+    return f"{abs(moves):.2g} {unit} {'warmer' if moves > 0 else 'cooler'}"
+
+
+def shown_span(seconds: float) -> str:
+    """A time in hours, or in minutes where it is shorter, as people read it."""
+    return f"{seconds / 3600:.2g} hours" if seconds >= 3600 else f"{seconds / 60:.2g} minutes"
 
 
 def held_out_sentence(diagnosis: Diagnosis) -> str:
@@ -119,6 +158,8 @@ def held_out_sentence(diagnosis: Diagnosis) -> str:
     if held is None:
         return ""
     errors = f"{held.rmse_given:.3f} {unit} as given, {held.rmse_before:.3f} {unit} refitted"
+    if held.rmse_refit is not None:
+        errors = f"{held.rmse_given:.3f} {unit} as given, {held.rmse_refit:.3f} {unit} refitted, which is refused"
     if diagnosis.effects:
         errors += f", {held.rmse_after:.3f} {unit} with what was added"
     parts = (

@@ -24,6 +24,7 @@ from sim.discrepancy.fitting import (
     first_cycle_after,
     fit,
     frame_of,
+    given_fit,
     in_order,
     named_of,
     on,
@@ -40,7 +41,9 @@ from sim.discrepancy.judging import (
     doubts,
     dubious,
     evidence_of,
+    felt,
     immaterial,
+    least_told,
     left_over,
     matters,
     systematic,
@@ -53,7 +56,7 @@ from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.rules import RULES, DecisionRules
-from sim.discrepancy.story import course_of, sentence_of
+from sim.discrepancy.story import course_of, little_sentence, sentence_of
 from sim.effects import ROLES, in_sensor_scale, signals_of
 from sim.sha import Array, EffectLine, Model, Trace, shown_unit, unit_of
 
@@ -144,14 +147,21 @@ def diagnose(
         few = f"would be named from fewer than {rules.first_name_least_cycles} cycles"
         paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], few),)) for path in paths[:1])
     judged = _longest_that_passes(proof, paths)
-    path, held, second = judged.path, judged.held, judged.second
+    path, kept = judged.path, bool(judged.path.taken) and not judged.reasons
+    if kept:
+        after, held, first, second = path.fitted, judged.held, let_run(base, held_out), judged.second
+    else:
+        # Nothing is added: what the report shows is the refit itself, or the model as given, if that is better.
+        refit = judged.held.rmse_before
+        refused = felt(refit, judged.held.rmse_given, sensor, rules)
+        base = after = given_fit(base) if refused else base
+        held, first, second = compared(base, base, held_out, seed, floor)
+        held = replace(held, rmse_refit=refit if refused else None)
     gap = above(held, floor, sensor, rules)
-    kept = bool(path.taken) and not judged.reasons
     # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
-    told = (path.fitted, second) if kept else (base, let_run(base, held_out))
-    began = beginning((let_run(told[0], by_cycles), told[1]), rules.material_sigmas * sensor, rules)
+    began = beginning((let_run(after, by_cycles), second), rules.material_sigmas * sensor, rules)
     material = matters(held, sensor, rules) and (gap or kept or bool(evidence_of(path, ceiling_before, proof.before)))
-    after, ceiling_after, reasons = path.fitted, judged.ceiling, judged.reasons
+    ceiling_after, reasons = judged.ceiling, judged.reasons
     verdict: Verdict = "agree"
     if kept:
         verdict = "named" if all(len(step.members) == 1 for step in path.taken) else "class"
@@ -165,11 +175,13 @@ def diagnose(
             reasons = (*reasons, f"over held-out cycles the free run is off by {error}, noise alone by {limit} at most")
     else:
         reasons = ()
+    varies, least = float(np.std(record.reading)), least_told(record.reading, sensor, rules)
+    little = ""
+    if verdict == "agree" and floor.interval[1] > least:
+        verdict = "too-little-data"
+        little = little_sentence(floor, held, varies, least, shown_unit(model.unit))
+        reasons = (f"noise alone would have to be less than {least:.3g} {shown_unit(model.unit)} for that",)
     described = description(path) if verdict == "unexplained" else ""
-    if not kept and after is not base:  # nothing is added, so what the report shows "after" is the refit itself
-        after = base
-        held, _, second = compared(after, after, held_out, seed, floor)
-    first = let_run(base, held_out) if kept else second
 
     law = None
     if "current" in present:
@@ -206,6 +218,7 @@ def diagnose(
             unit=shown_unit(model.unit),
             began=began,
             gap=gap,
+            little=little,
         ),
         reasons=reasons,
         effects=effects,

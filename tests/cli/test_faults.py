@@ -8,8 +8,11 @@ import pytest
 import scipy.linalg
 
 from gateway.entry import Exit, sentences
+from gateway.lab import simulate
 from sim.discrepancy.fitting.record import RecordFault
 from sim.learning import LearningError
+from sim.sha import Trace
+from tests.rig.pair import known_model
 
 
 def too_many_values() -> None:
@@ -86,3 +89,19 @@ def test_where_a_fault_arose_is_shown_on_request() -> None:
         context.params["traceback"] = True
         with pytest.raises(ValueError, match="cannot assign"), sentences():
             too_many_values()
+
+
+def test_a_fault_that_costs_one_trace_of_several_is_told_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulate, "_simulate_one", lambda *_, **__: too_many_values())
+    trace = Trace("one", np.arange(3.0), {})
+    (row,) = simulate.simulate_traces(
+        known_model(),
+        [trace],
+        runs=1,
+        policy="reject",
+        start="measured",
+        seed=0,
+        picture=None,
+        report=lambda *_: None,
+    )
+    assert row["trace"] == "one" and row["error"].startswith("a fault of the program, not of what it was given")

@@ -10,6 +10,7 @@ from sim.discrepancy.beginning import beginning
 from sim.discrepancy.fitting import Fitted, fit, frame_of, on, record_of
 from sim.discrepancy.held_out import HeldOutRun, let_run
 from sim.discrepancy.rules import RULES
+from sim.discrepancy.story import shown_time
 from sim.discrepancy.workflow import diagnose
 from sim.engine import linear_recursion
 from sim.sha import Array
@@ -51,6 +52,64 @@ def test_what_is_clean_grows_or_wanders_begins_nowhere(trial: HeldOutRun) -> Non
     late = np.where(np.arange(15) >= 16 - RULES.beginning_least_cycles, 1.5, 0.0)
     found = beginning((changed(trial, late),), 0.03, RULES)
     assert found is None or found.after >= RULES.beginning_least_cycles
+
+
+@pytest.fixture(scope="module")
+def run_on() -> HeldOutRun:
+    """A free run through one run of five days."""
+    record = record_of(model(), [plant(1, days=5, runs_on=True)], ())
+    return let_run(fit(on(frame_of(record), record), rounds=2), record.by_cycles())
+
+
+def pieces_of(trial: HeldOutRun) -> tuple[Array, Array]:
+    """(number of each window's piece, start of each piece that is shown while the machine runs s)."""
+    number = np.unique(trial.record.window_cycle, return_inverse=True)[1]
+    return number, np.array([trial.record.times[number == each][0] for each in range(number.max() + 1)])
+
+
+def test_a_machine_that_runs_on_is_dated_by_stretches_of_its_run(run_on: HeldOutRun) -> None:
+    number, starts = pieces_of(run_on)
+    count = starts.size
+    assert np.unique(run_on.record.window_whole).size < 3 and count > 20
+    assert beginning((run_on,), 0.03, RULES) is None
+    cut = count // 3
+    found = beginning((replace(run_on, residual=run_on.residual + 1.5 * (number >= cut)),), 0.03, RULES)
+    assert found is not None and found.running and found.moves == pytest.approx(1.5, abs=0.3)
+    assert found.interval[0] <= starts[cut] <= found.interval[1]
+    assert found.stretch == pytest.approx(np.median(np.diff(starts)), rel=0.1)
+    said = beginning_sentence(found, "°C")
+    assert f"stretches of {found.stretch / 3600:.2g} hours" in said and "cycle" not in said
+
+
+def test_what_fails_in_two_steps_begins_with_the_first(run_on: HeldOutRun) -> None:
+    """As the rig's cooler, from 100 to 20 and to 3 %: a line leaves less of it than one step."""
+    number, starts = pieces_of(run_on)
+    first, second = starts.size // 5, 3 * starts.size // 5
+    errors = 2.0 * (number >= first) + 2.0 * (number >= second)
+    found = beginning((replace(run_on, residual=run_on.residual + errors),), 0.03, RULES)
+    assert found is not None and found.then is not None
+    assert abs(found.time - starts[first]) <= found.stretch and abs(found.then[0] - starts[second]) <= found.stretch
+    assert found.moves == pytest.approx(2.0, abs=0.4) and found.then[1] == pytest.approx(4.0, abs=0.4)
+    assert f"from {shown_time(found.then[0])} on {found.then[1]:.2g} °C warmer" in beginning_sentence(found, "°C")
+
+
+def test_a_jump_stands_out_of_an_error_that_wanders_as_the_run_goes_on(run_on: HeldOutRun) -> None:
+    number, starts = pieces_of(run_on)
+    slow = 1.2 * np.sin(np.arange(starts.size) / 6.0)[number]
+    assert beginning((replace(run_on, residual=run_on.residual + slow),), 0.03, RULES) is None
+    cut = starts.size // 2
+    found = beginning((replace(run_on, residual=run_on.residual + slow + 8.0 * (number >= cut)),), 0.03, RULES)
+    assert found is not None and abs(found.time - starts[cut]) <= found.stretch
+
+
+def test_random_walks_of_a_long_run_begin_nowhere(run_on: HeldOutRun) -> None:
+    number, starts = pieces_of(run_on)
+    rng = np.random.default_rng(5)
+    begun = [
+        beginning((replace(run_on, residual=np.cumsum(rng.standard_normal(starts.size))[number]),), 0.03, RULES)
+        for _ in range(20)
+    ]
+    assert sum(found is not None for found in begun) == 0
 
 
 def test_clean_plants_begin_nowhere() -> None:

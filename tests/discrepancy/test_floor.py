@@ -9,15 +9,24 @@ from sim.discrepancy import workflow
 from sim.discrepancy.diagnosis import HeldOutProof, NoiseFloor
 from sim.discrepancy.fitting import Fitted, Record, fit, frame_of, on, record_of
 from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.gap import floor_of, scatter_of_equal_cycles, stated_errors
+from sim.discrepancy.gap import (
+    floor_of,
+    limit_parameter_errors,
+    predicted,
+    scatter_of_equal_cycles,
+    stated_errors,
+)
 from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares
-from sim.discrepancy.judging import NamingResult, above
+from sim.discrepancy.judging import NamingResult, above, doubts, least_told
 from sim.discrepancy.naming import NamingStep, confirm, step
 from sim.discrepancy.rules import RULES
+from sim.discrepancy.story import held_out_sentence, little_sentence
 from sim.discrepancy.workflow import diagnose
-from sim.sha import Model, Trace
-from tests.discrepancy.plants import model, plant
+from sim.engine import linear_recursion
+from sim.sha import Distribution, Model, Trace
+from tests.discrepancy.plants import TARGETS, model, plant, simulated
 
+MOST = RULES.floor_parameters_most_times
 FOUR_DAYS = 12
 """Cycles of four days."""
 
@@ -62,6 +71,34 @@ def test_a_model_that_takes_everything_for_noise_does_not_lift_the_floor(clean: 
     assert made.error < 0.5 and made.source != "what the model states of its own free runs"
     modest = replace(model(), provenance=replace(model().provenance, scores={"held_out_rmse": 0.07}))
     assert floor(modest, plant(1), base, held_out).source == "what the model states of its own free runs"
+
+
+def test_parameters_that_the_fitted_cycles_hardly_show_widen_the_interval_no_more_than_the_floor(
+    clean: tuple[Fitted, Record],
+) -> None:
+    """The car's two held-out trips had a floor of 0.96 degC that was bounded and an interval of 0.08 to 2.2, not."""
+    base, held_out = clean
+    known = floor(model(), plant(1), base, held_out)
+    shown = np.where(np.arange(base.columns.shape[1]) < 3, 0.01, 1.0)
+    vague = floor(model(), plant(1), replace(base, columns=base.columns * shown, prior=base.prior * shown**2), held_out)
+    assert known.error < vague.error < 2.0 * known.error
+    low, high = (limit / vague.error for limit in vague.interval)
+    assert low > 0.35 and high < 2.2, (low, high)
+
+
+def test_what_wrong_parameters_err_by_is_at_most_what_the_noise_does_in_each_cycle(
+    clean: tuple[Fitted, Record],
+) -> None:
+    base, held_out = clean
+    trial = let_run(base, held_out)
+    noise = trial.whitener.draw(np.random.default_rng(0), 50)
+    cycles = mean_squares(trial)[2]
+    wrong = trial.record.windowed(trial.record.running)[:, None] * np.random.default_rng(1).standard_normal(50)
+    alone, _ = predicted(trial, cycles, noise)
+    for size, most in ((1e-4, 1.01), (10.0, MOST)):
+        errs, drawn = predicted(trial, cycles, noise - limit_parameter_errors(trial, size * wrong, noise, MOST))
+        assert (errs <= most * alone * (1 + 1e-9)).all() and drawn.size == 50
+    assert errs == pytest.approx(MOST * alone), "from the same draws as the interval"
 
 
 def test_what_all_equal_cycles_err_by_alike_is_no_noise() -> None:
@@ -145,3 +182,81 @@ def test_a_name_needs_cycles_of_its_own() -> None:
     found = diagnose(model(), [few], seed=0).diagnosis
     assert found.verdict == "unexplained" and found.effects == ()
     assert any("fewer than 6 cycles" in reason for reason in found.reasons), found.reasons
+
+
+def test_a_refit_that_foresees_held_out_cycles_worse_than_the_model_as_given_is_refused() -> None:
+    """What was warmer for the first half and is as ever since: the fitted cycles ask for other parameters."""
+    trace = plant(1, days=4, period=60.0)
+    early = np.arange(trace.times.size) < 0.6 * trace.times.size
+    warmer = trace.signals["T"] + 4.0 * (early & (trace.signals["MarciaDecanter"] > 0.5))
+    found = diagnose(model(), [replace(trace, signals={**trace.signals, "T": warmer})], seed=0, most=1).diagnosis
+    held = found.held_out
+    assert held is not None and held.rmse_refit is not None and found.floor is not None
+    assert held.rmse_before == held.rmse_after == held.rmse_given < 0.5 * held.rmse_refit
+    assert found.shifts == () and found.effects == () and found.verdict == "unexplained"
+    assert "they stay as given" in found.sentence and "which is refused" in held_out_sentence(found)
+
+
+def test_no_name_is_given_under_which_the_error_is_greater_than_that_of_the_model_as_given(
+    pumped: tuple[Fitted, Record],
+) -> None:
+    base, held_out = pumped
+    first = confirmed(base, "pump-cooling")
+    best = first.evidence[0].fitted
+    assert best is not None
+    path = NamingResult(base, best, ((first, ""),))
+    held = HeldOutProof(4, 4, 0.3, 2.0, 0.8, 0.2, 0.85, (0.7, 0.9), ())
+    for given, withheld in ((0.3, True), (0.9, False)):
+        reasons = doubts(
+            path,
+            let_run(base, held_out),
+            second=let_run(best, held_out),
+            held=replace(held, rmse_given=given),
+            before=None,
+            left=None,
+        )
+        assert any("as it was given" in reason for reason in reasons) is withheld, reasons
+
+
+def test_where_an_error_of_half_the_temperatures_spread_would_agree_there_is_too_little_data() -> None:
+    """A machine temperature that varied by 20 degF "agreed" within 3 to 54 degF."""
+    trace = plant(1, days=2, runs_on=True, period=120.0)
+    fresh = np.sqrt(1.0 - 0.97**2) * np.random.default_rng(3).standard_normal(trace.times.size)
+    wanders = 12.0 * linear_recursion(np.full(fresh.size, 0.97), fresh, 0.0)
+    rough = replace(model(), provenance=replace(model().provenance, scores={"held_out_rmse": 12.0}))
+    signals = {**trace.signals, "T": trace.signals["T"] + wanders}
+    found = diagnose(rough, [replace(trace, signals=signals)], seed=0, most=1).diagnosis
+    assert found.floor is not None and found.held_out is not None
+    assert found.held_out.rmse_before < found.floor.interval[1] and found.began is None and not found.material
+    assert found.verdict == "too-little-data" and found.effects == ()
+    assert "would say nothing" in found.sentence and f"{found.floor.interval[1]:.3g} °C by chance" in found.sentence
+
+
+def test_how_much_is_needed_is_said_or_that_more_of_it_would_not_help() -> None:
+    held = HeldOutProof(2, 2, 2.0, 2.0, 2.0, 2.0, None, None, ())
+    made = NoiseFloor(2.0, (1.0, 6.0), np.arange(2), np.full(2, 2.0), "the sensor alone")
+    assert little_sentence(made, held, 8.0, 4.0, "°C").endswith("About 4 times as much of it is needed.")
+    assert "would not help" in little_sentence(made, held, 3.0, 1.5, "°C")
+    readings = np.array([10.0, 30.0])
+    assert least_told(readings, 0.1, RULES) == 5.0 and least_told(readings, 20.0, RULES) == 10.0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_floor_of_a_plant_that_is_exact_but_for_its_readings_is_what_windows_of_every_length_err_by(
+    seed: int,
+) -> None:
+    """Windows after a switch have fewer readings than the median one: the floor was 0.87 of the error."""
+    made = model()
+    flows = {each.name: replace(each.flow, params={**each.flow.params, "noise": 1e-5}) for each in made.sha.locations}
+    places = tuple(
+        replace(each, flow=flows[each.name], distribution=Distribution("normal", {"mu": target, "sigma": 1e-3}))
+        for each, (target, _) in zip(made.sha.locations, TARGETS.values(), strict=True)
+    )
+    scores = {"held_out_rmse": 0.0668}
+    exact = replace(made, sha=replace(made.sha, locations=places), provenance=replace(made.provenance, scores=scores))
+    trace = simulated(exact, seed)
+    base, held_out = parts(exact, trace)
+    told = floor(exact, trace, base, held_out)
+    held, _, _ = compared(base, base, held_out, 0, told)
+    assert held.rmse_before == pytest.approx(told.error, rel=0.07)
+    assert base.sensor_sigma == pytest.approx(0.0668, rel=0.07), "rounding to 0.1 degC is in it"

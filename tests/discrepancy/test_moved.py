@@ -8,6 +8,7 @@ import pytest
 from sim.discrepancy.fitting import Fitted, anchored, fit, frame_of, on, record_of
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.rules import RULES
+from sim.discrepancy.story import sentence_of
 from sim.sha import Model
 from sim.sha.events import encode
 from tests.discrepancy.plants import ALPHABET, model, plant
@@ -50,3 +51,20 @@ def test_only_of_a_location_that_the_record_shows_a_target_is_said_to_have_moved
     off = fitted.off.copy()
     off[high] = 10.0 * np.sqrt(2.0 * fitted.covariance[high, high])
     assert ("HIGH" in {each.location for each in shifts(replace(fitted, off=off), RULES)}) is told
+
+
+@pytest.mark.parametrize(
+    ("heights", "said"), [(0.1, "target in HIGH +4.5 °C (+10%)"), (-2.8, "target in HIGH -126 °C, ")]
+)
+def test_a_target_moves_by_degrees_and_by_a_share_where_that_says_something(heights: float, said: str) -> None:
+    """HIGH stands 45 degC above rest; a transformer's target was said to have moved by -280 %."""
+    fitted = fit(frame_with_high(30))
+    high = fitted.frame.names.targets.index("HIGH")
+    off = np.zeros_like(fitted.off)
+    off[high] = heights * 45.0
+    covariance = np.where(np.arange(off.size) == high, 1e-4, 1e4)
+    found = shifts(replace(fitted, off=off, covariance=np.diag(covariance)), RULES)
+    assert [each.location for each in found] == ["HIGH"]
+    assert found[0].change == (pytest.approx(0.1) if heights == 0.1 else None)
+    sentence = sentence_of("agree", (), unexplained=(), shifts=found, held=None, cycles=6, unit="°C")
+    assert said in sentence and "280" not in sentence

@@ -57,7 +57,7 @@ class Bench:
         await self.driver.open()
         if self.period is not None:
             for tag in (*self.tags.read, *self.tags.write_map):
-                await read_until_good(self.driver, tag, within=1.0)
+                await read_until_good(self.driver, tag)
 
     async def open_anyway(self) -> None:
         """Open the driver whose device may be away."""

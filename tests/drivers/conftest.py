@@ -40,7 +40,7 @@ async def opened(plc: ScriptedPlc) -> AsyncIterator[OpenModbus]:
         await driver.close()
 
 
-async def read_until_good(driver: Driver, tag: Tag, *, within: float, pause: float = 0.02) -> Sample:
+async def read_until_good(driver: Driver, tag: Tag, *, within: float = 60.0, pause: float = 0.02) -> Sample:
     """Poll one tag until it is good; a failed assertion names the last reason."""
     loop = asyncio.get_running_loop()
     end = loop.time() + within

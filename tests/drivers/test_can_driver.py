@@ -50,7 +50,7 @@ async def make(device: CanDevice) -> AsyncIterator[Make]:
 async def opened(driver: CanDriver, tags: tuple[Tag, ...] = CAN_TAGS.read) -> CanDriver:
     await driver.open()
     for tag in tags:
-        await read_until_good(driver, tag, within=2.0)
+        await read_until_good(driver, tag)
     return driver
 
 
@@ -86,7 +86,7 @@ async def test_a_silent_device_is_a_timeout_with_a_reason_and_comes_back_by_itse
     assert sample.reason.startswith("no frame 0x181 for 0.3")
     await device.stop()
     await device.start()
-    await read_until_good(driver, CAN_TAGS.level, within=2.0)
+    await read_until_good(driver, CAN_TAGS.level)
 
 
 async def test_one_message_that_stops_leaves_the_others_good(device: CanDevice, make: Make) -> None:
@@ -115,7 +115,7 @@ async def test_an_interface_that_goes_down_is_told_at_once_and_is_joined_again(d
     assert sample.quality is Quality.NOT_CONNECTED
     assert "no CAN hub" in sample.reason or "interface is down" in sample.reason
     await device.start()
-    await read_until_good(driver, CAN_TAGS.level, within=1.0)
+    await read_until_good(driver, CAN_TAGS.level)
     assert driver.statistics()["losses"] >= 1
 
 
@@ -129,7 +129,7 @@ async def test_bus_off_is_told_nothing_is_sent_and_the_restarted_bus_is_used_aga
     assert "bus-off" in sample.reason
     assert driver.statistics()["bus_off"] == 1
     # Opening the interface anew restarts its controller.
-    await read_until_good(driver, CAN_TAGS.level, within=1.0)
+    await read_until_good(driver, CAN_TAGS.level)
 
 
 async def test_a_bus_that_stays_off_is_not_called_connected_and_no_write_goes_out(
@@ -157,7 +157,7 @@ async def test_a_bus_that_stays_off_is_not_called_connected_and_no_write_goes_ou
         await asyncio.sleep(0.02)
     assert [frame for frame in device.heard if not frame.is_error_frame] == []
     off = False
-    await read_until_good(driver, CAN_TAGS.level, within=2.0)
+    await read_until_good(driver, CAN_TAGS.level)
 
 
 async def test_error_frames_are_counted_and_are_no_readings(device: CanDevice, make: Make) -> None:
@@ -189,7 +189,7 @@ async def test_remote_frames_and_frames_of_the_other_id_length_are_not_taken_for
     device.put(can.Message(arbitration_id=0x190, is_extended_id=False, is_remote_frame=True, dlc=4))
     device.send(0x190, bytes((9, 9, 9, 0)), extended=True)
     device.send(0x191, bytes(2))
-    await read_until_good(driver, after, within=2.0)
+    await read_until_good(driver, after)
     assert (await driver.read([silent]))[0].quality is Quality.WAITING_FOR_INITIAL_DATA
 
 
@@ -231,7 +231,7 @@ async def test_garbage_makes_no_crash_and_no_wrong_good_value(device: CanDevice,
             for sample, true in zip(await driver.read(CAN_TAGS.read), (12.5, 7, True), strict=True):
                 assert not sample.quality.is_good or sample.value == true
     await until(lambda: driver.statistics()["frames"] > 1400)
-    await read_until_good(driver, CAN_TAGS.level, within=1.0)
+    await read_until_good(driver, CAN_TAGS.level)
 
 
 async def test_only_the_frames_that_are_asked_for_are_passed_on_where_the_interface_filters(
@@ -243,7 +243,7 @@ async def test_only_the_frames_that_are_asked_for_are_passed_on_where_the_interf
         device.send(0x555, b"abc")
     await asyncio.sleep(0.1)
     assert driver.statistics()["frames_unmapped"] - before["frames_unmapped"] <= 5
-    await read_until_good(driver, CAN_TAGS.flag, within=1.0)
+    await read_until_good(driver, CAN_TAGS.flag)
 
 
 # ---------------------------------------------------------------- writes
@@ -378,7 +378,7 @@ async def test_a_bus_without_a_file_descriptor_is_listened_to_by_a_thread(tmp_pa
         await driver.open()
         await driver.read([CAN_TAGS.level])
         device.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=bytes((125, 0, 7, 0))))
-        assert (await read_until_good(driver, CAN_TAGS.level, within=2.0)).value == 12.5
+        assert (await read_until_good(driver, CAN_TAGS.level)).value == 12.5
         await driver.close()
         assert (await driver.read([CAN_TAGS.level]))[0].quality is Quality.NOT_CONNECTED
 
@@ -420,7 +420,7 @@ async def test_a_kernel_bus_gives_readings_and_takes_verified_writes() -> None:
         await driver.read(tags)
         device.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=bytes((125, 0, 7, 0))))
         device.send(can.Message(arbitration_id=0x182, is_extended_id=False, data=bytes((0, 2))))
-        assert [(await read_until_good(driver, tag, within=2.0)).value for tag in tags] == [12.5, 7, True]
+        assert [(await read_until_good(driver, tag)).value for tag in tags] == [12.5, 7, True]
         writing = asyncio.create_task(driver.write([(CAN_TAGS.mode, 9)]))
         command = await asyncio.to_thread(device.recv, 2.0)
         assert command is not None

@@ -81,7 +81,7 @@ async def test_answers_to_others_requests_and_broadcasts_are_read_beside_plain_f
     for identifier, data in bam(bytes.fromhex("0400 6E000305 64000101"), 0xFECA):
         unit.send(identifier, data)
     unit.send(0x181, b"\x34\x12")
-    values = [(await read_until_good(driver, tag, within=2.0)).value for tag in (SPEED, VIN, ENGINE, CODES, PLAIN)]
+    values = [(await read_until_good(driver, tag)).value for tag in (SPEED, VIN, ENGINE, CODES, PLAIN)]
     assert values == [1726.0, "V" * 17, 1000.0, "SPN 110 FMI 3 OC 5; SPN 100 FMI 1 OC 1", 0x1234]
     assert driver.connected
     assert unit.heard == []
@@ -92,7 +92,7 @@ async def test_a_value_that_is_not_told_again_is_bad_after_its_timeout(car: tupl
     driver = await opened(answer_timeout=30.0, answer_timeouts={"speed": 0.1})
     assert (await driver.read([SPEED]))[0].quality is Quality.WAITING_FOR_INITIAL_DATA
     unit.send(0x7E8, isotp(b"\x41\x0c\x1a\xf8")[0])
-    before = await read_until_good(driver, SPEED, within=2.0)
+    before = await read_until_good(driver, SPEED)
     assert before.sent is None
     assert abs(before.time - time.time()) < 1.0
     await asyncio.sleep(0.15)
@@ -131,8 +131,8 @@ async def test_with_poll_the_parameters_are_asked_for_and_a_long_answer_is_let_t
     unit.answers = answer
     driver = await opened(poll=True, poll_period=0.05, poll_timeout=0.5)
     await driver.read([SPEED, VIN, GEARBOX])
-    assert (await read_until_good(driver, SPEED, within=3.0)).value == 1726.0
-    assert (await read_until_good(driver, VIN, within=3.0)).value == "V" * 17
+    assert (await read_until_good(driver, SPEED)).value == 1726.0
+    assert (await read_until_good(driver, VIN)).value == "V" * 17
     assert {(m.arbitration_id, bytes(m.data[:3])) for m in unit.heard} <= {
         (0x7E0, b"\x02\x01\x0c"), (0x7E0, b"\x02\x09\x02"), (0x7E0, b"\x30\x00\x00"), (0x7E1, b"\x02\x01\x05"),
     }  # fmt: skip
@@ -147,7 +147,7 @@ async def test_a_unit_that_does_not_answer_holds_up_no_other_for_longer_than_the
     unit.answers = lambda m: [(0x7E8, isotp(b"\x41\x0c\x1a\xf8")[0])] if m.arbitration_id == 0x7E0 else ()
     driver = await opened(poll=True, poll_period=0.02, poll_timeout=0.02)
     await driver.read([GEARBOX, SPEED])
-    assert (await read_until_good(driver, SPEED, within=3.0)).value == 1726.0
+    assert (await read_until_good(driver, SPEED)).value == 1726.0
     while driver.statistics()["polls_unanswered"] < 3:
         await asyncio.sleep(0.01)
 
@@ -169,7 +169,7 @@ async def test_asking_goes_on_after_the_bus_has_taken_no_frame_for_a_while(
     monkeypatch.setattr(VirtualBus, "send", full)
     driver = await opened(poll=True, poll_period=0.02, poll_timeout=0.02)
     await driver.read([SPEED])
-    assert (await read_until_good(driver, SPEED, within=3.0)).value == 1726.0
+    assert (await read_until_good(driver, SPEED)).value == 1726.0
     assert len(refused) == 3
 
 

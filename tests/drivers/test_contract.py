@@ -110,7 +110,7 @@ async def test_open_raises_while_the_device_is_away_and_the_driver_comes_back_by
         await bench.driver.open()
     assert not bench.driver.connected
     await bench.restore()
-    await read_until_good(bench.driver, bench.tags.state, within=1.0)
+    await read_until_good(bench.driver, bench.tags.state)
 
 
 async def test_loss_gives_bad_samples_with_a_reason_and_return_gives_good_ones(bench: Bench) -> None:
@@ -126,7 +126,7 @@ async def test_loss_gives_bad_samples_with_a_reason_and_return_gives_good_ones(b
                 assert sample.reason
         assert not bench.driver.connected
         await bench.restore()
-        await read_until_good(bench.driver, bench.tags.state, within=1.0)
+        await read_until_good(bench.driver, bench.tags.state)
         assert bench.driver.connected
 
 
@@ -177,7 +177,7 @@ async def test_a_write_while_the_device_is_away_raises_and_is_not_made_up_for_la
     with pytest.raises(DriverError):
         await writing(bench).write([(bench.tags.mode, 9)])
     await bench.restore()
-    await read_until_good(bench.driver, bench.tags.state, within=1.0)
+    await read_until_good(bench.driver, bench.tags.state)
     assert (await bench.driver.read([bench.tags.mode]))[0].value == 0
 
 

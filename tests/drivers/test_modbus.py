@@ -295,7 +295,7 @@ async def test_after_a_reconnection_a_refused_register_is_tried_at_once(plc: Scr
     plc.illegal = set()
     await plc.stop()
     await plc.start()
-    await read_until_good(driver, FIVE, within=2)
+    await read_until_good(driver, FIVE)
     assert (await driver.read(block_of(6)))[3].value == 3
 
 
@@ -464,7 +464,7 @@ async def test_a_write_over_a_dead_link_says_so_and_is_not_sent_later(plc: Scrip
     with pytest.raises(LinkDown, match="not connected"):
         await driver.write([(WORD, 1)])
     await plc.start()
-    await read_until_good(driver, FIVE, within=2)
+    await read_until_good(driver, FIVE)
     assert 16 not in plc.functions()
 
 
@@ -477,7 +477,7 @@ async def test_a_write_that_is_reset_is_a_broken_link_and_is_not_repeated(plc: S
     with pytest.raises(LinkDown, match="closed"):
         await driver.write([(WORD, 1)])
     plc.bend = None
-    await read_until_good(driver, FIVE, within=2)
+    await read_until_good(driver, FIVE)
     assert plc.functions().count(16) == 1
 
 

@@ -34,7 +34,7 @@ async def test_a_killed_device_is_read_again_within_a_second_of_its_return(
     plc: ScriptedPlc, opened: OpenModbus, outage: float
 ) -> None:
     driver = await opened()
-    await read_until_good(driver, FIVE, within=1)
+    await read_until_good(driver, FIVE)
     await plc.stop()
     seen: list[Sample] = []
     await poll(driver, outage, seen)
@@ -63,7 +63,7 @@ async def test_a_device_that_falls_silent_is_given_up_by_the_rule_and_read_again
     plc: ScriptedPlc, opened: OpenModbus
 ) -> None:
     driver = await opened()
-    await read_until_good(driver, FIVE, within=1)
+    await read_until_good(driver, FIVE)
     plc.bend = silent
     loop = asyncio.get_running_loop()
     began = loop.time()
@@ -81,7 +81,7 @@ async def test_a_slow_scan_still_gives_a_silent_device_up_after_two_seconds_of_a
     plc: ScriptedPlc, opened: OpenModbus
 ) -> None:
     driver = await opened(timeout=1.5, attempts=1)
-    await read_until_good(driver, FIVE, within=1)
+    await read_until_good(driver, FIVE)
     plc.bend = silent
     began = asyncio.get_running_loop().time()
     await driver.read([FIVE])
@@ -96,7 +96,7 @@ async def test_a_half_open_connection_is_replaced_while_new_ones_are_served(
 ) -> None:
     """The device has restarted behind a firewall: the old connection is a black hole, a new one works."""
     driver = await opened()
-    await read_until_good(driver, FIVE, within=1)
+    await read_until_good(driver, FIVE)
     old = set(plc._writers)
 
     async def deaf(plc: ScriptedPlc, request: bytes, honest: bytes, writer: asyncio.StreamWriter) -> None:
@@ -104,7 +104,7 @@ async def test_a_half_open_connection_is_replaced_while_new_ones_are_served(
             writer.write(honest)
 
     plc.bend = deaf
-    await read_until_good(driver, FIVE, within=2.0)
+    await read_until_good(driver, FIVE)
     assert plc.connections == 2
 
 
@@ -152,7 +152,7 @@ async def test_a_broken_stream_is_a_lost_link_at_once_and_the_next_connection_is
     complaints: list[dict[str, object]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
     driver = await opened(timeout=30, attempts=1)
-    await read_until_good(driver, FIVE, within=1)
+    await read_until_good(driver, FIVE)
     plc.bend = first(1, BROKEN[kind])
     async with asyncio.timeout(20.0):
         (sample,) = await driver.read([FIVE])

@@ -259,7 +259,7 @@ async def test_a_silent_unit_is_asked_rarely_and_read_again_when_it_answers(
     assert plc.connections == connections
     dead.clear()
     for driver in (two, three):
-        await read_until_good(driver, FIVE, within=1.0)
+        await read_until_good(driver, FIVE)
     stop.set()
     await asyncio.gather(*scans)
     assert two.connected and three.connected
@@ -298,7 +298,7 @@ async def test_a_connection_on_which_all_units_are_silent_is_made_anew(plc: Scri
             writer.write(honest)
 
     plc.bend = by_unit(dict.fromkeys(range(1, 5), deaf))
-    await asyncio.gather(*(read_until_good(driver, FIVE, within=2.0) for driver in drivers))
+    await asyncio.gather(*(read_until_good(driver, FIVE) for driver in drivers))
     assert plc.connections == 2
 
 
@@ -316,7 +316,7 @@ async def test_a_unit_that_is_never_asked_makes_no_dead_connection_a_silent_unit
             writer.write(honest)
 
     plc.bend = by_unit({1: deaf})
-    await read_until_good(read, FIVE, within=1.0)
+    await read_until_good(read, FIVE)
     assert plc.connections == 2 and not read.statistics()["silent"]
 
 
@@ -507,7 +507,7 @@ async def test_a_late_reply_of_one_unit_is_never_anothers_and_says_that_it_is_th
         assert samples[0].value is None
     assert drivers[0].statistics()["foreign_replies"] >= 1
     del bends[3]
-    await read_until_good(drivers[0], FIVE, within=1.0)  # and not in 30 s: what came late has told
+    await read_until_good(drivers[0], FIVE)  # and not in 30 s: what came late has told
 
 
 async def test_a_reply_under_another_units_number_is_refused(plc: ScriptedPlc, shared: Open) -> None:
@@ -571,7 +571,7 @@ async def test_a_silent_unit_on_a_line_costs_the_others_one_short_wait_at_a_time
     assert sum(took) < 20 * 0.06
     assert Counter(request[0] for request in ends.line.requests)[3] < 8
     ends.line.bend = lambda line, request, honest: line.put(own_number(request))
-    assert (await read_until_good(three, FIVE, within=1.0)).value == 3
+    assert (await read_until_good(three, FIVE)).value == 3
 
 
 @pytest.mark.parametrize("cut", [0, 3, 6])
@@ -612,7 +612,7 @@ async def test_another_unit_is_not_asked_in_the_middle_of_a_late_reply(
     ends.line.bend = bend
     await three.read([three_words])
     assert (await once(four)).value in (None, 4)
-    assert (await read_until_good(four, FIVE, within=2.5)).value == 4
+    assert (await read_until_good(four, FIVE)).value == 4
 
 
 async def test_a_reply_that_breaks_off_holds_the_line_for_a_moment_and_not_for_the_longest_reply(
@@ -625,7 +625,7 @@ async def test_a_reply_that_breaks_off_holds_the_line_for_a_moment_and_not_for_t
 
     ends.line.bend = bend
     assert (await once(three)).value is None
-    assert (await read_until_good(four, FIVE, within=0.9)).value == 4  # an answer may come for 1 s
+    assert (await read_until_good(four, FIVE)).value == 4  # an answer may come for 1 s
     assert four.statistics()["reconnects"] == 0
 
 

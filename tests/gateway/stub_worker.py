@@ -1,7 +1,7 @@
 """A worker process of the tests: it says what a worker says, has no machine, and does what its machines' names say.
 
 `refuses`: it may not begin. `falls`: it ends before it has begun. `hangs`: it answers twice, and then not any more.
-`unheard`: its messages about alarms reach nobody.
+`unheard`: its messages about alarms reach nobody. `mute`: it runs, and once it was begun anew it says nothing any more.
 """
 
 import json
@@ -13,6 +13,19 @@ from typing import Any
 
 from drivers.supervision import Supervisor
 from gateway.plant.channel import SupervisorChannel
+
+
+def picture() -> dict[str, Any]:
+    """What a running, armed machine says of itself, as far as the supervisor looks at it."""
+    return {
+        "time": 0.0,
+        "phase": "running",
+        "parts": {},
+        "values": {},
+        "link": {"alive": True, "connected": True, "reason": ""},
+        "scan": {"age": 0.0, "period": 1.0, "late": False},
+        "writeback": {"mode": "armed"},
+    }
 
 
 def main() -> None:
@@ -30,13 +43,14 @@ def main() -> None:
     channel.ask("open")
     channel.ask("ready")
     answered = 0
+    pictures = {name: picture() for name in names if name == "mute"}
     while (message := requests.get())["ask"] != "stop":
-        if "hangs" in names and answered == 2 and not begin["former"]:
+        if ("hangs" in names and answered == 2 and not begin["former"]) or ("mute" in names and begin["former"]):
             time.sleep(60.0)
         answered += 1
         status = {"machine": names[0], "answered": answered, "former": begin["former"]}
         unheard = "shift: nobody answers" if "unheard" in names else ""
-        silent = {"statuses": {}, "progress": dict.fromkeys(names, (answered, 0)), "undelivered": unheard}
+        silent = {"statuses": pictures, "progress": dict.fromkeys(names, (answered, 0)), "undelivered": unheard}
         content = silent if message["ask"] == "statuses" else {"answer": {"ok": True, "status": status}}
         channel.reply(message["id"], content)
     channel.reply(message["id"], {"statuses": {}})

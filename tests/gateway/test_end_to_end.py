@@ -80,8 +80,10 @@ async def test_over_a_real_socket_through_an_outage_to_a_graceful_stop(tmp_path:
         )
         await until(lambda: status().get("writeback", {}).get("accepted", 0) > 60)
         await until(lambda: (status().get("writeback") or {}).get("last_validity") == 31)
+        # On a busy computer there may be others, before and after the ordered one.
+        outages = status()["link"]["outage_count"]
         silence = plc.order("fault", fault={"kind": "silent"})["number"]  # until it is seen
-        await until(lambda: status()["link"]["outage_count"] == 1)
+        await until(lambda: status()["link"]["outage_count"] > outages)
         plc.order("clear", number=silence)
         await until(lambda: status()["link"]["alive"] and status()["writeback"]["last_validity"] == 31)
         stop.set()
@@ -92,8 +94,8 @@ async def test_over_a_real_socket_through_an_outage_to_a_graceful_stop(tmp_path:
     counters = last["writeback"]
     assert counters["accepted"] == said["accepted"] and counters["refused"] == said["refused"] == 0
     assert counters["written"] <= said["accepted"] <= counters["written"] + counters["failed"]
-    (outage,) = last["link"]["outages"]
-    assert outage["recovered_s"] is not None
+    assert len(last["link"]["outages"]) > outages
+    assert all(outage["recovered_s"] is not None for outage in last["link"]["outages"])
     judged = read_recording(record)
     assert judged.blocks[-1].fields is not None and judged.blocks[-1].fields["validity"] == 0
     assert wrong_good(judged, samples(config.historian.path), tolerance_s=3.0 * config.scan.period) == []

@@ -45,7 +45,7 @@ class Watch:
     def early(self) -> list[Scan]:
         return [scan for scan in self.seen if scan.early]
 
-    async def until(self, count: int, within: float = 20.0) -> None:
+    async def until(self, count: int, within: float = 120.0) -> None:
         async with asyncio.timeout(within):
             while len(self.seen) < count:
                 await asyncio.sleep(0.001)

@@ -169,6 +169,20 @@ async def test_one_that_hangs_is_named_with_its_machines_and_since_when_and_is_d
         assert (await pool.answer(asked("a")))["ok"]
 
 
+async def test_one_that_was_begun_anew_is_not_shown_as_the_one_before_it_was(tmp_path: Path) -> None:
+    async with asyncio.timeout(120.0), pool_of(plant_of(tmp_path, *named("a", "mute")), io.StringIO()) as pool:
+        while not (shown := pool._pictures().get("mute")):
+            await asyncio.sleep(0.02)
+        assert shown["link"]["alive"] and shown["phase"] == "running"
+        worker = pool._workers[1]
+        worker.kill()
+        while not (worker.ready and worker.former):
+            await asyncio.sleep(0.002)
+        shown = pool._pictures()["mute"]
+        assert not shown["link"]["alive"] and shown["phase"] == "starting" and shown["scan"]["late"]
+        assert "is being begun anew: worker 2 (mute): its process was ended by SIGKILL" in shown["link"]["reason"]
+
+
 async def test_messages_that_one_process_cannot_deliver_are_known_where_the_plants_alarms_are(tmp_path: Path) -> None:
     async with asyncio.timeout(120.0), pool_of(plant_of(tmp_path, *named("a", "unheard")), io.StringIO()) as pool:
         while not (told := pool._health(["a"])["undelivered"]):

@@ -88,7 +88,7 @@ class Plant:
         driver = open_driver("canopen", settings, clock=time.time)
         await driver.open()
         try:
-            await read_until_good(driver, device.by_name["PlcHeartbeat"], within=5.0)
+            await read_until_good(driver, device.by_name["PlcHeartbeat"])
         finally:
             await driver.close()
 

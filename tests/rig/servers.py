@@ -25,7 +25,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def until(true: Any, seconds: float = 15.0) -> None:
+def until(true: Any, seconds: float = 120.0) -> None:
     """Wait until it is so."""
     end = monotonic() + seconds
     while not true():

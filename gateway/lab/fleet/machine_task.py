@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gateway.entry import sentence
 from gateway.lab.diagnose import check_traces, roles_of
 from gateway.lab.fleet.sources import MachineSource, MachineTraces
 from gateway.lab.spent import peak_megabytes
@@ -72,7 +73,7 @@ def judged(task: FleetTask) -> MachineResult:
         read = task.source.read(task.column_map)
         result = _judged(task, read.traces)
     except (ValueError, OSError) as error:
-        result = MachineResult(machine=task.source.machine, failure=str(error))
+        result = MachineResult(machine=task.source.machine, failure=sentence(error))
     return replace(result, unread=read.unread, cpu_s=time.process_time() - begin, peak_mb=peak_megabytes())
 
 

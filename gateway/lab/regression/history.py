@@ -11,6 +11,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from gateway.entry import sentence
 from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
 from gateway.lab.regression.standard import CodeVersion, StandardSet
 from gateway.lab.retraining.judging import scores_along
@@ -165,7 +166,7 @@ def run_standard(
                         raise ValueError("its forecasts are no finite numbers")
                     scores = [{name: each[name] for name in KEPT} for each in found]
                 except ValueError as error:
-                    failed = str(error)
+                    failed = sentence(error)
             row = {"kind": "result", "model": key[0], "trace": content, "code": code.content, "seed": seed}
             history.add({**row, "trace_name": trace.name, "scores": scores, "failed": failed})
     when = datetime.fromtimestamp(clock(), UTC).isoformat(timespec="seconds")

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from gateway.entry import sentence as error_sentence
 from gateway.lab.familiar import (
     ErrorPair,
     cycles_with_points,
@@ -241,7 +242,7 @@ def retrain(
                     trace, present, new, seed=request.seed, report=tell, most=request.forecasts, until=until
                 )
             except ValueError as error:
-                notes.append(f"{trace.name} cannot be judged: {error}")
+                notes.append(f"{trace.name} cannot be judged: {error_sentence(error)}")
                 rows = []
             library.done(study, f"judged {content}", rows)
         if subject == STANDARD and content in (*present.provenance.contents, *new.provenance.contents):

@@ -14,7 +14,7 @@ import scipy
 
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
-from sim.discrepancy.fitting.named import Named
+from sim.discrepancy.fitting.named import Named, named_of
 from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.fitting.scattering import spans_of
@@ -69,11 +69,20 @@ class Fitted:
 
 
 def readings_in_window(record: Record) -> float:
-    """How many readings that err by themselves a window's mean is worth: fewer where the sensor's error lasts."""
-    count = float(np.median(np.diff(np.append(record.begins, record.rows.size))))
+    """How many readings that err by themselves a window's mean is worth: fewer where the sensor's error lasts.
+
+    Windows are shorter after a switch: of as many readings each, they would err by as much (mean square over windows).
+    """
+    count = np.diff(np.append(record.begins, record.rows.size))
     memory = record.model.sensor_memory
-    between = float(np.median(np.diff(record.runs.time[record.rows]))) if memory else 0.0
-    return count / repeat_factor(memory, between) if memory else count
+    if not memory:
+        return 1.0 / float(np.mean(1.0 / count))
+    # The variance of the mean of n readings whose neighbours are correlated by r (Bartlett 1946), as a share of one's:
+    # repeat_factor / n for many of them, 1 for a single one.
+    between = float(np.median(np.diff(record.runs.time[record.rows])))
+    r, factor = np.exp(-max(between / memory, 1e-3)), repeat_factor(memory, between)
+    share = (factor - 2.0 * r * (1.0 - r**count) / (count * (1.0 - r) ** 2)) / count
+    return 1.0 / float(np.mean(share))
 
 
 def first_noise(model: Model, record: Record) -> NoiseModel:
@@ -172,6 +181,23 @@ def fit(
         noise, cost = noise_around(point, frame, belief, noise, iterations)
         if largest_change(before, noise) < SETTLED:
             break
+    return _fitted(frame, point, start=start, noise=noise, prior=prior, cost=cost)
+
+
+def given_fit(fitted: Fitted) -> Fitted:
+    """The given model's own numbers on the same record, none of them fitted; the noise is that of greatest likelihood
+    beside them."""
+    frame, named = fitted.frame, named_of(fitted.frame.record.model)
+    record = frame.record
+    numbers = np.concatenate([frame.centre, *(np.array(each.point) for each in named)])
+    prior = np.concatenate([frame.prior, np.zeros(numbers.size - frame.centre.size)])
+    point = _around(frame, at(frame, numbers, fitted.start, named), fitted.start, record.reading)
+    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    noise, cost = noise_around(point, frame, belief, fitted.noise, 12)
+    return _fitted(frame, point, start=fitted.start, noise=noise, prior=prior, cost=cost)
+
+
+def _fitted(frame: Frame, point: _Point, *, start: Array, noise: NoiseModel, prior: Array, cost: float) -> Fitted:
     whitener = Whitener(point.grid, noise)
     inverse = np.linalg.inv(whitener.gram(point.columns) + np.diag(np.maximum(prior, 1e-12)))
     covariance = np.asarray(inverse, dtype=float)

@@ -41,7 +41,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         names = ("before", "after", "noise_floor")
         rows = [dict(zip(names, row, strict=True)) for row in diagnosis.held_out.per_cycle]
         held_out = asdict(diagnosis.held_out) | {"per_cycle": rows}
-        held_out["given"] = held_out.pop("rmse_given")
+        held_out |= {"given": held_out.pop("rmse_given"), "refused_refit": held_out.pop("rmse_refit")}
         held_out["sentence"] = held_out_sentence(diagnosis)
     content = {
         "verdict": diagnosis.verdict,

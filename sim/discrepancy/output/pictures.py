@@ -192,7 +192,7 @@ def draw_where(figure: Figure | SubFigure, heat: HeatMap, unit: str) -> None:
     from matplotlib.colors import Normalize
     from matplotlib.patches import Rectangle
 
-    maps = [("before: heat that the refitted model leaves", heat.before)]
+    maps = [("before: heat that the model leaves", heat.before)]
     if heat.after is not None:
         maps.append(("after: with what was added", heat.after))
     axes = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
@@ -262,7 +262,7 @@ def draw_cycles(
         clock = (course.times[rows] - course.times[rows][0]) / size
         reading, before, after = course.reading[rows], course.before[rows], course.after[rows]
         above.plot(clock, reading, ".", color=MEASURED, markersize=2.0, zorder=3, label="measured")
-        above.plot(clock, before, color=BEFORE, linewidth=1.3, label="free run before (refitted)")
+        above.plot(clock, before, color=BEFORE, linewidth=1.3, label="free run before")
         if held_out is not None and np.isfinite(held_out.noise_floor):
             floor = held_out.noise_floor
             below.axhspan(-floor, floor, color=FLOOR, alpha=0.15, linewidth=0, label="noise floor (rms)")
@@ -301,7 +301,7 @@ def draw_errors(axis: Axes, held_out: HeldOutProof, cycles: Sequence[int], unit:
     after = bool(np.isfinite(rows[:, 1]).any())
     width = 0.38 if after else 0.6
     shift = width / 2 if after else 0.0
-    axis.bar(place - shift, rows[:, 0], width, color=BEFORE, label="before (refitted)")
+    axis.bar(place - shift, rows[:, 0], width, color=BEFORE, label="before")
     if after:
         axis.bar(place + shift, rows[:, 1], width, color=AFTER, label="after")
     axis.hlines(rows[:, 2], place - 0.45, place + 0.45, color=FLOOR, linewidth=2.0, label="noise floor")

@@ -20,7 +20,7 @@ from tests.gateway.support import EPOCH, one_machine
 TAGS = (Tag("Count", "holding:1"), Tag("T", "holding:5"))
 
 
-def until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+def until(condition: Callable[[], bool], seconds: float = 120.0) -> None:
     end = time.monotonic() + seconds
     while not condition() and time.monotonic() < end:
         time.sleep(0.01)
