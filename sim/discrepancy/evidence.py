@@ -88,6 +88,8 @@ def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
 def confidence(step: NamingStep) -> float:
     """The share of the best name among all that the likelihood allows, equal odds before the data; at most 0.99."""
     gains = np.array([evidence.gain for evidence in step.evidence])
-    null = step.threshold - np.log(99.0)  # what makes "nothing is missing" as likely as 1 in 100 at the threshold
+    null = step.rules.least_gain_nats - np.log(
+        99.0
+    )  # what makes "nothing is missing" as likely as 1 in 100 at the threshold
     weights = np.exp(np.minimum(np.append(gains, null) - gains[0], 0.0))
     return float(min(1.0 / weights.sum(), 0.99))

@@ -47,7 +47,7 @@ class Excess:
 
     Roughness that the model has learned counts as its spread, so a rough plant has no excess; a heat that came after it
     was learned has, even where nothing measured says what it is. `rougher` is the fit's process noise over the given
-    model's (0 where it is too little to matter).
+    model's (0 where that has none).
     """
 
     median: float
@@ -227,12 +227,11 @@ def excess(stated: Array, fitted: Fitted, rules: DecisionRules) -> Excess | None
         return None
     squares, _, cycles = mean_squares(let_run(fitted, fitted.frame.record.by_cycles()))
     ratio = np.sqrt(squares) / stated[np.isin(np.unique(fitted.frame.record.whole), cycles)]
-    return Excess(float(np.median(ratio)), float(np.quantile(ratio, rules.wide_low_share)), rougher(fitted, rules))
+    return Excess(float(np.median(ratio)), float(np.quantile(ratio, rules.wide_low_share)), rougher(fitted))
 
 
-def rougher(fitted: Fitted, rules: DecisionRules) -> float:
-    """The fit's process noise over the given model's own, heat with a memory in both; 0 where it hardly moves the
-    sensor."""
+def rougher(fitted: Fitted) -> float:
+    """The fit's process noise over the given model's own, heat with a memory in both; 0 where it has none."""
     sha = fitted.frame.record.model.sha
     flows = [location.flow for location in sha.locations if location.flow.kind != "constant"]
     own = [flow.params["noise"] for flow in flows if flow.params.get("noise", 0.0) > 0]
@@ -241,10 +240,9 @@ def rougher(fitted: Fitted, rules: DecisionRules) -> float:
         return 0.0
     rate = float(np.median(rates))
     noise = process_noise(fitted, rate)
-    moves = noise / np.sqrt(2.0 * rate)
     heats = [as_white(heat.params["sigma"], heat.params["memory"], rate) for heat in of_feature(sha, "disturbance")]
     learned = float(np.hypot(np.median(own), sum(heats)))
-    return noise / learned if moves >= rules.rougher_felt_sigmas * fitted.sensor_sigma else 0.0
+    return noise / learned
 
 
 def spread_of(model: Model, traces: Sequence[Trace], record: Record, cycles: Indices) -> Array:

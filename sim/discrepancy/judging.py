@@ -34,7 +34,7 @@ class NamingResult:
         """The fit with the best explanation that was found, whether or not it deserves a name."""
         step, refusal = self.steps[-1]
         best = step.best
-        beyond_chance = best is not None and best.fitted is not None and best.gain >= step.threshold
+        beyond_chance = best is not None and best.fitted is not None and best.gain >= step.rules.least_gain_nats
         return best.fitted if refusal and best is not None and best.fitted and beyond_chance else self.fitted
 
 
@@ -44,24 +44,19 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
     `earlier` are the steps whose best entries are in the model already.
     """
     best, rules = candidate.best, candidate.rules
-    if best is None or not best.confirmed or best.gain < candidate.threshold:
+    if best is None or not best.confirmed or best.gain < candidate.rules.least_gain_nats:
         gain = best.gain if best is not None else 0.0
-        return f"adds {gain:.1f} nats, and chance alone does {candidate.threshold:.1f} in one case of a hundred"
+        return f"adds {gain:.1f} nats, and a name needs {rules.least_gain_nats:.1f}"
     if immaterial(candidate):
         return "is certain and does not matter"
-    # A further name must stand out of what the earlier ones' imperfect shapes leave behind, in degrees and in nats.
-    others = [each.best.amplitude for each in earlier if each.best is not None]
-    small = best.amplitude < rules.further_least_size_share * max(others, default=0.0)
-    if others and best.gain < rules.further_clear_nats and small:
-        unit = shown_unit(candidate.before.frame.record.model.unit)
-        return f"moves the temperature by {best.amplitude:.3f} {unit}, no more than the shapes before may have left"
+    # A further name must stand out of what the earlier ones' imperfect shapes leave behind.
     needed, near = 0.0, rules.near_least_cosine
     least, most = rules.leftover_share, rules.leftover_of_rival_share
     for step in earlier:
         if step.best is not None:
             alike = max(likeness(step, best) - near, 0.0) / (1.0 - near)
             needed = max(needed, step.best.gain * (least + alike * (most - least)))
-    if earlier and best.gain < max(candidate.threshold + rules.further_nats, needed):
+    if earlier and best.gain < max(candidate.rules.least_gain_nats + rules.further_nats, needed):
         return f"adds {best.gain:.1f} nats, no more than the effects before may have left behind"
     return ""
 
@@ -69,7 +64,7 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
 def immaterial(candidate: NamingStep) -> bool:
     """True where the best entry is beyond chance, yet moves the temperature by less than could be felt."""
     best = candidate.best
-    if best is None or not best.confirmed or best.gain < candidate.threshold:
+    if best is None or not best.confirmed or best.gain < candidate.rules.least_gain_nats:
         return False
     return best.amplitude < candidate.rules.material_sigmas * sensor_noise(candidate.before.frame.record)
 

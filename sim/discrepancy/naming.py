@@ -14,7 +14,6 @@ from sim.discrepancy.screen import (
     Shape,
     columns_of,
     judged,
-    null_maximum,
     refined,
     screen,
     smooth_course,
@@ -60,7 +59,7 @@ class EffectEvidence:
 
 @dataclass(frozen=True, slots=True)
 class NamingStep:
-    """A step from a fit: the evidence of every entry with its signals, best first; the threshold; cosines; the rules.
+    """A step from a fit: the evidence of every entry with its signals, best first; cosines; the rules.
 
     `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
     projected out of both. `rules` are those that it was made by and is judged by.
@@ -68,7 +67,6 @@ class NamingStep:
 
     before: Fitted
     evidence: tuple[EffectEvidence, ...]
-    threshold: float
     cosines: Mapping[str, float]
     rules: DecisionRules
 
@@ -100,16 +98,12 @@ def step(
     before: Fitted,
     entries: Sequence[CatalogueEntry],
     roles: Mapping[str, str],
-    seed: int,
     told: Callable[[str], None] = lambda _: None,
     *,
     rules: DecisionRules,
 ) -> NamingStep:
     """Screen and confirm `entries` on top of a fit; each that is fitted is `told` by its name before."""
     screened = screen(before, entries, roles)
-    # The catalogue is searched, so the greatest gain of many is judged: by its own law under "nothing is missing",
-    # drawn from the fitted noise, not by the chi-square of a single test.
-    threshold = max(float(np.quantile(null_maximum(screened, seed), rules.sure_share)), rules.least_gain_nats)
     evidence = [_evidence(screened, number) for number in screened.best().values()]
     # The screen orders well but judges too low (its noise has swallowed a part of the effect): the first few are fitted
     # jointly, and only a gain of a joint refit can become a name.
@@ -129,9 +123,9 @@ def step(
     confirmed += [confirm(before, each) for each in behind]
     done = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in done]
-    kept = without_idle([*confirmed, *rest, *_unmeasured(before, confirmed, entries, threshold)], rules)
+    kept = without_idle([*confirmed, *rest, *_unmeasured(before, confirmed, entries, rules.least_gain_nats)], rules)
     order = tuple(sorted(kept, key=lambda each: -each.gain))
-    return NamingStep(before, order, threshold, _cosines(before, order), rules)
+    return NamingStep(before, order, _cosines(before, order), rules)
 
 
 def _unmeasured(

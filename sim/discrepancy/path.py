@@ -16,7 +16,6 @@ BEYOND = "does not pass together with the names before it"
 def name(
     base: Fitted,
     present: Mapping[str, str],
-    seed: int,
     most: int,
     progress: Progress,
     *,
@@ -36,7 +35,7 @@ def name(
         progress(stage, share)
         told = _told(progress, stage, share)
         offered = entries_besides(fitted.state.named, entries)
-        candidate = step(fitted, offered, present, seed + number, told, rules=rules)
+        candidate = step(fitted, offered, present, told, rules=rules)
         earlier = [judged for judged, _ in taken]
         chance = insignificant(candidate, earlier)
         refusal = chance or dubious(candidate)
@@ -62,7 +61,7 @@ def name(
         stage, share = "looking at each name again", 0.25 + 0.6 * most / (most + 1)
         progress(stage, share)
         told = _told(progress, stage, share)
-        taken, fitted = revised(fitted, taken, present, seed + most, len(taken) - 1, entries=entries, told=told)
+        taken, fitted = revised(fitted, taken, present, len(taken) - 1, entries=entries, told=told)
     if any(refusal for _, refusal in taken):
         return NamingResult(base, base, tuple(taken[-1:])), *beginnings
     return NamingResult(base, fitted, (*taken, *refused)), *beginnings
@@ -83,7 +82,6 @@ def revised(
     fitted: Fitted,
     taken: Sequence[Judged],
     present: Mapping[str, str],
-    seed: int,
     count: int,
     *,
     entries: Sequence[CatalogueEntry] = (),
@@ -99,13 +97,13 @@ def revised(
         old = before.best.entry.name if before.best is not None else ""
         others = [named for named in fitted.state.named if named.entry.name != old]
         without = fit(fitted.frame, others, fitted, rounds=2, iterations=8)
-        again = step(without, entries_besides(others, entries), present, seed + number, told, rules=before.rules)
+        again = step(without, entries_besides(others, entries), present, told, rules=before.rules)
         rest = [other for place, (other, _) in enumerate(judged) if place != number]
         chance = insignificant(again, rest)
         if chance and rest:
             # Each removal changes what the others must explain, so the round begins anew without it.
             left = [*judged[:number], *judged[number + 1 :]]
-            return revised(without, left, present, seed, len(left), entries=entries, told=told)
+            return revised(without, left, present, len(left), entries=entries, told=told)
         refusal = chance or dubious(again)
         judged[number] = again, refusal
         if refusal or again.best is None or again.best.fitted is None:

@@ -127,7 +127,7 @@ def diagnose(
     ceiling_before = ceiling(base, seed)
     enough = cycles.size >= rules.first_name_least_cycles
     allowed = min(most, int(cycles.size) // rules.each_name_least_cycles if enough else 0)
-    paths = name(base, present, seed, max(allowed, 1), report, rules=rules, entries=entries)
+    paths = name(base, present, max(allowed, 1), report, rules=rules, entries=entries)
 
     report("held-out cycles", 0.85)
     by_cycles, sensor = training.record.by_cycles(), sensor_noise(training.record)
@@ -241,7 +241,7 @@ def diagnose(
         course=course_of(base, after, first, second),
         settings={
             "seed": float(seed),
-            "threshold_nats": path.steps[0][0].threshold if path.steps else 0.0,
+            "threshold_nats": rules.least_gain_nats,
             "sensor_sigma": noise.sensor,
             "process_sigma": noise.process,
             "rough_sigma": noise.rough,

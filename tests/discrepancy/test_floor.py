@@ -148,7 +148,7 @@ def test_before_is_told_of_the_model_as_given_and_refitted_and_no_more_than_all_
 
 def confirmed(before: Fitted, name: str) -> NamingStep:
     present = {"pump": "MarciaPmpFango"}
-    found = step(before, [one for one in catalogue() if one.name == name], present, 0, rules=RULES)
+    found = step(before, [one for one in catalogue() if one.name == name], present, rules=RULES)
     assert found.best is not None
     mine = next(each for each in found.evidence if each.entry.name == name)
     return replace(found, evidence=(confirm(before, mine),))

@@ -26,7 +26,7 @@ def base() -> Fitted:
 
 
 def confirmed(base: Fitted, name: str) -> NamingStep:
-    found = step(base, [one for one in catalogue() if one.name == name], {"pump": "MarciaPmpFango"}, 0, rules=RULES)
+    found = step(base, [one for one in catalogue() if one.name == name], {"pump": "MarciaPmpFango"}, rules=RULES)
     assert found.best is not None
     return replace(found, evidence=(confirm(base, found.best),))
 
