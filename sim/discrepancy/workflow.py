@@ -56,7 +56,7 @@ from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.rules import RULES, DecisionRules
-from sim.discrepancy.story import course_of, little_sentence, sentence_of
+from sim.discrepancy.story import beginning_reason, course_of, little_sentence, sentence_of
 from sim.effects import ROLES, in_sensor_scale, signals_of
 from sim.sha import Array, EffectLine, Model, Trace, shown_unit, unit_of
 
@@ -168,7 +168,10 @@ def diagnose(
     elif material or began is not None:
         # Names that held-out cycles contradict are no evidence by themselves.
         verdict = "unexplained"
-        reasons = reasons or evidence_of(path, ceiling_before, proof.before)
+        # Where only the beginning shows it, what is said against names is that there is no gap but for that.
+        reasons = (reasons if material else ()) or evidence_of(path, ceiling_before, proof.before)
+        if began is not None:
+            reasons = (beginning_reason(began, shown_unit(model.unit)), *reasons)
         # The free run says it by itself: further off than chance makes of the noise.
         if gap:
             error, limit = f"{held.rmse_before:.3g}", f"{floor.interval[1]:.3g} {shown_unit(model.unit)}"
