@@ -33,7 +33,7 @@ from sim.discrepancy.fitting import (
     record_of,
 )
 from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors
-from sim.discrepancy.held_out import HeldOutRun, compared, let_run
+from sim.discrepancy.held_out import HeldOutRun, as_given, compared, let_run, surely_nearer
 from sim.discrepancy.judging import (
     NamingResult,
     above,
@@ -153,7 +153,8 @@ def diagnose(
     else:
         # Nothing is added: what the report shows is the refit itself, or the model as given, if that is better.
         refit = judged.held.rmse_before
-        refused = felt(refit, judged.held.rmse_given, sensor, rules)
+        given, fitted = let_run(as_given(base), held_out), let_run(base, held_out)
+        refused = felt(refit, judged.held.rmse_given, sensor, rules) and surely_nearer(given, fitted, seed)
         base = after = given_fit(base) if refused else base
         held, first, second = compared(base, base, held_out, seed, floor)
         held = replace(held, rmse_refit=refit if refused else None)
