@@ -18,8 +18,8 @@ from sim.discrepancy.fitting import (
     NoiseModel,
     Record,
     Whitener,
+    averaged_readings,
     on,
-    readings_in_window,
     rounding,
     sensitivity,
 )
@@ -175,7 +175,7 @@ def predicted(trial: HeldOutRun, cycles: Indices, drawn: Array) -> tuple[Array, 
 def sensor_alone(fitted: Fitted) -> NoiseModel:
     """The noise of a plant that is exact but for what is read of it: the sensor's, and its rounding."""
     record = fitted.frame.record
-    in_window = sensor_noise(record) / float(np.sqrt(readings_in_window(record)))
+    in_window = sensor_noise(record) / float(np.sqrt(averaged_readings(record)))
     in_window = max(in_window, rounding(record.model, record), LEAST_READING)
     return NoiseModel(sensor=in_window, process=0.0, rough=0.0, cycle=0.0)
 

@@ -140,6 +140,12 @@ def beginning_sentence(began: GapBeginning, unit: str) -> str:
     )
 
 
+def beginning_reason(began: GapBeginning, unit: str) -> str:
+    """Why a beginning is a gap, whatever the held-out cycles say; `unit` as people read it."""
+    how, size = "while the machine runs" if began.running else "at rest", f"{abs(began.moves):.2g} {unit}"
+    return f"from {shown_time(began.time)} on the free run errs by {size} more {how} (p = {began.p:.1g})"
+
+
 def _warmer(moves: float, unit: str) -> str:
     return f"{abs(moves):.2g} {unit} {'warmer' if moves > 0 else 'cooler'}"
 

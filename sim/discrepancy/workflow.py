@@ -33,7 +33,7 @@ from sim.discrepancy.fitting import (
     record_of,
 )
 from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors
-from sim.discrepancy.held_out import HeldOutRun, compared, let_run
+from sim.discrepancy.held_out import HeldOutRun, as_given, compared, let_run, surely_nearer
 from sim.discrepancy.judging import (
     NamingResult,
     above,
@@ -56,7 +56,7 @@ from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.rules import RULES, DecisionRules
-from sim.discrepancy.story import course_of, little_sentence, sentence_of
+from sim.discrepancy.story import beginning_reason, course_of, little_sentence, sentence_of
 from sim.effects import ROLES, in_sensor_scale, signals_of
 from sim.sha import Array, EffectLine, Model, Trace, shown_unit, unit_of
 
@@ -153,7 +153,8 @@ def diagnose(
     else:
         # Nothing is added: what the report shows is the refit itself, or the model as given, if that is better.
         refit = judged.held.rmse_before
-        refused = felt(refit, judged.held.rmse_given, sensor, rules)
+        given, fitted = let_run(as_given(base), held_out), let_run(base, held_out)
+        refused = felt(refit, judged.held.rmse_given, sensor, rules) and surely_nearer(given, fitted, seed)
         base = after = given_fit(base) if refused else base
         held, first, second = compared(base, base, held_out, seed, floor)
         held = replace(held, rmse_refit=refit if refused else None)
@@ -168,7 +169,10 @@ def diagnose(
     elif material or began is not None:
         # Names that held-out cycles contradict are no evidence by themselves.
         verdict = "unexplained"
-        reasons = reasons or evidence_of(path, ceiling_before, proof.before)
+        # Where only the beginning shows it, what is said against names is that there is no gap but for that.
+        reasons = (reasons if material else ()) or evidence_of(path, ceiling_before, proof.before)
+        if began is not None:
+            reasons = (beginning_reason(began, shown_unit(model.unit)), *reasons)
         # The free run says it by itself: further off than chance makes of the noise.
         if gap:
             error, limit = f"{held.rmse_before:.3g}", f"{floor.interval[1]:.3g} {shown_unit(model.unit)}"

@@ -67,14 +67,12 @@ class Fitted:
     @property
     def sensor_sigma(self) -> float:
         """degC the standard deviation of a single reading."""
-        return float(self.noise.sensor * np.sqrt(readings_in_window(self.frame.record)))
+        return float(self.noise.sensor * np.sqrt(averaged_readings(self.frame.record)))
 
 
-def readings_in_window(record: Record) -> float:
-    """How many readings that err by themselves a window's mean is worth: fewer where the sensor's error lasts.
-
-    Windows are shorter after a switch: of as many readings each, they would err by as much (mean square over windows).
-    """
+def averaged_readings(record: Record) -> float:
+    """How many readings the windows' means are worth in the mean square over all windows, the short ones after a switch
+    among them; fewer where the sensor's error lasts."""
     count = np.diff(np.append(record.begins, record.rows.size))
     memory = record.model.sensor_memory
     if not memory:
@@ -85,6 +83,14 @@ def readings_in_window(record: Record) -> float:
     r, factor = np.exp(-max(between / memory, 1e-3)), repeat_factor(memory, between)
     share = (factor - 2.0 * r * (1.0 - r**count) / (count * (1.0 - r) ** 2)) / count
     return 1.0 / float(np.mean(share))
+
+
+def readings_in_window(record: Record) -> float:
+    """How many readings that err by themselves a usual window's mean is worth: fewer where the sensor's error lasts."""
+    count = float(np.median(np.diff(np.append(record.begins, record.rows.size))))
+    memory = record.model.sensor_memory
+    between = float(np.median(np.diff(record.runs.time[record.rows]))) if memory else 0.0
+    return count / repeat_factor(memory, between) if memory else count
 
 
 def first_noise(model: Model, record: Record) -> NoiseModel:
