@@ -75,8 +75,7 @@ def _fitted(fitted: Fitted, location: Location, place: int) -> Location:
     if shape.rate[place] >= 0:
         params[RATES[flow.kind]] = float(np.exp(fitted.state.log_rates[shape.rate[place]]))
     if "noise" in params:
-        white = max(acting_share(fitted, place) ** 2 - kept_share(fitted) ** 2, 0.0) ** 0.5
-        params["noise"] = process_noise(fitted, params.get("k", 0.0), white)
+        params["noise"] = noise_in(fitted, place, params.get("k", 0.0))
     columns = [column for column in shape.gain[place] if column >= 0]
     inputs = tuple(
         Input(driver.signal, float(fitted.state.linear[column]), driver.reference)
@@ -98,12 +97,16 @@ def sensor_memory(fitted: Fitted) -> float:
     return noise.fades if noise.lasting > fitted.sensor_sigma else fitted.frame.record.model.sensor_memory
 
 
-def acting_share(fitted: Fitted, place: int) -> float:
-    """The share of the rough heat that acts in the model's `place`-th location (0 to 1): less of it in one at rest."""
-    record = fitted.frame.record
+def noise_in(fitted: Fitted, place: int, k: float) -> float:
+    """degC/sqrt(s): the process noise of the model's `place`-th location, and what of the rough heat acts there and is
+    not kept as heat with a memory."""
+    record, noise = fitted.frame.record, fitted.noise
     seconds = np.where((record.runs.place == place) & ~record.runs.first, record.runs.dt, 0.0)
     running = float(record.running @ seconds / seconds.sum()) if seconds.sum() > 0 else 1.0
-    return fitted.noise.rest + (1.0 - fitted.noise.rest) * running
+    process = noise.process * np.sqrt(running + (1.0 - running) * noise.still**2)
+    acting = noise.rest + (1.0 - noise.rest) * running
+    left = np.sqrt(max(acting**2 - kept_share(fitted) ** 2, 0.0))
+    return float(np.hypot(process, left * as_white(noise.rough, noise.memory, k)))
 
 
 def kept_share(fitted: Fitted) -> float:
@@ -116,9 +119,9 @@ def kept_share(fitted: Fitted) -> float:
     return 1.0 if fitted.noise.rest >= ALSO_AT_REST else fitted.noise.rest
 
 
-def process_noise(fitted: Fitted, k: float, share: float = 1.0) -> float:
-    """degC/sqrt(s): the fit's process noise, and a `share` of the rough heat as what it is over its memory."""
-    return float(np.hypot(fitted.noise.process, share * as_white(fitted.noise.rough, fitted.noise.memory, k)))
+def process_noise(fitted: Fitted, k: float) -> float:
+    """degC/sqrt(s) while the machine runs: the fit's process noise, and the rough heat as what it is over its memory."""
+    return float(np.hypot(fitted.noise.process, as_white(fitted.noise.rough, fitted.noise.memory, k)))
 
 
 def as_white(sigma: float, memory: float, k: float) -> float:
