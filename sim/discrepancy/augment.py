@@ -120,7 +120,7 @@ def kept_share(fitted: Fitted) -> float:
 
 
 def process_noise(fitted: Fitted, k: float) -> float:
-    """degC/sqrt(s) while the machine runs: the fit's process noise, and the rough heat as what it is over its memory."""
+    """degC/sqrt(s) while the machine runs: the process noise, and the rough heat as what it is over its memory."""
     return float(np.hypot(fitted.noise.process, as_white(fitted.noise.rough, fitted.noise.memory, k)))
 
 

@@ -39,17 +39,29 @@ MOSTLY_COVERED = 1.2
 MOST_HEAT = 10.0
 """Times the fastest movement that a record shows (both in degC/s) up to which a heat or a cooling is believed: those of
 plants make 0.3 to 0.9 times, what was named of a measured box without being there thousands."""
+TOO_SMALL = "is certain, and too small to matter"
+"""Why what is beyond chance is fitted along and gets no name."""
 SURELY = 0.002
 """The p from which such heat is a gap by itself, where no candidate stands for it."""
 
 
 @dataclass(frozen=True, slots=True)
 class NamingResult:
-    """The path of names: each step with its verdict in words ("" where its best entry was taken), and the last fit."""
+    """The path of names: each step with its verdict in words ("" where its best entry was taken), and the last fit.
+
+    `nuisances` are steps whose best entry was too small to matter and was fitted along while the path went on; the
+    last fit is without them.
+    """
 
     base: Fitted
     fitted: Fitted
     steps: tuple[tuple[NamingStep, str], ...]
+    nuisances: tuple[NamingStep, ...] = ()
+
+    @property
+    def looks(self) -> tuple[tuple[NamingStep, str], ...]:
+        """The steps, and after them those of what was fitted along."""
+        return (*self.steps, *((step, TOO_SMALL) for step in self.nuisances))
 
     @property
     def taken(self) -> tuple[NamingStep, ...]:
@@ -75,7 +87,7 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
         gain = best.gain if best is not None else 0.0
         return f"adds {gain:.1f} nats, and chance alone does {candidate.threshold:.1f} in one case of a hundred"
     if immaterial(candidate):
-        return "is certain and does not matter"
+        return TOO_SMALL
     # A further name must stand out of what the earlier ones' imperfect shapes leave behind, in degrees and in nats.
     others = [each.best.amplitude for each in earlier if each.best is not None]
     if others and best.gain < CLEARLY and best.amplitude < BESIDE * max(others):

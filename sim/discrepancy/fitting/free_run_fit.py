@@ -125,7 +125,9 @@ def stated_process(record: Record) -> tuple[float, float]:
     found = []
     for those in (running, ~running):
         those = those & (stated > 0) & ~record.runs.first
-        found.append(float(np.sqrt(np.average(stated[those] ** 2, weights=record.runs.dt[those]))) if those.any() else 0.0)
+        found.append(
+            float(np.sqrt(np.average(stated[those] ** 2, weights=record.runs.dt[those]))) if those.any() else 0.0
+        )
     white, at_rest = found
     white = white or at_rest or 0.006
     return white, at_rest or white
