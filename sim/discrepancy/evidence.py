@@ -56,7 +56,7 @@ def fate(evidence: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -
 
 def traces_of(path: NamingResult) -> tuple[TraceOfEffect, ...]:
     """What the path met that is certain and does not matter."""
-    best = [step.best for step, refusal in path.steps if refusal and immaterial(step)]
+    best = [step.best for step, refusal in path.looks if refusal and immaterial(step)]
     return tuple(TraceOfEffect(each.entry.name, each.gain, each.amplitude) for each in best if each is not None)
 
 

@@ -15,14 +15,27 @@ from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import TIMES, shortest_visible, smooth_course
 from sim.sha import Array, shown_unit
 
+TOO_SMALL = "is certain, and too small to matter"
+"""Why what is beyond chance is fitted along and gets no name."""
+
 
 @dataclass(frozen=True, slots=True)
 class NamingResult:
-    """The path of names: each step with its verdict in words ("" where its best entry was taken), and the last fit."""
+    """The path of names: each step with its verdict in words ("" where its best entry was taken), and the last fit.
+
+    `nuisances` are steps whose best entry was too small to matter and was fitted along while the path went on; the
+    last fit is without them.
+    """
 
     base: Fitted
     fitted: Fitted
     steps: tuple[tuple[NamingStep, str], ...]
+    nuisances: tuple[NamingStep, ...] = ()
+
+    @property
+    def looks(self) -> tuple[tuple[NamingStep, str], ...]:
+        """The steps, and after them those of what was fitted along."""
+        return (*self.steps, *((step, TOO_SMALL) for step in self.nuisances))
 
     @property
     def taken(self) -> tuple[NamingStep, ...]:
@@ -48,7 +61,7 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
         gain = best.gain if best is not None else 0.0
         return f"adds {gain:.1f} nats, and a name needs {rules.least_gain_nats:.1f}"
     if immaterial(candidate):
-        return "is certain and does not matter"
+        return TOO_SMALL
     # A further name must stand out of what the earlier ones' imperfect shapes leave behind.
     needed, near = 0.0, rules.near_least_cosine
     least, most = rules.leftover_share, rules.leftover_of_rival_share

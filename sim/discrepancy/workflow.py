@@ -231,7 +231,7 @@ def diagnose(
         unexplained=unexplained,
         ceiling_before=ceiling_before,
         ceiling_after=ceiling_after if kept else None,
-        candidates=candidates_of(path.steps, kept),
+        candidates=candidates_of(path.looks, kept),
         material=material,
         traces=traces_of(path),
         absorbed=law,
@@ -363,7 +363,7 @@ def _with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor:
     What it does to the fitted cycles says little of what the model's parameters, which have made room for it there, are
     off by elsewhere.
     """
-    step, _ = path.steps[-1]
+    step = path.nuisances[0] if path.nuisances else path.steps[-1][0]
     rules = step.rules
     if path.taken or not immaterial(step) or dubious(step) or step.best is None or step.best.fitted is None:
         return path

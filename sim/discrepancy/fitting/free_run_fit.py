@@ -30,6 +30,11 @@ STRIDE = 2.0
 """degC by which such a step may move a threshold."""
 AT_REST = 0.95
 """The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
+SLIGHT = 3e-4
+"""degC/s of rough heat: that of a slightly rough plant. A model's own heat that is less says nothing of what acts at
+rest."""
+LEAST_STILL = 0.02
+"""Times the process noise while the machine runs that is believed of it at rest at least."""
 MOVING = 0.5
 """The share of readings that differ from the one before, up to which a course is a staircase."""
 LEAST_SCATTER = 1e-5
@@ -94,19 +99,18 @@ def readings_in_window(record: Record) -> float:
 
 
 def first_noise(model: Model, record: Record) -> NoiseModel:
-    """Where the search for the noise begins: the given model's sensor, process and heat with a memory.
+    """The belief's centre: the given model's sensor, process and heat with a memory.
 
     A model without such heat is taken for that of a slightly rough plant, which it holds for white noise.
     """
-    process = [location.flow.params.get("noise", 0.0) for location in model.sha.locations]
-    seen = [value for value in process if value > 0]
+    white, at_rest = stated_process(record)
     sensor = max(model.sensor_sigma, 0.02) / np.sqrt(readings_in_window(record))
     step = rounding(model, record)
     sensor = max(float(sensor), step)
-    white = float(np.median(seen)) if seen else 0.006
     heats = of_feature(model.sha, "disturbance")
+    still = min(max(at_rest / white, LEAST_STILL), 1.0)
     if not heats:
-        return NoiseModel(sensor=sensor, process=white / 2, rough=3e-4, cycle=0.01, lasting=step)
+        return NoiseModel(sensor=sensor, process=white / 2, rough=SLIGHT, cycle=0.01, still=still, lasting=step)
     learned = heats[0].params  # an automaton has one at most
     return NoiseModel(
         sensor=sensor,
@@ -114,9 +118,36 @@ def first_noise(model: Model, record: Record) -> NoiseModel:
         rough=max(learned["sigma"], LEAST_HEAT),
         cycle=0.01,
         memory=learned["memory"],
-        rest=AT_REST,
+        rest=AT_REST if learned["sigma"] >= SLIGHT else 0.5,
+        still=still,
         lasting=step,
     )
+
+
+def begin_noise(centre: NoiseModel) -> NoiseModel:
+    """Where the search for the noise begins: at the belief's centre, but never from next to no rough heat.
+
+    What is too little to be seen has no slope: the process noise would take all that a rough plant does.
+    """
+    return centre if centre.rough >= SLIGHT else replace(centre, rough=SLIGHT, process=centre.process / 2)
+
+
+def stated_process(record: Record) -> tuple[float, float]:
+    """(while the machine runs, at rest) degC/sqrt(s): the process noise that the model states, the mean square over the
+    steps of each; where it states none, or none of these steps are such, the other's."""
+    locations = record.model.sha.locations
+    # A constant flow holds a temperature of which nothing is known: its noise is that of not knowing.
+    told = [location.flow.params.get("noise", 0.0) * (location.flow.kind != "constant") for location in locations]
+    stated, running = np.array(told)[record.runs.place], record.running > 0.5
+    found = []
+    for those in (running, ~running):
+        those = those & (stated > 0) & ~record.runs.first
+        found.append(
+            float(np.sqrt(np.average(stated[those] ** 2, weights=record.runs.dt[those]))) if those.any() else 0.0
+        )
+    white, at_rest = found
+    white = white or at_rest or 0.006
+    return white, at_rest or white
 
 
 def rounding(model: Model, record: Record) -> float:
@@ -180,7 +211,7 @@ def fit(
     # Parameters under fixed noise, then the noise under fixed parameters, until the noise stands still: a wrong target
     # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
     belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
-    noise = belief.centre if begin is None else begin.noise
+    noise = begin_noise(belief.centre) if begin is None else begin.noise
     first = _allowed(named, np.concatenate([own, added]))
     point = _around(frame, at(frame, first, start, named), start, reading)
     for _ in range(rounds):
