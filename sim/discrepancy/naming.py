@@ -1,7 +1,7 @@
 """One step towards a name: the catalogue screened, the likeliest confirmed by joint refits and weighed."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -66,13 +66,15 @@ class NamingStep:
     """A step from a fit: the evidence of every entry with its signals, best first; the threshold; and cosines.
 
     `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
-    projected out of both.
+    projected out of both. `rivals` are the gains (nats) of what has no name, also where it is left out of the evidence
+    since it does no better than the names.
     """
 
     before: Fitted
     evidence: tuple[EffectEvidence, ...]
     threshold: float
     cosines: Mapping[str, float]
+    rivals: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def best(self) -> EffectEvidence | None:
@@ -129,8 +131,10 @@ def step(
     confirmed += [confirm(before, each) for each in behind]
     done = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in done]
-    order = tuple(sorted(without_idle([*confirmed, *rest]), key=lambda each: -each.gain))
-    return NamingStep(before, order, threshold, _cosines(before, order))
+    everything = [*confirmed, *rest]
+    order = tuple(sorted(without_idle(everything), key=lambda each: -each.gain))
+    nameless = {each.entry.name: each.gain for each in everything if each.entry.rival}
+    return NamingStep(before, order, threshold, _cosines(before, order), nameless)
 
 
 def without_idle(evidence: Sequence[EffectEvidence]) -> list[EffectEvidence]:

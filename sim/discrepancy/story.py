@@ -24,6 +24,9 @@ from sim.discrepancy.heat import HOUR, implied_heat, since_switch
 from sim.discrepancy.held_out import HeldOutRun
 from sim.sha import Array, shown_unit
 
+LEAST_SHOWN_SHARE = 0.01
+"""Shares below it are said to be."""
+
 
 def sentence_of(
     verdict: Verdict,
@@ -39,10 +42,12 @@ def sentence_of(
     unit: str,
     began: GapBeginning | None = None,
     gap: bool = True,
+    none_of_these: float | None = None,
 ) -> str:
     """The verdict in one or two sentences; errors are in `unit`, as people read it.
 
-    `gap`: over the held-out cycles the free run is further off than chance makes of the noise.
+    `gap`: over the held-out cycles the free run is further off than chance makes of the noise. `none_of_these`: how
+    likely what is missing is none of the effects.
     """
     if verdict == "too-little-data":
         return f"Too little data: {cycles} cycle{'s' if cycles != 1 else ''} cannot tell an effect from chance."
@@ -73,10 +78,11 @@ def sentence_of(
         )
         gain += "" if all(each.shrinking_shown for each in effects) else " The shrinking is not shown."
     if verdict == "named":
-        names = " and ".join(f"{effect.name} ({effect.plain})" for effect in effects)
-        return f"Missing in the model: {names}.{since}{gain}{moved}"
+        names = " and ".join(f"{effect.name} ({effect.plain}), {effect.confidence:.2f}" for effect in effects)
+        return f"Missing in the model: {names}{none_words(none_of_these)}.{since}{gain}{moved}"
     if verdict == "class":
-        names = "; ".join(" or ".join(effect.members) for effect in effects)
+        names = "; ".join(f"{' or '.join(effect.members)}, {effect.confidence:.2f}" for effect in effects)
+        names += none_words(none_of_these)
         return f"Something is missing that these data cannot tell apart: {names}.{since}{gain}{moved}"
     where = "the free run is further off than noise allows, in no particular place."
     if not gap:
@@ -97,6 +103,15 @@ def sentence_of(
             f"{place.after or 'its beginning'}{goes} ({place.cycles[0]} of {place.cycles[1]} cycles)."
         )
     return f"Something is missing that has no honest name: {where}{since}{moved}"
+
+
+def none_words(share: float | None) -> str:
+    """How likely what is missing is none of the names, as the end of a sentence; "" where nothing is named."""
+    if share is None:
+        return ""
+    return (
+        f"; none of these {share:.2f}" if share >= LEAST_SHOWN_SHARE else f"; none of these below {LEAST_SHOWN_SHARE}"
+    )
 
 
 def beginning_sentence(began: GapBeginning, unit: str) -> str:

@@ -71,6 +71,8 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     }
     if diagnosis.began is not None:
         content["began"] = _beginning(diagnosis.began)
+    if diagnosis.none_of_these is not None:
+        content["none_of_these"] = diagnosis.none_of_these
     if diagnosis.experiment is not None:
         content["experiment"] = _experiment(diagnosis.experiment)
     return {key: strict(value) for key, value in content.items()}

@@ -1,0 +1,157 @@
+"""How sure a name is: a posterior over what was fitted, with and without a name, and none of these.
+
+What was fitted has its likelihood. None of these has no likelihood of its own: it shows in what the names leave. A true
+name leaves little that a free learner could still explain, and little of what the free run over held-out cycles is off
+by; an imitator leaves any share of both. How much that says depends on how well the cycles know the shares.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.discrepancy.diagnosis import Ceiling, HeldOutProof
+from sim.discrepancy.fitting import Named
+from sim.discrepancy.judging import NamingResult, systematic, systematic_heat, systematic_whole
+from sim.discrepancy.naming import ALIKE, MARGIN, NamingStep
+
+PRIOR_NONE = 0.25
+"""The share of gaps that no name of the catalogue stands for, before anything is seen."""
+MOST_SURE = 0.99
+"""The greatest confidence that is stated."""
+SO_FAR = 0.3
+"""How often names get as far as the held-out cycles where none is true, over how often true ones do."""
+TWINS = 0.1
+"""The share of the names that are not true and got so far which leave no more than true ones do."""
+LEFT_HEAT, LEFT_EXCESS = 0.08, 0.15
+"""Means of the shares that true names leave: of the systematic heat, and of the held-out excess."""
+HEAT_ERROR = 0.1
+"""Standard error of the share of the systematic heat that is left."""
+LEAST_ERROR = 0.1
+"""Least standard error of the share of the held-out excess that is left: a true name's shape is not quite the plant's,
+nor is the floor quite known, however many cycles there are."""
+AT_BOUND = 2.0
+"""How many times as often an imitator is at a bound of what is searched as a true name is."""
+NEAR_BOUND = 0.02
+"""Share of a range (a time's in logarithms) from which a parameter is at its bound."""
+NULL_ODDS = 99.0
+"""Odds against "nothing is missing" at a step's threshold, which chance reaches in one case of a hundred."""
+INTERVAL_SIGMAS = 3.92
+"""Standard errors from one end of a 95 % interval to the other."""
+_GRID = (np.arange(200) + 0.5) / 200.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NamesEvidence:
+    """What speaks against names beside their likelihood.
+
+    `heat_left` is the share of the systematic heat that a free learner still predicts with them, `excess_left` that of
+    the held-out excess that is not removed, with its standard error; None where the data do not say. `at_bound`: a
+    parameter ended at a bound of what is searched.
+    """
+
+    heat_left: float | None = None
+    excess_left: float | None = None
+    excess_error: float = 1.0
+    at_bound: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class NamePosterior:
+    """Shares by the name of what was fitted (what has no name included), and that of none of these; they sum to 1."""
+
+    shares: Mapping[str, float]
+    none_of_these: float
+
+    def confidence(self, members: tuple[str, ...]) -> float:
+        """The share of a claim: one of these names. At most `MOST_SURE`."""
+        return min(sum(self.shares.get(name, 0.0) for name in members), MOST_SURE)
+
+
+def names_evidence(
+    held: HeldOutProof, before: Ceiling | None, left: Ceiling | None, named: tuple[Named, ...]
+) -> NamesEvidence:
+    """The evidence of names that were fitted: their held-out proof, and the free learner's ceiling without and with."""
+    whole = systematic_whole(before, left)
+    told = left is not None and whole > 0.0 and (systematic(before) or systematic(left))
+    known = held.excess_removed is not None and held.ci95 is not None
+    return NamesEvidence(
+        heat_left=min(systematic_heat(left) / whole, 1.0) if told else None,
+        excess_left=1.0 - held.excess_removed if known and held.excess_removed is not None else None,
+        excess_error=(held.ci95[1] - held.ci95[0]) / INTERVAL_SIGMAS if held.ci95 is not None else 1.0,
+        at_bound=any(is_at_bound(each) for each in named),
+    )
+
+
+def new_names(path: NamingResult) -> tuple[Named, ...]:
+    """What a path adds to the model, as it was fitted."""
+    taken = {step.best.entry.name for step in path.taken if step.best is not None}
+    return tuple(named for named in path.fitted.state.named if named.entry.name in taken)
+
+
+def shares_left(evidence: NamesEvidence) -> dict[str, float]:
+    """The shares that the names leave, by name; those that are known."""
+    shares = {"heat_left": evidence.heat_left, "excess_left": evidence.excess_left}
+    return {name: share for name, share in shares.items() if share is not None}
+
+
+def is_at_bound(named: Named) -> bool:
+    """True where the strength or a refined parameter of the shape has ended at a bound of what is searched."""
+    candidate = named.entry.candidate
+    if abs(named.strength) >= (1.0 - NEAR_BOUND) * candidate.most:
+        return True
+    for name, (low, high) in candidate.refine.items():
+        value = named.params.get(name)
+        if value is None or not low < high:
+            continue
+        if name not in candidate.widths and low > 0 and value > 0:
+            low, high, value = float(np.log(low)), float(np.log(high)), float(np.log(value))
+        if min(value - low, high - value) <= NEAR_BOUND * (high - low):
+            return True
+    return False
+
+
+def none_odds(evidence: NamesEvidence) -> float:
+    """Odds of none of these against everything that was fitted."""
+    ratio = 0.0
+    if evidence.heat_left is not None:
+        ratio += log_ratio(evidence.heat_left, HEAT_ERROR, LEFT_HEAT)
+    if evidence.excess_left is not None:
+        ratio += log_ratio(evidence.excess_left, float(np.hypot(evidence.excess_error, LEAST_ERROR)), LEFT_EXCESS)
+    ratio += float(np.log(AT_BOUND)) if evidence.at_bound else 0.0
+    # What does all that the true cause does leaves what that leaves: nothing in these data tells the two apart.
+    return PRIOR_NONE / (1.0 - PRIOR_NONE) * SO_FAR * (TWINS + (1.0 - TWINS) * float(np.exp(ratio)))
+
+
+def log_ratio(share: float, error: float, mean: float) -> float:
+    """Log of how much likelier a share is left, known to so much, where none is true than where the names are.
+
+    An imitator leaves any share from 0 to 1, equally likely; true names leave small ones, exponentially distributed
+    with that mean.
+    """
+    # Weighed relative to the likeliest, since far from [0, 1] all of them underflow.
+    fit = -0.5 * ((share - _GRID) / error) ** 2
+    seen = np.exp(fit - fit.max())
+    right = np.exp(-_GRID / mean)
+    return float(np.log(seen.mean()) - np.log((seen * right).sum() / right.sum()))
+
+
+def gains_of(step: NamingStep) -> dict[str, float]:
+    """nats by the name of what was looked for in a step, with and without a name."""
+    return {each.entry.name: each.gain for each in step.evidence} | dict(step.rivals)
+
+
+def posterior(gains: Mapping[str, float], threshold: float, evidence: NamesEvidence) -> NamePosterior:
+    """The posterior of a step: equal odds before the data for all that was looked for, a quarter for none of these.
+
+    `gains` (nats) are those of what was looked for, of which chance alone reaches the `threshold` in one case of a
+    hundred. That nothing is missing is among none of these.
+    """
+    top = max(gains.values())
+    # No shape is quite the plant's: what one name may win over its twin by is worth no more than a margin.
+    scale = max(1.0, ALIKE * top / MARGIN)
+    fitted = np.exp((np.array(list(gains.values())) - top) / scale)
+    nothing = float(np.exp(min(threshold - np.log(NULL_ODDS) - top, 0.0)))
+    none = none_odds(evidence) * float(fitted.sum()) + nothing
+    whole = float(fitted.sum()) + none
+    return NamePosterior(dict(zip(gains, (fitted / whole).tolist(), strict=True)), none / whole)
