@@ -27,7 +27,7 @@ from benchmarks.discrepancy.table import grid
 from gateway.lab.traces.load import load
 from sim.artefacts.formats import find_model
 from sim.discrepancy import diagnose
-from sim.discrepancy.posterior import NamesEvidence, gains_of, posterior
+from sim.discrepancy.posterior import LEFT_EXCESS, LEFT_HEAT, NamesEvidence, gains_of, posterior
 
 FOLDERS = click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 NAME = click.option("--name", default="confidence", show_default=True, help="Under which name the results are kept.")
@@ -142,7 +142,7 @@ def reliability(claims: Sequence[Claim]) -> str:
 
 def constants(claims: Sequence[Claim]) -> str:
     """What right names and others leave, of those that were held against held-out cycles, given or withheld."""
-    tried = {True: [], False: []}
+    tried: dict[bool, list[Claim]] = {True: [], False: []}
     for claim in claims:
         if claim.evidence is not None:
             tried[claim.right].append(claim)
@@ -153,7 +153,6 @@ def constants(claims: Sequence[Claim]) -> str:
         "share of the systematic heat that is left": lambda each: each.heat_left,
         "share of the held-out excess that is left": lambda each: each.excess_left,
         "its standard error": lambda each: None if each.excess_left is None else each.excess_error,
-        "at a bound": lambda each: float(each.at_bound),
     }
     body = []
     for what, figure in figures.items():
@@ -163,7 +162,11 @@ def constants(claims: Sequence[Claim]) -> str:
             values = [value for value in known if value is not None]
             cells.append(_quartiles(values))
         body.append([what, *cells])
-    words = f"as far as the held-out cycles: {so_far[0]:.2f} of the cases inside, {so_far[1]:.2f} of those outside"
+    twins = sum(_is_twin(claim.evidence) for claim in tried[False] if claim.evidence is not None)
+    words = (
+        f"as far as the held-out cycles: {so_far[0]:.2f} of the cases inside, {so_far[1]:.2f} of those outside; "
+        f"{twins} of {len(tried[False])} that are wrong leave no more than right ones do"
+    )
     return words + "\n\n" + grid(["mean (quartiles; n)", "right", "wrong"], body)
 
 
@@ -181,9 +184,7 @@ def lines(claims: Sequence[Claim]) -> str:
         stated = f"{claim.stated[0]:.3f}, {claim.stated[1]:.3f}"
         said = f"{'given' if claim.given else 'withheld'} {names}" if names else "-"
         body.append([claim.case, kind, "right" if claim.right else "", said, stated, evidence])
-    return grid(
-        ["case", "", "", "names", "confidence, none of these", "heat left, excess left, its error, at bound"], body
-    )
+    return grid(["case", "", "", "names", "confidence, none of these", "heat left, excess left, its error"], body)
 
 
 def _wanted(folders: Sequence[Path]) -> Iterator[tuple[Path, Label, bool]]:
@@ -221,6 +222,13 @@ def _share(claims: Sequence[Claim], weight: Callable[[Claim], float]) -> tuple[s
     low = float(beta.ppf(0.025, hits, number - hits + 1.0)) if hits > 0 else 0.0
     high = float(beta.ppf(0.975, hits + 1.0, number - hits)) if hits < number else 1.0
     return f"{100 * share:.1f} %", f"{100 * low:.1f}-{100 * high:.1f}"
+
+
+def _is_twin(evidence: NamesEvidence) -> bool:
+    """Whether the shares that are known lie where those of right names do, and one is."""
+    shares = ((evidence.heat_left, LEFT_HEAT), (evidence.excess_left, LEFT_EXCESS))
+    known = [share <= mean for share, mean in shares if share is not None]
+    return bool(known) and all(known)
 
 
 def _quartiles(values: Sequence[float]) -> str:

@@ -11,29 +11,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.discrepancy.diagnosis import Ceiling, HeldOutProof
-from sim.discrepancy.fitting import Named
-from sim.discrepancy.judging import NamingResult, systematic, systematic_heat, systematic_whole
+from sim.discrepancy.judging import systematic, systematic_heat, systematic_whole
 from sim.discrepancy.naming import ALIKE, MARGIN, NamingStep
 
 PRIOR_NONE = 0.25
 """The share of gaps that no name of the catalogue stands for, before anything is seen."""
 MOST_SURE = 0.99
 """The greatest confidence that is stated."""
-SO_FAR = 0.3
+SO_FAR = 0.4
 """How often names get as far as the held-out cycles where none is true, over how often true ones do."""
-TWINS = 0.1
+TWINS = 0.2
 """The share of the names that are not true and got so far which leave no more than true ones do."""
-LEFT_HEAT, LEFT_EXCESS = 0.08, 0.15
+LEFT_HEAT, LEFT_EXCESS = 0.05, 0.25
 """Means of the shares that true names leave: of the systematic heat, and of the held-out excess."""
 HEAT_ERROR = 0.1
 """Standard error of the share of the systematic heat that is left."""
 LEAST_ERROR = 0.1
 """Least standard error of the share of the held-out excess that is left: a true name's shape is not quite the plant's,
 nor is the floor quite known, however many cycles there are."""
-AT_BOUND = 2.0
-"""How many times as often an imitator is at a bound of what is searched as a true name is."""
-NEAR_BOUND = 0.02
-"""Share of a range (a time's in logarithms) from which a parameter is at its bound."""
 NULL_ODDS = 99.0
 """Odds against "nothing is missing" at a step's threshold, which chance reaches in one case of a hundred."""
 INTERVAL_SIGMAS = 3.92
@@ -46,14 +41,12 @@ class NamesEvidence:
     """What speaks against names beside their likelihood.
 
     `heat_left` is the share of the systematic heat that a free learner still predicts with them, `excess_left` that of
-    the held-out excess that is not removed, with its standard error; None where the data do not say. `at_bound`: a
-    parameter ended at a bound of what is searched.
+    the held-out excess that is not removed, with its standard error; None where the data do not say.
     """
 
     heat_left: float | None = None
     excess_left: float | None = None
     excess_error: float = 1.0
-    at_bound: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,47 +61,22 @@ class NamePosterior:
         return min(sum(self.shares.get(name, 0.0) for name in members), MOST_SURE)
 
 
-def names_evidence(
-    held: HeldOutProof, before: Ceiling | None, left: Ceiling | None, named: tuple[Named, ...]
-) -> NamesEvidence:
-    """The evidence of names that were fitted: their held-out proof, and the free learner's ceiling without and with."""
+def names_evidence(held: HeldOutProof, before: Ceiling | None, left: Ceiling | None) -> NamesEvidence:
+    """The evidence of names by their held-out proof, and the free learner's ceiling before and with them."""
     whole = systematic_whole(before, left)
     told = left is not None and whole > 0.0 and (systematic(before) or systematic(left))
-    known = held.excess_removed is not None and held.ci95 is not None
-    return NamesEvidence(
-        heat_left=min(systematic_heat(left) / whole, 1.0) if told else None,
-        excess_left=1.0 - held.excess_removed if known and held.excess_removed is not None else None,
-        excess_error=(held.ci95[1] - held.ci95[0]) / INTERVAL_SIGMAS if held.ci95 is not None else 1.0,
-        at_bound=any(is_at_bound(each) for each in named),
-    )
-
-
-def new_names(path: NamingResult) -> tuple[Named, ...]:
-    """What a path adds to the model, as it was fitted."""
-    taken = {step.best.entry.name for step in path.taken if step.best is not None}
-    return tuple(named for named in path.fitted.state.named if named.entry.name in taken)
+    heat_left = min(systematic_heat(left) / whole, 1.0) if told else None
+    if held.excess_removed is None or held.ci95 is None:
+        return NamesEvidence(heat_left=heat_left)
+    low, high = held.ci95
+    error = (high - low) / INTERVAL_SIGMAS
+    return NamesEvidence(heat_left=heat_left, excess_left=1.0 - held.excess_removed, excess_error=error)
 
 
 def shares_left(evidence: NamesEvidence) -> dict[str, float]:
     """The shares that the names leave, by name; those that are known."""
     shares = {"heat_left": evidence.heat_left, "excess_left": evidence.excess_left}
     return {name: share for name, share in shares.items() if share is not None}
-
-
-def is_at_bound(named: Named) -> bool:
-    """True where the strength or a refined parameter of the shape has ended at a bound of what is searched."""
-    candidate = named.entry.candidate
-    if abs(named.strength) >= (1.0 - NEAR_BOUND) * candidate.most:
-        return True
-    for name, (low, high) in candidate.refine.items():
-        value = named.params.get(name)
-        if value is None or not low < high:
-            continue
-        if name not in candidate.widths and low > 0 and value > 0:
-            low, high, value = float(np.log(low)), float(np.log(high)), float(np.log(value))
-        if min(value - low, high - value) <= NEAR_BOUND * (high - low):
-            return True
-    return False
 
 
 def none_odds(evidence: NamesEvidence) -> float:
@@ -118,7 +86,6 @@ def none_odds(evidence: NamesEvidence) -> float:
         ratio += log_ratio(evidence.heat_left, HEAT_ERROR, LEFT_HEAT)
     if evidence.excess_left is not None:
         ratio += log_ratio(evidence.excess_left, float(np.hypot(evidence.excess_error, LEAST_ERROR)), LEFT_EXCESS)
-    ratio += float(np.log(AT_BOUND)) if evidence.at_bound else 0.0
     # What does all that the true cause does leaves what that leaves: nothing in these data tells the two apart.
     return PRIOR_NONE / (1.0 - PRIOR_NONE) * SO_FAR * (TWINS + (1.0 - TWINS) * float(np.exp(ratio)))
 

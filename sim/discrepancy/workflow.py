@@ -53,7 +53,7 @@ from sim.discrepancy.locate import places
 from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
-from sim.discrepancy.posterior import NamesEvidence, gains_of, names_evidence, new_names, posterior, shares_left
+from sim.discrepancy.posterior import NamesEvidence, gains_of, names_evidence, posterior, shares_left
 from sim.discrepancy.story import course_of, sentence_of
 from sim.effects import ROLES, in_sensor_scale, signals_of
 from sim.sha import Array, EffectLine, Model, Trace, shown_unit, unit_of
@@ -180,7 +180,7 @@ def diagnose(
     remaining = places(after, seed) if kept else where
     shown = held.ci95 is not None and held.ci95[0] > 0.0
     taken = path.taken if kept else ()
-    against = names_evidence(judged.held, ceiling_before, judged.ceiling, new_names(path))
+    against = names_evidence(judged.held, ceiling_before, judged.ceiling)
     sure = [posterior(gains_of(step), step.threshold, against) for step in taken]
     effects = tuple(
         replace(effect_of(step, after, each.confidence(step.members)), shrinking_shown=shown)

@@ -4,7 +4,6 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-import pytest
 from click.testing import CliRunner
 
 from benchmarks.discrepancy.confidence import Claim, constants, main, reliability
@@ -36,7 +35,7 @@ def test_cases_outside_weigh_a_quarter_however_many_they_are() -> None:
 
 
 def test_what_is_withheld_is_not_held_against_what_is_stated_and_teaches_the_constants() -> None:
-    spread = NamesEvidence(heat_left=0.6, excess_left=0.8, excess_error=0.1, at_bound=True)
+    spread = NamesEvidence(heat_left=0.6, excess_left=0.8, excess_error=0.1)
     claims = [
         claim(0, outside=False),
         claim(1, outside=True, given=False, evidence=spread),
@@ -64,4 +63,4 @@ def test_the_table_reads_results_and_says_when_there_are_none(tmp_path: Path) ->
 
 def test_a_claim_is_right_where_one_of_its_members_acts() -> None:
     assert claim(0, outside=False).right and not claim(0, outside=True).right
-    assert claim(0, outside=False).stated[0] == pytest.approx(0.99, abs=0.02)
+    assert 0.95 < claim(0, outside=False).stated[0] <= 0.99

@@ -10,7 +10,6 @@ from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, NoiseFloor
 from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.candidates import entry_of
 from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.held_out import compared
 from sim.discrepancy.naming import confirm, step
@@ -18,7 +17,6 @@ from sim.discrepancy.posterior import (
     MOST_SURE,
     PRIOR_NONE,
     NamesEvidence,
-    is_at_bound,
     log_ratio,
     names_evidence,
     posterior,
@@ -50,7 +48,6 @@ def test_none_of_these_grows_with_what_the_names_leave() -> None:
     for which in ("heat_left", "excess_left"):
         grown = [none_of(replace(CLEAR, **{which: share})) for share in shares]
         assert np.all(np.diff(grown) > 0), which
-    assert none_of(replace(CLEAR, at_bound=True)) > none_of(CLEAR)
 
 
 def test_what_many_cycles_say_counts_for_more_than_what_few_say() -> None:
@@ -84,18 +81,11 @@ def test_without_evidence_none_of_these_is_not_surer_than_before_the_data() -> N
 def test_the_evidence_is_what_the_held_out_cycles_and_the_free_learner_say() -> None:
     held = HeldOutProof(5, 5, 0.6, 0.5, 0.3, 0.2, 0.9, (0.7, 1.0), ())
     before, left = Ceiling(0.5, 0.0, 10.0, ()), Ceiling(0.1, 0.01, 8.0, ())
-    found = names_evidence(held, before, left, ())
+    found = names_evidence(held, before, left)
     assert found.heat_left == pytest.approx(0.1 * 64.0 / 50.0)
     assert found.excess_left == pytest.approx(0.1) and found.excess_error == pytest.approx(0.3 / 3.92)
-    nothing = names_evidence(replace(held, excess_removed=None, ci95=None), None, None, ())
+    nothing = names_evidence(replace(held, excess_removed=None, ci95=None), None, None)
     assert nothing == NamesEvidence()
-
-
-@pytest.mark.parametrize(("tau", "there"), [(3000.0, True), (20.2, True), (400.0, False)])
-def test_a_time_that_ends_where_the_search_ends_is_at_a_bound(tau: float, there: bool) -> None:
-    entry = entry_of("startup-churning")
-    assert entry.candidate.refine["tau"] == (20.0, 3000.0)
-    assert is_at_bound(Named(entry, {}, {"gain": 0.01, "tau": tau, "shape": 1.2})) is there
 
 
 def test_a_cause_outside_of_the_catalogue_makes_none_of_these_likelier_than_its_true_name_does() -> None:
@@ -115,6 +105,6 @@ def test_a_cause_outside_of_the_catalogue_makes_none_of_these_likelier_than_its_
         named = confirm(base, found).fitted
         assert named is not None
         held, _, _ = compared(base, named, held_out, seed, floor)
-        against = names_evidence(held, before, ceiling(named, seed), named.state.named)
+        against = names_evidence(held, before, ceiling(named, seed))
         none[known] = posterior({name: 40.0}, 14.0, against).none_of_these
-    assert none["inside"] < 0.05 < PRIOR_NONE < none["outside"]
+    assert none["inside"] < 0.1 < PRIOR_NONE < none["outside"]

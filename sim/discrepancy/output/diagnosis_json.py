@@ -43,7 +43,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         held_out = asdict(diagnosis.held_out) | {"per_cycle": rows}
         held_out["given"] = held_out.pop("rmse_given")
         held_out["sentence"] = held_out_sentence(diagnosis)
-    content = {
+    content: dict[str, Any] = {
         "verdict": diagnosis.verdict,
         "effects": [_effect(effect) for effect in diagnosis.effects],
         "parameter_shift": [asdict(shift) for shift in diagnosis.shifts],
