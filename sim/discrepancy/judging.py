@@ -159,6 +159,15 @@ def systematic_heat(ceiling: Ceiling | None) -> float:
     return max(ceiling.share, 0.0) * ceiling.heat**2 if ceiling is not None else 0.0
 
 
+def systematic_whole(before: Ceiling | None, left: Ceiling | None) -> float:
+    """(degC/h)^2 all that was systematic, against which what names leave is held.
+
+    What trees could predict before, or, where that is more, what the names themselves have taken out of the heat.
+    """
+    explained = before is not None and left is not None and before.heat > left.heat
+    return max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
+
+
 def foreseen_better(first: HeldOutRun, second: HeldOutRun) -> float:
     """nats by which the second free run is nearer to the held-out cycles, both weighed by the second's noise.
 
@@ -198,10 +207,7 @@ def doubts(
         reasons.append("the free run over the held-out cycles is further off with it than the model as it was given")
     elif _hardly_smaller(path, held):
         reasons.append(f"it removes {held.excess_removed:.0%} of what the free run over the held-out cycles is off by")
-    # What the names leave is held against all that was systematic: what trees could predict before, or, where that is
-    # more, what the names themselves have taken out of the heat.
-    explained = before is not None and left is not None and before.heat > left.heat
-    whole = max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
+    whole = systematic_whole(before, left)
     too_much = rules.ceiling_left_most_share * whole
     if left is not None and systematic(left, rules) and systematic_heat(left) > too_much:
         reasons.append(f"a free learner still predicts {left.share:.0%} of the heat on cycles that it has not seen")

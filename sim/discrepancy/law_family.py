@@ -168,12 +168,12 @@ def family(columns: LawColumns, running: Array, begin: float) -> list[LawForm]:
         tried(f"-max(temperature - {level}, 0)", 2, f"a slow ramp of the load up and down across {level}")
     twice = "start twice within an hour, at the same load"
     for seconds in FADING:
-        span = f"{seconds / 60.0:.0f} min"
-        fades = f"heat after each start, fading over {span}"
+        within = f"{seconds / 60.0:.0f} min"
+        fades = f"heat after each start, fading over {within}"
         tried(f"exp(-since / {seconds:g})", 2, twice, only_running=True, words=fades)
-        first = f"heat in the first {span} after each start"
+        first = f"heat in the first {within} after each start"
         tried(f"above({seconds:g}, since)", 2, twice, only_running=True, words=first)
-        fades, stopped = f"heat after each stop, fading over {span}", "stop twice, after a short and a long run"
+        fades, stopped = f"heat after each stop, fading over {within}", "stop twice, after a short and a long run"
         forms.append(LawForm(f"exp(-since_stop / {seconds:g})", 2, False, stopped, words=(fades, f"less {fades}")))
     for seconds in GROWING:
         grows = f"heat that grows over the first {seconds / 60.0:.0f} min after each start"

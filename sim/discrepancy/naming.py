@@ -1,7 +1,7 @@
 """One step towards a name: the catalogue screened, the likeliest confirmed by joint refits and weighed."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -62,13 +62,15 @@ class NamingStep:
     """A step from a fit: the evidence of every entry with its signals, best first; cosines; the rules.
 
     `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
-    projected out of both. `rules` are those that it was made by and is judged by.
+    projected out of both. `rules` are those that it was made by and is judged by. `rivals` are the gains (nats) of what
+    has no name, also where it is left out of the evidence since it does no better than the names.
     """
 
     before: Fitted
     evidence: tuple[EffectEvidence, ...]
     cosines: Mapping[str, float]
     rules: DecisionRules
+    rivals: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def best(self) -> EffectEvidence | None:
@@ -123,9 +125,10 @@ def step(
     confirmed += [confirm(before, each) for each in behind]
     done = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in done]
-    kept = without_idle([*confirmed, *rest, *_unmeasured(before, confirmed, entries, rules.least_gain_nats)], rules)
-    order = tuple(sorted(kept, key=lambda each: -each.gain))
-    return NamingStep(before, order, _cosines(before, order), rules)
+    everything = [*confirmed, *rest, *_unmeasured(before, confirmed, entries, rules.least_gain_nats)]
+    order = tuple(sorted(without_idle(everything, rules), key=lambda each: -each.gain))
+    nameless = {each.entry.name: each.gain for each in everything if each.entry.rival}
+    return NamingStep(before, order, _cosines(before, order), rules, nameless)
 
 
 def _unmeasured(
