@@ -15,7 +15,7 @@ from sim.discrepancy.judging import NamingResult, above
 from sim.discrepancy.naming import NamingStep, confirm, step
 from sim.discrepancy.workflow import FIRST_NAME_CYCLES, diagnose
 from sim.sha import Model, Trace
-from tests.discrepancy.plants import model, plant
+from tests.discrepancy.plants import model, plant, sparse
 
 FOUR_DAYS = 12
 """Cycles of four days."""
@@ -61,6 +61,16 @@ def test_a_model_that_takes_everything_for_noise_does_not_lift_the_floor(clean: 
     assert made.error < 0.5 and made.source != "what the model states of its own free runs"
     modest = replace(model(), provenance=replace(model().provenance, scores={"held_out_rmse": 0.07}))
     assert floor(modest, plant(1), base, held_out).source == "what the model states of its own free runs"
+
+
+def test_what_turns_between_two_rows_of_a_slow_recorder_is_no_gap() -> None:
+    """Learned from rows of seconds, a model states nothing of switches that are known to a minute only."""
+    provenance = replace(model().provenance, scores={"held_out_rmse": 0.1})
+    proud = replace(model(), alphabet=replace(model().alphabet, gap=60.0), provenance=provenance)
+    usual, slow = (sparse(plant(1), every) for every in (1, 4))
+    stated = [float(np.mean(stated_errors(proud, [trace], parts(proud, trace)[0]))) for trace in (usual, slow)]
+    assert stated[0] < 0.1
+    assert stated[1] > 1.5 * stated[0]
 
 
 def test_what_all_equal_cycles_err_by_alike_is_no_noise() -> None:

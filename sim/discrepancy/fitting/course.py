@@ -328,9 +328,20 @@ def grid_at(frame: Frame, state: CourseState) -> Grid:
     )
 
 
-def lateness(frame: Frame, state: CourseState) -> Array:
+def unseen_switches(frame: Frame, state: CourseState, known_s: float) -> Array:
+    """(m,) degC^2 the variance of the windows by what turned somewhere in a row and is known from its end on, as far as
+    rows that take no longer than `known_s` (s) would not have it too."""
+    late = lateness(frame, state, known_s)
+    decay, _ = decay_and_pull(state.k + state.loss, frame.record.runs.dt)
+    decay = np.where(frame.record.runs.first, 0.0, decay)
+    apart = frame.record.windowed(linear_recursion(decay**2, (LATE_APART * late) ** 2, 0.0))
+    shared = frame.record.windowed(as_read(frame, state, jumped(frame, state, LATE_TOGETHER * late)))
+    return np.asarray(apart + shared**2)
+
+
+def lateness(frame: Frame, state: CourseState, known_s: float = 0.0) -> Array:
     """(n,) degC by which the course would be off from each knot on, had what turned at it (`Record.turned`) come a row
-    earlier.
+    earlier; of the row's length (its square) without what a row of `known_s` (s) hides as well.
 
     What changes between two rows is known from the later one on. It happened somewhere in the row, so that the
     temperature there is off by the change of the drift times a time between nothing and the row's length. Only at rows:
@@ -339,7 +350,7 @@ def lateness(frame: Frame, state: CourseState) -> Array:
     record, runs = frame.record, frame.record.runs
     change = np.append(np.diff(state.drive) - np.diff(state.k + state.loss) * state.course[:-1], 0.0)
     within = record.turned & np.append(~runs.first[1:], False) & ~runs.first & np.isfinite(runs.reading)
-    return np.asarray(np.where(within, change * runs.dt, 0.0))
+    return np.asarray(np.where(within, change * np.sqrt(np.maximum(runs.dt**2 - known_s**2, 0.0)), 0.0))
 
 
 def inrush(frame: Frame, state: CourseState) -> Array:
