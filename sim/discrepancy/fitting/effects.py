@@ -5,6 +5,7 @@ the step's middle where it varies by itself), while the automaton's own engine i
 are short against the plant's time constants both have one course (`tests/effects` has by how much they differ).
 """
 
+from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -113,8 +114,24 @@ def deviation(record: Record, effect: Effect) -> Array:
 
     It follows from the signals alone, so it runs on through what was cut: over other cycles, and those held out.
     """
+    return _late(record, effect, {name: record.history(name) for name in effect.signals.values()})
+
+
+def late_inrush(record: Record, effect: Effect) -> Array:
+    """(n,) degC/s: what comes late of that which starts draw in their first seconds (`Record.rushed`), beyond what they
+    draw after them."""
+    rushed = np.zeros(len(record.uncut), dtype=bool)
+    rushed[record.kept] = record.rushed
+    settled = np.flatnonzero(~rushed)
+    after = settled[np.minimum(np.searchsorted(settled, np.arange(rushed.size)), settled.size - 1)]
+    signals = {name: record.history(name) for name in effect.signals.values()}
+    quiet = {name: np.where(rushed, column[after], column) for name, column in signals.items()}
+    return _late(record, effect, signals) - _late(record, effect, quiet)
+
+
+def _late(record: Record, effect: Effect, signals: Mapping[str, Array]) -> Array:
     uncut = record.uncut
-    source = late_source(effect, {name: record.history(name) for name in effect.signals.values()})
+    source = late_source(effect, signals)
     jumps = late_jumps(np.concatenate([source[:1], source[:-1]]), source)
     kept = np.concatenate([[0.0], late_kept(effect, uncut.dt[:-1])])
     begins = linear_recursion(np.where(uncut.first, 0.0, kept), np.where(uncut.first, 0.0, jumps), 0.0)
