@@ -11,11 +11,14 @@ from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit
 from sim.discrepancy.fitting.record import record_of
+from sim.discrepancy.rules import RULES
 from sim.sha.events import encode
 from sim.sha.trace import Array
 from tests.discrepancy.plants import ALPHABET, PERIOD, model, plant
 
 ROLES = {"vibration": "VibrazioneCuscinetti", "pump": "MarciaPmpFango"}
+COARSE = replace(RULES, material_sigmas=2.0)
+"""What is less than two readings' errors does not matter."""
 SHAKES, COOLS = "vibration-friction", "pump-cooling"
 
 
@@ -36,13 +39,10 @@ def base() -> Fitted:
 def look(base: Fitted, *names: str) -> judging.NamingResult:
     """The path to one name at most, with these effects in the catalogue."""
     entries = [entry for entry in catalogue() if entry.name in names]
-    return path.name(base, ROLES, 0, 1, lambda *_: None, entries=entries)[0]
+    return path.name(base, ROLES, 1, lambda *_: None, rules=COARSE, entries=entries)[0]
 
 
-def test_a_small_certain_effect_is_fitted_along_and_the_one_that_matters_is_named(
-    base: Fitted, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(judging, "MATERIAL", 2.0)
+def test_a_small_certain_effect_is_fitted_along_and_the_one_that_matters_is_named(base: Fitted) -> None:
     found = look(base, SHAKES, COOLS)
     (small,) = found.nuisances
     assert small.best is not None and small.best.entry.name == SHAKES
@@ -56,10 +56,7 @@ def test_a_small_certain_effect_is_fitted_along_and_the_one_that_matters_is_name
     assert [each.name for each in traces_of(found)] == [SHAKES]
 
 
-def test_where_nothing_else_is_missing_the_small_one_is_all_that_is_told(
-    base: Fitted, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(judging, "MATERIAL", 2.0)
+def test_where_nothing_else_is_missing_the_small_one_is_all_that_is_told(base: Fitted) -> None:
     found = look(base, SHAKES)
     ((only, refusal),) = found.steps
     assert refusal == judging.TOO_SMALL and only.best is not None and only.best.entry.name == SHAKES

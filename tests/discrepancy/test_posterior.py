@@ -101,7 +101,7 @@ def test_a_cause_outside_of_the_catalogue_makes_none_of_these_likelier_than_its_
     floor = NoiseFloor(0.06, (0.05, 0.08), np.arange(4, 6), np.full(2, 0.06), "what is given")
     before, none = ceiling(base, seed), dict[str, float]()
     for known, name in (("inside", "pump-cooling"), ("outside", "startup-churning")):
-        found = step(base, [entry_of(name)], present, seed).best
+        found = step(base, [entry_of(name)], present, rules=RULES).best
         assert found is not None
         named = confirm(base, found).fitted
         assert named is not None

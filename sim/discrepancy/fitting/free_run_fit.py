@@ -28,6 +28,9 @@ LARGEST_TARGET, LARGEST_SHARE = 15.0, 0.7
 share of itself by which a strength may change."""
 STRIDE = 2.0
 """degC by which such a step may move a threshold."""
+RUNAWAY, SOFTENED = 20.0, 12
+"""Times the range of the readings (and 1 degC) from which a free run has run away, and how often the strengths that it
+begins with are halved then."""
 AT_REST = 0.95
 """The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
 SLIGHT = 3e-4
@@ -214,6 +217,13 @@ def fit(
     noise = begin_noise(belief.centre) if begin is None else begin.noise
     first = _allowed(named, np.concatenate([own, added]))
     point = _around(frame, at(frame, first, start, named), start, reading)
+    # The linear problem knows no end of a loss: where less of it than none was asked for, less of the effect is begun
+    # with.
+    for _ in range(SOFTENED):
+        if not _runs_away(point.residual, reading):
+            break
+        first = _allowed(named, np.concatenate([own, _halved(named, first[own.size :])]))
+        point = _around(frame, at(frame, first, start, named), start, reading)
     for _ in range(rounds):
         point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
         before = noise
@@ -325,15 +335,30 @@ def _newton_steps(
             residual = reading - frame.record.windowed(moved.mean)
             off = point.off + np.where(np.arange(step.size) < sum(frame.count), step, 0.0)
             after = float(whitener.gram(residual[:, None])[0, 0] + off @ (prior * off))
-            if np.isfinite(after) and after <= before + 1e-6:
+            lost = not np.isfinite(after) or _runs_away(residual, reading)
+            if not lost and after <= before + 1e-6:
                 break
             step = 0.5 * step
-        if not np.isfinite(after) or after > before:
+        if lost or after > before:
             break
         point = _around(frame, moved, start, reading)
         if before - after < 0.02:  # a hundredth of a nat: no decision is that fine
             break
     return point
+
+
+def _runs_away(residual: Array, reading: Array) -> bool:
+    """Whether a free run has left the readings as no plant does: a sign in front of a loss that is less than none."""
+    return not bool(np.max(np.abs(residual), initial=0.0) <= RUNAWAY * (np.ptp(reading) + 1.0))
+
+
+def _halved(effects: Sequence[Named], point: Array) -> Array:
+    """The parameters of effects with half of each strength."""
+    out, number = point.copy(), 0
+    for named in effects:
+        out[number] *= 0.5
+        number += len(named.free)
+    return out
 
 
 def _longest(named: Named) -> list[float]:
