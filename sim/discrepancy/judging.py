@@ -51,40 +51,40 @@ class NamingResult:
         return best.fitted if refusal and best is not None and best.fitted and beyond_chance else self.fitted
 
 
-def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
+def insignificant(step: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
     """Why the best entry of a step is no more than chance, or a trifle; "" where something is missing.
 
     `earlier` are the steps whose best entries are in the model already.
     """
-    best, rules = candidate.best, candidate.rules
-    if best is None or not best.confirmed or best.gain < candidate.rules.least_gain_nats:
+    best, rules = step.best, step.rules
+    if best is None or not best.confirmed or best.gain < step.rules.least_gain_nats:
         gain = best.gain if best is not None else 0.0
         return f"adds {gain:.1f} nats, and a name needs {rules.least_gain_nats:.1f}"
-    if immaterial(candidate):
+    if immaterial(step):
         return TOO_SMALL
     # A further name must stand out of what the earlier ones' imperfect shapes leave behind.
     needed, near = 0.0, rules.near_least_cosine
     least, most = rules.leftover_share, rules.leftover_of_rival_share
-    for step in earlier:
-        if step.best is not None:
-            alike = max(likeness(step, best) - near, 0.0) / (1.0 - near)
-            needed = max(needed, step.best.gain * (least + alike * (most - least)))
-    if earlier and best.gain < max(candidate.rules.least_gain_nats + rules.further_nats, needed):
+    for other in earlier:
+        if other.best is not None:
+            alike = max(likeness(other, best) - near, 0.0) / (1.0 - near)
+            needed = max(needed, other.best.gain * (least + alike * (most - least)))
+    if earlier and best.gain < max(step.rules.least_gain_nats + rules.further_nats, needed):
         return f"adds {best.gain:.1f} nats, no more than the effects before may have left behind"
     return ""
 
 
-def immaterial(candidate: NamingStep) -> bool:
+def immaterial(step: NamingStep) -> bool:
     """True where the best entry is beyond chance, yet moves the temperature by less than could be felt."""
-    best = candidate.best
-    if best is None or not best.confirmed or best.gain < candidate.rules.least_gain_nats:
+    best = step.best
+    if best is None or not best.confirmed or best.gain < step.rules.least_gain_nats:
         return False
-    return best.amplitude < candidate.rules.material_sigmas * sensor_noise(candidate.before.frame.record)
+    return best.amplitude < step.rules.material_sigmas * sensor_noise(step.before.frame.record)
 
 
-def dubious(candidate: NamingStep) -> str:
+def dubious(step: NamingStep) -> str:
     """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
-    best, rules = candidate.best, candidate.rules
+    best, rules = step.best, step.rules
     if best is None:
         return "there is nothing to name"
     # Where the information lies in fewer than three cycles, single cycles cannot be asked to agree.
@@ -95,23 +95,23 @@ def dubious(candidate: NamingStep) -> str:
         return "does not carry over from cycle to cycle"
     if best.entry.rival:
         return "goes best with the data, and has no name"
-    if candidate.margin < rules.margin_nats:
-        return f"beats its rivals outside its class by {candidate.margin:.1f} nats only"
-    return unbelievable(candidate)
+    if step.margin < rules.margin_nats:
+        return f"beats its rivals outside its class by {step.margin:.1f} nats only"
+    return unbelievable(step)
 
 
-def unbelievable(candidate: NamingStep) -> str:
+def unbelievable(step: NamingStep) -> str:
     """Why the best entry of a step is nothing that a machine does, or that its rows show; "" where it may be."""
-    best = candidate.best
+    best = step.best
     if best is None or best.fitted is None:
         return ""
-    record = candidate.before.frame.record
+    record = step.before.frame.record
     named, shortest = best.fitted.state.named[-1], shortest_visible(record)
     for time in (named.params[name] for name in TIMES if name in named.params):
         if 0 < time < shortest:
             return f"lasts {time:.3g} s, and nothing shorter than {shortest:.3g} s is visible in these rows"
-    most, fastest = greatest_heat(candidate.before, named), fastest_movement(candidate.before)
-    if most > candidate.rules.most_heat_times * fastest:
+    most, fastest = greatest_heat(step.before, named), fastest_movement(step.before)
+    if most > step.rules.most_heat_times * fastest:
         unit = shown_unit(record.model.unit)
         return (
             f"would heat or cool by up to {most * HOUR:.3g} {unit}/h, and the fastest movement in these data is "

@@ -109,7 +109,6 @@ class DecisionRules:
     """That a cell needs in order to compare them."""
     comparable_least_share: float = 0.7
     """Of all windows that must lie in such cells."""
-
     floor_blind_from_share: float = 0.5
     """Of what the temperature varies by (rms about its mean), from which the upper end of the floor's interval says
     nothing: a model that explains no more than three quarters of the variance would agree."""
