@@ -183,7 +183,6 @@ def family(columns: LawColumns, running: Array, begin: float) -> list[LawForm]:
     for moment in moments(values["days"], running):
         date, text = moment_words(begin + moment * DAY), f"{moment:.4g}"
         tried(f"max(days - {text}, 0)", 2, later, words=f"heat that grows from {date} on")
-        tried(f"above(days, {text})", 2, f"look up what was changed at {date}", words=f"heat since {date}")
     for name in values:
         if name.startswith("every_"):
             tried(name, 1, f"look for what switches every {name.split('_')[1]}, and stop it for an hour")

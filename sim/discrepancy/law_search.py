@@ -15,13 +15,16 @@ import numpy as np
 from sim.discrepancy.diagnosis import CandidateLaw
 from sim.discrepancy.fitting import (
     Fitted,
+    NoiseModel,
     Record,
+    Whitener,
     as_read,
     effects_of,
     filtered,
     heat_and_loss,
     on,
     sensitivity,
+    with_column,
 )
 from sim.discrepancy.held_out import HeldOutRun, let_run
 from sim.discrepancy.law_family import (
@@ -45,7 +48,7 @@ MOST, BEST = 3, 6
 LEAST_GAIN = 9.2
 """Nats that a law must be worth, held-out cycles included, after all that were tried are paid for: 1 in 10 000, as one
 more look costs nothing."""
-TRIED_LATER, LEAST_FITTED = 10, 6.0
+TRIED_LATER, LEAST_FITTED = 8, 6.0
 """Laws that the held-out cycles are asked about at most, and the nats on the fitted ones from which they are."""
 LEAST_SHARE, MOST_CYCLES = 0.25, 0.6
 """The share of what is left that a law must take on held-out cycles, and the share of these that must agree."""
@@ -118,39 +121,47 @@ def candidate_laws(
     scored = scored.joined(_scored(fitted, projector, columns, [form for form in sharper if form is not None]))
     found = []
     for number in [*chosen, *range(len(scored.forms) - sum(form is not None for form in sharper), len(scored.forms))]:
-        form, strength = scored.forms[number], float(scored.strength[number])
-        effect = strength * scored.columns[:, number]
+        form, column = scored.forms[number], scored.columns[:, number]
+        # The noise was fitted without the law and has swallowed some of it: it is fitted anew beside it.
+        with_law, strength = with_column(fitted, column)
+        if form.exchange and strength <= 0:
+            continue
         # The model's own parameters make room for the law as a joint fit would let them.
-        moved = projector.made_room(effect) - projector.made_room(np.zeros_like(effect))
+        room = Projector(replace(fitted, noise=with_law.noise))
+        moved = room.made_room(strength * column) - room.made_room(np.zeros_like(column))
         unit = _reading(unseen, _heats(unseen, there, [form]))[:, 0]
         after = trial.residual - strength * unit - own[:, : moved.size] @ moved
         share, better, cycles = _held_out(trial, after, floor)
         # Nothing was fitted to these cycles, so what they say adds to what the fitted ones do.
-        gain = float(scored.gain[number]) + _foreseen(trial, after)
+        gain = with_law.likelihood - fitted.likelihood + _foreseen(trial, after, with_law.noise)
         if gain - np.log(tried) >= LEAST_GAIN and share >= LEAST_SHARE and better >= MOST_CYCLES * cycles:
-            found.append((gain, number, share, (better, cycles)))
-    surest: dict[str, tuple[float, int, float, tuple[int, int]]] = {}
+            found.append((gain, number, strength, share, (better, cycles)))
+    surest: dict[str, tuple[float, int, float, float, tuple[int, int]]] = {}
     for each in sorted(found, key=lambda each: -each[0]):
         # Of laws that differ in their numbers alone (a date, a time) the surest is the law.
-        surest.setdefault(re.sub(r"[\d.]+", "", scored.forms[each[1]].text), each)
+        surest.setdefault(_without_numbers(scored.forms[each[1]].text), each)
     most = max((gain for gain, *_ in found), default=0.0)
     return tuple(
         CandidateLaw(
             expression=scored.forms[number].text,
-            words=scored.forms[number].said(float(scored.strength[number])),
+            words=scored.forms[number].said(strength),
             running=scored.forms[number].running,
-            strength=float(scored.strength[number]),
+            strength=strength,
             gain=gain,
             share=share,
             cycles=cycles,
             tried=tried,
             experiment=scored.forms[number].experiment,
             alike=_alike(scored, number),
-            line=_line(scored.forms[number], names, float(scored.strength[number]), place),
+            line=_line(scored.forms[number], names, strength, place),
         )
-        for place, (gain, number, share, cycles) in enumerate(list(surest.values())[:MOST], start=1)
+        for place, (gain, number, strength, share, cycles) in enumerate(list(surest.values())[:MOST], start=1)
         if gain >= CLOSE_BEHIND * most
     )
+
+
+def _without_numbers(text: str) -> str:
+    return re.sub(r"[\d.]+", "", text)
 
 
 def _sharpened(fitted: Fitted, form: LawForm, strength: float) -> LawForm | None:
@@ -254,7 +265,7 @@ def _distinct(scored: _Scored) -> list[int]:
         # What only adds a factor to a surer law says nothing new.
         contained = np.array([text in form.text for form in scored.forms])
         same = contained | (np.abs(_cosines(scored, number)) >= ALIKE)
-        left = np.where(same | (scored.gain < CLOSE_BEHIND * scored.gain[chosen[0]]), -np.inf, left)
+        left = np.where(same, -np.inf, left)
     return chosen
 
 
@@ -263,8 +274,9 @@ def _alike(scored: _Scored, number: int) -> tuple[str, ...]:
     near = np.abs(_cosines(scored, number)) >= ALIKE
     near &= scored.gain >= 0.9 * scored.gain[number]
     order = [other for other in np.argsort(-scored.gain, kind="stable").tolist() if near[other] and other != number]
-    said = dict.fromkeys(scored.forms[other].said(float(scored.strength[other])) for other in order)
-    return tuple(each for each in said if each != scored.forms[number].said(float(scored.strength[number])))[:3]
+    own = _without_numbers(scored.forms[number].text)
+    others = [other for other in order if _without_numbers(scored.forms[other].text) != own]
+    return tuple(dict.fromkeys(scored.forms[other].said(float(scored.strength[other])) for other in others))[:3]
 
 
 def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int, int]:
@@ -277,10 +289,10 @@ def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int
     return min(share, 1.0), int(np.count_nonzero(new < old)), int(counts.size)
 
 
-def _foreseen(trial: HeldOutRun, after: Array) -> float:
-    """nats by which residuals `after` a law are likelier than those before on the held-out cycles."""
+def _foreseen(trial: HeldOutRun, after: Array, noise: NoiseModel) -> float:
+    """nats by which residuals `after` a law are likelier than those before on the held-out cycles, under one noise."""
     old, new = trial.started(trial.residual), trial.started(after)
-    weighed = trial.whitener.weigh(np.column_stack([old, new]))
+    weighed = Whitener(trial.whitener.grid, noise).weigh(np.column_stack([old, new]))
     return 0.5 * float(old @ weighed[:, 0] - new @ weighed[:, 1])
 
 

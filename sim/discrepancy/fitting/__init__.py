@@ -12,7 +12,7 @@ from sim.discrepancy.fitting.course import (
     sensitivity,
 )
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged_signal, on_sensor
-from sim.discrepancy.fitting.free_run_fit import Fitted, fit, readings_in_window, rounding, with_heats
+from sim.discrepancy.fitting.free_run_fit import Fitted, fit, readings_in_window, rounding, with_column, with_heats
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
 from sim.discrepancy.fitting.noise import Grid, NoiseModel, Whitener, decay_and_pull
 from sim.discrepancy.fitting.record import Record, first_cycle_after, in_order, overlapping, patiently, record_of
@@ -57,5 +57,6 @@ __all__ = [
     "sensitivity",
     "shown_locations",
     "signals_of",
+    "with_column",
     "with_heats",
 ]
