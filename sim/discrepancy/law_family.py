@@ -49,6 +49,12 @@ class LawForm:
     words: tuple[str, str] | None = None
     shapes: tuple[Shape, ...] = ()
 
+    @property
+    def kind(self) -> str:
+        """What laws share that differ in their numbers alone."""
+        kinds = [shape.entry.name for shape in self.shapes]
+        return " and ".join(kinds) or re.sub(r"_\d+(min|h)|\b\d[\d.]*(e[-+]?\d+)?\b", "", self.text)
+
     def said(self, strength: float) -> str:
         """What it is at a strength, in the plant's words or as the expression."""
         return in_words(self.text) if self.words is None else self.words[0 if strength > 0 else 1]
@@ -232,12 +238,13 @@ def _words(shapes: tuple[Shape, ...], sign: float) -> str:
 
 
 def repeated(best: LawForm, forms: Sequence[LawForm]) -> list[LawForm]:
-    """An event with each further one that fades as it does."""
+    """An event with each further one that fades as it does, and that is not the same one again."""
     (shape,) = best.shapes
     others = [form.shapes[0] for form in forms if form.shapes and form.shapes[0].entry.name == EVENT]
     moved = (replace(other, params={**shape.params, "at": other.params["at"]}) for other in others)
-    further = {each.params["at"]: each for each in moved if each.params["at"] != shape.params["at"]}
-    return [of_shapes((shape, each)) for each in further.values()]
+    further = {each.params["at"]: each for each in moved}
+    apart = shape.params["tau"]
+    return [of_shapes((shape, each)) for at, each in further.items() if abs(at - shape.params["at"]) >= apart]
 
 
 def products(best: Sequence[LawForm], columns: LawColumns) -> list[LawForm]:

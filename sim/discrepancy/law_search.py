@@ -5,7 +5,6 @@ relaxation, what the model's parameters imitate is projected out, and its streng
 that were held out nothing is fitted but where each begins.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
@@ -48,8 +47,9 @@ MOST, BEST = 3, 6
 LEAST_GAIN = 9.2
 """Nats that a law must be worth, held-out cycles included, after all that were tried are paid for: 1 in 10 000, as one
 more look costs nothing."""
-TRIED_LATER, LEAST_FITTED = 8, 6.0
-"""Laws that the held-out cycles are asked about at most, and the nats on the fitted ones from which they are."""
+TRIED_LATER, OF_A_KIND, LEAST_FITTED = 8, 2, 6.0
+"""Laws that the held-out cycles are asked about at most, those among them that differ in numbers alone, and the nats on
+the fitted cycles from which they are asked."""
 LEAST_SHARE, MOST_CYCLES = 0.25, 0.6
 """The share of what is left that a law must take on held-out cycles, and the share of these that must agree."""
 ALIKE = 0.9
@@ -83,6 +83,33 @@ class _Scored:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _JudgedLaw:
+    """A form by its `number`, with the `noise` beside it: nats on the cycles that were fitted and that are `foreseen`.
+
+    `share` and `cycles` are those of `CandidateLaw`.
+    """
+
+    number: int
+    noise: NoiseModel
+    strength: float
+    fitted: float
+    foreseen: float
+    share: float
+    cycles: tuple[int, int]
+
+    @property
+    def gain(self) -> float:
+        """nats in all: nothing was fitted to held-out cycles, so what they say adds to what the others do."""
+        return self.fitted + self.foreseen
+
+    def holds(self, tried: int) -> bool:
+        """Whether it pays for all that were tried, and the held-out cycles agree."""
+        better, cycles = self.cycles
+        paid = self.gain - float(np.log(tried)) >= LEAST_GAIN
+        return paid and self.share >= LEAST_SHARE and better >= MOST_CYCLES * cycles
+
+
 def candidate_laws(
     base: Fitted, record: Record, fitted_until: int, floor: float, fitted_again: float = inf
 ) -> tuple[CandidateLaw, ...]:
@@ -103,7 +130,7 @@ def candidate_laws(
     by_date = dated(fitted, columns.values[TEMPERATURE])
     scored = _scored(fitted, projector, columns, [*family(columns, training.running, begin), *by_date])
     best = [scored.forms[number] for number in np.argsort(-scored.gain, kind="stable")[:BEST].tolist()]
-    scored = scored.joined(_scored(fitted, projector, columns, [*products(best, columns), *_again(scored, by_date)]))
+    scored = scored.joined(_scored(fitted, projector, columns, products(best, columns)))
     tried = len(scored.forms) + scanned
 
     trial = let_run(base, later.by_cycles())
@@ -117,67 +144,76 @@ def candidate_laws(
     there = columns_on(unseen, smooth_course(unseen), names, begin, periods)
     own = trial.record.windowed(sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first]))
     chosen = _distinct(scored)
-    sharper = [_sharpened(fitted, scored.forms[number], float(scored.strength[number])) for number in chosen]
-    scored = scored.joined(_scored(fitted, projector, columns, [form for form in sharper if form is not None]))
-    found = []
-    for number in [*chosen, *range(len(scored.forms) - sum(form is not None for form in sharper), len(scored.forms))]:
+    sharper = _sharpened(fitted, scored, chosen)
+    chosen += range(len(scored.forms), len(scored.forms) + len(sharper))
+    scored = scored.joined(_scored(fitted, projector, columns, sharper))
+
+    def judged(number: int) -> _JudgedLaw:
         form, column = scored.forms[number], scored.columns[:, number]
         # The noise was fitted without the law and has swallowed some of it: it is fitted anew beside it.
-        with_law, strength = with_column(fitted, column)
-        if form.exchange and strength <= 0:
-            continue
+        beside, strength = with_column(fitted, column)
         # The model's own parameters make room for the law as a joint fit would let them.
-        room = Projector(replace(fitted, noise=with_law.noise))
+        room = Projector(replace(fitted, noise=beside.noise))
         moved = room.made_room(strength * column) - room.made_room(np.zeros_like(column))
         unit = _reading(unseen, _heats(unseen, there, [form]))[:, 0]
         after = trial.residual - strength * unit - own[:, : moved.size] @ moved
         share, better, cycles = _held_out(trial, after, floor)
-        # Nothing was fitted to these cycles, so what they say adds to what the fitted ones do.
-        gain = with_law.likelihood - fitted.likelihood + _foreseen(trial, after, with_law.noise)
-        if gain - np.log(tried) >= LEAST_GAIN and share >= LEAST_SHARE and better >= MOST_CYCLES * cycles:
-            found.append((gain, number, strength, share, (better, cycles)))
-    surest: dict[str, tuple[float, int, float, float, tuple[int, int]]] = {}
-    for each in sorted(found, key=lambda each: -each[0]):
-        # Of laws that differ in their numbers alone (a date, a time) the surest is the law.
-        surest.setdefault(_without_numbers(scored.forms[each[1]].text), each)
-    most = max((gain for gain, *_ in found), default=0.0)
-    return tuple(
-        CandidateLaw(
-            expression=scored.forms[number].text,
-            words=scored.forms[number].said(strength),
-            running=scored.forms[number].running,
+        return _JudgedLaw(
+            number=number,
+            noise=beside.noise,
             strength=strength,
-            gain=gain,
+            fitted=beside.likelihood - fitted.likelihood,
+            foreseen=_foreseen(trial, after, beside.noise),
             share=share,
-            cycles=cycles,
-            tried=tried,
-            experiment=scored.forms[number].experiment,
-            alike=_alike(scored, number),
-            line=_line(scored.forms[number], names, strength, place),
+            cycles=(better, cycles),
         )
-        for place, (gain, number, strength, share, cycles) in enumerate(list(surest.values())[:MOST], start=1)
-        if gain >= CLOSE_BEHIND * most
+
+    laws = [judged(number) for number in chosen]
+    events = [law for law in laws if scored.forms[law.number].kind == EVENT and law.fitted >= LEAST_FITTED]
+    if events:
+        # What was done once may have been done twice; the second time is looked for beside the first.
+        first = max(events, key=lambda law: law.fitted)
+        with_first = Projector(replace(fitted, noise=first.noise))
+        again = _scored(fitted, with_first, columns, repeated(scored.forms[first.number], by_date))
+        scored = scored.joined(again)
+        laws += [judged(len(scored.forms) - len(again.forms) + int(np.argmax(again.gain)))] if again.forms else []
+    found = [law for law in laws if law.holds(tried) and (law.strength > 0 or not scored.forms[law.number].exchange)]
+    surest: dict[str, _JudgedLaw] = {}
+    for law in sorted(found, key=lambda law: SIMPLER * scored.forms[law.number].terms - law.gain):
+        # Of laws that differ in their numbers alone (a date, a time) the surest is the law.
+        surest.setdefault(scored.forms[law.number].kind, law)
+    most = max((law.gain for law in found), default=0.0)
+    told = [law for law in surest.values() if law.gain >= CLOSE_BEHIND * most][:MOST]
+    return tuple(_told(scored, law, names, tried, place) for place, law in enumerate(told, start=1))
+
+
+def _told(scored: _Scored, law: _JudgedLaw, names: dict[str, str], tried: int, place: int) -> CandidateLaw:
+    form = scored.forms[law.number]
+    return CandidateLaw(
+        expression=form.text,
+        words=form.said(law.strength),
+        running=form.running,
+        strength=law.strength,
+        gain=law.gain,
+        share=law.share,
+        cycles=law.cycles,
+        tried=tried,
+        experiment=form.experiment,
+        alike=_alike(scored, law.number),
+        line=_line(form, names, law.strength, place),
     )
 
 
-def _without_numbers(text: str) -> str:
-    return re.sub(r"[\d.]+", "", text)
-
-
-def _sharpened(fitted: Fitted, form: LawForm, strength: float) -> LawForm | None:
-    """The form of one rival with its dates and times where the gain is greatest; None of any other form."""
-    if len(form.shapes) != 1 or not form.shapes[0].entry.candidate.refine:
-        return None
-    (shape,) = form.shapes
-    params = refined(fitted, shape, strength).params
-    return of_shapes((Shape(shape.entry, shape.signals, {name: params[name] for name in shape.params}),))
-
-
-def _again(scored: _Scored, by_date: Sequence[LawForm]) -> list[LawForm]:
-    """The surest event that fades with each further one, where there are any."""
-    events = [number for number, form in enumerate(scored.forms) if form.shapes and form.shapes[0].entry.name == EVENT]
-    best = max(events, key=lambda number: scored.gain[number], default=None)
-    return [] if best is None or not scored.gain[best] > 0 else repeated(scored.forms[best], by_date)
+def _sharpened(fitted: Fitted, scored: _Scored, chosen: Sequence[int]) -> list[LawForm]:
+    """Those of the chosen forms that are rivals', with their dates and times where the gain is greatest."""
+    sharper = []
+    for number in (each for each in chosen if scored.forms[each].shapes):
+        (shape,) = scored.forms[number].shapes
+        if shape.entry.candidate.refine:
+            params = refined(fitted, shape, float(scored.strength[number])).params
+            shape = Shape(shape.entry, shape.signals, {name: params[name] for name in shape.params})
+            sharper.append(of_shapes((shape,)))
+    return sharper
 
 
 def _rhythms(times: Array, score: Array) -> tuple[list[float], int]:
@@ -253,8 +289,9 @@ def _cosines(scored: _Scored, number: int) -> Array:
 
 
 def _distinct(scored: _Scored) -> list[int]:
-    """The surest forms that these data can tell apart: each the simplest of its kind."""
+    """The surest forms that these data can tell apart: each the simplest of its kind, few of one kind."""
     terms = np.array([form.terms for form in scored.forms], dtype=float)
+    kinds = np.array([form.kind for form in scored.forms])
     # Among forms that say the same the simpler one is taken.
     left = np.where(scored.gain >= LEAST_FITTED, scored.gain - SIMPLER * terms, -np.inf)
     chosen: list[int] = []
@@ -265,6 +302,8 @@ def _distinct(scored: _Scored) -> list[int]:
         # What only adds a factor to a surer law says nothing new.
         contained = np.array([text in form.text for form in scored.forms])
         same = contained | (np.abs(_cosines(scored, number)) >= ALIKE)
+        if int(np.count_nonzero(kinds[chosen] == kinds[number])) >= OF_A_KIND:
+            same |= kinds == kinds[number]
         left = np.where(same, -np.inf, left)
     return chosen
 
@@ -274,8 +313,10 @@ def _alike(scored: _Scored, number: int) -> tuple[str, ...]:
     near = np.abs(_cosines(scored, number)) >= ALIKE
     near &= scored.gain >= 0.9 * scored.gain[number]
     order = [other for other in np.argsort(-scored.gain, kind="stable").tolist() if near[other] and other != number]
-    own = _without_numbers(scored.forms[number].text)
-    others = [other for other in order if _without_numbers(scored.forms[other].text) != own]
+    form = scored.forms[number]
+    others = [
+        other for other in order if scored.forms[other].kind != form.kind and form.text not in scored.forms[other].text
+    ]
     return tuple(dict.fromkeys(scored.forms[other].said(float(scored.strength[other])) for other in others))[:3]
 
 
