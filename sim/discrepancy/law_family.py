@@ -49,6 +49,12 @@ class LawForm:
     words: tuple[str, str] | None = None
     shapes: tuple[Shape, ...] = ()
 
+    @property
+    def kind(self) -> str:
+        """What laws share that differ in their numbers alone."""
+        kinds = [shape.entry.name for shape in self.shapes]
+        return " and ".join(kinds) or re.sub(r"_\d+(min|h)|\b\d[\d.]*(e[-+]?\d+)?\b", "", self.text)
+
     def said(self, strength: float) -> str:
         """What it is at a strength, in the plant's words or as the expression."""
         return in_words(self.text) if self.words is None else self.words[0 if strength > 0 else 1]
@@ -183,7 +189,6 @@ def family(columns: LawColumns, running: Array, begin: float) -> list[LawForm]:
     for moment in moments(values["days"], running):
         date, text = moment_words(begin + moment * DAY), f"{moment:.4g}"
         tried(f"max(days - {text}, 0)", 2, later, words=f"heat that grows from {date} on")
-        tried(f"above(days, {text})", 2, f"look up what was changed at {date}", words=f"heat since {date}")
     for name in values:
         if name.startswith("every_"):
             tried(name, 1, f"look for what switches every {name.split('_')[1]}, and stop it for an hour")
@@ -233,12 +238,13 @@ def _words(shapes: tuple[Shape, ...], sign: float) -> str:
 
 
 def repeated(best: LawForm, forms: Sequence[LawForm]) -> list[LawForm]:
-    """An event with each further one that fades as it does."""
+    """An event with each further one that fades as it does, and that is not the same one again."""
     (shape,) = best.shapes
     others = [form.shapes[0] for form in forms if form.shapes and form.shapes[0].entry.name == EVENT]
     moved = (replace(other, params={**shape.params, "at": other.params["at"]}) for other in others)
-    further = {each.params["at"]: each for each in moved if each.params["at"] != shape.params["at"]}
-    return [of_shapes((shape, each)) for each in further.values()]
+    further = {each.params["at"]: each for each in moved}
+    apart = shape.params["tau"]
+    return [of_shapes((shape, each)) for at, each in further.items() if abs(at - shape.params["at"]) >= apart]
 
 
 def products(best: Sequence[LawForm], columns: LawColumns) -> list[LawForm]:

@@ -5,7 +5,6 @@ relaxation, what the model's parameters imitate is projected out, and its streng
 that were held out nothing is fitted but where each begins.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
@@ -15,13 +14,16 @@ import numpy as np
 from sim.discrepancy.diagnosis import CandidateLaw
 from sim.discrepancy.fitting import (
     Fitted,
+    NoiseModel,
     Record,
+    Whitener,
     as_read,
     effects_of,
     filtered,
     heat_and_loss,
     on,
     sensitivity,
+    with_column,
 )
 from sim.discrepancy.held_out import HeldOutRun, let_run
 from sim.discrepancy.law_family import (
@@ -43,8 +45,8 @@ from sim.sha import Array, EffectLine, LineParameter
 
 MOST, BEST = 3, 6
 """Laws that are shown at most, and forms of the first round that go into products."""
-TRIED_LATER = 10
-"""Laws that the held-out cycles are asked about at most."""
+TRIED_LATER, OF_A_KIND = 8, 2
+"""Laws that the held-out cycles are asked about at most, and those among them that differ in numbers alone."""
 SHORTEST, LONGEST, RHYTHMS = 1200.0, 48 * 3600.0, 2
 """Seconds between which rhythms are looked for, and how many of them become expressions."""
 CHUNK = 64
@@ -70,6 +72,33 @@ class _Scored:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _JudgedLaw:
+    """A form by its `number`, with the `noise` beside it: nats on the cycles that were fitted and that are `foreseen`.
+
+    `share` and `cycles` are those of `CandidateLaw`.
+    """
+
+    number: int
+    noise: NoiseModel
+    strength: float
+    fitted: float
+    foreseen: float
+    share: float
+    cycles: tuple[int, int]
+
+    @property
+    def gain(self) -> float:
+        """nats in all: nothing was fitted to held-out cycles, so what they say adds to what the others do."""
+        return self.fitted + self.foreseen
+
+    def holds(self, tried: int, rules: DecisionRules) -> bool:
+        """Whether it pays for all that were tried, and the held-out cycles agree."""
+        better, cycles = self.cycles
+        paid = self.gain - float(np.log(tried)) >= rules.law_least_nats
+        return paid and self.share >= rules.law_least_share and better >= rules.law_least_cycles_share * cycles
+
+
 def candidate_laws(
     base: Fitted, record: Record, fitted_until: int, floor: float, rules: DecisionRules, *, fitted_again: float = inf
 ) -> tuple[CandidateLaw, ...]:
@@ -90,7 +119,7 @@ def candidate_laws(
     by_date = dated(fitted, columns.values[TEMPERATURE])
     scored = _scored(fitted, projector, columns, [*family(columns, training.running, begin), *by_date])
     best = [scored.forms[number] for number in np.argsort(-scored.gain, kind="stable")[:BEST].tolist()]
-    scored = scored.joined(_scored(fitted, projector, columns, [*products(best, columns), *_again(scored, by_date)]))
+    scored = scored.joined(_scored(fitted, projector, columns, products(best, columns)))
     tried = len(scored.forms) + scanned
 
     trial = let_run(base, later.by_cycles())
@@ -104,63 +133,82 @@ def candidate_laws(
     there = columns_on(unseen, smooth_course(unseen), names, begin, periods)
     own = trial.record.windowed(sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first]))
     chosen = _distinct(scored, rules)
-    sharper = [_sharpened(fitted, scored.forms[number], float(scored.strength[number])) for number in chosen]
-    scored = scored.joined(_scored(fitted, projector, columns, [form for form in sharper if form is not None]))
-    found = []
-    for number in [*chosen, *range(len(scored.forms) - sum(form is not None for form in sharper), len(scored.forms))]:
-        form, strength = scored.forms[number], float(scored.strength[number])
-        effect = strength * scored.columns[:, number]
+    sharper = _sharpened(fitted, scored, chosen)
+    chosen += range(len(scored.forms), len(scored.forms) + len(sharper))
+    scored = scored.joined(_scored(fitted, projector, columns, sharper))
+
+    def judged(number: int) -> _JudgedLaw:
+        form, column = scored.forms[number], scored.columns[:, number]
+        # The noise was fitted without the law and has swallowed some of it: it is fitted anew beside it.
+        beside, strength = with_column(fitted, column)
         # The model's own parameters make room for the law as a joint fit would let them.
-        moved = projector.made_room(effect) - projector.made_room(np.zeros_like(effect))
+        room = Projector(replace(fitted, noise=beside.noise))
+        moved = room.made_room(strength * column) - room.made_room(np.zeros_like(column))
         unit = _reading(unseen, _heats(unseen, there, [form]))[:, 0]
         after = trial.residual - strength * unit - own[:, : moved.size] @ moved
         share, better, cycles = _held_out(trial, after, floor)
-        # Nothing was fitted to these cycles, so what they say adds to what the fitted ones do.
-        gain = float(scored.gain[number]) + _foreseen(trial, after)
-        if (
-            gain - np.log(tried) >= rules.law_least_nats
-            and share >= rules.law_least_share
-            and better >= rules.law_least_cycles_share * cycles
-        ):
-            found.append((gain, number, share, (better, cycles)))
-    surest: dict[str, tuple[float, int, float, tuple[int, int]]] = {}
-    for each in sorted(found, key=lambda each: -each[0]):
-        # Of laws that differ in their numbers alone (a date, a time) the surest is the law.
-        surest.setdefault(re.sub(r"[\d.]+", "", scored.forms[each[1]].text), each)
-    most = max((gain for gain, *_ in found), default=0.0)
-    return tuple(
-        CandidateLaw(
-            expression=scored.forms[number].text,
-            words=scored.forms[number].said(float(scored.strength[number])),
-            running=scored.forms[number].running,
-            strength=float(scored.strength[number]),
-            gain=gain,
+        return _JudgedLaw(
+            number=number,
+            noise=beside.noise,
+            strength=strength,
+            fitted=beside.likelihood - fitted.likelihood,
+            foreseen=_foreseen(trial, after, beside.noise),
             share=share,
-            cycles=cycles,
-            tried=tried,
-            experiment=scored.forms[number].experiment,
-            alike=_alike(scored, number, rules),
-            line=_line(scored.forms[number], names, float(scored.strength[number]), place),
+            cycles=(better, cycles),
         )
-        for place, (gain, number, share, cycles) in enumerate(list(surest.values())[:MOST], start=1)
-        if gain >= rules.law_further_least_share * most
+
+    laws = [judged(number) for number in chosen]
+    events = [
+        law for law in laws if scored.forms[law.number].kind == EVENT and law.fitted >= rules.law_fitted_least_nats
+    ]
+    if events:
+        # What was done once may have been done twice; the second time is looked for beside the first.
+        first = max(events, key=lambda law: law.fitted)
+        with_first = Projector(replace(fitted, noise=first.noise))
+        again = _scored(fitted, with_first, columns, repeated(scored.forms[first.number], by_date))
+        scored = scored.joined(again)
+        laws += [judged(len(scored.forms) - len(again.forms) + int(np.argmax(again.gain)))] if again.forms else []
+    found = [
+        law for law in laws if law.holds(tried, rules) and (law.strength > 0 or not scored.forms[law.number].exchange)
+    ]
+    surest: dict[str, _JudgedLaw] = {}
+    for law in sorted(found, key=lambda law: rules.law_term_nats * scored.forms[law.number].terms - law.gain):
+        # Of laws that differ in their numbers alone (a date, a time) the surest is the law.
+        surest.setdefault(scored.forms[law.number].kind, law)
+    most = max((law.gain for law in found), default=0.0)
+    told = [law for law in surest.values() if law.gain >= rules.law_further_least_share * most][:MOST]
+    return tuple(_told(scored, law, names, tried, place=place, rules=rules) for place, law in enumerate(told, start=1))
+
+
+def _told(
+    scored: _Scored, law: _JudgedLaw, names: dict[str, str], tried: int, *, place: int, rules: DecisionRules
+) -> CandidateLaw:
+    form = scored.forms[law.number]
+    return CandidateLaw(
+        expression=form.text,
+        words=form.said(law.strength),
+        running=form.running,
+        strength=law.strength,
+        gain=law.gain,
+        share=law.share,
+        cycles=law.cycles,
+        tried=tried,
+        experiment=form.experiment,
+        alike=_alike(scored, law.number, rules),
+        line=_line(form, names, law.strength, place),
     )
 
 
-def _sharpened(fitted: Fitted, form: LawForm, strength: float) -> LawForm | None:
-    """The form of one rival with its dates and times where the gain is greatest; None of any other form."""
-    if len(form.shapes) != 1 or not form.shapes[0].entry.candidate.refine:
-        return None
-    (shape,) = form.shapes
-    params = refined(fitted, shape, strength).params
-    return of_shapes((Shape(shape.entry, shape.signals, {name: params[name] for name in shape.params}),))
-
-
-def _again(scored: _Scored, by_date: Sequence[LawForm]) -> list[LawForm]:
-    """The surest event that fades with each further one, where there are any."""
-    events = [number for number, form in enumerate(scored.forms) if form.shapes and form.shapes[0].entry.name == EVENT]
-    best = max(events, key=lambda number: scored.gain[number], default=None)
-    return [] if best is None or not scored.gain[best] > 0 else repeated(scored.forms[best], by_date)
+def _sharpened(fitted: Fitted, scored: _Scored, chosen: Sequence[int]) -> list[LawForm]:
+    """Those of the chosen forms that are rivals', with their dates and times where the gain is greatest."""
+    sharper = []
+    for number in (each for each in chosen if scored.forms[each].shapes):
+        (shape,) = scored.forms[number].shapes
+        if shape.entry.candidate.refine:
+            params = refined(fitted, shape, float(scored.strength[number])).params
+            shape = Shape(shape.entry, shape.signals, {name: params[name] for name in shape.params})
+            sharper.append(of_shapes((shape,)))
+    return sharper
 
 
 def _rhythms(times: Array, score: Array) -> tuple[list[float], int]:
@@ -236,8 +284,9 @@ def _cosines(scored: _Scored, number: int) -> Array:
 
 
 def _distinct(scored: _Scored, rules: DecisionRules) -> list[int]:
-    """The surest forms that these data can tell apart: each the simplest of its kind."""
+    """The surest forms that these data can tell apart: each the simplest of its kind, few of one kind."""
     terms = np.array([form.terms for form in scored.forms], dtype=float)
+    kinds = np.array([form.kind for form in scored.forms])
     # Among forms that say the same the simpler one is taken.
     left = np.where(scored.gain >= rules.law_fitted_least_nats, scored.gain - rules.law_term_nats * terms, -np.inf)
     chosen: list[int] = []
@@ -248,8 +297,9 @@ def _distinct(scored: _Scored, rules: DecisionRules) -> list[int]:
         # What only adds a factor to a surer law says nothing new.
         contained = np.array([text in form.text for form in scored.forms])
         same = contained | (np.abs(_cosines(scored, number)) >= rules.law_same_least_cosine)
-        far = scored.gain < rules.law_further_least_share * scored.gain[chosen[0]]
-        left = np.where(same | far, -np.inf, left)
+        if int(np.count_nonzero(kinds[chosen] == kinds[number])) >= OF_A_KIND:
+            same |= kinds == kinds[number]
+        left = np.where(same, -np.inf, left)
     return chosen
 
 
@@ -258,8 +308,11 @@ def _alike(scored: _Scored, number: int, rules: DecisionRules) -> tuple[str, ...
     near = np.abs(_cosines(scored, number)) >= rules.law_same_least_cosine
     near &= scored.gain >= 0.9 * scored.gain[number]
     order = [other for other in np.argsort(-scored.gain, kind="stable").tolist() if near[other] and other != number]
-    said = dict.fromkeys(scored.forms[other].said(float(scored.strength[other])) for other in order)
-    return tuple(each for each in said if each != scored.forms[number].said(float(scored.strength[number])))[:3]
+    form = scored.forms[number]
+    others = [
+        other for other in order if scored.forms[other].kind != form.kind and form.text not in scored.forms[other].text
+    ]
+    return tuple(dict.fromkeys(scored.forms[other].said(float(scored.strength[other])) for other in others))[:3]
 
 
 def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int, int]:
@@ -272,10 +325,10 @@ def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int
     return min(share, 1.0), int(np.count_nonzero(new < old)), int(counts.size)
 
 
-def _foreseen(trial: HeldOutRun, after: Array) -> float:
-    """nats by which residuals `after` a law are likelier than those before on the held-out cycles."""
+def _foreseen(trial: HeldOutRun, after: Array, noise: NoiseModel) -> float:
+    """nats by which residuals `after` a law are likelier than those before on the held-out cycles, under one noise."""
     old, new = trial.started(trial.residual), trial.started(after)
-    weighed = trial.whitener.weigh(np.column_stack([old, new]))
+    weighed = Whitener(trial.whitener.grid, noise).weigh(np.column_stack([old, new]))
     return 0.5 * float(old @ weighed[:, 0] - new @ weighed[:, 1])
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
+import scipy
 
 from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit, rivals, with_heats
 from sim.discrepancy.rules import DecisionRules
@@ -170,6 +171,18 @@ def _unmeasured(
             fitted=replace(found.fitted, state=replace(found.fitted.state, named=(*found.fitted.state.named, named))),
         )
     ]
+
+
+def _naming(fitted: Fitted, named: Named) -> Fitted:
+    """A fit that has in its noise what `named` stands for, with its name: it moves nothing by its strength."""
+    return replace(
+        fitted,
+        state=replace(fitted.state, named=(*fitted.state.named, named)),
+        columns=np.column_stack([fitted.columns, np.zeros(fitted.residual.size)]),
+        prior=np.append(fitted.prior, 1.0),
+        off=np.append(fitted.off, 0.0),
+        covariance=scipy.linalg.block_diag(fitted.covariance, 1.0),
+    )
 
 
 def margin_of_class(gain: float, rules: DecisionRules) -> float:

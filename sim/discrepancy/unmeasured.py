@@ -17,8 +17,9 @@ HOURS = (1.0, 2.0, 4.0)
 """Hours between knots that are tried."""
 MOST_KNOTS = 200
 """Knots at most: in a long record they lie further apart."""
-BESIDE_ROUGH = 0.5
-"""Times the plant's own rough heat that it is before it is fitted."""
+BESIDE_ROUGH = (0.5, 0.2, 1.2)
+"""Times the plant's own rough heat that it may be before it is fitted, together with the scatter of the cycles: the
+first at each distance of the knots, the others at the best."""
 FADED, TOGETHER = 1e-4, 16
 """The share of a column's greatest value below which it is over, and the knots that are worked out at a time."""
 
@@ -41,12 +42,14 @@ class SlowHeat:
 
 def slow_heat(before: Fitted) -> SlowHeat:
     """The likeliest heat that comes and goes over hours."""
-    sigma = BESIDE_ROUGH * before.noise.rough
-    tried = []
-    for spacing in dict.fromkeys(_spacing(before, hours * HOUR) for hours in HOURS):
-        heats = sigma * _knot_columns(before, spacing)
-        tried.append((with_heats(before, heats), spacing, heats))
-    fitted, spacing, heats = max(tried, key=lambda each: each[0].likelihood)
+    sizes = [share * before.noise.rough for share in BESIDE_ROUGH]
+    spacings = dict.fromkeys(_spacing(before, hours * HOUR) for hours in HOURS)
+    columns = {spacing: _knot_columns(before, spacing) for spacing in spacings}
+    tried = [(with_heats(before, sizes[0] * columns[spacing]), spacing, sizes[0]) for spacing in spacings]
+    _, spacing, _ = max(tried, key=lambda each: each[0].likelihood)
+    tried += [(with_heats(before, sigma * columns[spacing]), spacing, sigma) for sigma in sizes[1:]]
+    fitted, spacing, sigma = max(tried, key=lambda each: each[0].likelihood)
+    heats = sigma * columns[spacing]
     size = fitted.noise.cycle / before.noise.cycle
     weighed = Whitener(fitted.grid, fitted.noise).weigh(fitted.residual[:, None])[:, 0]
     old = before.residual * Whitener(before.grid, before.noise).weigh(before.residual[:, None])[:, 0]

@@ -127,6 +127,15 @@ def _fading_words(p: Params) -> str:
     return f"heat after an event at {moment_words(p['at'])}, fading over {p['tau'] / HOUR:.1f} running hours"
 
 
+def _since(p: Params, view: RecordView) -> Array:
+    """gain while the machine runs, from `at` on."""
+    return np.asarray(p["gain"] * (view.time >= p["at"]) * view.running)
+
+
+def _since_words(p: Params) -> str:
+    return f"{'heat' if p['gain'] > 0 else 'less heat'} since {moment_words(p['at'])}"
+
+
 def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
     """Heat loss s (X - sink): s goes from 0 to 1 at `at`, or grows from there by 1 each `over` s (not 0); all the time,
     or while the machine runs, as what it drives itself cools."""
@@ -305,6 +314,19 @@ RIVAL_KINDS = (
         experiment="do again what was done then, and watch the same load for as many hours",
         look="what was done to the machine then: greasing, a new part, a cleaning",
     ),
+    _rival(
+        "heat-since-a-moment",
+        "heat that begins or ends at some moment",
+        _heat_only(_since),
+        _since_words,
+        parameters=("gain", "at"),
+        sign=0.0,
+        shapes=lambda log: [{"at": at} for at in _moments(log)],
+        refine={"at": ANY_TIME},
+        widths={"at": 4 * HOUR},
+        experiment="look up what was changed then, and undo it for a day",
+        look="what was changed at the machine then: a bearing, a belt, a setting, the load's kind",
+    ),
     _cooling(
         "less-cooling",
         "less cooling from some moment on",
@@ -323,6 +345,7 @@ RIVAL_KINDS = (
         parameters=("sigma", "memory"),
         acts="anywhere",
         shapes=lambda _: [],
+        burden=1.0,
         experiment="log the room and the machines beside this one for some days",
         look="what is beside the machine and not recorded: another machine, a pipe, a heating, a door",
     ),

@@ -1,5 +1,6 @@
 """What has no name gets a law to look at; a person may name it, and then it is an effect that can be tested."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,16 +21,17 @@ from sim.discrepancy.output.report import Occasion, report_html
 from sim.discrepancy.rules import RULES
 from sim.discrepancy.workflow import diagnose, measured_signals, present_roles, signals_needed
 from tests.cli.support import decanter, only_object, refused
-from tests.discrepancy.plants import model
+from tests.discrepancy.plants import PERIOD, model
 from tests.discrepancy.valves import Hidden, plant
 
+DAY = 86400.0
 SPREAD = 0.39
 """degC: what the small plant's model allows itself."""
 
 
-def laws_of(hidden: Hidden, seed: int = 1) -> tuple[CandidateLaw, ...]:
+def laws_of(hidden: Hidden, seed: int = 1, days: int = 4) -> tuple[CandidateLaw, ...]:
     """The laws of what the plant's own model leaves, without the naming before."""
-    trace = plant(seed, hidden)
+    trace = plant(seed, hidden, days)
     record = record_of(model(), [trace], measured_signals(model(), [trace], RULES))
     last = int(np.quantile(np.unique(record.cycle), 0.7))
     training = record.where(record.cycle < last)
@@ -113,6 +115,62 @@ def test_forms_that_the_family_has_not_exactly_are_recognised(hidden: Hidden, ex
     laws = laws_of(hidden)
     assert laws and expected in laws[0].expression, [law.expression for law in laws]
     assert (laws[0].line is None) == ("every_" in expected), "no engine has a rhythm"
+
+
+def greased(at: tuple[float, ...]) -> Hidden:
+    """Heat after events at some moments (s), on a curve that is gone after eight running hours."""
+    ran = dict.fromkeys(at, 0.0)
+
+    def hidden(t: float, x: float, signals: dict[str, float]) -> float:
+        turns = signals["MarciaDecanter"] > 0
+        for moment in at:
+            ran[moment] += PERIOD * turns * (t >= moment)
+        left = sum(max(1.0 - ran[moment] / 28800.0, 0.0) ** 2 * (t >= moment) for moment in at)
+        return 6e-3 * turns * left
+
+    return hidden
+
+
+def failing(t: float, x: float, signals: dict[str, float]) -> float:
+    """A cooler that turns with the machine and fails within three hours of the second day."""
+    return 1.5e-4 * (x - 15.0) * (signals["MarciaDecanter"] > 0) * min(max((t - 1.3 * DAY) / 10800.0, 0.0), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "words"),
+    [
+        (
+            greased((0.7 * DAY, 1.9 * DAY)),
+            r"heat after (2 events \(at|an event at) 2023-11-15 1[3-7]:\d\d UTC.*, fading over \d+\.\d running hours",
+        ),
+        (failing, r"less cooling while the machine runs, since 2023-11-16 (0[4-9]|1[01]):\d\d UTC"),
+        (
+            lambda t, x, s: 2.5e-3 * ((t + 1.7e9) % DAY // 3600.0 in range(9, 16)),
+            r"heat that comes with the clock, between (08:[3-5]|09:[0-2])\d UTC and (15:[3-5]|16:[0-2])\d UTC",
+        ),
+        (
+            lambda t, x, s: 4e-3 * (s["MarciaDecanter"] > 0) * (t > 1.5 * DAY),
+            r"heat since 2023-11-16 (0[5-9]|1[0-5]):\d\d UTC",
+        ),
+    ],
+    ids=["fading events", "less cooling", "the clock", "a beginning"],
+)
+def test_what_comes_with_a_date_or_the_clock_is_said_with_it(hidden: Hidden, words: str) -> None:
+    laws = laws_of(hidden, seed=2, days=6)
+    assert laws and re.fullmatch(words, laws[0].words), [(law.words, law.gain) for law in laws]
+    assert f"of what is left goes with {laws[0].words}" in law_sentence(laws[0])
+    assert laws[0].line is None and laws[0].cycles[0] >= 0.6 * laws[0].cycles[1]
+
+
+def test_what_is_left_by_an_event_is_told_of_each_step_of_a_signal() -> None:
+    level = {"slow": 0.0}
+
+    def hidden(t: float, x: float, signals: dict[str, float]) -> float:
+        level["slow"] += PERIOD / 500.0 * (signals["Livello"] - level["slow"])
+        return 2e-4 * abs(signals["Livello"] - level["slow"])
+
+    (law, *_) = laws_of(hidden)
+    assert law.words.startswith("heat that follows each step of Livello, up or down, and fades over ")
 
 
 def test_nothing_is_offered_where_nothing_that_is_measured_goes_with_it() -> None:

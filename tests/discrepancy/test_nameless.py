@@ -60,6 +60,21 @@ def dirt(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
     return 0.0 * time, -6e-5 * np.maximum((time - BEGIN) / DAY - 1.0, 0.0)
 
 
+def failing(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """As much less cooling, of what turns with the machine: at rest nothing is seen of it."""
+    return 0.0 * time, -2e-4 * on * np.clip((time - BEGIN - 2.3 * DAY) / 1800.0, 0.0, 1.0)
+
+
+def neighbour(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """A machine next door, on and off for some hours by a plan of its own, and warm a quarter of an hour later."""
+    rng = np.random.default_rng(9)
+    plan = np.repeat(rng.random(time.size) < 0.5, rng.integers(120, 480, time.size))[: time.size]
+    warm = np.zeros(time.size)
+    for row in range(1, time.size):
+        warm[row] = warm[row - 1] + (1.0 - np.exp(-PERIOD / 900.0)) * (plan[row] - warm[row - 1])
+    return 2.5e-3 * warm, 0.0 * time
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [
@@ -68,6 +83,8 @@ def dirt(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
         (shift, r"heat that comes with the clock, between 1[34]:\d\d UTC and 2[123]:\d\d UTC while the machine runs"),
         (event, r"heat after an event at 2023-11-1[67] \d\d:\d\d UTC, fading over \d.\d running hours"),
         (cooler, r"less cooling since 2023-11-17 0[4-6]:\d\d UTC"),
+        (failing, r"less cooling while the machine runs, since 2023-11-17 0[4-6]:\d\d UTC"),
+        (neighbour, r"heat from something that is not measured, that comes and goes over about [12]\.0 hours"),
         (dirt, r"less cooling more and more since 2023-11-1[56] \d\d:\d\d UTC"),
     ],
     ids=lambda value: value.__name__ if callable(value) else "",
@@ -80,6 +97,21 @@ def test_what_has_no_name_is_held_beside_the_names_and_described(more: Plant, wo
     refusal = dubious(found)
     assert "has no name" in refusal
     assert re.fullmatch(words, description(NamingResult(base, base, ((found, refusal),))))
+
+
+@pytest.mark.parametrize("pump", [0.0, 8e-5])
+def test_an_unmeasured_neighbour_takes_no_place_of_what_is_there(pump: float) -> None:
+    record = record_of(model(), [plant(2, days=DAYS, pump=pump)], tuple(ROLES.values()))
+    found = step(fit(anchored(on(frame_of(record), record))), entries_besides(()), ROLES, 0)
+    assert "unmeasured-neighbour" not in [each.entry.name for each in found.evidence]
+    assert found.best is not None and (found.best.entry.name == "pump-cooling") == (pump > 0)
+
+
+def test_beside_an_unmeasured_neighbour_a_name_that_is_certain_stays() -> None:
+    """The neighbour explains more than the pump does, and nothing of what the pump does."""
+    record = record_of(model(), [plant(2, days=DAYS, pump=8e-5, more=neighbour)], tuple(ROLES.values()))
+    found = step(fit(anchored(on(frame_of(record), record))), entries_besides(()), ROLES, 0)
+    assert found.best is not None and found.best.entry.name == "pump-cooling"
 
 
 def test_the_sentence_says_what_has_no_name_and_the_advice_where_to_look() -> None:

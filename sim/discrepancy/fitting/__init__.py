@@ -20,6 +20,7 @@ from sim.discrepancy.fitting.free_run_fit import (
     given_fit,
     readings_in_window,
     rounding,
+    with_column,
     with_heats,
 )
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
@@ -78,5 +79,6 @@ __all__ = [
     "shown_locations",
     "signals_of",
     "unseen_switches",
+    "with_column",
     "with_heats",
 ]

@@ -300,6 +300,24 @@ def with_heats(before: Fitted, heats: Array, iterations: int = 8) -> Fitted:
     return replace(before, grid=grid, noise=noise, likelihood=-cost)
 
 
+def with_column(before: Fitted, column: Array, rounds: int = 2) -> tuple[Fitted, float]:
+    """(The fit with `column` (m,) degC, times its likeliest strength, taken out of its residual; that strength).
+
+    The noise is fitted anew, the parameters make room in the linear problem, and the course stays.
+    """
+    frame, record = before.frame, before.frame.record
+    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    noise, strength, cost = before.noise, 0.0, 0.0
+    prior, off = np.append(np.maximum(before.prior, 1e-12), 0.0), np.append(before.off, 0.0)
+    columns = np.column_stack([before.residual, before.columns, column])
+    for _ in range(rounds):
+        gram = Whitener(before.grid, noise).gram(columns)
+        strength = float(np.linalg.solve(gram[1:, 1:] + np.diag(prior), gram[1:, 0] - prior * off)[-1])
+        point = _Point(before.state, before.grid, before.residual - strength * column, before.columns, before.off)
+        noise, cost = noise_around(point, frame, belief, noise, 8)
+    return replace(before, residual=point.residual, noise=noise, likelihood=-cost), strength
+
+
 def largest_change(before: NoiseModel, after: NoiseModel) -> float:
     """The change of the part that moved most, in logarithms; the share at rest (a logit) is not asked."""
     pairs = zip(
