@@ -26,8 +26,8 @@ SURE, LEAST_GAIN = 0.99, 14.0
 """The share of draws without an effect whose greatest gain must lie below a name's, and the gain it needs at least."""
 SAME, NEAR = 0.9, 0.6
 """Cosines from which two effects are of one class, or rivals."""
-ONE_CHAIN = frozenset({"dead-time", "sensor-lag"})
-"""What lies between the heat and the reading is named once: a second name would mend the first one's shape."""
+ONE_CHAIN = frozenset({"dead-time", "sensor-lag", "late-current-heating"})
+"""What lies between what is done and the reading is named once: a second name would mend the first one's shape."""
 MARGIN, ALIKE = 6.0, 0.01
 """Nats by which a name must beat every rival, and the share of its gain for one of its class: by so little a shape
 that is not quite the plant's may win over its twin."""
