@@ -103,8 +103,14 @@ def experiment_lines(proposed: ProposedExperiment) -> tuple[str, ...]:
             number += 1
             lines.append(f"  {number}. {', '.join(settings)}; for {each.seconds / 60.0:.0f} min")
             settings = []
-    lines += [f"  tells {pair.one} from {pair.other} by {pair.nats:.0f} nats" for pair in proposed.pairs]
-    if not proposed.enough:
+    told = [pair for pair in proposed.pairs if pair not in proposed.inseparable]
+    lines += [f"  tells {pair.one} from {pair.other} by {pair.nats:.0f} nats" for pair in told]
+    lines += [
+        f"  no experiment within the machine's ranges and two days tells {pair.one} from {pair.other}: "
+        f"{pair.most:.1f} nats are expected at most, and a name needs {proposed.least:.0f}"
+        for pair in proposed.inseparable
+    ]
+    if any(pair.nats < proposed.needed for pair in told):
         lines.append(f"  a name can be counted on from {proposed.needed:.0f} nats on: it may have to be made again")
     return tuple(lines)
 

@@ -243,11 +243,15 @@ class ExperimentStep:
 
 @dataclass(frozen=True, slots=True)
 class PairOfRivals:
-    """Two effects that the measured traces cannot tell apart, and the nats by which an experiment is expected to."""
+    """Two effects that the measured traces cannot tell apart, and the nats by which an experiment is expected to.
+
+    `most` are those of the best of all schedules for this pair, made as long as an experiment may be.
+    """
 
     one: str
     other: str
     nats: float
+    most: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,7 +259,8 @@ class ProposedExperiment:
     """What to set at the machine so that rivals are told apart: `what` in words, its `steps`, done `repeats` times.
 
     `seconds` is how long all of it takes, `pairs` what it is expected to give, the less whichever of the two is true,
-    `needed` the nats from which a name can be counted on. `trace` has the set-points as rows.
+    `needed` the nats from which a name can be counted on, `least` those without which there is none. `trace` has the
+    set-points as rows.
     """
 
     what: str
@@ -264,12 +269,18 @@ class ProposedExperiment:
     seconds: float
     pairs: tuple[PairOfRivals, ...]
     needed: float
+    least: float
     trace: Trace
 
     @property
     def enough(self) -> bool:
         """Whether every pair is expected to be told apart."""
         return all(pair.nats >= self.needed for pair in self.pairs)
+
+    @property
+    def inseparable(self) -> tuple[PairOfRivals, ...]:
+        """The pairs that no experiment within the machine's ranges is expected to tell apart."""
+        return tuple(pair for pair in self.pairs if pair.most < self.least)
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,8 +61,6 @@ MOST_ROWS = 20_000
 """Rows of a schedule at most; beyond, they lie further apart than those of the record."""
 SURE_SIGMAS = 1.64
 """Standard deviations of the gain by which its mean lies above what a name needs: it is then had in 95 %."""
-INSEPARABLE_NATS = 0.5
-"""Expected nats below which no schedule tells a pair apart; it then has no say in the choice, and is reported."""
 SHAPE_STEP, LEAST_SCALE = 0.05, 20.0
 """The share of its scale by which a parameter of a shape is moved for a derivative; the scale (s) is one at least."""
 
@@ -439,18 +437,22 @@ def propose_experiment(
     if not tried:
         return None
     pairs = list(tried[0][2])
-    told = [pair for pair in pairs if max(nats[pair] for _, _, nats in tried) >= INSEPARABLE_NATS] or pairs
-    needed = _needed(rivals, path.steps[0][0].rules)
+    rules = path.steps[0][0].rules
+    least, needed = _least(rivals, rules), _needed(rivals, rules)
+    # What a rival follows it follows the better the longer it lasts: no longer experiment gives more an hour.
+    most = {pair: max(nats[pair] * _longest(plan) / repeats for plan, repeats, nats in tried) for pair in pairs}
+    # A pair that nothing tells apart has no say in the choice, and is reported.
+    told = [pair for pair in pairs if most[pair] >= least] or pairs
 
     def rate(trial: tuple[ExperimentSchedule, int, Mapping[tuple[str, str], float]]) -> float:
         schedule, repeats, nats = trial
         return min(nats[pair] for pair in told) / (repeats * schedule.seconds)
 
     schedule, repeats, nats = max(tried, key=rate)
-    longest = max(int(LONGEST_EXPERIMENT_S // schedule.seconds), 1)
+    longest = _longest(schedule)
     for _ in range(GROWTHS):
-        least = min(nats[pair] for pair in told)
-        wanted = min(max(ceil(repeats * needed / max(least, 1e-9)), 1), longest)
+        so_far = min(nats[pair] for pair in told)
+        wanted = min(max(ceil(repeats * needed / max(so_far, 1e-9)), 1), longest)
         if wanted == repeats:
             break
         repeats, nats = wanted, expected(schedule, wanted) or nats
@@ -461,20 +463,30 @@ def propose_experiment(
         steps=steps_of(schedule),
         repeats=repeats,
         seconds=repeats * schedule.seconds,
-        pairs=tuple(PairOfRivals(one, other, each) for (one, other), each in nats.items()),
+        pairs=tuple(PairOfRivals(*pair, each, max(each, most[pair])) for pair, each in nats.items()),
         needed=needed,
+        least=least,
         trace=schedule_trace(schedule.repeated(repeats), operation, operation.end + REST_S),
     )
 
 
+def _longest(schedule: ExperimentSchedule) -> int:
+    """How often a schedule is made at most."""
+    return max(int(LONGEST_EXPERIMENT_S // schedule.seconds), 1)
+
+
 def _needed(rivals: Sequence[EffectEvidence], rules: DecisionRules) -> float:
     """nats that an experiment must be expected to give: what a name needs, had in 95 % whichever rival is true."""
-    top = max(each.gain for each in rivals)
-    behind = top - min(each.gain for each in rivals)
-    name = margin_of_class(top, rules) + behind
     # A log-likelihood ratio of mean m has the variance 2 m: m - 1.64 sqrt(2 m) = what a name needs.
     half = SURE_SIGMAS / sqrt(2.0)
-    return (half + sqrt(half**2 + name)) ** 2
+    return (half + sqrt(half**2 + _least(rivals, rules))) ** 2
+
+
+def _least(rivals: Sequence[EffectEvidence], rules: DecisionRules) -> float:
+    """nats that a name needs, whichever rival is true: expected of an experiment, it is had in half of all cases."""
+    top = max(each.gain for each in rivals)
+    behind = top - min(each.gain for each in rivals)
+    return margin_of_class(top, rules) + behind
 
 
 def resting_temperature(record: Record) -> float:

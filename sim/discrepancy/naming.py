@@ -25,8 +25,8 @@ from sim.sha import Array
 
 CONFIRMED, WORTH = 4, 1.0
 """Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
-ONE_CHAIN = frozenset({"dead-time", "sensor-lag"})
-"""What lies between the heat and the reading is named once: a second name would mend the first one's shape."""
+ONE_CHAIN = frozenset({"dead-time", "sensor-lag", "late-current-heating"})
+"""What lies between what is done and the reading is named once: a second name would mend the first one's shape."""
 RIVALLED = 2
 """The likeliest of the others that an unmeasured neighbour is held against together."""
 
@@ -168,7 +168,7 @@ def _unmeasured(
             spread=float(found.cycles[1]),
             carried=gain,
             amplitude=_visible_size(before, found.course),
-            fitted=replace(found.fitted, state=replace(found.fitted.state, named=(*found.fitted.state.named, named))),
+            fitted=_naming(found.fitted, named),
         )
     ]
 
@@ -181,7 +181,7 @@ def _naming(fitted: Fitted, named: Named) -> Fitted:
         columns=np.column_stack([fitted.columns, np.zeros(fitted.residual.size)]),
         prior=np.append(fitted.prior, 1.0),
         off=np.append(fitted.off, 0.0),
-        covariance=scipy.linalg.block_diag(fitted.covariance, 1.0),
+        covariance=scipy.linalg.block_diag(fitted.covariance, np.eye(1)),
     )
 
 

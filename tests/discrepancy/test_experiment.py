@@ -134,6 +134,19 @@ def test_the_experiment_is_written_as_a_list_a_table_of_steps_and_a_trace(
     assert proposed.trace.times[-1] - proposed.trace.times[0] == pytest.approx(proposed.seconds, rel=0.02)
 
 
+def test_a_pair_that_no_experiment_tells_apart_is_said_with_what_is_expected(proposed: ProposedExperiment) -> None:
+    (pair,) = proposed.pairs
+    assert pair.most >= pair.nats and pair.most >= proposed.least and not proposed.inseparable
+    assert proposed.least < proposed.needed
+    twins = replace(pair, nats=0.2, most=0.3)
+    weak = replace(pair, nats=proposed.needed - 2.0, most=proposed.needed + 2.0)
+    (said,) = experiment_lines(replace(proposed, pairs=(twins,)))[-1:]
+    assert (
+        f"no experiment within the machine's ranges and two days tells {pair.one} from {pair.other}: 0.3 nats" in said
+    )
+    assert "may have to be made again" in experiment_lines(replace(proposed, pairs=(twins, weak)))[-1]
+
+
 def test_an_experiment_is_fitted_and_never_held_out() -> None:
     days, later = plant(1, days=2), plant(5, days=1)
     later = replace(later, times=later.times + 3 * 86400.0, events=())

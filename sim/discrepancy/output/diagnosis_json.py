@@ -107,8 +107,11 @@ def _experiment(proposed: ProposedExperiment) -> dict[str, Any]:
         "steps": [asdict(step) for step in proposed.steps],
         "repeats": proposed.repeats,
         "seconds": proposed.seconds,
-        "nats": [{"pair": [pair.one, pair.other], "expected": pair.nats} for pair in proposed.pairs],
+        "nats": [
+            {"pair": [pair.one, pair.other], "expected": pair.nats, "at_most": pair.most} for pair in proposed.pairs
+        ],
         "needed_nats": proposed.needed,
+        "least_nats": proposed.least,
         "enough": proposed.enough,
     }
 
