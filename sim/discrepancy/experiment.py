@@ -302,7 +302,7 @@ def rivals_to_tell(path: NamingResult) -> tuple[EffectEvidence, ...]:
     """
     for step, refusal in path.steps:
         best = step.best
-        if best is None or not best.confirmed or best.gain < step.threshold:
+        if best is None or not best.confirmed or best.gain < step.rules.least_gain_nats:
             continue
         close = margin_of_class(best.gain, step.rules)
         near = [

@@ -14,6 +14,7 @@ import numpy as np
 from sim.discrepancy.augment import as_white, process_noise
 from sim.discrepancy.diagnosis import NoiseFloor
 from sim.discrepancy.fitting import (
+    SLOW,
     Fitted,
     NoiseModel,
     Record,
@@ -22,6 +23,7 @@ from sim.discrepancy.fitting import (
     on,
     rounding,
     sensitivity,
+    unseen_switches,
 )
 from sim.discrepancy.heat import since_switch
 from sim.discrepancy.held_out import HeldOutRun, let_run, mean_squares
@@ -47,7 +49,7 @@ class Excess:
 
     Roughness that the model has learned counts as its spread, so a rough plant has no excess; a heat that came after it
     was learned has, even where nothing measured says what it is. `rougher` is the fit's process noise over the given
-    model's (0 where it is too little to matter).
+    model's (0 where that has none).
     """
 
     median: float
@@ -138,7 +140,8 @@ def stated_errors(model: Model, laid_out: Sequence[Trace], fitted: Fitted) -> Ar
     """(c,) degC rms over the windows of each fitted cycle of the free runs, as the given model states it for itself.
 
     As it was measured on days of its own, else as its noise says along these cycles (`laid_out` are the encoded traces
-    in their order); infinite where it says nothing.
+    in their order); infinite where it says nothing. What a recorder does not see is no part of that: what its readings
+    err by, and what turns between rows that lie further apart than those that the model's alphabet is made for.
     """
     record, sensor = fitted.frame.record, sensor_alone(fitted).sensor
     cycles = np.unique(record.whole)
@@ -148,7 +151,11 @@ def stated_errors(model: Model, laid_out: Sequence[Trace], fitted: Fitted) -> Ar
         own = np.full(cycles.size, np.sqrt(max(stated**2 - sensor_noise(record) ** 2, 0.0)))
     else:
         own = spread_of(model, laid_out, record, cycles)
-    return np.asarray(np.hypot(own, sensor))
+    trial = let_run(fitted, record.by_cycles())
+    unseen = unseen_switches(on(fitted.frame, trial.record), trial.state, record.model.alphabet.gap / SLOW)
+    place = np.searchsorted(cycles, trial.record.window_whole)
+    sums, counts = (np.bincount(place, weights, minlength=cycles.size) for weights in (unseen, None))
+    return np.asarray(np.sqrt(own**2 + sensor**2 + sums / np.maximum(counts, 1)))
 
 
 def read_alone(trial: HeldOutRun, cycles: Indices, sensor: NoiseModel, rng: np.random.Generator) -> Array:
@@ -227,12 +234,11 @@ def excess(stated: Array, fitted: Fitted, rules: DecisionRules) -> Excess | None
         return None
     squares, _, cycles = mean_squares(let_run(fitted, fitted.frame.record.by_cycles()))
     ratio = np.sqrt(squares) / stated[np.isin(np.unique(fitted.frame.record.whole), cycles)]
-    return Excess(float(np.median(ratio)), float(np.quantile(ratio, rules.wide_low_share)), rougher(fitted, rules))
+    return Excess(float(np.median(ratio)), float(np.quantile(ratio, rules.wide_low_share)), rougher(fitted))
 
 
-def rougher(fitted: Fitted, rules: DecisionRules) -> float:
-    """The fit's process noise over the given model's own, heat with a memory in both; 0 where it hardly moves the
-    sensor."""
+def rougher(fitted: Fitted) -> float:
+    """The fit's process noise over the given model's own, heat with a memory in both; 0 where it has none."""
     sha = fitted.frame.record.model.sha
     flows = [location.flow for location in sha.locations if location.flow.kind != "constant"]
     own = [flow.params["noise"] for flow in flows if flow.params.get("noise", 0.0) > 0]
@@ -241,10 +247,9 @@ def rougher(fitted: Fitted, rules: DecisionRules) -> float:
         return 0.0
     rate = float(np.median(rates))
     noise = process_noise(fitted, rate)
-    moves = noise / np.sqrt(2.0 * rate)
     heats = [as_white(heat.params["sigma"], heat.params["memory"], rate) for heat in of_feature(sha, "disturbance")]
     learned = float(np.hypot(np.median(own), sum(heats)))
-    return noise / learned if moves >= rules.rougher_felt_sigmas * fitted.sensor_sigma else 0.0
+    return noise / learned
 
 
 def spread_of(model: Model, traces: Sequence[Trace], record: Record, cycles: Indices) -> Array:

@@ -35,7 +35,7 @@ def places(fitted: Fitted, seed: int, rules: DecisionRules) -> tuple[HeatPlace, 
     """The cells in which the heat is not chance, the greatest share first."""
     record = fitted.frame.record
     blocks = blocks_of(fitted, 240.0)
-    cells = _cells(blocks, record, rules)
+    cells = _cells(blocks, record)
     if not cells:
         return ()
     numbers, order = np.unique(blocks.cycle, return_inverse=True)
@@ -79,7 +79,7 @@ def _z(sums: Array, signs: Array) -> Array:
     return np.asarray(signs @ sums / np.where(spread > 0, spread, 1.0))
 
 
-def _cells(blocks: Blocks, record: Record, rules: DecisionRules) -> list[_Cell]:
+def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
     """The family of cells that are searched: phases after a start or a stop, and strata of signals, by location."""
     start, stop = event_names(record)
     cells = []
@@ -89,7 +89,7 @@ def _cells(blocks: Blocks, record: Record, rules: DecisionRules) -> list[_Cell]:
         phase, after = (blocks.since_start, start) if running else (blocks.since_stop, stop)
         for low, high in pairwise(PHASES):
             rows = in_location & (phase >= low) & (phase < high)
-            if np.unique(blocks.cycle[rows]).size >= rules.place_least_cycles:
+            if rows.any():
                 cells.append(_Cell(location=location, after=after, seconds=(low, high), rows=rows))
         # Strata: the location's blocks above and below the middle of each signal that varies in it. The middle of
         # the range, not the median, cuts a switched signal between its two values.
@@ -100,7 +100,7 @@ def _cells(blocks: Blocks, record: Record, rules: DecisionRules) -> list[_Cell]:
             middle = 0.5 * (float(np.max(column[in_location])) + float(np.min(column[in_location])))
             for side, when in ((column > middle, "above"), (column <= middle, "up to")):
                 rows = in_location & side
-                if np.unique(blocks.cycle[rows]).size >= rules.place_least_cycles:
+                if rows.any():
                     when = f"{name} {when} {middle:.4g}"
                     seconds = (0.0, np.inf)
                     cells.append(

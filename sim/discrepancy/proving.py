@@ -24,6 +24,7 @@ from sim.discrepancy.judging import (
     matters,
 )
 from sim.discrepancy.layout import DataLayout
+from sim.discrepancy.posterior import NamesEvidence, names_evidence
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.story import beginning_reason, little_sentence
 from sim.sha import Array, shown_unit
@@ -81,14 +82,16 @@ class ToldFits:
 class ProvenFindings:
     """What was proved: the `verdict` with its `reasons`, and the figures that it follows from.
 
-    `kept`: the names of the judged path are given. `excess` is that of the fitted cycles before. `gap`: the error is
-    beyond the floor's interval. `little` says why agreement would say nothing, "" where it does.
+    `kept`: the names of the judged path are given; `against` is what speaks against them. `excess` is that of the
+    fitted cycles before. `gap`: the error is beyond the floor's interval. `little` says why agreement would say
+    nothing, "" where it does.
     """
 
     verdict: Verdict
     reasons: tuple[str, ...]
     judged: JudgedPath
     kept: bool
+    against: NamesEvidence
     told: ToldFits
     floor: NoiseFloor
     excess: Excess | None
@@ -156,6 +159,7 @@ def prove(
         reasons=reasons,
         judged=judged,
         kept=kept,
+        against=names_evidence(judged.held, search.ceiling, judged.ceiling, rules),
         told=told,
         floor=floor,
         excess=proof.before,
@@ -219,7 +223,7 @@ def with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor: 
     What it does to the fitted cycles says little of what the model's parameters, which have made room for it there, are
     off by elsewhere.
     """
-    step, _ = path.steps[-1]
+    step = path.nuisances[0] if path.nuisances else path.steps[-1][0]
     rules = step.rules
     if path.taken or not immaterial(step) or dubious(step) or step.best is None or step.best.fitted is None:
         return path

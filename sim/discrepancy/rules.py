@@ -34,10 +34,9 @@ class DecisionRules:
     room that heats a mass of 300 to 6000 s, at most 0.02 for oil temperatures of one circuit."""
 
     # ---- what a name needs of the likelihood
-    sure_share: float = 0.99
-    """Of the draws without an effect whose greatest gain must lie below a name's (decision 0030)."""
     least_gain_nats: float = 14.0
-    """That a name needs whatever chance makes of the catalogue (decision 0029)."""
+    """That a name needs. Chance makes so much of one shape in one case of eight million: of a whole catalogue of them
+    in less than one case of a hundred, unless it has 80,000 that do not resemble one another (decision 0201)."""
     same_least_cosine: float = 0.9
     """From which two effects are of one class."""
     near_least_cosine: float = 0.6
@@ -65,10 +64,6 @@ class DecisionRules:
     whose shape does not look like it (`near_least_cosine`)."""
     leftover_of_rival_share: float = 0.3
     """The same at the greater end, where both shapes are the same."""
-    further_least_size_share: float = 0.2
-    """Of the greatest amplitude before it that a further name must have, unless its gain is clear."""
-    further_clear_nats: float = 40.0
-    """From which the gain of a further name is clear."""
     most_heat_times: float = 10.0
     """The fastest movement that a record shows (both in degC/s) up to which a heat or a cooling is believed: those of
     plants make 0.3 to 0.9 times, what was named of a measured box without being there thousands."""
@@ -106,8 +101,6 @@ class DecisionRules:
     """Of the cycles that need not be so far off."""
     rougher_least_times: float = 4.5
     """As rough as the model has learned from which the heat is a gap."""
-    rougher_felt_sigmas: float = 0.75
-    """Of the sensor by which such heat must move the temperature (stationary rms)."""
 
     # ---- the floor
     floor_parameters_most_times: float = 2.0**0.5
@@ -133,8 +126,6 @@ class DecisionRules:
     # ---- what is told beside: places, moved parameters, absorbed laws
     place_most_p: float = 0.05
     """Of the greatest z among all cells, up to which heat in one is no chance."""
-    place_least_cycles: int = 3
-    """In which a cell must have been seen."""
     place_least_share: float = 0.02
     """Of the unexplained heat that a place has."""
     place_least_correlation: float = 0.3
@@ -151,6 +142,8 @@ class DecisionRules:
     # ---- laws to look at
     law_least_nats: float = 9.2
     """After all laws that were tried are paid for: 1 in 10 000, as one more look costs nothing."""
+    law_fitted_least_nats: float = 6.0
+    """On the fitted cycles, from which the held-out ones are asked about a law."""
     law_least_share: float = 0.25
     """Of what is left that a law must take on held-out cycles."""
     law_least_cycles_share: float = 0.6

@@ -30,7 +30,6 @@ from sim.discrepancy.fitting import (
 from sim.effects import MachineLog
 from sim.sha import Array
 
-DRAWS = 20_000
 SIMPLEX = 60
 """Evaluations at most when the shape of an effect is refined."""
 TIMES = ("tau", "delay", "lag")
@@ -296,19 +295,3 @@ def _at(shape: Shape, names: Sequence[str], point: Array, shortest: float) -> Sh
 
 def _is_time(name: str) -> bool:
     return name in TIMES
-
-
-def null_maximum(screened: Screen, seed: int, draws: int = DRAWS) -> Array:
-    """(draws,) the greatest gain over the whole catalogue when nothing is missing.
-
-    Under the fitted noise, random heats included, the scores are jointly normal with the covariance `normal`: this is
-    the parametric bootstrap of the linear problem, drawn without simulating a single residual.
-    """
-    scale = np.sqrt(np.maximum(np.diag(screened.normal), 1e-300))
-    correlation = screened.normal / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(correlation)
-    # Shapes of one entry are nearly alike, so the correlation is singular up to rounding; its kernel has no variance.
-    keep = values > 1e-8
-    rng = np.random.default_rng(seed)
-    z = rng.standard_normal((draws, int(keep.sum()))) @ (vectors[:, keep] * np.sqrt(values[keep])).T
-    return np.asarray(np.max(screened.gains(z), axis=1, initial=0.0))

@@ -5,7 +5,7 @@ and the held-out cycles agree; what is not named is described. Here is the order
 is in `layout`, the search for names in `path`, the proof and the verdict in `proving`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from sim.discrepancy.locate import places
 from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
+from sim.discrepancy.posterior import NamesEvidence, gains_of, posterior, shares_left
 from sim.discrepancy.proving import NamesSearched, ProvenFindings, prove
 from sim.discrepancy.rules import RULES, DecisionRules
 from sim.discrepancy.story import course_of, sentence_of
@@ -36,12 +37,13 @@ Progress = Callable[[str, float], None]
 @dataclass(frozen=True, slots=True)
 class DiagnosisOutcome:
     """A diagnosis, the effects that it adds to the model, the fit that has them and the path to it (None with too
-    little data)."""
+    little data). `against` is what speaks against the names of the path, given or withheld; None where it has none."""
 
     diagnosis: Diagnosis
     named: tuple[Named, ...]
     fitted: Fitted | None
     path: NamingResult | None
+    against: NamesEvidence | None = None
 
 
 def diagnose(
@@ -53,6 +55,7 @@ def diagnose(
     lines: Sequence[EffectLine] = (),
     most: int = MOST_NAMES,
     experiments: Sequence[Trace] = (),
+    without: Container[str] = (),
     progress: Progress | None = None,
     rules: DecisionRules = RULES,
 ) -> DiagnosisOutcome:
@@ -60,8 +63,9 @@ def diagnose(
 
     `lines` are engineers' own effects, which are looked for beside the catalogue's. `roles` gives the signal of each
     role of these; those that no trace has take their effects off the table. `experiments` are traces of experiments
-    that were made to tell rivals apart: all of them are fitted, and none is held out. `rules` decide. Raises
-    ValueError, in one sentence, when the traces cannot be followed at all.
+    that were made to tell rivals apart: all of them are fitted, and none is held out. Names in `without` are not looked
+    for: a cause that has one is then outside of the catalogue. `rules` decide. Raises ValueError, in one sentence, when
+    the traces cannot be followed at all.
     """
     report = progress or (lambda _stage, _share: None)
     report("laying out the traces", 0.0)
@@ -69,14 +73,16 @@ def diagnose(
     count = int(layout.cycles.size)
     if count < rules.least_cycles:
         return DiagnosisOutcome(_too_little(layout.model, count, rules), (), None, None)
-    entries, split = catalogue(lines), split_cycles(layout, rules)
+    entries = tuple(entry for entry in catalogue(lines) if entry.name not in without)
+    split = split_cycles(layout, rules)
     allowed = min(most, count // rules.each_name_least_cycles) if count >= rules.first_name_least_cycles else 0
     search = search_names(split.training, layout.present, entries, allowed, seed=seed, rules=rules, report=report)
     report("held-out cycles", 0.85)
     found = prove(layout, search, split.held_out, seed=seed, rules=rules)
     diagnosis = describe(layout, split, search, found, entries, seed=seed, rules=rules, report=report)
-    after = found.told.after
-    return DiagnosisOutcome(diagnosis, after.state.named if found.kept else (), after, found.judged.path)
+    after, path = found.told.after, found.judged.path
+    named = after.state.named if found.kept else ()
+    return DiagnosisOutcome(diagnosis, named, after, path, found.against if path.taken else None)
 
 
 def search_names(
@@ -95,7 +101,7 @@ def search_names(
     base = fit(training, named_of(training.record.model))
     report("what a free learner could still explain", 0.2)
     ceiling_before = ceiling(base, seed)
-    paths = name(base, present, seed, max(allowed, 1), report, rules=rules, entries=entries)
+    paths = name(base, present, max(allowed, 1), report, rules=rules, entries=entries)
     return NamesSearched(base=base, ceiling=ceiling_before, paths=paths, allowed=allowed)
 
 
@@ -120,7 +126,13 @@ def describe(
     where = places(told.base, seed, rules)
     remaining = places(told.after, seed, rules) if kept else where
     shown = told.held.ci95 is not None and told.held.ci95[0] > 0.0
-    effects = tuple(replace(effect_of(step, told.after), shrinking_shown=shown) for step in path.taken) if kept else ()
+    taken = path.taken if kept else ()
+    sure = [posterior(gains_of(step), found.against, rules) for step in taken]
+    effects = tuple(
+        replace(effect_of(step, told.after, each.confidence(step.members)), shrinking_shown=shown)
+        for step, each in zip(taken, sure, strict=True)
+    )
+    none_of_these = max((each.none_of_these for each in sure), default=None)
     moved = shifts(told.after, rules)
     unexplained = remaining if unnamed or (kept and systematic(found.judged.ceiling, rules)) else ()
     laws: tuple[CandidateLaw, ...] = ()
@@ -147,6 +159,7 @@ def describe(
             began=found.began,
             gap=found.gap,
             little=found.little,
+            none_of_these=none_of_these,
         ),
         reasons=found.reasons,
         effects=effects,
@@ -155,7 +168,7 @@ def describe(
         unexplained=unexplained,
         ceiling_before=search.ceiling,
         ceiling_after=found.judged.ceiling if kept else None,
-        candidates=candidates_of(path.steps, kept),
+        candidates=candidates_of(path.looks, kept),
         material=found.material,
         traces=traces_of(path),
         absorbed=law,
@@ -167,24 +180,24 @@ def describe(
         floor=found.floor,
         began=found.began,
         course=course_of(told.base, told.after, told.first, told.second),
-        settings=settings_of(found, seed),
+        settings=settings_of(found, seed, rules),
         model_before=model.sha.name,
         model_after=None,
         unit=model.unit,
         laws=laws,
         description=described,
         missing_heat=missing_heat(told.base, layout.record, layout.cycles[layout.cycles >= split.first]),
+        none_of_these=none_of_these,
     )
 
 
-def settings_of(found: ProvenFindings, seed: int) -> dict[str, float]:
+def settings_of(found: ProvenFindings, seed: int, rules: DecisionRules) -> dict[str, float]:
     """Seed, threshold and noise of the path that was judged, and how far off the fitted cycles were, by name."""
-    path = found.judged.path
-    noise = path.fitted.noise
+    noise = found.judged.path.fitted.noise
     excesses = {"excess_before": found.excess, "excess_after": found.judged.excess}
     return {
         "seed": float(seed),
-        "threshold_nats": path.steps[0][0].threshold if path.steps else 0.0,
+        "threshold_nats": rules.least_gain_nats,
         "sensor_sigma": noise.sensor,
         "process_sigma": noise.process,
         "rough_sigma": noise.rough,
@@ -192,6 +205,7 @@ def settings_of(found: ProvenFindings, seed: int) -> dict[str, float]:
         "rough_memory_s": noise.memory,
         "lasting_sigma": noise.lasting,
         **{key: each.median for key, each in excesses.items() if each is not None},
+        **(shares_left(found.against) if found.kept else {}),
     }
 
 

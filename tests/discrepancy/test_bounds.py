@@ -49,7 +49,7 @@ def churned() -> Fitted:
 
 @pytest.fixture(scope="module")
 def named(churned: Fitted) -> NamingStep:
-    return step(churned, [entry("startup-churning")], {}, 0, rules=RULES)
+    return step(churned, [entry("startup-churning")], {}, rules=RULES)
 
 
 def test_what_is_shorter_than_two_rows_is_not_offered(churned: Fitted) -> None:
@@ -75,7 +75,7 @@ def test_a_refinement_stops_at_two_rows() -> None:
 def test_of_effects_that_these_rows_cannot_show_it_is_said() -> None:
     base = fitted(sparse(plant(3, days=2, churning=0.02), 10))
     entries = [entry(name) for name in ("dead-time", "startup-churning", "wear-drift", "pump-cooling")]
-    path = NamingResult(base, base, ((step(base, entries, {}, 0, rules=RULES), "adds nothing"),))
+    path = NamingResult(base, base, ((step(base, entries, {}, rules=RULES), "adds nothing"),))
     said = too_short([entry for entry in entries if entry.name != "pump-cooling"], path)
     assert list(said) == ["dead-time"]
     assert "600 s" in said["dead-time"]

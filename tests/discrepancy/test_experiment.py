@@ -47,7 +47,7 @@ def looked_at(traces: list[Trace]) -> NamingStep:
     """A weak heat of the current that comes late, and the rival of which it is a case."""
     record = record_of(GIVEN, traces, ("Assorbimento",))
     entries = [entry for entry in catalogue() if entry.name in (WEAK.kind, "late-current-heating")]
-    return step(fit(on(frame_of(record), record)), [*entries, *rivals()], CURRENT, 0, rules=RULES)
+    return step(fit(on(frame_of(record), record)), [*entries, *rivals()], CURRENT, rules=RULES)
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def test_nothing_is_proposed_where_nothing_is_to_be_told_apart(path: NamingResul
     ((found, _),) = path.steps
     alone = replace(found, evidence=found.evidence[:1])
     assert rivals_to_tell(path) and not rivals_to_tell(replace(path, steps=((alone, "is dubious"),)))
-    chance = replace(found, threshold=1e6)
+    chance = replace(found, rules=replace(RULES, least_gain_nats=1e6))
     assert propose_experiment(replace(path, steps=((chance, "is chance"),)), [first], ROLES) is None
 
 

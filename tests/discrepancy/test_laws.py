@@ -96,7 +96,7 @@ def test_a_law_that_a_person_names_is_named_by_the_next_diagnosis(found: Diagnos
     present = present_roles([trace], {"current": "Assorbimento", **own_roles([line])})
     base = fit(frame_of(record_of(model(), [trace], signals_needed(model(), present))), rounds=2)
     offered = [entry for entry in entries if entry.name in ("rinse", "startup-churning", "quadratic-current-heating")]
-    best = step(base, offered, present, 0, rules=RULES).best
+    best = step(base, offered, present, rules=RULES).best
     assert best is not None and best.fitted is not None
     assert (best.entry.name, best.gain > 60.0) == ("rinse", True)
     assert best.fitted.state.named[-1].strength == pytest.approx(1e-4, rel=0.2)

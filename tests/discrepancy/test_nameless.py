@@ -75,7 +75,7 @@ def dirt(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
 def test_what_has_no_name_is_held_beside_the_names_and_described(more: Plant, words: str) -> None:
     record = record_of(model(), [plant(2, days=DAYS, more=more)], tuple(ROLES.values()))
     base = fit(anchored(on(frame_of(record), record)))
-    found = step(base, entries_besides(()), ROLES, 0, rules=RULES)
+    found = step(base, entries_besides(()), ROLES, rules=RULES)
     assert found.best is not None and found.best.entry.rival
     refusal = dubious(found)
     assert "has no name" in refusal

@@ -15,7 +15,7 @@ from tests.discrepancy.plants import model, plant
 def test_twins_within_a_hundredth_of_the_gain_are_a_class_and_rivals_are_not() -> None:
     record = record_of(model(), [plant(3, days=2)], ())
     base = fit(on(frame_of(record), record))
-    found = step(base, [one for one in catalogue() if one.name in ("dead-time", "sensor-lag")], {}, 0, rules=RULES)
+    found = step(base, [one for one in catalogue() if one.name in ("dead-time", "sensor-lag")], {}, rules=RULES)
     best, second = found.evidence
     names = (best.entry.name, second.entry.name)
     for behind, cosine, members in ((9.0, 0.95, names), (11.0, 0.95, names[:1]), (9.0, 0.8, names[:1])):
@@ -27,14 +27,14 @@ def test_a_name_that_adds_nothing_beside_the_others_is_dropped_and_the_others_st
     present = {"pump": "MarciaPmpFango"}
     record = record_of(model(), [plant(3, days=2, pump=2e-4)], tuple(present.values()))
     base = fit(on(frame_of(record), record))
-    superfluous = step(base, [one for one in catalogue() if one.name == "startup-churning"], present, 0, rules=RULES)
+    superfluous = step(base, [one for one in catalogue() if one.name == "startup-churning"], present, rules=RULES)
     assert superfluous.best is not None
     churning = confirm(base, superfluous.best)
     assert churning.fitted is not None
     superfluous = replace(superfluous, evidence=(churning,))
-    pump = step(churning.fitted, [one for one in catalogue() if one.name == "pump-cooling"], present, 0, rules=RULES)
+    pump = step(churning.fitted, [one for one in catalogue() if one.name == "pump-cooling"], present, rules=RULES)
     assert pump.best is not None and pump.best.fitted is not None
-    judged, fitted = revised(pump.best.fitted, [(superfluous, ""), (pump, "")], present, 0, 1)
+    judged, fitted = revised(pump.best.fitted, [(superfluous, ""), (pump, "")], present, 1)
     assert [one.entry.name for one in fitted.state.named] == ["pump-cooling"]
     assert [(one.best.entry.name, refusal) for one, refusal in judged if one.best] == [("pump-cooling", "")]
     assert len(judged) == 1
@@ -46,7 +46,7 @@ def test_each_effect_that_is_fitted_is_told_before() -> None:
     base = fit(on(frame_of(record), record))
     said: list[str] = []
     (found,) = name(
-        base, {"pump": "MarciaPmpFango"}, 0, 1, lambda stage, _: said.append(stage), entries=catalogue(), rules=RULES
+        base, {"pump": "MarciaPmpFango"}, 1, lambda stage, _: said.append(stage), entries=catalogue(), rules=RULES
     )
     fitted = [each.entry.name for each in found.steps[0][0].evidence if each.confirmed]
     assert {f"looking for effect 1: {each}" for each in fitted} <= set(said)

@@ -55,7 +55,7 @@ def test_what_comes_late_runs_on_through_cuts() -> None:
 def test_what_does_no_better_than_its_special_case_is_that_case() -> None:
     record = record_of(model(), [plant(3, days=2)], ("Assorbimento",))
     base = fit(on(frame_of(record), record))
-    (special,) = step(base, [entry_of("current-heating")], CURRENT, 0, rules=RULES).evidence
+    (special,) = step(base, [entry_of("current-heating")], CURRENT, rules=RULES).evidence
     late = replace(special, entry=entry_of("late-current-heating"))
     for ahead, left in ((5.0, 1), (7.0, 2)):
         evidence = [special, replace(late, gain=special.gain + ahead)]
@@ -68,7 +68,7 @@ def test_special_cases_are_fitted_where_what_has_them_is(monkeypatch: pytest.Mon
     late = entry_of("late-current-heating")
     special = late.candidate.special
     few = [entry for entry in catalogue() if entry.name in special]
-    found = step(fit(on(frame_of(record), record)), [*few, late], CURRENT, 0, rules=RULES)
+    found = step(fit(on(frame_of(record), record)), [*few, late], CURRENT, rules=RULES)
     assert {each.entry.name for each in found.evidence if each.confirmed} == {*special, "late-current-heating"}
 
 
@@ -173,7 +173,7 @@ def test_a_further_name_looks_like_an_earlier_one_by_the_shape_that_it_has_there
     record = record_of(model(), [simulated(random_model(2e-4, 400.0, 0.2, lag), 3, days=2)], ("Assorbimento",))
     wanted = ("sensor-lag", "quadratic-current-heating")
     few = [entry for entry in catalogue() if entry.name in wanted]
-    found = step(fit(on(frame_of(record), record)), few, CURRENT, 0, rules=RULES)
+    found = step(fit(on(frame_of(record), record)), few, CURRENT, rules=RULES)
     by_name = {each.entry.name: each for each in found.evidence}
     assert found.best is by_name["sensor-lag"]
     heat = by_name["quadratic-current-heating"]

@@ -207,7 +207,7 @@ def test_a_diagnosis_finds_it_and_adds_it_to_the_model(tmp_path: Path) -> None:
     base = fit(frame_of(record_of(small_model(), [trace], signals_needed(small_model(), present))), rounds=2)
     entries = catalogue(lines)
     offered = [entry for entry in entries if entry.name in ("cold-water", "startup-churning", "pump-cooling")]
-    found = step(base, offered, present, 0, rules=RULES).best
+    found = step(base, offered, present, rules=RULES).best
     assert found is not None and found.fitted is not None
     assert (found.entry.name, found.gain > 40.0) == ("cold-water", True)
     named = found.fitted.state.named[-1]

@@ -7,7 +7,7 @@ strengths of the effects are maximised.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -15,7 +15,7 @@ import scipy
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
 from sim.discrepancy.fitting.named import Named, named_of
-from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
+from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise, vector
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.fitting.scattering import spans_of
 from sim.effects import of_feature
@@ -30,8 +30,15 @@ STRIDE = 2.0
 """degC by which such a step may move a threshold."""
 AT_REST = 0.95
 """The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
+SLIGHT = 3e-4
+"""degC/s of rough heat: that of a slightly rough plant. A model's own heat that is less says nothing of what acts at
+rest."""
+LEAST_STILL = 0.02
+"""Times the process noise while the machine runs that is believed of it at rest at least."""
 MOVING = 0.5
 """The share of readings that differ from the one before, up to which a course is a staircase."""
+LEAST_SCATTER = 1e-5
+"""The relative scatter of the friction below which there is none."""
 SETTLED = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
@@ -92,19 +99,18 @@ def readings_in_window(record: Record) -> float:
 
 
 def first_noise(model: Model, record: Record) -> NoiseModel:
-    """Where the search for the noise begins: the given model's sensor, process and heat with a memory.
+    """The belief's centre: the given model's sensor, process and heat with a memory.
 
     A model without such heat is taken for that of a slightly rough plant, which it holds for white noise.
     """
-    process = [location.flow.params.get("noise", 0.0) for location in model.sha.locations]
-    seen = [value for value in process if value > 0]
+    white, at_rest = stated_process(record)
     sensor = max(model.sensor_sigma, 0.02) / np.sqrt(readings_in_window(record))
     step = rounding(model, record)
     sensor = max(float(sensor), step)
-    white = float(np.median(seen)) if seen else 0.006
     heats = of_feature(model.sha, "disturbance")
+    still = min(max(at_rest / white, LEAST_STILL), 1.0)
     if not heats:
-        return NoiseModel(sensor=sensor, process=white / 2, rough=3e-4, cycle=0.01, lasting=step)
+        return NoiseModel(sensor=sensor, process=white / 2, rough=SLIGHT, cycle=0.01, still=still, lasting=step)
     learned = heats[0].params  # an automaton has one at most
     return NoiseModel(
         sensor=sensor,
@@ -112,9 +118,36 @@ def first_noise(model: Model, record: Record) -> NoiseModel:
         rough=max(learned["sigma"], LEAST_HEAT),
         cycle=0.01,
         memory=learned["memory"],
-        rest=AT_REST,
+        rest=AT_REST if learned["sigma"] >= SLIGHT else 0.5,
+        still=still,
         lasting=step,
     )
+
+
+def begin_noise(centre: NoiseModel) -> NoiseModel:
+    """Where the search for the noise begins: at the belief's centre, but never from next to no rough heat.
+
+    What is too little to be seen has no slope: the process noise would take all that a rough plant does.
+    """
+    return centre if centre.rough >= SLIGHT else replace(centre, rough=SLIGHT, process=centre.process / 2)
+
+
+def stated_process(record: Record) -> tuple[float, float]:
+    """(while the machine runs, at rest) degC/sqrt(s): the process noise that the model states, the mean square over the
+    steps of each; where it states none, or none of these steps are such, the other's."""
+    locations = record.model.sha.locations
+    # A constant flow holds a temperature of which nothing is known: its noise is that of not knowing.
+    told = [location.flow.params.get("noise", 0.0) * (location.flow.kind != "constant") for location in locations]
+    stated, running = np.array(told)[record.runs.place], record.running > 0.5
+    found = []
+    for those in (running, ~running):
+        those = those & (stated > 0) & ~record.runs.first
+        found.append(
+            float(np.sqrt(np.average(stated[those] ** 2, weights=record.runs.dt[those]))) if those.any() else 0.0
+        )
+    white, at_rest = found
+    white = white or at_rest or 0.006
+    return white, at_rest or white
 
 
 def rounding(model: Model, record: Record) -> float:
@@ -178,7 +211,7 @@ def fit(
     # Parameters under fixed noise, then the noise under fixed parameters, until the noise stands still: a wrong target
     # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
     belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
-    noise = belief.centre if begin is None else begin.noise
+    noise = begin_noise(belief.centre) if begin is None else begin.noise
     first = _allowed(named, np.concatenate([own, added]))
     point = _around(frame, at(frame, first, start, named), start, reading)
     for _ in range(rounds):
@@ -240,6 +273,23 @@ def noise_around(
     return fit_noise(cost, belief, noise, iterations)
 
 
+def with_heats(before: Fitted, heats: Array, iterations: int = 8) -> Fitted:
+    """The fit with further random heats in its noise, which is fitted anew; its course stays.
+
+    `heats` (m, c) degC is what a heat of one standard deviation of each does to the windows, at the noise's `cycle`:
+    they scatter together with the cycles' friction.
+    """
+    columns = np.column_stack([before.grid.heats, heats / max(before.noise.cycle, LEAST_SCATTER)])
+    # In the order in which they begin, as the cycles are.
+    begins = np.where((columns != 0.0).any(axis=0), np.argmax(columns != 0.0, axis=0), columns.shape[0])
+    grid = replace(before.grid, heats=columns[:, np.argsort(begins, kind="stable")])
+    frame, record = before.frame, before.frame.record
+    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    point = _Point(before.state, grid, before.residual, before.columns, before.off)
+    noise, cost = noise_around(point, frame, belief, before.noise, iterations)
+    return replace(before, grid=grid, noise=noise, likelihood=-cost)
+
+
 def largest_change(before: NoiseModel, after: NoiseModel) -> float:
     """The change of the part that moved most, in logarithms; the share at rest (a logit) is not asked."""
     pairs = zip(
@@ -263,6 +313,8 @@ def _newton_steps(
         state, whitener = point.state, Whitener(point.grid, noise)
         gram = whitener.gram(np.column_stack([point.residual, point.columns]))
         normal = gram[1:, 1:] + np.diag(np.maximum(prior, 1e-12))
+        if not is_definite(normal):
+            break
         step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal), gram[1:, 0] - prior * point.off)
         # The whole step is shortened, not single parts of it: it must stay a descent direction.
         strengths = [size for named in state.named for size in _longest(named)]
@@ -304,6 +356,11 @@ def _allowed(effects: Sequence[Named], point: Array) -> Array:
     return out
 
 
+def is_definite(matrix: Array) -> bool:
+    """Whether a symmetric matrix is positive definite as a Cholesky factorisation sees it (LAPACK's `potrf`)."""
+    return bool(np.isfinite(matrix).all()) and scipy.linalg.lapack.dpotrf(matrix, lower=True)[1] == 0
+
+
 def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array, off: Array) -> tuple[float, Array]:
     """The log-likelihood with the parameters integrated out around the free run (their belief included), and its
     derivatives by the noise's coordinates (`noise.vector`)."""
@@ -311,7 +368,11 @@ def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array
     # posterior precision and g the score at the state, -2 ln L = ln |V| + ln |N| - ln |P| + misfit - g' N^-1 g.
     gram = whitener.gram(np.column_stack([residual, columns]))
     score = gram[1:, 0] - prior * off
-    root = scipy.linalg.cholesky(gram[1:, 1:] + np.diag(prior), lower=True)
+    precision = gram[1:, 1:] + np.diag(prior)
+    if not is_definite(precision):
+        # A candidate that has run away (less cooling than none at all: the free run grows) explains nothing.
+        return -np.inf, np.zeros(vector(whitener.noise).size)
+    root = scipy.linalg.cholesky(precision, lower=True)
     best = scipy.linalg.cho_solve((root, True), score)
     misfit = float(gram[0, 0] + off @ (prior * off) - score @ best)
     determinant = 2.0 * float(np.log(np.diag(root)).sum()) - float(np.log(prior).sum())
