@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from sim.discrepancy.consequence import follows
+from sim.discrepancy.layout import measured_signals
 from sim.discrepancy.rules import RULES
-from sim.discrepancy.workflow import diagnose, measured_signals
+from sim.discrepancy.workflow import diagnose
 from sim.sha.trace import Array, Trace
 from tests.discrepancy.plants import PERIOD, model, plant
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy import workflow
 from sim.discrepancy.diagnosis import HeldOutProof, NoiseFloor
 from sim.discrepancy.fitting import Fitted, Record, fit, frame_of, on, record_of
 from sim.discrepancy.fitting.candidates import catalogue
@@ -19,6 +18,7 @@ from sim.discrepancy.gap import (
 from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares
 from sim.discrepancy.judging import NamingResult, above, doubts, least_told
 from sim.discrepancy.naming import NamingStep, confirm, step
+from sim.discrepancy.proving import Proof, longest_that_passes
 from sim.discrepancy.rules import RULES
 from sim.discrepancy.story import held_out_sentence, little_sentence
 from sim.discrepancy.workflow import diagnose
@@ -177,10 +177,10 @@ def test_a_superfluous_second_name_does_not_take_the_first_one_down(pumped: tupl
     whole = NamingResult(base, second, ((first, ""), (harmful, "")))
     beginning = NamingResult(base, pump, ((first, ""), (harmful, "does not pass")))
     made = floor(model(), plant(3, pump=2e-4), pump, held_out)
-    proof = workflow._Proof(held_out, made, np.full(8, 0.1), None, None, 0, RULES)
-    judged = workflow._longest_that_passes(proof, [whole, beginning])
+    proof = Proof(held_out, made, np.full(8, 0.1), None, None, 0, RULES)
+    judged = longest_that_passes(proof, [whole, beginning])
     assert judged.path is beginning and judged.reasons == ()
-    alone = workflow._longest_that_passes(proof, [whole])
+    alone = longest_that_passes(proof, [whole])
     assert any("not better foreseen" in reason or "further off" in reason for reason in alone.reasons), alone.reasons
 
 

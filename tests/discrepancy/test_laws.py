@@ -15,11 +15,12 @@ from sim.discrepancy.fitting.candidates import catalogue, own_roles
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.law_search import candidate_laws
+from sim.discrepancy.layout import measured_signals, present_roles, signals_needed
 from sim.discrepancy.naming import step
 from sim.discrepancy.output.diagnosis_json import document, document_text
 from sim.discrepancy.output.report import Occasion, report_html
 from sim.discrepancy.rules import RULES
-from sim.discrepancy.workflow import diagnose, measured_signals, present_roles, signals_needed
+from sim.discrepancy.workflow import diagnose
 from tests.cli.support import decanter, only_object, refused
 from tests.discrepancy.plants import PERIOD, model
 from tests.discrepancy.valves import Hidden, plant

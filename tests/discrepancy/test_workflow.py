@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy import evidence, judging, workflow
+from sim.discrepancy import evidence, judging, proving
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.fitting.baseline import frame_of
 from sim.discrepancy.fitting.free_run_fit import fit
@@ -168,7 +168,7 @@ def test_a_room_that_counts_for_more_while_the_machine_runs_is_told_with_its_sha
 def test_what_the_held_out_gap_is_made_of_is_named_however_little_it_does_to_the_fitted_cycles(
     share: float, verdict: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (evidence, judging, workflow):
+    for module in (evidence, judging, proving):
         monkeypatch.setattr(module, "immaterial", lambda _step: True)
     rules = DecisionRules(gap_itself_least_share=share)
     found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0, rules=rules).diagnosis

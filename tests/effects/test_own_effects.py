@@ -20,9 +20,9 @@ from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import Named, named_of
 from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.judging import untested
+from sim.discrepancy.layout import present_roles, signals_needed
 from sim.discrepancy.naming import step
 from sim.discrepancy.rules import RULES
-from sim.discrepancy.workflow import present_roles, signals_needed
 from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import effect_summary
 from sim.files import ArtefactError

@@ -15,7 +15,7 @@ import scipy
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
 from sim.discrepancy.fitting.named import Named, named_of
-from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
+from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise, vector
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.fitting.scattering import spans_of
 from sim.effects import of_feature
@@ -341,6 +341,8 @@ def _newton_steps(
         state, whitener = point.state, Whitener(point.grid, noise)
         gram = whitener.gram(np.column_stack([point.residual, point.columns]))
         normal = gram[1:, 1:] + np.diag(np.maximum(prior, 1e-12))
+        if not is_definite(normal):
+            break
         step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal), gram[1:, 0] - prior * point.off)
         # The whole step is shortened, not single parts of it: it must stay a descent direction.
         strengths = [size for named in state.named for size in _longest(named)]
@@ -397,6 +399,11 @@ def _allowed(effects: Sequence[Named], point: Array) -> Array:
     return out
 
 
+def is_definite(matrix: Array) -> bool:
+    """Whether a symmetric matrix is positive definite as a Cholesky factorisation sees it (LAPACK's `potrf`)."""
+    return bool(np.isfinite(matrix).all()) and scipy.linalg.lapack.dpotrf(matrix, lower=True)[1] == 0
+
+
 def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array, off: Array) -> tuple[float, Array]:
     """The log-likelihood with the parameters integrated out around the free run (their belief included), and its
     derivatives by the noise's coordinates (`noise.vector`)."""
@@ -404,7 +411,11 @@ def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array
     # posterior precision and g the score at the state, -2 ln L = ln |V| + ln |N| - ln |P| + misfit - g' N^-1 g.
     gram = whitener.gram(np.column_stack([residual, columns]))
     score = gram[1:, 0] - prior * off
-    root = scipy.linalg.cholesky(gram[1:, 1:] + np.diag(prior), lower=True)
+    precision = gram[1:, 1:] + np.diag(prior)
+    if not is_definite(precision):
+        # A candidate that has run away (less cooling than none at all: the free run grows) explains nothing.
+        return -np.inf, np.zeros(vector(whitener.noise).size)
+    root = scipy.linalg.cholesky(precision, lower=True)
     best = scipy.linalg.cho_solve((root, True), score)
     misfit = float(gram[0, 0] + off @ (prior * off) - score @ best)
     determinant = 2.0 * float(np.log(np.diag(root)).sum()) - float(np.log(prior).sum())
