@@ -175,7 +175,7 @@ def _unmeasured(
             spread=float(found.cycles[1]),
             carried=gain,
             amplitude=_visible_size(before, found.course),
-            fitted=replace(found.fitted, state=replace(found.fitted.state, named=(*found.fitted.state.named, named))),
+            fitted=_naming(found.fitted, named),
         )
     ]
 
