@@ -128,12 +128,13 @@ def _fading_words(p: Params) -> str:
 
 
 def _since(p: Params, view: RecordView) -> Array:
-    """gain while the machine runs, from `at` on."""
-    return np.asarray(p["gain"] * (view.time >= p["at"]) * view.running)
+    """gain from `at` on, all the time or while the machine runs."""
+    return np.asarray(p["gain"] * (view.time >= p["at"]) * (view.running if p["turning"] else 1.0))
 
 
 def _since_words(p: Params) -> str:
-    return f"{'heat' if p['gain'] > 0 else 'less heat'} since {moment_words(p['at'])}"
+    while_ = " while the machine runs," if p["turning"] else ""
+    return f"{'heat' if p['gain'] > 0 else 'less heat'}{while_} since {moment_words(p['at'])}"
 
 
 def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
@@ -319,9 +320,10 @@ RIVAL_KINDS = (
         "heat that begins or ends at some moment",
         _heat_only(_since),
         _since_words,
-        parameters=("gain", "at"),
+        parameters=("gain", "at", "turning"),
         sign=0.0,
-        shapes=lambda log: [{"at": at} for at in _moments(log)],
+        acts="anywhere",
+        shapes=lambda log: [{"at": at, "turning": turning} for at in _moments(log) for turning in (0.0, 1.0)],
         refine={"at": ANY_TIME},
         widths={"at": 4 * HOUR},
         experiment="look up what was changed then, and undo it for a day",

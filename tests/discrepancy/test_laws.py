@@ -151,7 +151,7 @@ def failing(t: float, x: float, signals: dict[str, float]) -> float:
         ),
         (
             lambda t, x, s: 4e-3 * (s["MarciaDecanter"] > 0) * (t > 1.5 * DAY),
-            r"heat since 2023-11-16 (0[5-9]|1[0-5]):\d\d UTC",
+            r"heat while the machine runs, since 2023-11-16 (0[5-9]|1[0-5]):\d\d UTC",
         ),
     ],
     ids=["fading events", "less cooling", "the clock", "a beginning"],

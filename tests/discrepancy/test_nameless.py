@@ -114,6 +114,12 @@ def test_beside_an_unmeasured_neighbour_a_name_that_is_certain_stays() -> None:
     assert found.best is not None and found.best.entry.name == "pump-cooling"
 
 
+def test_a_diagnosis_says_that_something_is_not_measured_and_where_to_look() -> None:
+    found = diagnose(model(), [plant(2, days=DAYS, more=neighbour)], seed=0).diagnosis
+    assert found.verdict == "unexplained" and "that is not measured" in found.sentence
+    assert look_at(found)[0].startswith("what is beside the machine and not recorded")
+
+
 def test_the_sentence_says_what_has_no_name_and_the_advice_where_to_look() -> None:
     found = diagnose(model(), [plant(3, days=DAYS, more=cooler)], seed=0).diagnosis
     assert found.verdict == "unexplained" and not found.effects
