@@ -23,7 +23,7 @@ SO_FAR = 0.4
 """How often names get as far as the held-out cycles where none is true, over how often true ones do."""
 TWINS = 0.2
 """The share of the names that are not true and got so far which leave no more than true ones do."""
-LEFT_HEAT, LEFT_EXCESS = 0.05, 0.25
+LEFT_HEAT, LEFT_EXCESS = 0.02, 0.25
 """Means of the shares that true names leave: of the systematic heat, and of the held-out excess."""
 HEAT_ERROR = 0.1
 """Standard error of the share of the systematic heat that is left."""
