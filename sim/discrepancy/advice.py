@@ -35,7 +35,7 @@ def look_at(diagnosis: Diagnosis) -> tuple[str, ...]:
                 f", with {place.when}" if place.when else f", as {place.correlates} changes" if place.correlates else ""
             )
             lines.append(f"what the machine does in {place.location}{after}{with_}")
-        lines += [f"what goes with {in_words(law.expression)}: {law.experiment}" for law in diagnosis.laws]
+        lines += [f"what goes with {law.words or in_words(law.expression)}: {law.experiment}" for law in diagnosis.laws]
         if diagnosis.description:
             best = next((tried.name for tried in diagnosis.candidates if tried.step == 1), "")
             lines = [f"{looks_of_rivals[best]} ({diagnosis.description})", *lines]
@@ -83,9 +83,9 @@ def overlap_sentence(places: Sequence[HeatPlace]) -> str:
 def law_sentence(law: CandidateLaw) -> str:
     """What is to be said of a law: how much goes with it, on how many cycles, and that it is no name."""
     while_ = " while the machine runs" if law.running else ""
-    alike = f"; these data cannot tell it from {in_words(law.alike[0])}" if law.alike else ""
+    alike = f"; these data cannot tell it from {law.alike[0]}" if law.alike else ""
     return (
-        f"not a name: {law.share:.0%} of what is left goes with {in_words(law.expression)}{while_}, on "
+        f"not a name: {law.share:.0%} of what is left goes with {law.words or in_words(law.expression)}{while_}, on "
         f"{law.cycles[0]} of {law.cycles[1]} held-out cycles ({law.tried} expressions were tried{alike}); to find out: "
         f"{law.experiment}"
     )

@@ -10,6 +10,10 @@ from sim.effects import of_feature
 from sim.learning import RATES, with_inputs
 from sim.sha import Distribution, Flow, Input, Location, Model, Provenance, Trace, content_hash, distributions
 
+ALSO_AT_REST = 0.5
+"""The share of a rough heat that acts at rest from which on it counts as heat of all locations: it is then stated at
+most twice too wide there, and the model keeps its memory."""
+
 
 def augmented(
     fitted: Fitted,
@@ -22,7 +26,8 @@ def augmented(
     """The fit as a model: its parameters in the flows, its effects in the automaton, its noise, and its lineage.
 
     The forecast bands' calibration is not carried over: it belonged to the model before. What is random in the model
-    stays so, heat with a memory as the fit found it; where there was none, the fit's is in the noise of the flows.
+    stays so, heat with a memory as the fit found it; where there was none, the fit's is in the noise of the flows, and
+    so is what of it acts only while the machine runs (`kept_share`).
     `readings` are encoded traces from which the stays learn what the effects' signals are like; without them a forecast
     holds the last readings, and verification must be told their ranges.
     """
@@ -34,7 +39,7 @@ def augmented(
         effects=(
             *(effect for named in fitted.state.named for effect in effects_of(named, model)),
             *(
-                replace(heat, params={"sigma": fitted.noise.rough, "memory": fitted.noise.memory})
+                replace(heat, params={"sigma": kept_share(fitted) * fitted.noise.rough, "memory": fitted.noise.memory})
                 for heat in of_feature(model.sha, "disturbance")
             ),
             *of_feature(model.sha, "machine offset"),
@@ -70,8 +75,7 @@ def _fitted(fitted: Fitted, location: Location, place: int) -> Location:
     if shape.rate[place] >= 0:
         params[RATES[flow.kind]] = float(np.exp(fitted.state.log_rates[shape.rate[place]]))
     if "noise" in params:
-        own = bool(of_feature(fitted.frame.record.model.sha, "disturbance"))
-        params["noise"] = fitted.noise.process if own else process_noise(fitted, params.get("k", 0.0))
+        params["noise"] = noise_in(fitted, place, params.get("k", 0.0))
     columns = [column for column in shape.gain[place] if column >= 0]
     inputs = tuple(
         Input(driver.signal, float(fitted.state.linear[column]), driver.reference)
@@ -93,8 +97,30 @@ def sensor_memory(fitted: Fitted) -> float:
     return noise.fades if noise.lasting > fitted.sensor_sigma else fitted.frame.record.model.sensor_memory
 
 
+def noise_in(fitted: Fitted, place: int, k: float) -> float:
+    """degC/sqrt(s): the process noise of the model's `place`-th location, and what of the rough heat acts there and is
+    not kept as heat with a memory."""
+    record, noise = fitted.frame.record, fitted.noise
+    seconds = np.where((record.runs.place == place) & ~record.runs.first, record.runs.dt, 0.0)
+    running = float(record.running @ seconds / seconds.sum()) if seconds.sum() > 0 else 1.0
+    process = noise.process * np.sqrt(running + (1.0 - running) * noise.still**2)
+    acting = noise.rest + (1.0 - noise.rest) * running
+    left = np.sqrt(max(acting**2 - kept_share(fitted) ** 2, 0.0))
+    return float(np.hypot(process, left * as_white(noise.rough, noise.memory, k)))
+
+
+def kept_share(fitted: Fitted) -> float:
+    """The share of the rough heat that stays heat with a memory, which an automaton has in all locations alike.
+
+    All of it where it acts at rest too, 0 where the model has no such heat; what is left is in the noise of the flows.
+    """
+    if not of_feature(fitted.frame.record.model.sha, "disturbance"):
+        return 0.0
+    return 1.0 if fitted.noise.rest >= ALSO_AT_REST else fitted.noise.rest
+
+
 def process_noise(fitted: Fitted, k: float) -> float:
-    """degC/sqrt(s): the fit's process noise, and the rough heat as what it amounts to over its memory."""
+    """degC/sqrt(s) while the machine runs: the process noise, and the rough heat as what it is over its memory."""
     return float(np.hypot(fitted.noise.process, as_white(fitted.noise.rough, fitted.noise.memory, k)))
 
 

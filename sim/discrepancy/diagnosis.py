@@ -61,10 +61,11 @@ class TriedEffect:
 class NamedEffect:
     """An effect that the diagnosis adds to the model.
 
-    `members` are the names that these data cannot tell apart (the first is `name`); `signal_to_noise` is the rms of
-    what it does that the model's parameters cannot imitate, over the sensor's sigma. `errors` are standard errors by
-    parameter. `look` says what to look at at the machine. `shrinking_shown`: the interval of what is removed of the
-    held-out excess lies above zero.
+    `members` are the names that these data cannot tell apart (the first is `name`); `confidence` is the share of these
+    together in the posterior, in which none of these has one too (`sim.discrepancy.posterior`); `signal_to_noise` is
+    the rms of what it does that the model's parameters cannot imitate, over the sensor's sigma. `errors` are standard
+    errors by parameter. `look` says what to look at at the machine. `shrinking_shown`: the interval of what is removed
+    of the held-out excess lies above zero.
     """
 
     name: str
@@ -214,7 +215,8 @@ class CandidateLaw:
     `strength` times `expression` is the heat (degC/s), while the machine runs where `running`. `gain` (nats) is of the
     fitted cycles, `share` that of what is left on held-out ones, `cycles` (better foreseen, in all) those. `tried` are
     the expressions that were searched, which the gain has to pay for; `alike` are others that these data cannot tell
-    from it. `line` is the effect that a person may adopt; None where no engine can execute it.
+    from it. `line` is the effect that a person may adopt; None where no engine can execute it. `words` are the plant's
+    where there are any, with dates; they are the expression too, where it is none that could be written as one.
     """
 
     expression: str
@@ -227,6 +229,7 @@ class CandidateLaw:
     experiment: str
     alike: tuple[str, ...]
     line: EffectLine | None
+    words: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,7 +320,8 @@ class Diagnosis:
     gap has no name, `floor` what a free run errs by where nothing is missing, `began` says since when it errs by more
     (None where that is from the first cycle on), `description` in the plant's words what goes best with a gap that has
     no name, "" where nothing does. `missing_heat` is the heat over time that the model lacks, `experiment`
-    what would tell rivals apart, where it was asked for.
+    what would tell rivals apart, where it was asked for. `none_of_these` is the share that what is missing is none of
+    the names, None where nothing is named.
     """
 
     verdict: Verdict
@@ -346,3 +350,4 @@ class Diagnosis:
     description: str = ""
     missing_heat: MissingHeat | None = None
     experiment: ProposedExperiment | None = None
+    none_of_these: float | None = None

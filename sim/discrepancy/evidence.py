@@ -56,11 +56,11 @@ def fate(evidence: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -
 
 def traces_of(path: NamingResult) -> tuple[TraceOfEffect, ...]:
     """What the path met that is certain and does not matter."""
-    best = [step.best for step, refusal in path.steps if refusal and immaterial(step)]
+    best = [step.best for step, refusal in path.looks if refusal and immaterial(step)]
     return tuple(TraceOfEffect(each.entry.name, each.gain, each.amplitude) for each in best if each is not None)
 
 
-def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
+def effect_of(step: NamingStep, after: Fitted, confidence: float) -> NamedEffect:
     """The step's best entry as it stands in the last fit."""
     best = step.best
     if best is None:
@@ -72,7 +72,7 @@ def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
     return NamedEffect(
         name=best.entry.name,
         members=step.members,
-        confidence=confidence(step),
+        confidence=confidence,
         gain=best.gain,
         margin=step.margin,
         params=dict(named.params),
@@ -83,13 +83,3 @@ def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
         experiment=best.entry.experiment,
         look=best.entry.candidate.look,
     )
-
-
-def confidence(step: NamingStep) -> float:
-    """The share of the best name among all that the likelihood allows, equal odds before the data; at most 0.99."""
-    gains = np.array([evidence.gain for evidence in step.evidence])
-    null = step.rules.least_gain_nats - np.log(
-        99.0
-    )  # what makes "nothing is missing" as likely as 1 in 100 at the threshold
-    weights = np.exp(np.minimum(np.append(gains, null) - gains[0], 0.0))
-    return float(min(1.0 / weights.sum(), 0.99))

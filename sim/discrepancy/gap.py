@@ -14,14 +14,16 @@ import numpy as np
 from sim.discrepancy.augment import as_white, process_noise
 from sim.discrepancy.diagnosis import NoiseFloor
 from sim.discrepancy.fitting import (
+    SLOW,
     Fitted,
     NoiseModel,
     Record,
     Whitener,
+    averaged_readings,
     on,
-    readings_in_window,
     rounding,
     sensitivity,
+    unseen_switches,
 )
 from sim.discrepancy.heat import since_switch
 from sim.discrepancy.held_out import HeldOutRun, let_run, mean_squares
@@ -138,7 +140,8 @@ def stated_errors(model: Model, laid_out: Sequence[Trace], fitted: Fitted) -> Ar
     """(c,) degC rms over the windows of each fitted cycle of the free runs, as the given model states it for itself.
 
     As it was measured on days of its own, else as its noise says along these cycles (`laid_out` are the encoded traces
-    in their order); infinite where it says nothing.
+    in their order); infinite where it says nothing. What a recorder does not see is no part of that: what its readings
+    err by, and what turns between rows that lie further apart than those that the model's alphabet is made for.
     """
     record, sensor = fitted.frame.record, sensor_alone(fitted).sensor
     cycles = np.unique(record.whole)
@@ -148,7 +151,11 @@ def stated_errors(model: Model, laid_out: Sequence[Trace], fitted: Fitted) -> Ar
         own = np.full(cycles.size, np.sqrt(max(stated**2 - sensor_noise(record) ** 2, 0.0)))
     else:
         own = spread_of(model, laid_out, record, cycles)
-    return np.asarray(np.hypot(own, sensor))
+    trial = let_run(fitted, record.by_cycles())
+    unseen = unseen_switches(on(fitted.frame, trial.record), trial.state, record.model.alphabet.gap / SLOW)
+    place = np.searchsorted(cycles, trial.record.window_whole)
+    sums, counts = (np.bincount(place, weights, minlength=cycles.size) for weights in (unseen, None))
+    return np.asarray(np.sqrt(own**2 + sensor**2 + sums / np.maximum(counts, 1)))
 
 
 def read_alone(trial: HeldOutRun, cycles: Indices, sensor: NoiseModel, rng: np.random.Generator) -> Array:
@@ -175,7 +182,7 @@ def predicted(trial: HeldOutRun, cycles: Indices, drawn: Array) -> tuple[Array, 
 def sensor_alone(fitted: Fitted) -> NoiseModel:
     """The noise of a plant that is exact but for what is read of it: the sensor's, and its rounding."""
     record = fitted.frame.record
-    in_window = sensor_noise(record) / float(np.sqrt(readings_in_window(record)))
+    in_window = sensor_noise(record) / float(np.sqrt(averaged_readings(record)))
     in_window = max(in_window, rounding(record.model, record), LEAST_READING)
     return NoiseModel(sensor=in_window, process=0.0, rough=0.0, cycle=0.0)
 

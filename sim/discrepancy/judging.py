@@ -15,14 +15,27 @@ from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import TIMES, shortest_visible, smooth_course
 from sim.sha import Array, shown_unit
 
+TOO_SMALL = "is certain, and too small to matter"
+"""Why what is beyond chance is fitted along and gets no name."""
+
 
 @dataclass(frozen=True, slots=True)
 class NamingResult:
-    """The path of names: each step with its verdict in words ("" where its best entry was taken), and the last fit."""
+    """The path of names: each step with its verdict in words ("" where its best entry was taken), and the last fit.
+
+    `nuisances` are steps whose best entry was too small to matter and was fitted along while the path went on; the
+    last fit is without them.
+    """
 
     base: Fitted
     fitted: Fitted
     steps: tuple[tuple[NamingStep, str], ...]
+    nuisances: tuple[NamingStep, ...] = ()
+
+    @property
+    def looks(self) -> tuple[tuple[NamingStep, str], ...]:
+        """The steps, and after them those of what was fitted along."""
+        return (*self.steps, *((step, TOO_SMALL) for step in self.nuisances))
 
     @property
     def taken(self) -> tuple[NamingStep, ...]:
@@ -48,7 +61,7 @@ def insignificant(step: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
         gain = best.gain if best is not None else 0.0
         return f"adds {gain:.1f} nats, and a name needs {rules.least_gain_nats:.1f}"
     if immaterial(step):
-        return "is certain and does not matter"
+        return TOO_SMALL
     # A further name must stand out of what the earlier ones' imperfect shapes leave behind.
     needed, near = 0.0, rules.near_least_cosine
     least, most = rules.leftover_share, rules.leftover_of_rival_share
@@ -146,6 +159,15 @@ def systematic_heat(ceiling: Ceiling | None) -> float:
     return max(ceiling.share, 0.0) * ceiling.heat**2 if ceiling is not None else 0.0
 
 
+def systematic_whole(before: Ceiling | None, left: Ceiling | None) -> float:
+    """(degC/h)^2 all that was systematic, against which what names leave is held.
+
+    What trees could predict before, or, where that is more, what the names themselves have taken out of the heat.
+    """
+    explained = before is not None and left is not None and before.heat > left.heat
+    return max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
+
+
 def foreseen_better(first: HeldOutRun, second: HeldOutRun) -> float:
     """nats by which the second free run is nearer to the held-out cycles, both weighed by the second's noise.
 
@@ -185,10 +207,7 @@ def doubts(
         reasons.append("the free run over the held-out cycles is further off with it than the model as it was given")
     elif _hardly_smaller(path, held):
         reasons.append(f"it removes {held.excess_removed:.0%} of what the free run over the held-out cycles is off by")
-    # What the names leave is held against all that was systematic: what trees could predict before, or, where that is
-    # more, what the names themselves have taken out of the heat.
-    explained = before is not None and left is not None and before.heat > left.heat
-    whole = max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
+    whole = systematic_whole(before, left)
     too_much = rules.ceiling_left_most_share * whole
     if left is not None and systematic(left, rules) and systematic_heat(left) > too_much:
         reasons.append(f"a free learner still predicts {left.share:.0%} of the heat on cycles that it has not seen")

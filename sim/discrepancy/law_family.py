@@ -1,36 +1,44 @@
-"""The expressions that are searched: forms of single signals, exchanges, products, history and rhythm, and no others.
+"""The laws that are searched: forms of single signals, exchanges, products, history, rhythm, the clock, and dates.
 
-The family is bounded on purpose: every expression that is tried costs evidence (`search`).
+Those of the clock and of a date are the rivals without a name (`sim.effects.rivals`), at all moments at which one may
+begin. The family is bounded on purpose: every law that is tried costs evidence (`law_search`).
 """
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 
-from sim.discrepancy.fitting import Fitted, held, lagged_signal
+from sim.discrepancy.advice import in_words
+from sim.discrepancy.fitting import Fitted, held, lagged_signal, rivals
 from sim.discrepancy.heat import since_switch
-from sim.effects import SINCE, TEMPERATURE
+from sim.discrepancy.screen import Shape, shapes_of
+from sim.effects import SINCE, TEMPERATURE, moment_words
 from sim.learning import first_switch
 from sim.sha import Array
 
 MOST_SIGNALS = 10
 """Signals at most, those that change most often: products grow with their square."""
-LAGS: Mapping[str, float] = {"15min": 900.0, "1h": 3600.0, "4h": 14400.0}
+LAGS: Mapping[str, float] = {"5min": 300.0, "15min": 900.0, "1h": 3600.0, "4h": 14400.0}
 DAY = 86400.0
 PHASES = 4
 FADING, GROWING = (120.0, 600.0, 1800.0, 7200.0), (1800.0, 14400.0)
 """Seconds since a start (or a stop) by which a heat dies away, or up to which it grows."""
+MOMENTS = 12
+"""Moments of a record, evenly over what the machine ran, at which a heat is tried to begin."""
+EVENT = "heat-after-an-event"
+"""The rival of which there may be several: what is done to a machine is done again."""
 
 
 @dataclass(frozen=True, slots=True)
 class LawForm:
-    """An expression of unit strength: its `text`, how many `terms` it has, and whether it acts while running only.
+    """A law of unit strength: its `text`, how many `terms` it has, and whether it acts while running only.
 
     `exchange`: it is straight in the temperature, and only a positive strength is physics. `experiment` is what would
-    tell it from chance.
+    tell it from chance. `words` are the plant's (more and less of it), where the text does not speak for itself.
+    `shapes` are those of rivals without a name whose heats it adds up; their text is no expression.
     """
 
     text: str
@@ -38,6 +46,12 @@ class LawForm:
     running: bool
     experiment: str
     exchange: bool = False
+    words: tuple[str, str] | None = None
+    shapes: tuple[Shape, ...] = ()
+
+    def said(self, strength: float) -> str:
+        """What it is at a strength, in the plant's words or as the expression."""
+        return in_words(self.text) if self.words is None else self.words[0 if strength > 0 else 1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +87,6 @@ def columns_on(
     values["days"] = (middle - begin) / DAY
     for phase in range(PHASES):
         angle = np.pi * phase / PHASES
-        values[f"daily_{phase * 12 // PHASES}h"] = np.cos(2.0 * np.pi * middle / DAY - angle)
         for period in periods:
             values[f"every_{period / 60.0:.0f}min_{phase}"] = np.cos(2.0 * np.pi * (middle - begin) / period - angle)
     binary = frozenset(name for name in names if np.unique(values[name]).size <= 2)
@@ -96,13 +109,16 @@ def signal_names(fitted: Fitted) -> dict[str, str]:
     return names
 
 
-def family(columns: LawColumns, running: Array) -> list[LawForm]:
-    """The forms of the first round."""
+def family(columns: LawColumns, running: Array, begin: float) -> list[LawForm]:
+    """The expressions of the first round; the record begins at `begin` (absolute s)."""
     forms: list[LawForm] = []
 
-    def tried(text: str, terms: int, experiment: str, *, exchange: bool = False, only_running: bool = False) -> None:
+    def tried(
+        text: str, terms: int, experiment: str, *, exchange: bool = False, only_running: bool = False, words: str = ""
+    ) -> None:
+        both = (words, f"less {words}") if words else None
         for on in (True,) if only_running else (True, False):
-            forms.append(LawForm(text, terms, on, experiment, exchange))
+            forms.append(LawForm(text, terms, on, experiment, exchange, both))
 
     values = columns.values
     warm = values[TEMPERATURE]
@@ -129,7 +145,11 @@ def family(columns: LawColumns, running: Array) -> list[LawForm]:
         for label in LAGS:
             after = f"one sharp step of {signal}, then watch for three times {label}"
             tried(f"lag_{name}_{label}", 2, after)
-            tried(f"{name} - lag_{name}_{label}", 3, after)
+            fades = f"heat that follows each step of {signal} and fades over {label}"
+            tried(f"{name} - lag_{name}_{label}", 3, after, words=fades)
+            if name not in columns.binary:
+                size = f"heat that follows each step of {signal}, up or down, and fades over {label}"
+                tried(f"abs({name} - lag_{name}_{label})", 3, after, words=size)
         if name in degrees:
             tried(f"{name} - temperature", 2, alone, exchange=True)
             for other, pump in columns.signals.items():
@@ -148,24 +168,77 @@ def family(columns: LawColumns, running: Array) -> list[LawForm]:
         tried(f"-max(temperature - {level}, 0)", 2, f"a slow ramp of the load up and down across {level}")
     twice = "start twice within an hour, at the same load"
     for seconds in FADING:
-        tried(f"exp(-since / {seconds:g})", 2, twice, only_running=True)
-        tried(f"above({seconds:g}, since)", 2, twice, only_running=True)
-        forms.append(LawForm(f"exp(-since_stop / {seconds:g})", 2, False, "stop twice, after a short and a long run"))
+        within = f"{seconds / 60.0:.0f} min"
+        fades = f"heat after each start, fading over {within}"
+        tried(f"exp(-since / {seconds:g})", 2, twice, only_running=True, words=fades)
+        first = f"heat in the first {within} after each start"
+        tried(f"above({seconds:g}, since)", 2, twice, only_running=True, words=first)
+        fades, stopped = f"heat after each stop, fading over {within}", "stop twice, after a short and a long run"
+        forms.append(LawForm(f"exp(-since_stop / {seconds:g})", 2, False, stopped, words=(fades, f"less {fades}")))
     for seconds in GROWING:
-        tried(f"min(since, {seconds:g})", 2, "one long run at one load", only_running=True)
-    days = values["days"]
+        grows = f"heat that grows over the first {seconds / 60.0:.0f} min after each start"
+        tried(f"min(since, {seconds:g})", 2, "one long run at one load", only_running=True, words=grows)
     later = "the same load today and in two weeks, with a reading at long rest each time"
-    tried("days", 1, later)
-    for share in (0.2, 0.4, 0.6, 0.8):
-        moment = f"{float(days[0] + share * (days[-1] - days[0])):.4g}"
-        tried(f"max(days - {moment}, 0)", 2, later)
-        tried(f"above(days, {moment})", 2, f"look up what was changed {moment} days after the beginning")
+    tried("days", 1, later, words="heat that grows from day to day")
+    for moment in moments(values["days"], running):
+        date, text = moment_words(begin + moment * DAY), f"{moment:.4g}"
+        tried(f"max(days - {text}, 0)", 2, later, words=f"heat that grows from {date} on")
+        tried(f"above(days, {text})", 2, f"look up what was changed at {date}", words=f"heat since {date}")
     for name in values:
-        if name.startswith("daily_"):
-            tried(name, 1, "log the room for three days, with a night at rest")
-        elif name.startswith("every_"):
+        if name.startswith("every_"):
             tried(name, 1, f"look for what switches every {name.split('_')[1]}, and stop it for an hour")
     return forms
+
+
+def moments(days: Array, running: Array) -> list[float]:
+    """Days at which something is tried to begin: evenly over what the machine ran, none at its ends."""
+    ran = np.cumsum(running) if running.any() else np.arange(1.0, days.size + 1.0)
+    shares = (np.arange(MOMENTS) + 1.0) / (MOMENTS + 1)
+    return [float(day) for day in np.interp(shares * ran[-1], ran, days)]
+
+
+def dated(fitted: Fitted, smooth: Array) -> list[LawForm]:
+    """The rivals without a name as laws: of the clock, of an event that fades, of a cooling that begins to change.
+
+    They are those that read no signal; of a signal the expressions know more.
+    """
+    shapes = shapes_of(fitted, [entry for entry in rivals() if not entry.needs], {}, smooth)
+    return [of_shapes((shape,)) for shape in shapes]
+
+
+def of_shapes(shapes: tuple[Shape, ...]) -> LawForm:
+    """The law that adds up rivals of one kind, all of one strength."""
+    entry, first = shapes[0].entry, shapes[0].params
+    both = tuple(_words(shapes, sign) for sign in (1.0, -1.0))
+    return LawForm(
+        text=both[0],
+        terms=1 + len(shapes),
+        running=entry.kind.acts == "running",
+        experiment=entry.experiment,
+        exchange=entry.sign > 0 and "loss" not in first,
+        words=(both[0], both[1]),
+        shapes=shapes,
+    )
+
+
+def _words(shapes: tuple[Shape, ...], sign: float) -> str:
+    entry = shapes[0].entry
+    if entry.candidate.words is None:
+        return entry.plain
+    if len(shapes) == 1:
+        return entry.candidate.words(shapes[0].named(sign).params)
+    dates = " and ".join(moment_words(at) for at in sorted(shape.params["at"] for shape in shapes))
+    hours = shapes[0].params["tau"] / 3600.0
+    return f"heat after {len(shapes)} events (at {dates}), fading over {hours:.1f} running hours"
+
+
+def repeated(best: LawForm, forms: Sequence[LawForm]) -> list[LawForm]:
+    """An event with each further one that fades as it does."""
+    (shape,) = best.shapes
+    others = [form.shapes[0] for form in forms if form.shapes and form.shapes[0].entry.name == EVENT]
+    moved = (replace(other, params={**shape.params, "at": other.params["at"]}) for other in others)
+    further = {each.params["at"]: each for each in moved if each.params["at"] != shape.params["at"]}
+    return [of_shapes((shape, each)) for each in further.values()]
 
 
 def products(best: Sequence[LawForm], columns: LawColumns) -> list[LawForm]:
@@ -173,7 +246,7 @@ def products(best: Sequence[LawForm], columns: LawColumns) -> list[LawForm]:
     forms = []
     for form in best:
         for name, signal in columns.signals.items():
-            if name not in form.text:
+            if name not in form.text and not form.shapes:
                 text = f"({form.text}) * max({name}, 0)"
                 experiment = f"{form.experiment}; then the same at another {signal}"
                 forms.append(LawForm(text, form.terms + 1, form.running, experiment, form.exchange))

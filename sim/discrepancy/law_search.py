@@ -5,6 +5,7 @@ relaxation, what the model's parameters imitate is projected out, and its streng
 that were held out nothing is fitted but where each begins.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
@@ -12,16 +13,38 @@ from math import inf
 import numpy as np
 
 from sim.discrepancy.diagnosis import CandidateLaw
-from sim.discrepancy.fitting import Fitted, Record, as_read, filtered, on, sensitivity
+from sim.discrepancy.fitting import (
+    Fitted,
+    Record,
+    as_read,
+    effects_of,
+    filtered,
+    heat_and_loss,
+    on,
+    sensitivity,
+)
 from sim.discrepancy.held_out import HeldOutRun, let_run
-from sim.discrepancy.law_family import LawColumns, LawForm, columns_on, family, products, signal_names
+from sim.discrepancy.law_family import (
+    EVENT,
+    LawColumns,
+    LawForm,
+    columns_on,
+    dated,
+    family,
+    of_shapes,
+    products,
+    repeated,
+    signal_names,
+)
 from sim.discrepancy.rules import DecisionRules
-from sim.discrepancy.screen import Projector, smooth_course
+from sim.discrepancy.screen import Projector, Shape, refined, smooth_course
 from sim.effects import SINCE, TEMPERATURE, LineError, compiled, names_in, own_kind, parse
 from sim.sha import Array, EffectLine, LineParameter
 
 MOST, BEST = 3, 6
 """Laws that are shown at most, and forms of the first round that go into products."""
+TRIED_LATER = 10
+"""Laws that the held-out cycles are asked about at most."""
 SHORTEST, LONGEST, RHYTHMS = 1200.0, 48 * 3600.0, 2
 """Seconds between which rhythms are looked for, and how many of them become expressions."""
 CHUNK = 64
@@ -64,9 +87,10 @@ def candidate_laws(
     projector = Projector(fitted)
     periods, scanned = _rhythms(training.times, projector.weighed_residual)
     columns = columns_on(fitted, smooth_course(fitted), names, begin, periods)
-    scored = _scored(fitted, projector, columns, family(columns, training.running))
+    by_date = dated(fitted, columns.values[TEMPERATURE])
+    scored = _scored(fitted, projector, columns, [*family(columns, training.running, begin), *by_date])
     best = [scored.forms[number] for number in np.argsort(-scored.gain, kind="stable")[:BEST].tolist()]
-    scored = scored.joined(_scored(fitted, projector, columns, products(best, columns)))
+    scored = scored.joined(_scored(fitted, projector, columns, [*products(best, columns), *_again(scored, by_date)]))
     tried = len(scored.forms) + scanned
 
     trial = let_run(base, later.by_cycles())
@@ -79,31 +103,64 @@ def candidate_laws(
     )
     there = columns_on(unseen, smooth_course(unseen), names, begin, periods)
     own = trial.record.windowed(sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first]))
-    laws: list[CandidateLaw] = []
-    for number in _distinct(scored, tried, rules):
-        form = scored.forms[number]
-        effect = scored.strength[number] * scored.columns[:, number]
+    chosen = _distinct(scored, rules)
+    sharper = [_sharpened(fitted, scored.forms[number], float(scored.strength[number])) for number in chosen]
+    scored = scored.joined(_scored(fitted, projector, columns, [form for form in sharper if form is not None]))
+    found = []
+    for number in [*chosen, *range(len(scored.forms) - sum(form is not None for form in sharper), len(scored.forms))]:
+        form, strength = scored.forms[number], float(scored.strength[number])
+        effect = strength * scored.columns[:, number]
         # The model's own parameters make room for the law as a joint fit would let them.
         moved = projector.made_room(effect) - projector.made_room(np.zeros_like(effect))
         unit = _reading(unseen, _heats(unseen, there, [form]))[:, 0]
-        after = trial.residual - scored.strength[number] * unit - own[:, : moved.size] @ moved
+        after = trial.residual - strength * unit - own[:, : moved.size] @ moved
         share, better, cycles = _held_out(trial, after, floor)
-        if share >= rules.law_least_share and better >= rules.law_least_cycles_share * cycles:
-            laws.append(
-                CandidateLaw(
-                    expression=form.text,
-                    running=form.running,
-                    strength=float(scored.strength[number]),
-                    gain=float(scored.gain[number]),
-                    share=share,
-                    cycles=(better, cycles),
-                    tried=tried,
-                    experiment=form.experiment,
-                    alike=_alike(scored, number, rules),
-                    line=_line(form, names, float(scored.strength[number]), len(laws) + 1),
-                )
-            )
-    return tuple(laws)
+        # Nothing was fitted to these cycles, so what they say adds to what the fitted ones do.
+        gain = float(scored.gain[number]) + _foreseen(trial, after)
+        if (
+            gain - np.log(tried) >= rules.law_least_nats
+            and share >= rules.law_least_share
+            and better >= rules.law_least_cycles_share * cycles
+        ):
+            found.append((gain, number, share, (better, cycles)))
+    surest: dict[str, tuple[float, int, float, tuple[int, int]]] = {}
+    for each in sorted(found, key=lambda each: -each[0]):
+        # Of laws that differ in their numbers alone (a date, a time) the surest is the law.
+        surest.setdefault(re.sub(r"[\d.]+", "", scored.forms[each[1]].text), each)
+    most = max((gain for gain, *_ in found), default=0.0)
+    return tuple(
+        CandidateLaw(
+            expression=scored.forms[number].text,
+            words=scored.forms[number].said(float(scored.strength[number])),
+            running=scored.forms[number].running,
+            strength=float(scored.strength[number]),
+            gain=gain,
+            share=share,
+            cycles=cycles,
+            tried=tried,
+            experiment=scored.forms[number].experiment,
+            alike=_alike(scored, number, rules),
+            line=_line(scored.forms[number], names, float(scored.strength[number]), place),
+        )
+        for place, (gain, number, share, cycles) in enumerate(list(surest.values())[:MOST], start=1)
+        if gain >= rules.law_further_least_share * most
+    )
+
+
+def _sharpened(fitted: Fitted, form: LawForm, strength: float) -> LawForm | None:
+    """The form of one rival with its dates and times where the gain is greatest; None of any other form."""
+    if len(form.shapes) != 1 or not form.shapes[0].entry.candidate.refine:
+        return None
+    (shape,) = form.shapes
+    params = refined(fitted, shape, strength).params
+    return of_shapes((Shape(shape.entry, shape.signals, {name: params[name] for name in shape.params}),))
+
+
+def _again(scored: _Scored, by_date: Sequence[LawForm]) -> list[LawForm]:
+    """The surest event that fades with each further one, where there are any."""
+    events = [number for number, form in enumerate(scored.forms) if form.shapes and form.shapes[0].entry.name == EVENT]
+    best = max(events, key=lambda number: scored.gain[number], default=None)
+    return [] if best is None or not scored.gain[best] > 0 else repeated(scored.forms[best], by_date)
 
 
 def _rhythms(times: Array, score: Array) -> tuple[list[float], int]:
@@ -124,9 +181,16 @@ def _rhythms(times: Array, score: Array) -> tuple[list[float], int]:
 
 def _heats(fitted: Fitted, columns: LawColumns, forms: Sequence[LawForm]) -> Array:
     """(n, c) degC/s the heat of each form at unit strength."""
-    running = fitted.frame.record.running
-    out = np.empty((running.size, len(forms)))
+    record, smooth = fitted.frame.record, columns.values[TEMPERATURE]
+    running = record.running
+    out = np.zeros((running.size, len(forms)))
     for number, form in enumerate(forms):
+        for shape in form.shapes:
+            for effect in effects_of(shape.named(1.0), record.model):
+                gained, lost = heat_and_loss(record, effect, smooth)
+                out[:, number] += gained - lost * smooth
+        if form.shapes:
+            continue
         heat = np.broadcast_to(compiled(parse(form.text))(columns.values), running.shape)
         out[:, number] = np.where(np.isfinite(heat), heat, 0.0) * (running if form.running else 1.0)
     return out
@@ -171,15 +235,13 @@ def _cosines(scored: _Scored, number: int) -> Array:
     return np.asarray(scored.weighed.T @ scored.columns[:, number] / (sizes * sizes[number]))
 
 
-def _distinct(scored: _Scored, tried: int, rules: DecisionRules) -> list[int]:
-    """The surest forms that these data can tell apart: each the simplest of its kind, paid for."""
+def _distinct(scored: _Scored, rules: DecisionRules) -> list[int]:
+    """The surest forms that these data can tell apart: each the simplest of its kind."""
     terms = np.array([form.terms for form in scored.forms], dtype=float)
-    # Bonferroni over all that were tried; among forms that say the same the simpler one is taken.
-    paid = scored.gain - np.log(tried) >= rules.law_least_nats
-    worth = np.where(paid, scored.gain - rules.law_term_nats * terms, -np.inf)
+    # Among forms that say the same the simpler one is taken.
+    left = np.where(scored.gain >= rules.law_fitted_least_nats, scored.gain - rules.law_term_nats * terms, -np.inf)
     chosen: list[int] = []
-    left = worth.copy()
-    while len(chosen) < MOST and np.isfinite(left).any():
+    while len(chosen) < TRIED_LATER and np.isfinite(left).any():
         number = int(np.argmax(left))
         chosen.append(number)
         text = scored.forms[number].text
@@ -192,12 +254,12 @@ def _distinct(scored: _Scored, tried: int, rules: DecisionRules) -> list[int]:
 
 
 def _alike(scored: _Scored, number: int, rules: DecisionRules) -> tuple[str, ...]:
-    """Other expressions that these data cannot tell from one, within a tenth of its gain, three at most."""
+    """Other laws that these data cannot tell from one, within a tenth of its gain, three at most."""
     near = np.abs(_cosines(scored, number)) >= rules.law_same_least_cosine
     near &= scored.gain >= 0.9 * scored.gain[number]
     order = [other for other in np.argsort(-scored.gain, kind="stable").tolist() if near[other] and other != number]
-    texts = dict.fromkeys(scored.forms[other].text for other in order)
-    return tuple(text for text in texts if text != scored.forms[number].text)[:3]
+    said = dict.fromkeys(scored.forms[other].said(float(scored.strength[other])) for other in order)
+    return tuple(each for each in said if each != scored.forms[number].said(float(scored.strength[number])))[:3]
 
 
 def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int, int]:
@@ -210,8 +272,17 @@ def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int
     return min(share, 1.0), int(np.count_nonzero(new < old)), int(counts.size)
 
 
+def _foreseen(trial: HeldOutRun, after: Array) -> float:
+    """nats by which residuals `after` a law are likelier than those before on the held-out cycles."""
+    old, new = trial.started(trial.residual), trial.started(after)
+    weighed = trial.whitener.weigh(np.column_stack([old, new]))
+    return 0.5 * float(old @ weighed[:, 0] - new @ weighed[:, 1])
+
+
 def _line(form: LawForm, names: dict[str, str], strength: float, number: int) -> EffectLine | None:
-    """The law as an engineer's line; None where no engine can execute it (a lag, a rhythm, a clock)."""
+    """The law as an engineer's line; None where no engine can execute it (a lag, a rhythm, a clock, a date)."""
+    if form.shapes:
+        return None
     read = names_in(parse(form.text))
     if any(name not in (*names, TEMPERATURE, SINCE) for name in read):
         return None

@@ -64,5 +64,5 @@ def as_one_heat(base: Fitted) -> NoiseModel:
     white = noise.process**2 / (2.0 * noise.memory)
     friction = friction_heat(base.frame, base.state)[record.running > 0.5]
     scatter = noise.cycle**2 * float(np.mean(friction**2)) if friction.size else 0.0
-    whole, at_rest = noise.rough**2 + white + scatter, (noise.rest * noise.rough) ** 2 + white
+    whole, at_rest = noise.rough**2 + white + scatter, (noise.rest * noise.rough) ** 2 + noise.still**2 * white
     return replace(noise, process=0.0, cycle=0.0, rough=float(np.sqrt(whole)), rest=float(np.sqrt(at_rest / whole)))

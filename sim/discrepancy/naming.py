@@ -1,12 +1,12 @@
 """One step towards a name: the catalogue screened, the likeliest confirmed by joint refits and weighed."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
 
-from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit, rivals
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit, rivals, with_heats
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import (
     Projector,
@@ -18,12 +18,16 @@ from sim.discrepancy.screen import (
     screen,
     smooth_course,
 )
+from sim.discrepancy.unmeasured import slow_heat
+from sim.effects import UNMEASURED
 from sim.sha import Array
 
 CONFIRMED, WORTH = 4, 1.0
 """Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
 ONE_CHAIN = frozenset({"dead-time", "sensor-lag"})
 """What lies between the heat and the reading is named once: a second name would mend the first one's shape."""
+RIVALLED = 2
+"""The likeliest of the others that an unmeasured neighbour is held against together."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,13 +62,15 @@ class NamingStep:
     """A step from a fit: the evidence of every entry with its signals, best first; cosines; the rules.
 
     `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
-    projected out of both. `rules` are those that it was made by and is judged by.
+    projected out of both. `rules` are those that it was made by and is judged by. `rivals` are the gains (nats) of what
+    has no name, also where it is left out of the evidence since it does no better than the names.
     """
 
     before: Fitted
     evidence: tuple[EffectEvidence, ...]
     cosines: Mapping[str, float]
     rules: DecisionRules
+    rivals: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def best(self) -> EffectEvidence | None:
@@ -119,8 +125,51 @@ def step(
     confirmed += [confirm(before, each) for each in behind]
     done = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in done]
-    order = tuple(sorted(without_idle([*confirmed, *rest], rules), key=lambda each: -each.gain))
-    return NamingStep(before, order, _cosines(before, order), rules)
+    everything = [*confirmed, *rest, *_unmeasured(before, confirmed, entries, rules.least_gain_nats)]
+    order = tuple(sorted(without_idle(everything, rules), key=lambda each: -each.gain))
+    nameless = {each.entry.name: each.gain for each in everything if each.entry.rival}
+    return NamingStep(before, order, _cosines(before, order), rules, nameless)
+
+
+def _unmeasured(
+    before: Fitted, confirmed: Sequence[EffectEvidence], entries: Sequence[CatalogueEntry], threshold: float
+) -> list[EffectEvidence]:
+    """The evidence of a neighbour that nobody measures, where it explains more than anything else, and all of that.
+
+    What is beyond chance beside it, too, is no part of it: a heat that may be anything takes nothing's place.
+    """
+    entry = next((each for each in entries if each.name == UNMEASURED), None)
+    # Beside a name it would take up what the name's shape, which is never quite the plant's, leaves behind.
+    if entry is None or any(named.existing is None for named in before.state.named):
+        return []
+    found = slow_heat(before)
+    gain = found.fitted.likelihood - before.likelihood - entry.burden
+    others = sorted((each for each in confirmed if each.gain >= threshold), key=lambda each: -each.gain)
+    if gain < max([threshold, *(each.gain for each in others)]):
+        return []
+    for other in others[:RIVALLED]:
+        if other.fitted is not None:
+            both = with_heats(other.fitted, found.heats).likelihood - other.entry.burden
+            if both - found.fitted.likelihood >= threshold:
+                return []
+    shape = Shape(entry, {}, {"memory": found.spacing})
+    named = shape.named(found.sigma)
+    z = float(np.sqrt(2.0 * gain))
+    return [
+        EffectEvidence(
+            entry=entry,
+            shape=shape,
+            gain=gain,
+            visible=1.0,
+            z=z,
+            robust=z,
+            cycles=found.cycles,
+            spread=float(found.cycles[1]),
+            carried=gain,
+            amplitude=_visible_size(before, found.course),
+            fitted=replace(found.fitted, state=replace(found.fitted.state, named=(*found.fitted.state.named, named))),
+        )
+    ]
 
 
 def margin_of_class(gain: float, rules: DecisionRules) -> float:
@@ -225,10 +274,13 @@ def begins(before: Fitted) -> tuple[Fitted, ...]:
 def amplitude(before: Fitted, shape: Shape, named: Named) -> float:
     """degC rms over the windows of what an effect does that the parameters of the fit before cannot imitate."""
     column = columns_of(before, (shape,), smooth_course(before))[:, 0]
+    return abs(1.0 if named.entry.whole else named.strength) * _visible_size(before, column)
+
+
+def _visible_size(before: Fitted, column: Array) -> float:
     # What the model's own parameters can imitate would be fitted away and is nobody's effect.
     left = column - before.columns @ np.linalg.lstsq(before.columns, column, rcond=None)[0]
-    strength = 1.0 if named.entry.whole else named.strength
-    return float(abs(strength) * np.sqrt(np.mean(left**2)))
+    return float(np.sqrt(np.mean(left**2)))
 
 
 def _without_strength(named: Named) -> dict[str, float]:

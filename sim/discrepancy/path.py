@@ -3,13 +3,15 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from sim.discrepancy.fitting import CatalogueEntry, Fitted, fit
-from sim.discrepancy.judging import NamingResult, dubious, insignificant
+from sim.discrepancy.judging import TOO_SMALL, NamingResult, dubious, insignificant
 from sim.discrepancy.naming import NamingStep, entries_besides, step
 from sim.discrepancy.rules import DecisionRules
 
 Progress = Callable[[str, float], None]
 Judged = tuple[NamingStep, str]
 """A step, and why its best entry is refused ("": it is taken)."""
+MOST_NUISANCES = 2
+"""Effects too small to matter that are fitted along at most: each costs a whole look at the catalogue."""
 BEYOND = "does not pass together with the names before it"
 
 
@@ -26,20 +28,25 @@ def name(
 
     `entries` are looked for, the catalogue's by default. `present` gives the signal of each role. An effect that is
     clear but for rivals that stand too near is taken for the time being: beside the next name it may be told from them.
-    The whole path comes first, then its beginnings, the longest first: a further name, whatever becomes of it, takes no
-    earlier one down.
+    One that is certain and too small to matter is fitted along, so that it hides no other, and is in no fit that is
+    given back. The whole path comes first, then its beginnings, the longest first: a further name, whatever becomes of
+    it, takes no earlier one down.
     """
     fitted, taken, refused = base, list[Judged](), list[Judged]()
-    for number in range(most):
+    nuisances = list[tuple[int, NamingStep]]()  # with the number of names before
+    while (number := len(taken)) < most:
         stage, share = f"looking for effect {number + 1}", 0.25 + 0.6 * number / (most + 1)
         progress(stage, share)
         told = _told(progress, stage, share)
-        offered = entries_besides(fitted.state.named, entries)
-        candidate = step(fitted, offered, present, told, rules=rules)
-        earlier = [judged for judged, _ in taken]
+        candidate = step(fitted, entries_besides(fitted.state.named, entries), present, told, rules=rules)
+        earlier = [*(judged for judged, _ in taken), *(judged for _, judged in nuisances)]
         chance = insignificant(candidate, earlier)
         refusal = chance or dubious(candidate)
         best = candidate.best
+        if chance == TOO_SMALL and len(nuisances) < MOST_NUISANCES and best is not None and best.fitted is not None:
+            nuisances.append((number, candidate))
+            fitted = best.fitted
+            continue
         # Clear beyond doubt but for a rival that stands too near: it stays for the time being, with its refusal.
         clear = best is not None and best.gain >= rules.overwhelming_nats and not chance
         only_rivalled = clear and best is not None and not best.entry.rival and candidate.margin < rules.margin_nats
@@ -51,9 +58,18 @@ def name(
     # A name at the end that is still refused had no later one to tell it from its rivals: it goes, and the fit with it.
     while taken and taken[-1][1]:
         refused = [taken.pop()]
+    along = tuple(judged for number, judged in nuisances if number <= len(taken))
+    if along and not taken and (not refused or insignificant(refused[0][0], along)):
+        # Nothing else is there, and the certain one is all that can be told.
+        return (NamingResult(base, base, ((along[0], TOO_SMALL),), along[1:]),)
     fitted = _last_fit(base, taken)
     beginnings = [
-        NamingResult(base, _last_fit(base, taken[:count]), (*taken[:count], (taken[count][0], BEYOND)))
+        NamingResult(
+            base,
+            _without(_last_fit(base, taken[:count]), along),
+            (*taken[:count], (taken[count][0], BEYOND)),
+            tuple(judged for number, judged in nuisances if number <= count),
+        )
         for count in range(len(taken) - 1, 0, -1)
         if not any(refusal for _, refusal in taken[:count])
     ]
@@ -63,8 +79,15 @@ def name(
         told = _told(progress, stage, share)
         taken, fitted = revised(fitted, taken, present, len(taken) - 1, entries=entries, told=told)
     if any(refusal for _, refusal in taken):
-        return NamingResult(base, base, tuple(taken[-1:])), *beginnings
-    return NamingResult(base, fitted, (*taken, *refused)), *beginnings
+        return NamingResult(base, base, tuple(taken[-1:]), along), *beginnings
+    return NamingResult(base, _without(fitted, along), (*taken, *refused), along), *beginnings
+
+
+def _without(fitted: Fitted, nuisances: Sequence[NamingStep]) -> Fitted:
+    """The fit with its names alone, fitted anew where nuisances were in it."""
+    small = {step.best.entry.name for step in nuisances if step.best is not None}
+    names = [named for named in fitted.state.named if named.entry.name not in small]
+    return fitted if len(names) == len(fitted.state.named) else fit(fitted.frame, names, fitted, rounds=2, iterations=8)
 
 
 def _last_fit(base: Fitted, taken: Sequence[Judged]) -> Fitted:

@@ -141,6 +141,8 @@ class DecisionRules:
     # ---- laws to look at
     law_least_nats: float = 9.2
     """After all laws that were tried are paid for: 1 in 10 000, as one more look costs nothing."""
+    law_fitted_least_nats: float = 6.0
+    """On the fitted cycles, from which the held-out ones are asked about a law."""
     law_least_share: float = 0.25
     """Of what is left that a law must take on held-out cycles."""
     law_least_cycles_share: float = 0.6

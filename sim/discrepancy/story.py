@@ -24,6 +24,9 @@ from sim.discrepancy.heat import HOUR, implied_heat, since_switch
 from sim.discrepancy.held_out import HeldOutRun
 from sim.sha import Array, shown_unit
 
+LEAST_SHOWN_SHARE = 0.01
+"""Shares below it are said to be."""
+
 
 def sentence_of(
     verdict: Verdict,
@@ -40,11 +43,12 @@ def sentence_of(
     began: GapBeginning | None = None,
     gap: bool = True,
     little: str = "",
+    none_of_these: float | None = None,
 ) -> str:
     """The verdict in one or two sentences; errors are in `unit`, as people read it.
 
     `gap`: over the held-out cycles the free run is further off than chance makes of the noise. `little`: why that it is
-    not says nothing (`little_sentence`).
+    not says nothing (`little_sentence`). `none_of_these`: how likely what is missing is none of the effects.
     """
     if verdict == "too-little-data" and not little:
         return f"Too little data: {cycles} cycle{'s' if cycles != 1 else ''} cannot tell an effect from chance."
@@ -82,10 +86,11 @@ def sentence_of(
         )
         gain += "" if all(each.shrinking_shown for each in effects) else " The shrinking is not shown."
     if verdict == "named":
-        names = " and ".join(f"{effect.name} ({effect.plain})" for effect in effects)
-        return f"Missing in the model: {names}.{since}{gain}{moved}"
+        names = " and ".join(f"{effect.name} ({effect.plain}), {effect.confidence:.2f}" for effect in effects)
+        return f"Missing in the model: {names}{none_words(none_of_these)}.{since}{gain}{moved}"
     if verdict == "class":
-        names = "; ".join(" or ".join(effect.members) for effect in effects)
+        names = "; ".join(f"{' or '.join(effect.members)}, {effect.confidence:.2f}" for effect in effects)
+        names += none_words(none_of_these)
         return f"Something is missing that these data cannot tell apart: {names}.{since}{gain}{moved}"
     where = "the free run is further off than noise allows, in no particular place."
     if not gap:
@@ -126,6 +131,15 @@ def little_sentence(floor: NoiseFloor, held: HeldOutProof, varies: float, least:
     return f"{said} About {np.ceil(times):.0f} times as much of it is needed."
 
 
+def none_words(share: float | None) -> str:
+    """How likely what is missing is none of the names, as the end of a sentence; "" where nothing is named."""
+    if share is None:
+        return ""
+    return (
+        f"; none of these {share:.2f}" if share >= LEAST_SHOWN_SHARE else f"; none of these below {LEAST_SHOWN_SHARE}"
+    )
+
+
 def beginning_sentence(began: GapBeginning, unit: str) -> str:
     """Since when the machine is warmer or cooler than before, and how sure the date is; `unit` as people read it."""
     low, moment, high = (shown_time(time) for time in (began.interval[0], began.time, began.interval[1]))
@@ -138,6 +152,12 @@ def beginning_sentence(began: GapBeginning, unit: str) -> str:
         f"It begins with the {what} of {moment} (between {low} and {high}): since then the machine is "
         f"{_warmer(began.moves, unit)} {how} than before{more} ({began.before} {count} before, {began.after} after)."
     )
+
+
+def beginning_reason(began: GapBeginning, unit: str) -> str:
+    """Why a beginning is a gap, whatever the held-out cycles say; `unit` as people read it."""
+    how, size = "while the machine runs" if began.running else "at rest", f"{abs(began.moves):.2g} {unit}"
+    return f"from {shown_time(began.time)} on the free run errs by {size} more {how} (p = {began.p:.1g})"
 
 
 def _warmer(moves: float, unit: str) -> str:

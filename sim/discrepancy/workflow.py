@@ -4,7 +4,7 @@ The order is that of docs/discrepancy.md. Nothing is named unless the likelihood
 and the held-out cycles agree; what is not named is described.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +33,7 @@ from sim.discrepancy.fitting import (
     record_of,
 )
 from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors
-from sim.discrepancy.held_out import HeldOutRun, compared, let_run
+from sim.discrepancy.held_out import HeldOutRun, as_given, compared, let_run, surely_nearer
 from sim.discrepancy.judging import (
     NamingResult,
     above,
@@ -55,8 +55,9 @@ from sim.discrepancy.locate import places
 from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
+from sim.discrepancy.posterior import NamesEvidence, gains_of, names_evidence, posterior, shares_left
 from sim.discrepancy.rules import RULES, DecisionRules
-from sim.discrepancy.story import course_of, little_sentence, sentence_of
+from sim.discrepancy.story import beginning_reason, course_of, little_sentence, sentence_of
 from sim.effects import ROLES, in_sensor_scale, signals_of
 from sim.sha import Array, EffectLine, Model, Trace, shown_unit, unit_of
 
@@ -70,12 +71,13 @@ Progress = Callable[[str, float], None]
 @dataclass(frozen=True, slots=True)
 class DiagnosisOutcome:
     """A diagnosis, the effects that it adds to the model, the fit that has them and the path to it (None with too
-    little data)."""
+    little data). `against` is what speaks against the names of the path, given or withheld; None where it has none."""
 
     diagnosis: Diagnosis
     named: tuple[Named, ...]
     fitted: Fitted | None
     path: NamingResult | None
+    against: NamesEvidence | None = None
 
 
 def diagnose(
@@ -87,6 +89,7 @@ def diagnose(
     lines: Sequence[EffectLine] = (),
     most: int = MOST_NAMES,
     experiments: Sequence[Trace] = (),
+    without: Container[str] = (),
     progress: Progress | None = None,
     rules: DecisionRules = RULES,
 ) -> DiagnosisOutcome:
@@ -94,8 +97,9 @@ def diagnose(
 
     `lines` are engineers' own effects, which are looked for beside the catalogue's. `roles` gives the signal of each
     role of these; those that no trace has take their effects off the table. `experiments` are traces of experiments
-    that were made to tell rivals apart: all of them are fitted, and none is held out. `rules` decide. Raises
-    ValueError, in one sentence, when the traces cannot be followed at all.
+    that were made to tell rivals apart: all of them are fitted, and none is held out. Names in `without` are not looked
+    for: a cause that has one is then outside of the catalogue. `rules` decide. Raises ValueError, in one sentence, when
+    the traces cannot be followed at all.
     """
     report = progress or (lambda _stage, _share: None)
     # Artefacts of the public learner know no unit: then that of the traces is the model's.
@@ -103,7 +107,7 @@ def diagnose(
     report("laying out the traces", 0.0)
     usual = in_order(traces)
     laid_out = [patiently(trace, model.alphabet) for trace in (*usual, *in_order(experiments))]
-    entries = catalogue(lines)
+    entries = tuple(entry for entry in catalogue(lines) if entry.name not in without)
     roles = {**roles, **own_roles(lines)}
     following = following_roles(model, laid_out, roles, rules)
     present = present_roles(laid_out, {role: each for role, each in roles.items() if role not in following})
@@ -153,7 +157,8 @@ def diagnose(
     else:
         # Nothing is added: what the report shows is the refit itself, or the model as given, if that is better.
         refit = judged.held.rmse_before
-        refused = felt(refit, judged.held.rmse_given, sensor, rules)
+        given, fitted = let_run(as_given(base), held_out), let_run(base, held_out)
+        refused = felt(refit, judged.held.rmse_given, sensor, rules) and surely_nearer(given, fitted, seed)
         base = after = given_fit(base) if refused else base
         held, first, second = compared(base, base, held_out, seed, floor)
         held = replace(held, rmse_refit=refit if refused else None)
@@ -168,7 +173,10 @@ def diagnose(
     elif material or began is not None:
         # Names that held-out cycles contradict are no evidence by themselves.
         verdict = "unexplained"
-        reasons = reasons or evidence_of(path, ceiling_before, proof.before)
+        # Where only the beginning shows it, what is said against names is that there is no gap but for that.
+        reasons = (reasons if material else ()) or evidence_of(path, ceiling_before, proof.before)
+        if began is not None:
+            reasons = (beginning_reason(began, shown_unit(model.unit)), *reasons)
         # The free run says it by itself: further off than chance makes of the noise.
         if gap:
             error, limit = f"{held.rmse_before:.3g}", f"{floor.interval[1]:.3g} {shown_unit(model.unit)}"
@@ -190,7 +198,14 @@ def diagnose(
     where = places(base, seed, rules)
     remaining = places(after, seed, rules) if kept else where
     shown = held.ci95 is not None and held.ci95[0] > 0.0
-    effects = tuple(replace(effect_of(step, after), shrinking_shown=shown) for step in path.taken) if kept else ()
+    taken = path.taken if kept else ()
+    against = names_evidence(judged.held, ceiling_before, judged.ceiling, rules)
+    sure = [posterior(gains_of(step), against, rules) for step in taken]
+    effects = tuple(
+        replace(effect_of(step, after, each.confidence(step.members)), shrinking_shown=shown)
+        for step, each in zip(taken, sure, strict=True)
+    )
+    none_of_these = max((each.none_of_these for each in sure), default=None)
     moved = shifts(after, rules)
     unexplained = remaining if verdict == "unexplained" or (kept and systematic(ceiling_after, rules)) else ()
     laws: tuple[CandidateLaw, ...] = ()
@@ -219,6 +234,7 @@ def diagnose(
             began=began,
             gap=gap,
             little=little,
+            none_of_these=none_of_these,
         ),
         reasons=reasons,
         effects=effects,
@@ -227,7 +243,7 @@ def diagnose(
         unexplained=unexplained,
         ceiling_before=ceiling_before,
         ceiling_after=ceiling_after if kept else None,
-        candidates=candidates_of(path.steps, kept),
+        candidates=candidates_of(path.looks, kept),
         material=material,
         traces=traces_of(path),
         absorbed=law,
@@ -249,6 +265,7 @@ def diagnose(
             "rough_memory_s": noise.memory,
             "lasting_sigma": noise.lasting,
             **{key: each.median for key, each in excesses.items() if each is not None},
+            **(shares_left(against) if kept else {}),
         },
         model_before=model.sha.name,
         model_after=None,
@@ -256,8 +273,9 @@ def diagnose(
         laws=laws,
         description=described,
         missing_heat=missing_heat(base, record, cycles[cycles >= first_held_out]),
+        none_of_these=none_of_these,
     )
-    return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after, path)
+    return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after, path, against if path.taken else None)
 
 
 def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str, str]:
@@ -359,7 +377,7 @@ def _with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor:
     What it does to the fitted cycles says little of what the model's parameters, which have made room for it there, are
     off by elsewhere.
     """
-    step, _ = path.steps[-1]
+    step = path.nuisances[0] if path.nuisances else path.steps[-1][0]
     rules = step.rules
     if path.taken or not immaterial(step) or dubious(step) or step.best is None or step.best.fitted is None:
         return path

@@ -49,6 +49,7 @@ from sim.effects.kinds import (
 from sim.effects.late import SETTLED, late_jumps, late_kept, late_mean, late_source
 from sim.effects.lines import LineError
 from sim.effects.random import DisturbanceStep, disturbance_step
+from sim.effects.rivals import UNMEASURED, moment_words
 from sim.effects.roles import SETTABLE
 
 __all__ = [
@@ -62,6 +63,7 @@ __all__ = [
     "SETTLED",
     "SINCE",
     "TEMPERATURE",
+    "UNMEASURED",
     "DisturbanceStep",
     "EffectCandidate",
     "EffectKind",
@@ -101,6 +103,7 @@ __all__ = [
     "late_kept",
     "late_mean",
     "late_source",
+    "moment_words",
     "names_in",
     "of_feature",
     "of_machine",

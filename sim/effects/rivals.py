@@ -4,7 +4,7 @@ Each is a heat or a loss along a record (`kind.RecordedLaw`) and a sentence in p
 Where one explains more than every name does, the gap is described and stays without a name.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import product
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from sim.effects.kind import (
     ABSOLUTE_SECONDS,
+    Acts,
     EffectCandidate,
     EffectKind,
     EffectRefusal,
@@ -72,6 +73,15 @@ def _step_words(p: Params) -> str:
     return f"heat that follows each step of the load and fades over {p['lag'] / 60.0:.0f} min"
 
 
+def _unmeasured(p: Params, view: RecordView) -> Array:
+    """Nothing that the record foresees: what comes and goes by itself is noise, and a fit has it there."""
+    return np.zeros_like(view.time)
+
+
+def _unmeasured_words(p: Params) -> str:
+    return f"heat from something that is not measured, that comes and goes over about {p['memory'] / HOUR:.1f} hours"
+
+
 def _daily(p: Params, view: RecordView) -> Array:
     """gain cos(2 pi (t - at) / period)."""
     return np.asarray(p["gain"] * np.cos(2.0 * np.pi * (view.time - p["at"]) / p["period"]))
@@ -118,21 +128,25 @@ def _fading_words(p: Params) -> str:
 
 
 def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
-    """Heat loss s (X - sink): s goes from 0 to 1 at `at`, or grows from there by 1 each `over` s (not 0)."""
+    """Heat loss s (X - sink): s goes from 0 to 1 at `at`, or grows from there by 1 each `over` s (not 0); all the time,
+    or while the machine runs, as what it drives itself cools."""
     p = effect.params
     since = view.time - p["at"]
-    loss = np.asarray(-p["loss"] * (np.maximum(since, 0.0) / p["over"] if p["over"] > 0 else 1.0 * (since >= 0)))
+    lost = np.maximum(since, 0.0) / p["over"] if p["over"] > 0 else 1.0 * (since >= 0)
+    loss = np.asarray(-p["loss"] * lost * (view.running if p["turning"] else 1.0))
     return loss * p["sink"], loss
 
 
 def _cooling_words(p: Params) -> str:
-    return f"less cooling {'more and more ' if p['over'] > 0 else ''}since {moment_words(p['at'])}"
+    way = "less" if p["loss"] >= 0 else "more"
+    while_ = "while the machine runs, " if p["turning"] else ""
+    return f"{way} cooling {while_}{'more and more ' if p['over'] > 0 else ''}since {moment_words(p['at'])}"
 
 
-GAIN = Parameter(unit="degC/s", rescaled="scaled")
-MOMENT = Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays")
 CLOCK_DAYS = 2.0
 """Days beyond which a record shows what comes with the time of day: an hour that came once is a moment."""
+UNMEASURED = "unmeasured-neighbour"
+"""The rival that has no course along a record: a heat that wanders, which a fit has in its noise."""
 
 
 def _has_days(log: MachineLog) -> bool:
@@ -141,166 +155,176 @@ def _has_days(log: MachineLog) -> bool:
 
 SECONDS = Parameter(unit="s", positive=True, rescaled="stays")
 CHOICE = Parameter(unit="1", low=0.0, high=1.0, whole=True, rescaled="stays")
+PARAMETERS: Mapping[str, Parameter] = {
+    "gain": Parameter(unit="degC/s, for each unit of the signal where one is read", rescaled="scaled"),
+    "sigma": Parameter(unit="degC/s", positive=True, rescaled="scaled"),
+    "loss": Parameter(unit="1/s", low=0.0, rescaled="stays"),
+    "sink": Parameter(unit="degC", rescaled="mapped"),
+    "at": Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays"),
+    "over": Parameter(unit="s", low=0.0, rescaled="stays"),
+    **dict.fromkeys(("lag", "period", "length", "tau", "memory"), SECONDS),
+    **dict.fromkeys(("both", "turning"), CHOICE),
+}
+"""What a rival's parameters are, by their names."""
+ANY_TIME = (-1e12, 1e12)
 
 
-def _cooling(name: str, meaning: str, shapes: Callable[[MachineLog], Sequence[Params]]) -> EffectKind:
-    """A loss that becomes smaller at a moment, or from it on."""
+def _rival(
+    name: str,
+    meaning: str,
+    law: RecordedLaw,
+    words: Callable[[Params], str],
+    *,
+    parameters: tuple[str, ...],
+    shapes: Callable[[MachineLog], Sequence[Params]],
+    experiment: str,
+    look: str,
+    sign: float = 1.0,
+    acts: Acts = "running",
+    roles: Roles | None = None,
+    refine: Mapping[str, tuple[float, float]] | None = None,
+    widths: Mapping[str, float] | None = None,
+    burden: float = BURDEN,
+) -> EffectKind:
+    """A row of the table; the first of its parameters is the strength."""
     return EffectKind(
         name=name,
         meaning=meaning,
-        parameters={
-            "loss": Parameter(unit="1/s", low=0.0, rescaled="stays"),
-            "sink": Parameter(unit="degC", rescaled="mapped"),
-            "at": MOMENT,
-            "over": Parameter(unit="s", low=0.0, rescaled="stays"),
-        },
-        roles=Roles(),
-        acts="anywhere",
-        law=RecordedLaw(_less_cooling),
+        parameters={each: PARAMETERS[each] for each in parameters},
+        roles=roles or Roles(),
+        acts=acts,
+        law=law,
         bound=REFUSED,
         uppaal=REFUSED,
         candidate=EffectCandidate(
-            strength="loss",
-            sign=1.0,
-            experiment="clean the cooler or open the air's way, and compare the same load before and after",
-            look="what carries heat away: cooler, fan, filter, flow of oil and water, dirt on the housing",
+            strength=parameters[0],
+            sign=sign,
+            experiment=experiment,
+            look=look,
             shapes=shapes,
-            refine={"at": (-1e12, 1e12)},
-            widths={"at": 4 * HOUR},
-            burden=BURDEN,
-            words=_cooling_words,
+            refine=refine or {},
+            widths=widths or {},
+            burden=burden,
+            words=words,
         ),
     )
 
 
+def _cooling(name: str, meaning: str, shapes: Callable[[MachineLog], Sequence[Params]]) -> EffectKind:
+    """A loss that becomes smaller at a moment, or from it on."""
+    return _rival(
+        name,
+        meaning,
+        RecordedLaw(_less_cooling),
+        _cooling_words,
+        parameters=("loss", "sink", "at", "over", "turning"),
+        shapes=lambda log: [
+            {**shape, "sink": log.cold, "turning": turning} for shape in shapes(log) for turning in (0.0, 1.0)
+        ],
+        acts="anywhere",
+        refine={"at": ANY_TIME},
+        widths={"at": 4 * HOUR},
+        experiment="clean the cooler or open the air's way, and compare the same load before and after",
+        look="what carries heat away: cooler, fan, filter, flow of oil and water, dirt on the housing",
+    )
+
+
 RIVAL_KINDS = (
-    EffectKind(
-        name="heat-after-load-steps",
-        meaning="heat that follows each step of the load and fades",
-        parameters={
-            "gain": Parameter(unit="degC/s per unit of the signal", rescaled="scaled"),
-            "lag": SECONDS,
-            "both": CHOICE,
-        },
+    _rival(
+        "heat-after-load-steps",
+        "heat that follows each step of the load and fades",
+        _heat_only(_after_steps),
+        _step_words,
+        parameters=("gain", "lag", "both"),
         roles=Roles(needed=(CURRENT,)),
-        acts="running",
-        law=_heat_only(_after_steps),
-        bound=REFUSED,
-        uppaal=REFUSED,
-        candidate=EffectCandidate(
-            strength="gain",
-            sign=1.0,
-            experiment="step the load up and down twice within an hour, without a stop",
-            look="what each change of the load does: belt, coupling, scroll, the grease as the load settles",
-            shapes=lambda _: [
-                {"lag": lag, "both": both} for lag, both in product((60.0, 180.0, 480.0, 1200.0), (0.0, 1.0))
-            ],
-            refine={"lag": (20.0, 7200.0)},
-            words=_step_words,
-        ),
+        shapes=lambda _: [
+            {"lag": lag, "both": both} for lag, both in product((60.0, 180.0, 480.0, 1200.0), (0.0, 1.0))
+        ],
+        refine={"lag": (20.0, 7200.0)},
+        burden=0.0,
+        experiment="step the load up and down twice within an hour, without a stop",
+        look="what each change of the load does: belt, coupling, scroll, the grease as the load settles",
     ),
-    EffectKind(
-        name="heat-by-the-clock",
-        meaning="heat that comes with the time of day",
-        parameters={"gain": GAIN, "at": MOMENT, "period": SECONDS},
-        roles=Roles(),
+    _rival(
+        "heat-by-the-clock",
+        "heat that comes with the time of day",
+        _heat_only(_daily),
+        _daily_words,
+        parameters=("gain", "at", "period"),
+        sign=0.0,
         acts="anywhere",
-        law=_heat_only(_daily),
-        bound=REFUSED,
-        uppaal=REFUSED,
-        candidate=EffectCandidate(
-            strength="gain",
-            sign=0.0,
-            experiment="log the room for three days, with a night at rest",
-            look="what goes by the hour beside the machine: sun, ventilation, heating, another machine",
-            shapes=lambda log: [
-                {"period": period, "at": period / 2.0 * number / 4.0}
-                for period, number in product((DAY, DAY / 2.0), range(4))
-                if _has_days(log)
-            ],
-            refine={"at": (0.0, DAY)},
-            widths={"at": 6 * HOUR},
-            burden=BURDEN,
-            words=_daily_words,
-        ),
+        shapes=lambda log: [
+            {"period": period, "at": period / 2.0 * number / 4.0}
+            for period, number in product((DAY, DAY / 2.0), range(4))
+            if _has_days(log)
+        ],
+        refine={"at": (0.0, DAY)},
+        widths={"at": 6 * HOUR},
+        experiment="log the room for three days, with a night at rest",
+        look="what goes by the hour beside the machine: sun, ventilation, heating, another machine",
     ),
-    EffectKind(
-        name="heat-in-a-shift",
-        meaning="heat that comes with a shift",
-        parameters={"gain": GAIN, "at": MOMENT, "length": SECONDS, "turning": CHOICE},
-        roles=Roles(),
+    _rival(
+        "heat-in-a-shift",
+        "heat that comes with a shift",
+        _heat_only(_in_shift),
+        _shift_words,
+        parameters=("gain", "at", "length", "turning"),
+        sign=0.0,
         acts="anywhere",
-        law=_heat_only(_in_shift),
-        bound=REFUSED,
-        uppaal=REFUSED,
-        candidate=EffectCandidate(
-            strength="gain",
-            sign=0.0,
-            experiment="run the same load in each shift, on three days",
-            look="what a shift does differently: feed, doors, settings, another machine",
-            shapes=lambda log: [
-                {"at": hour * HOUR, "length": length * HOUR, "turning": turning}
-                for (length, hours), turning in product(((8.0, range(0, 24, 2)), (12.0, range(0, 12, 2))), (0.0, 1.0))
-                for hour in hours
-                if _has_days(log)
-            ],
-            refine={"at": (0.0, DAY), "length": (2 * HOUR, 22 * HOUR)},
-            widths={"at": 3 * HOUR, "length": 3 * HOUR},
-            burden=BURDEN,
-            words=_shift_words,
-        ),
+        shapes=lambda log: [
+            {"at": hour * HOUR, "length": length * HOUR, "turning": turning}
+            for (length, hours), turning in product(((8.0, range(0, 24, 2)), (12.0, range(0, 12, 2))), (0.0, 1.0))
+            for hour in hours
+            if _has_days(log)
+        ],
+        refine={"at": (0.0, DAY), "length": (2 * HOUR, 22 * HOUR)},
+        widths={"at": 3 * HOUR, "length": 3 * HOUR},
+        experiment="run the same load in each shift, on three days",
+        look="what a shift does differently: feed, doors, settings, another machine",
     ),
-    EffectKind(
-        name="heat-at-weekends",
-        meaning="heat that comes with the weekday",
-        parameters={"gain": GAIN},
-        roles=Roles(),
-        acts="running",
-        law=_heat_only(_on_weekends),
-        bound=REFUSED,
-        uppaal=REFUSED,
-        candidate=EffectCandidate(
-            strength="gain",
-            sign=0.0,
-            experiment="run the same load on a working day and at a weekend",
-            look="what is different at weekends: feed, staff, ventilation, other machines",
-            shapes=lambda log: [{}] if log.time[-1] - log.time[0] > 7 * DAY else [],
-            burden=BURDEN,
-            words=_weekend_words,
-        ),
+    _rival(
+        "heat-at-weekends",
+        "heat that comes with the weekday",
+        _heat_only(_on_weekends),
+        _weekend_words,
+        parameters=("gain",),
+        sign=0.0,
+        shapes=lambda log: [{}] if log.time[-1] - log.time[0] > 7 * DAY else [],
+        experiment="run the same load on a working day and at a weekend",
+        look="what is different at weekends: feed, staff, ventilation, other machines",
     ),
-    EffectKind(
-        name="heat-after-an-event",
-        meaning="heat after an event, fading over running hours",
-        parameters={"gain": GAIN, "at": MOMENT, "tau": SECONDS},
-        roles=Roles(),
-        acts="running",
-        law=_heat_only(_fading),
-        bound=REFUSED,
-        uppaal=REFUSED,
-        candidate=EffectCandidate(
-            strength="gain",
-            sign=1.0,
-            experiment="do again what was done then, and watch the same load for as many hours",
-            look="what was done to the machine then: greasing, a new part, a cleaning",
-            shapes=lambda log: [{"at": at, "tau": hours * HOUR} for at, hours in product(_moments(log), (2.0, 6.0))],
-            refine={"tau": (0.5 * HOUR, 60 * HOUR), "at": (-1e12, 1e12)},
-            widths={"at": 4 * HOUR},
-            burden=BURDEN,
-            words=_fading_words,
-        ),
+    _rival(
+        "heat-after-an-event",
+        "heat after an event, fading over running hours",
+        _heat_only(_fading),
+        _fading_words,
+        parameters=("gain", "at", "tau"),
+        shapes=lambda log: [{"at": at, "tau": hours * HOUR} for at, hours in product(_moments(log), (2.0, 6.0))],
+        refine={"tau": (0.5 * HOUR, 60 * HOUR), "at": ANY_TIME},
+        widths={"at": 4 * HOUR},
+        experiment="do again what was done then, and watch the same load for as many hours",
+        look="what was done to the machine then: greasing, a new part, a cleaning",
     ),
     _cooling(
         "less-cooling",
         "less cooling from some moment on",
-        lambda log: [{"at": at, "over": 0.0, "sink": log.cold} for at in _moments(log)],
+        lambda log: [{"at": at, "over": 0.0} for at in _moments(log)],
     ),
     _cooling(
         "less-and-less-cooling",
         "a cooling that grows less from some moment on",
-        lambda log: [
-            {"at": at, "over": float(log.time[-1]) - at, "sink": log.cold} for at in [log.time[0], *_moments(log)[::2]]
-        ],
+        lambda log: [{"at": at, "over": float(log.time[-1]) - at} for at in [log.time[0], *_moments(log)[::2]]],
+    ),
+    _rival(
+        UNMEASURED,
+        "heat from something that is not measured",
+        _heat_only(_unmeasured),
+        _unmeasured_words,
+        parameters=("sigma", "memory"),
+        acts="anywhere",
+        shapes=lambda _: [],
+        experiment="log the room and the machines beside this one for some days",
+        look="what is beside the machine and not recorded: another machine, a pipe, a heating, a door",
     ),
 )
 """Kinds that a diagnosis holds beside the names, and that no engine executes."""

@@ -140,6 +140,8 @@ def test_a_heat_that_begins_half_way_is_dated_whatever_name_was_tried_for_it() -
     assert low - trace.times[0] <= BEGINS <= high - trace.times[0]
     assert (found.began.before, found.began.after) == (6, 9)
     assert beginning_sentence(found.began, "°C") in found.sentence
+    assert found.reasons[0].startswith(f"from {shown_time(found.began.time)} on") and found.verdict == "unexplained"
+    assert not any("there is no gap" in reason for reason in found.reasons), found.reasons
     # The picture shows it by itself.
     heat = found.missing_heat
     assert heat is not None

@@ -1,5 +1,7 @@
 """Free runs with effects: what scatters is formed as what is fitted, and a course with a valve stands still."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,27 @@ def test_a_course_with_a_thermostat_stands_still(frame: Frame) -> None:
     assert 0.1 < opened[running].mean() < 0.9, "the valve opens and closes"
     again = state_with(frame, "thermostatic-cooling", VALVE, state.course)
     np.testing.assert_allclose(again.course, state.course, atol=1e-6)
+
+
+def test_a_housing_is_as_warm_where_a_run_begins_as_the_readings_before_have_left_it(frame: Frame) -> None:
+    """Cycles that are held out begin warm: a housing as cold as the bearing there would be missed heat."""
+    whole = state_with(frame, "housing-thermal-mass", {"coupling": 2e-4, "tau": 7200.0})
+    record = frame.record
+    measured = replace(
+        record,
+        runs=replace(record.runs, reading=np.where(np.isfinite(record.runs.reading), whole.course, np.nan)),
+        uncut=replace(record.uncut, reading=np.interp(record.uncut.time, record.runs.time, whole.course)),
+    )
+    cut = frame_of(measured.by_cycles())
+    named = Named(
+        next(entry for entry in catalogue() if entry.name == "housing-thermal-mass"),
+        {},
+        {"coupling": 2e-4, "tau": 7200.0},
+    )
+    first = cut.record.runs.first
+    again = at(cut, np.concatenate([frame.centre, [2e-4]]), whole.course[first], [named])
+    assert first.sum() > 3
+    np.testing.assert_allclose(again.course, whole.course, atol=0.02)
 
 
 SHAPES: dict[str, tuple[dict[str, str], dict[str, float]]] = {

@@ -24,7 +24,7 @@ from sim.discrepancy.story import held_out_sentence, little_sentence
 from sim.discrepancy.workflow import diagnose
 from sim.engine import linear_recursion
 from sim.sha import Distribution, Model, Trace
-from tests.discrepancy.plants import TARGETS, model, plant, simulated
+from tests.discrepancy.plants import TARGETS, model, plant, simulated, sparse
 
 MOST = RULES.floor_parameters_most_times
 FOUR_DAYS = 12
@@ -99,6 +99,16 @@ def test_what_wrong_parameters_err_by_is_at_most_what_the_noise_does_in_each_cyc
         errs, drawn = predicted(trial, cycles, noise - limit_parameter_errors(trial, size * wrong, noise, MOST))
         assert (errs <= most * alone * (1 + 1e-9)).all() and drawn.size == 50
     assert errs == pytest.approx(MOST * alone), "from the same draws as the interval"
+
+
+def test_what_turns_between_two_rows_of_a_slow_recorder_is_no_gap() -> None:
+    """Learned from rows of seconds, a model states nothing of switches that are known to a minute only."""
+    provenance = replace(model().provenance, scores={"held_out_rmse": 0.1})
+    proud = replace(model(), alphabet=replace(model().alphabet, gap=60.0), provenance=provenance)
+    usual, slow = (sparse(plant(1), every) for every in (1, 4))
+    stated = [float(np.mean(stated_errors(proud, [trace], parts(proud, trace)[0]))) for trace in (usual, slow)]
+    assert stated[0] < 0.1
+    assert stated[1] > 1.5 * stated[0]
 
 
 def test_what_all_equal_cycles_err_by_alike_is_no_noise() -> None:

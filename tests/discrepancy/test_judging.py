@@ -65,7 +65,9 @@ def test_heat_is_not_judged_where_a_change_is_on_its_way_through_a_dead_time() -
     soon = np.array([np.any((time > changes + 60.0) & (time < changes + REACH * 120.0)) for time in record.times])
     assert np.isnan(implied_heat(delayed)[soon]).all()
     assert 0.3 < np.isfinite(implied_heat(delayed)).mean() < 0.95
-    assert np.isnan(implied_heat(base)).sum() == base.grid.first.sum()
+    # Where the switch fell between two rows by more than the sensor errs nothing is known without a delay either.
+    unknown = base.grid.first | (base.grid.late > base.noise.sensor**2)
+    np.testing.assert_array_equal(np.isnan(implied_heat(base)), unknown)
 
 
 @pytest.mark.parametrize(

@@ -69,9 +69,11 @@ def test_heat_that_the_fit_took_for_noise_of_any_kind_is_still_heat(
     assert np.mean(found.mean[inside]) == pytest.approx(PUT, rel=0.25)
 
 
-def test_one_heat_has_the_strength_of_all_three(base: Fitted) -> None:
-    noise = as_one_heat(replace(base, noise=replace(base.noise, process=0.004, rough=0.0, cycle=0.0, memory=800.0)))
-    assert noise.rough == pytest.approx(0.004 / np.sqrt(2 * 800.0)) and noise.rest == 1.0
+@pytest.mark.parametrize("still", [1.0, 0.5])
+def test_one_heat_has_the_strength_of_all_three(base: Fitted, still: float) -> None:
+    white = replace(base.noise, process=0.004, rough=0.0, cycle=0.0, memory=800.0, still=still)
+    noise = as_one_heat(replace(base, noise=white))
+    assert noise.rough == pytest.approx(0.004 / np.sqrt(2 * 800.0)) and noise.rest == still
     assert (noise.process, noise.cycle) == (0.0, 0.0)
 
 

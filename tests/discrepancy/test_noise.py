@@ -21,7 +21,7 @@ from sim.engine.recursion import linear_recursion
 from sim.learning.runs import Indices
 from sim.sha.trace import Array, Mask
 
-NOISE = NoiseModel(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)
+NOISE = NoiseModel(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4, still=0.3)
 LASTING = replace(NOISE, lasting=0.2, fades=80.0)
 """The same with an error of the reading that lasts for a step or two."""
 
@@ -67,7 +67,8 @@ def dense_states(grid: Grid, noise: NoiseModel) -> Array:
             continue
         share = noise.rest + (1 - noise.rest) * grid.running[row]
         drift = np.array([[-grid.k[row], share], [0.0, -1.0 / noise.memory]])
-        white = np.diag([noise.process**2, 2.0 * noise.rough**2 / noise.memory])
+        process = noise.process**2 * (grid.running[row] + (1 - grid.running[row]) * noise.still**2)
+        white = np.diag([process, 2.0 * noise.rough**2 / noise.memory])
         both = expm(np.block([[-drift, white], [np.zeros((2, 2)), drift.T]]) * grid.dt[row])
         move = both[2:, 2:].T
         before = slice(2 * row - 2, 2 * row)

@@ -80,6 +80,28 @@ def test_what_a_start_draws_in_its_first_seconds_is_believed_of_no_law() -> None
     assert all(min(abs(jump - one) for one in after) < 1e-9 for jump in jumps[1][quiet])
 
 
+def test_what_a_start_draws_comes_late_where_the_heat_of_the_current_does() -> None:
+    """All of it, and afterwards: else a lag of the sensor would be what is left of it."""
+    trace = plant(1, days=1, period=5.0)
+    on = trace.signals["MarciaDecanter"]
+    starts = np.flatnonzero(np.diff(on) > 0) + 1
+    current = trace.signals["Assorbimento"].copy()
+    after = current[starts + 1]
+    current[starts] = 400.0
+    rows = replace(trace, signals={**trace.signals, "Assorbimento": current}, events=())
+    frame = frame_of(record_of(model(), [replace(rows, events=encode(rows, ALPHABET))], ("Assorbimento",)))
+    late = next(entry for entry in catalogue() if entry.name == "late-current-heating")
+    jumps = []
+    for gain in (1e-9, 1e-4):
+        heat = Named(late, {"current": "Assorbimento"}, {"gain": gain, "reference": 200.0, "lag": 60.0})
+        state = run_free(frame, *np.split(frame.centre, [frame.count[0]]), np.array([17.0]), named=[heat])
+        jumps.append(inrush(frame, state))
+    of_heat = jumps[1] - jumps[0]
+    rushed = frame.record.rushed
+    assert np.sum(of_heat) == pytest.approx(1e-4 * np.sum(400.0 - after) * 5.0, rel=0.02)
+    assert np.sum(of_heat[~rushed]) > 0.8 * np.sum(of_heat)
+
+
 def test_jumps_are_in_the_covariance_of_the_windows_after_them() -> None:
     record = record_of(model(), [sparse(plant(1, days=1, period=5.0), 12)], ())
     frame = frame_of(record)

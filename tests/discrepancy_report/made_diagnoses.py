@@ -204,4 +204,5 @@ def of(verdict: Verdict) -> Diagnosis:
         held_out=held_out(),
         course=course(),
         model_after="model",
+        none_of_these=0.02,
     )

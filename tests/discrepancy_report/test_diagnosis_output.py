@@ -101,6 +101,39 @@ def flat(html: str) -> str:
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
+def test_what_is_named_has_a_share_of_none_of_these_and_nothing_else_has(verdict: Verdict) -> None:
+    made, page = document(of(verdict)), flat(html_of(of(verdict)))
+    assert ("none_of_these" in made) == bool(made["effects"]) == ("none of these" in page)
+    if made["effects"]:
+        assert made["none_of_these"] == 0.02 and "2 % none of these" in page
+        assert made["effects"][0]["confidence"] + made["none_of_these"] <= 1.0
+
+
+def test_the_sentence_of_a_name_says_how_sure_it_is_and_how_likely_none_of_these_is() -> None:
+    sure = replace(of("named").effects[0], confidence=0.93)
+    said = {
+        share: sentence_of(
+            "named",
+            (sure,),
+            unexplained=(),
+            shifts=(),
+            held=None,
+            cycles=11,
+            unit="°C",
+            none_of_these=share,
+        )
+        for share in (0.05, 0.002)
+    }
+    assert said[0.05].endswith("while it runs), 0.93; none of these 0.05.")
+    assert said[0.002].endswith("0.93; none of these below 0.01.")
+    either = replace(sure, members=("pump-cooling", "feed-temperature-coupling"))
+    said_of_class = sentence_of(
+        "class", (either,), unexplained=(), shifts=(), held=None, cycles=11, unit="°C", none_of_these=0.05
+    )
+    assert said_of_class.endswith("pump-cooling or feed-temperature-coupling, 0.93; none of these 0.05.")
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
 def test_the_document_has_the_keys_of_the_interface_for_every_verdict(verdict: Verdict) -> None:
     made = json.loads(document_text(of(verdict)), parse_constant=pytest.fail)
     assert list(made)[:8] == [*KEYS, "model_after"] and made["verdict"] == verdict

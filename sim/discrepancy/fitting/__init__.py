@@ -10,14 +10,32 @@ from sim.discrepancy.fitting.course import (
     friction_heat,
     grid_at,
     sensitivity,
+    unseen_switches,
 )
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged_signal, on_sensor
-from sim.discrepancy.fitting.free_run_fit import Fitted, fit, given_fit, readings_in_window, rounding
+from sim.discrepancy.fitting.free_run_fit import (
+    Fitted,
+    averaged_readings,
+    fit,
+    given_fit,
+    readings_in_window,
+    rounding,
+    with_heats,
+)
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
 from sim.discrepancy.fitting.noise import Grid, NoiseModel, Whitener, decay_and_pull
-from sim.discrepancy.fitting.record import Record, first_cycle_after, in_order, overlapping, patiently, record_of
+from sim.discrepancy.fitting.record import (
+    SLOW,
+    Record,
+    first_cycle_after,
+    in_order,
+    overlapping,
+    patiently,
+    record_of,
+)
 
 __all__ = [
+    "SLOW",
     "CatalogueEntry",
     "CourseState",
     "Fitted",
@@ -31,6 +49,7 @@ __all__ = [
     "as_read",
     "as_sensed",
     "at",
+    "averaged_readings",
     "catalogue",
     "decay_and_pull",
     "effects_of",
@@ -58,4 +77,6 @@ __all__ = [
     "sensitivity",
     "shown_locations",
     "signals_of",
+    "unseen_switches",
+    "with_heats",
 ]

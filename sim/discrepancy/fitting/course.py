@@ -13,10 +13,18 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from sim.discrepancy.fitting.baseline import Frame
-from sim.discrepancy.fitting.effects import as_sensed, coupled, follows_course, heat_and_loss, on_sensor
+from sim.discrepancy.fitting.effects import (
+    as_sensed,
+    coupled,
+    deviation,
+    follows_course,
+    heat_and_loss,
+    late_inrush,
+    on_sensor,
+)
 from sim.discrepancy.fitting.named import Named, effects_of
 from sim.discrepancy.fitting.noise import Grid, decay_and_pull
-from sim.effects import Structural, is_gradual, kind_of
+from sim.effects import Structural, is_gradual, kind_of, lag_of
 from sim.engine import linear_recursion
 from sim.learning import RATES, steps
 from sim.sha import Array, Effect
@@ -328,9 +336,20 @@ def grid_at(frame: Frame, state: CourseState) -> Grid:
     )
 
 
-def lateness(frame: Frame, state: CourseState) -> Array:
+def unseen_switches(frame: Frame, state: CourseState, known_s: float) -> Array:
+    """(m,) degC^2 the variance of the windows by what turned somewhere in a row and is known from its end on, as far as
+    rows that take no longer than `known_s` (s) would not have it too."""
+    late = lateness(frame, state, known_s)
+    decay, _ = decay_and_pull(state.k + state.loss, frame.record.runs.dt)
+    decay = np.where(frame.record.runs.first, 0.0, decay)
+    apart = frame.record.windowed(linear_recursion(decay**2, (LATE_APART * late) ** 2, 0.0))
+    shared = frame.record.windowed(as_read(frame, state, jumped(frame, state, LATE_TOGETHER * late)))
+    return np.asarray(apart + shared**2)
+
+
+def lateness(frame: Frame, state: CourseState, known_s: float = 0.0) -> Array:
     """(n,) degC by which the course would be off from each knot on, had what turned at it (`Record.turned`) come a row
-    earlier.
+    earlier; of the row's length (its square) without what a row of `known_s` (s) hides as well.
 
     What changes between two rows is known from the later one on. It happened somewhere in the row, so that the
     temperature there is off by the change of the drift times a time between nothing and the row's length. Only at rows:
@@ -339,14 +358,15 @@ def lateness(frame: Frame, state: CourseState) -> Array:
     record, runs = frame.record, frame.record.runs
     change = np.append(np.diff(state.drive) - np.diff(state.k + state.loss) * state.course[:-1], 0.0)
     within = record.turned & np.append(~runs.first[1:], False) & ~runs.first & np.isfinite(runs.reading)
-    return np.asarray(np.where(within, change * runs.dt, 0.0))
+    return np.asarray(np.where(within, change * np.sqrt(np.maximum(runs.dt**2 - known_s**2, 0.0)), 0.0))
 
 
 def inrush(frame: Frame, state: CourseState) -> Array:
     """(n,) degC by which each knot would be off, had the drive of a start's first seconds been that after them.
 
     A motor that starts draws several times its current, which turns the drum and is no load: what laws of the current
-    say of it is known of no model. A row that falls into it has it for the row's whole length besides.
+    say of it is known of no model. A row that falls into it has it for the row's whole length besides. What laws say of
+    it comes late where their heat does.
     """
     record, runs = frame.record, frame.record.runs
     settled = np.flatnonzero(~record.rushed)
@@ -355,7 +375,11 @@ def inrush(frame: Frame, state: CourseState) -> Array:
     place = np.searchsorted(settled, np.arange(len(runs)))
     after = settled[np.minimum(place, settled.size - 1)]
     known = record.rushed & (place < settled.size) & (record.running[after] > 0.5) & (runs.run[after] == runs.run)
-    return np.asarray(np.where(known, (state.drive - state.drive[after]) * runs.dt, 0.0))
+    effects = [effect for named in state.named for effect in effects_of(named, record.model)]
+    late = [effect for effect in effects if not on_sensor(effect) and lag_of(effect) > 0]
+    at_once = state.drive - sum((deviation(record, effect) for effect in late), np.zeros(len(runs)))
+    beyond = sum((late_inrush(record, effect) for effect in late), np.zeros(len(runs)))
+    return np.asarray(np.where(known, at_once - at_once[after], 0.0) * runs.dt + beyond * runs.dt)
 
 
 def jumped(frame: Frame, state: CourseState, jumps: Array) -> Array:

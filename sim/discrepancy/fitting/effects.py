@@ -5,6 +5,7 @@ the step's middle where it varies by itself), while the automaton's own engine i
 are short against the plant's time constants both have one course (`tests/effects` has by how much they differ).
 """
 
+from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -65,8 +66,8 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
         case RecordedLaw() as law:
             heat, loss = law.heat_and_loss(effect, _view(record, effect))
         case Structural(feature="housing"):
-            coupling = effect.params["coupling"]
-            heat, loss = coupling * lagged(record, course, effect.params["tau"]), nothing + coupling
+            coupling, tau = effect.params["coupling"], effect.params["tau"]
+            heat, loss = coupling * lagged(record, course, tau, housing_starts(record, tau)), nothing + coupling
         case Structural(feature="thermostat"):
             if is_gradual(effect):
                 opened = (course > effect.params["opens"]).astype(float)
@@ -113,8 +114,24 @@ def deviation(record: Record, effect: Effect) -> Array:
 
     It follows from the signals alone, so it runs on through what was cut: over other cycles, and those held out.
     """
+    return _late(record, effect, {name: record.history(name) for name in effect.signals.values()})
+
+
+def late_inrush(record: Record, effect: Effect) -> Array:
+    """(n,) degC/s: what comes late of that which starts draw in their first seconds (`Record.rushed`), beyond what they
+    draw after them."""
+    rushed = np.zeros(len(record.uncut), dtype=bool)
+    rushed[record.kept] = record.rushed
+    settled = np.flatnonzero(~rushed)
+    after = settled[np.minimum(np.searchsorted(settled, np.arange(rushed.size)), settled.size - 1)]
+    signals = {name: record.history(name) for name in effect.signals.values()}
+    quiet = {name: np.where(rushed, column[after], column) for name, column in signals.items()}
+    return _late(record, effect, signals) - _late(record, effect, quiet)
+
+
+def _late(record: Record, effect: Effect, signals: Mapping[str, Array]) -> Array:
     uncut = record.uncut
-    source = late_source(effect, {name: record.history(name) for name in effect.signals.values()})
+    source = late_source(effect, signals)
     jumps = late_jumps(np.concatenate([source[:1], source[:-1]]), source)
     kept = np.concatenate([[0.0], late_kept(effect, uncut.dt[:-1])])
     begins = linear_recursion(np.where(uncut.first, 0.0, kept), np.where(uncut.first, 0.0, jumps), 0.0)
@@ -144,13 +161,33 @@ def held(record: Record, name: str) -> Array:
     return np.where(known, column, float(np.mean(column[known])) if known.any() else 0.0)
 
 
-def lagged(record: Record, column: Array, lag: float) -> Array:
-    """A column (n,) through a first-order lag (s), from its first value in each run."""
+def lagged(record: Record, column: Array, lag: float, starts: Array | None = None) -> Array:
+    """A column (n,) through a first-order lag (s), in each run from its first value, or from that of `starts` (n,)."""
     if lag <= 0:
         return column
     runs = record.runs
     keep = np.where(runs.first, 0.0, np.exp(-runs.dt / lag))
-    return linear_recursion(keep, (1.0 - keep) * column, 0.0)
+    pushed = (1.0 - keep) * column
+    return linear_recursion(keep, pushed if starts is None else np.where(runs.first, starts, pushed), 0.0)
+
+
+def housing_starts(record: Record, tau: float) -> Array:
+    """(n,) degC of a housing of time constant `tau` (s) at each knot, as the readings up to there have warmed it.
+
+    A run may begin where a record is cut, or held-out cycles are: the housing is then as warm as what came before has
+    left it. It begins with the first reading of all, and over a gap the temperature is taken to go straight on.
+    """
+    uncut = record.uncut
+    read = np.isfinite(uncut.reading)
+    time, reading = uncut.time[read], uncut.reading[read]
+    # Exact for a temperature that goes straight from reading to reading (first-order hold).
+    passed = np.diff(time, prepend=time[:1]) / tau
+    keep = np.exp(-passed)
+    mean = np.where(passed > 1e-8, -np.expm1(-passed) / np.where(passed > 1e-8, passed, 1.0), 1.0)
+    before = np.concatenate([reading[:1], reading[:-1]])
+    pushed = reading - keep * before - (reading - before) * mean
+    pushed[0], keep[0] = reading[0], 0.0
+    return np.interp(record.runs.time, time, linear_recursion(keep, pushed, 0.0))
 
 
 def lagged_signal(record: Record, column: Array, lag: float) -> Array:

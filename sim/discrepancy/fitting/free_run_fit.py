@@ -7,7 +7,7 @@ strengths of the effects are maximised.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -30,8 +30,15 @@ STRIDE = 2.0
 """degC by which such a step may move a threshold."""
 AT_REST = 0.95
 """The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
+SLIGHT = 3e-4
+"""degC/s of rough heat: that of a slightly rough plant. A model's own heat that is less says nothing of what acts at
+rest."""
+LEAST_STILL = 0.02
+"""Times the process noise while the machine runs that is believed of it at rest at least."""
 MOVING = 0.5
 """The share of readings that differ from the one before, up to which a course is a staircase."""
+LEAST_SCATTER = 1e-5
+"""The relative scatter of the friction below which there is none."""
 SETTLED = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
@@ -65,14 +72,12 @@ class Fitted:
     @property
     def sensor_sigma(self) -> float:
         """degC the standard deviation of a single reading."""
-        return float(self.noise.sensor * np.sqrt(readings_in_window(self.frame.record)))
+        return float(self.noise.sensor * np.sqrt(averaged_readings(self.frame.record)))
 
 
-def readings_in_window(record: Record) -> float:
-    """How many readings that err by themselves a window's mean is worth: fewer where the sensor's error lasts.
-
-    Windows are shorter after a switch: of as many readings each, they would err by as much (mean square over windows).
-    """
+def averaged_readings(record: Record) -> float:
+    """How many readings the windows' means are worth in the mean square over all windows, the short ones after a switch
+    among them; fewer where the sensor's error lasts."""
     count = np.diff(np.append(record.begins, record.rows.size))
     memory = record.model.sensor_memory
     if not memory:
@@ -85,20 +90,27 @@ def readings_in_window(record: Record) -> float:
     return 1.0 / float(np.mean(share))
 
 
+def readings_in_window(record: Record) -> float:
+    """How many readings that err by themselves a usual window's mean is worth: fewer where the sensor's error lasts."""
+    count = float(np.median(np.diff(np.append(record.begins, record.rows.size))))
+    memory = record.model.sensor_memory
+    between = float(np.median(np.diff(record.runs.time[record.rows]))) if memory else 0.0
+    return count / repeat_factor(memory, between) if memory else count
+
+
 def first_noise(model: Model, record: Record) -> NoiseModel:
-    """Where the search for the noise begins: the given model's sensor, process and heat with a memory.
+    """The belief's centre: the given model's sensor, process and heat with a memory.
 
     A model without such heat is taken for that of a slightly rough plant, which it holds for white noise.
     """
-    process = [location.flow.params.get("noise", 0.0) for location in model.sha.locations]
-    seen = [value for value in process if value > 0]
+    white, at_rest = stated_process(record)
     sensor = max(model.sensor_sigma, 0.02) / np.sqrt(readings_in_window(record))
     step = rounding(model, record)
     sensor = max(float(sensor), step)
-    white = float(np.median(seen)) if seen else 0.006
     heats = of_feature(model.sha, "disturbance")
+    still = min(max(at_rest / white, LEAST_STILL), 1.0)
     if not heats:
-        return NoiseModel(sensor=sensor, process=white / 2, rough=3e-4, cycle=0.01, lasting=step)
+        return NoiseModel(sensor=sensor, process=white / 2, rough=SLIGHT, cycle=0.01, still=still, lasting=step)
     learned = heats[0].params  # an automaton has one at most
     return NoiseModel(
         sensor=sensor,
@@ -106,9 +118,36 @@ def first_noise(model: Model, record: Record) -> NoiseModel:
         rough=max(learned["sigma"], LEAST_HEAT),
         cycle=0.01,
         memory=learned["memory"],
-        rest=AT_REST,
+        rest=AT_REST if learned["sigma"] >= SLIGHT else 0.5,
+        still=still,
         lasting=step,
     )
+
+
+def begin_noise(centre: NoiseModel) -> NoiseModel:
+    """Where the search for the noise begins: at the belief's centre, but never from next to no rough heat.
+
+    What is too little to be seen has no slope: the process noise would take all that a rough plant does.
+    """
+    return centre if centre.rough >= SLIGHT else replace(centre, rough=SLIGHT, process=centre.process / 2)
+
+
+def stated_process(record: Record) -> tuple[float, float]:
+    """(while the machine runs, at rest) degC/sqrt(s): the process noise that the model states, the mean square over the
+    steps of each; where it states none, or none of these steps are such, the other's."""
+    locations = record.model.sha.locations
+    # A constant flow holds a temperature of which nothing is known: its noise is that of not knowing.
+    told = [location.flow.params.get("noise", 0.0) * (location.flow.kind != "constant") for location in locations]
+    stated, running = np.array(told)[record.runs.place], record.running > 0.5
+    found = []
+    for those in (running, ~running):
+        those = those & (stated > 0) & ~record.runs.first
+        found.append(
+            float(np.sqrt(np.average(stated[those] ** 2, weights=record.runs.dt[those]))) if those.any() else 0.0
+        )
+    white, at_rest = found
+    white = white or at_rest or 0.006
+    return white, at_rest or white
 
 
 def rounding(model: Model, record: Record) -> float:
@@ -172,7 +211,7 @@ def fit(
     # Parameters under fixed noise, then the noise under fixed parameters, until the noise stands still: a wrong target
     # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
     belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
-    noise = belief.centre if begin is None else begin.noise
+    noise = begin_noise(belief.centre) if begin is None else begin.noise
     first = _allowed(named, np.concatenate([own, added]))
     point = _around(frame, at(frame, first, start, named), start, reading)
     for _ in range(rounds):
@@ -232,6 +271,23 @@ def noise_around(
         return -value, -slopes
 
     return fit_noise(cost, belief, noise, iterations)
+
+
+def with_heats(before: Fitted, heats: Array, iterations: int = 8) -> Fitted:
+    """The fit with further random heats in its noise, which is fitted anew; its course stays.
+
+    `heats` (m, c) degC is what a heat of one standard deviation of each does to the windows, at the noise's `cycle`:
+    they scatter together with the cycles' friction.
+    """
+    columns = np.column_stack([before.grid.heats, heats / max(before.noise.cycle, LEAST_SCATTER)])
+    # In the order in which they begin, as the cycles are.
+    begins = np.where((columns != 0.0).any(axis=0), np.argmax(columns != 0.0, axis=0), columns.shape[0])
+    grid = replace(before.grid, heats=columns[:, np.argsort(begins, kind="stable")])
+    frame, record = before.frame, before.frame.record
+    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    point = _Point(before.state, grid, before.residual, before.columns, before.off)
+    noise, cost = noise_around(point, frame, belief, before.noise, iterations)
+    return replace(before, grid=grid, noise=noise, likelihood=-cost)
 
 
 def largest_change(before: NoiseModel, after: NoiseModel) -> float:

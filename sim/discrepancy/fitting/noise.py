@@ -44,7 +44,8 @@ class NoiseModel:
     """Standard deviations: `sensor` degC, `process` degC/sqrt(s), `rough` degC/s with the `memory` (s), `cycle` (1).
 
     `cycle` is the relative scatter of the friction heat from cycle to cycle, `rest` the share of the rough heat that
-    acts at rest (0 to 1). `lasting` (degC) is u, an error of the reading with the memory `fades` (s); 0: there is none.
+    acts at rest (0 to 1), `still` how many times the process noise is at rest what it is while the machine runs.
+    `lasting` (degC) is u, an error of the reading with the memory `fades` (s); 0: there is none.
     """
 
     sensor: float
@@ -53,6 +54,7 @@ class NoiseModel:
     cycle: float
     memory: float = 600.0
     rest: float = 0.5
+    still: float = 1.0
     lasting: float = 0.0
     fades: float = 60.0
 
@@ -234,8 +236,8 @@ class Whitener:
         return linear_recursion(keep[:, None], np.sqrt(fresh)[:, None] * rng.standard_normal(size), np.zeros(size[1]))
 
 
-SENSOR, CYCLE, MEMORY = 0, 3, 4
-"""Places in `vector`."""
+SENSOR, CYCLE, MEMORY, LASTS = 0, 3, 4, 7
+"""Places in `vector`; from LASTS on stands the error that lasts."""
 SLOPE_STEP = 1e-4
 """By how much a coordinate is moved for the derivatives of the banded precision and of its determinant."""
 
@@ -264,7 +266,9 @@ def _products(left: Array, right: Array, rows: int) -> Array:
 
 def _steps(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[Array, Array, DisturbanceStep]:
     """(decay, variance of the process and of late switches, the rough heat's part of x) of the step to each window."""
-    variance = max(noise.process, LEAST_PROCESS) ** 2 * decay_and_pull(2 * grid.k, grid.dt)[1] + grid.late
+    white = grid.running + (1.0 - grid.running) * noise.still**2  # where part of a step ran: by variance
+    white = np.maximum(noise.process**2 * white, LEAST_PROCESS**2)
+    variance = white * decay_and_pull(2 * grid.k, grid.dt)[1] + grid.late
     # Of the heat only a share acts at rest: it is what reaches x, and the heat itself goes on as ever.
     share = noise.rest + (1.0 - noise.rest) * grid.running
     step = replace(rough, carried=share * rough.carried, xx=share**2 * rough.xx, xd=share * rough.xd)
@@ -344,23 +348,24 @@ def _lasting_steps(grid: Grid, noise: NoiseModel) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class WindowBelief:
-    """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory, and of
-    lasting and fades where the centre has an error that lasts.
+    """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory, of still,
+    and of lasting and fades where the centre has an error that lasts.
 
     The sensor's is not below `least` (degC).
     """
 
     centre: NoiseModel
     spread: tuple[float, float, float, float, float] = (1.0, 2.0, 2.0, 1.5, 0.7)
+    still: float = 1.0
     lasts: tuple[float, float] = (2.0, 0.7)
     least: float = 0.0
 
 
 def vector(noise: NoiseModel) -> Array:
-    """Unbounded coordinates: logarithms, and the logit of `rest`; those of the error that lasts where there is one."""
+    """Unbounded coordinates: logarithms, of `rest` the logit; those of the error that lasts where there is one."""
     logs = np.log([noise.sensor, noise.process, noise.rough, noise.cycle, noise.memory])
     lasts = np.log([noise.lasting, noise.fades]) if noise.lasting > 0 else np.empty(0)
-    return np.concatenate([logs, [np.log(noise.rest / (1.0 - noise.rest))], lasts])
+    return np.concatenate([logs, [np.log(noise.rest / (1.0 - noise.rest)), np.log(noise.still)], lasts])
 
 
 def noise_of(point: Array) -> NoiseModel:
@@ -373,7 +378,8 @@ def noise_of(point: Array) -> NoiseModel:
         cycle=cycle,
         memory=memory,
         rest=float(1.0 / (1.0 + np.exp(-point[5]))),
-        **(dict(zip(("lasting", "fades"), np.exp(point[6:]).tolist(), strict=True)) if point.size > 6 else {}),
+        still=float(np.exp(point[6])),
+        **(dict(zip(("lasting", "fades"), np.exp(point[LASTS:]).tolist(), strict=True)) if point.size > LASTS else {}),
     )
 
 
@@ -388,7 +394,7 @@ def fit_noise(
     The objective comes with its derivatives by the coordinates of `vector`.
     """
     centre = vector(belief.centre)
-    spread = np.array([*belief.spread, 1.0, *(belief.lasts if centre.size > 6 else ())])
+    spread = np.array([*belief.spread, 1.0, belief.still, *(belief.lasts if centre.size > LASTS else ())])
     start = vector(begin)
 
     def cost(point: Array) -> tuple[float, Array]:
@@ -401,8 +407,8 @@ def fit_noise(
     bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
     bounds[3] = bounds[3][0], MOST_SCATTER
     bounds[4] = SHORTEST, max(LONGEST, centre[4])
-    if centre.size > 6:
-        bounds[7] = BRIEFEST, SLOWEST
+    if centre.size > LASTS:
+        bounds[LASTS + 1] = BRIEFEST, SLOWEST
     optimum = scipy.optimize.minimize(
         cost,
         np.clip(start, [low for low, _ in bounds], [high for _, high in bounds]),

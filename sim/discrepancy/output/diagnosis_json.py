@@ -43,7 +43,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         held_out = asdict(diagnosis.held_out) | {"per_cycle": rows}
         held_out |= {"given": held_out.pop("rmse_given"), "refused_refit": held_out.pop("rmse_refit")}
         held_out["sentence"] = held_out_sentence(diagnosis)
-    content = {
+    content: dict[str, Any] = {
         "verdict": diagnosis.verdict,
         "effects": [_effect(effect) for effect in diagnosis.effects],
         "parameter_shift": [asdict(shift) for shift in diagnosis.shifts],
@@ -71,6 +71,8 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     }
     if diagnosis.began is not None:
         content["began"] = _beginning(diagnosis.began)
+    if diagnosis.none_of_these is not None:
+        content["none_of_these"] = diagnosis.none_of_these
     if diagnosis.experiment is not None:
         content["experiment"] = _experiment(diagnosis.experiment)
     return {key: strict(value) for key, value in content.items()}
