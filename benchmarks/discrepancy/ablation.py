@@ -84,7 +84,7 @@ def remembered() -> dict[Any, tuple[str, ...]]:
             "frame_of", "anchored", "on", "course_of", "floor_of", "excess", "beginning", "absorbed", "places",
             "shifts", "candidate_laws", "follows", "patiently",
         ),
-        naming: ("fit", "screen", "confirm", "_cosines"),
+        naming: ("fit", "screen", "confirm", "_cosines", "slow_heat", "with_heats"),
         path: ("fit",),
         judging: ("smooth_course", "sensor_noise", "foreseen_better", "greatest_heat", "fastest_movement"),
         gap: ("let_run", "predicted"),
