@@ -43,7 +43,8 @@ OFF: Mapping[str, Any] = {
     "beginning_least_cycles": 1, "beginning_most_p": -1.0, "beginning_wanders_from": inf,
     "place_most_p": 1.0, "place_least_share": 0.0, "place_least_correlation": 0.0,
     "moved_least_sigmas": 0.0, "moved_least_share": 0.0, "absorbed_least_p": 0.0, "absorbed_least_saved": 0,
-    "law_least_nats": -inf, "law_least_share": -inf, "law_least_cycles_share": 0.0, "law_same_least_cosine": inf,
+    "law_least_nats": -inf, "law_fitted_least_nats": -inf,
+    "law_least_share": -inf, "law_least_cycles_share": 0.0, "law_same_least_cosine": inf,
     "law_term_nats": 0.0, "law_further_least_share": 0.0,
 }  # fmt: skip
 """The value at which a rule decides nothing; of the share that is held out there is none."""
@@ -83,7 +84,7 @@ def remembered() -> dict[Any, tuple[str, ...]]:
             "frame_of", "anchored", "on", "course_of", "floor_of", "excess", "beginning", "absorbed", "places",
             "shifts", "candidate_laws", "follows", "patiently",
         ),
-        naming: ("fit", "screen", "confirm", "_cosines"),
+        naming: ("fit", "screen", "confirm", "_cosines", "slow_heat", "with_heats"),
         path: ("fit",),
         judging: ("smooth_course", "sensor_noise", "foreseen_better", "greatest_heat", "fastest_movement"),
         gap: ("let_run", "predicted"),
