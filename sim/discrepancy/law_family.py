@@ -174,12 +174,12 @@ def family(columns: LawColumns, running: Array, begin: float) -> list[LawForm]:
         tried(f"-max(temperature - {level}, 0)", 2, f"a slow ramp of the load up and down across {level}")
     twice = "start twice within an hour, at the same load"
     for seconds in FADING:
-        span = f"{seconds / 60.0:.0f} min"
-        fades = f"heat after each start, fading over {span}"
+        while_ = f"{seconds / 60.0:.0f} min"
+        fades = f"heat after each start, fading over {while_}"
         tried(f"exp(-since / {seconds:g})", 2, twice, only_running=True, words=fades)
-        first = f"heat in the first {span} after each start"
+        first = f"heat in the first {while_} after each start"
         tried(f"above({seconds:g}, since)", 2, twice, only_running=True, words=first)
-        fades, stopped = f"heat after each stop, fading over {span}", "stop twice, after a short and a long run"
+        fades, stopped = f"heat after each stop, fading over {while_}", "stop twice, after a short and a long run"
         forms.append(LawForm(f"exp(-since_stop / {seconds:g})", 2, False, stopped, words=(fades, f"less {fades}")))
     for seconds in GROWING:
         grows = f"heat that grows over the first {seconds / 60.0:.0f} min after each start"
@@ -187,8 +187,8 @@ def family(columns: LawColumns, running: Array, begin: float) -> list[LawForm]:
     later = "the same load today and in two weeks, with a reading at long rest each time"
     tried("days", 1, later, words="heat that grows from day to day")
     for moment in moments(values["days"], running):
-        date, text = moment_words(begin + moment * DAY), f"{moment:.4g}"
-        tried(f"max(days - {text}, 0)", 2, later, words=f"heat that grows from {date} on")
+        from_then = f"heat that grows from {moment_words(begin + moment * DAY)} on"
+        tried(f"max(days - {moment:.4g}, 0)", 2, later, words=from_then)
     for name in values:
         if name.startswith("every_"):
             tried(name, 1, f"look for what switches every {name.split('_')[1]}, and stop it for an hour")

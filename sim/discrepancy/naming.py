@@ -188,7 +188,7 @@ def _naming(fitted: Fitted, named: Named) -> Fitted:
         columns=np.column_stack([fitted.columns, np.zeros(fitted.residual.size)]),
         prior=np.append(fitted.prior, 1.0),
         off=np.append(fitted.off, 0.0),
-        covariance=scipy.linalg.block_diag(fitted.covariance, 1.0),
+        covariance=scipy.linalg.block_diag(fitted.covariance, np.ones((1, 1))),
     )
 
 
