@@ -213,7 +213,8 @@ class CandidateLaw:
     """An expression with which goes what has no name: no name either, but something to look at.
 
     `strength` times `expression` is the heat (degC/s), while the machine runs where `running`. `gain` (nats) is of the
-    fitted cycles, `share` that of what is left on held-out ones, `cycles` (better foreseen, in all) those. `tried` are
+    fitted cycles with the noise fitted anew, and of what it foresees of held-out ones; `share` that of what is left on
+    these, `cycles` (better foreseen, in all) those. `tried` are
     the expressions that were searched, which the gain has to pay for; `alike` are others that these data cannot tell
     from it. `line` is the effect that a person may adopt; None where no engine can execute it. `words` are the plant's
     where there are any, with dates; they are the expression too, where it is none that could be written as one.

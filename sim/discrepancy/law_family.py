@@ -187,8 +187,8 @@ def family(columns: LawColumns, running: Array, begin: float) -> list[LawForm]:
     later = "the same load today and in two weeks, with a reading at long rest each time"
     tried("days", 1, later, words="heat that grows from day to day")
     for moment in moments(values["days"], running):
-        date, text = moment_words(begin + moment * DAY), f"{moment:.4g}"
-        tried(f"max(days - {text}, 0)", 2, later, words=f"heat that grows from {date} on")
+        from_then = f"heat that grows from {moment_words(begin + moment * DAY)} on"
+        tried(f"max(days - {moment:.4g}, 0)", 2, later, words=from_then)
     for name in values:
         if name.startswith("every_"):
             tried(name, 1, f"look for what switches every {name.split('_')[1]}, and stop it for an hour")

@@ -1,8 +1,9 @@
 """The search for candidate laws: scored on the fitted cycles, paid for by the number tried, judged on held-out cycles.
 
 Everything is taken in the linear problem around the fit (as in `screen`): a law's heat goes through the plant's own
-relaxation, what the model's parameters imitate is projected out, and its strength is the likeliest one. On the cycles
-that were held out nothing is fitted but where each begins.
+relaxation, what the model's parameters imitate is projected out, and its strength is the likeliest one. The likeliest
+few are taken again with the noise fitted anew beside each. On the cycles that were held out nothing is fitted but where
+each begins, so the nats by which they are foreseen better add to the others.
 """
 
 from collections.abc import Sequence
