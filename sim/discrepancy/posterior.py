@@ -85,16 +85,11 @@ def none_odds(evidence: NamesEvidence) -> float:
     if evidence.heat_left is not None:
         ratio += log_ratio(evidence.heat_left, HEAT_LEFT_ERROR, RIGHT_HEAT_LEFT)
     if evidence.excess_left is not None:
-        ratio += log_ratio(
-            evidence.excess_left, float(np.hypot(evidence.excess_error, LEAST_EXCESS_LEFT_ERROR)), RIGHT_EXCESS_LEFT
-        )
+        error = float(np.hypot(evidence.excess_error, LEAST_EXCESS_LEFT_ERROR))
+        ratio += log_ratio(evidence.excess_left, error, RIGHT_EXCESS_LEFT)
     # What does all that the true cause does leaves what that leaves: nothing in these data tells the two apart.
-    return (
-        PRIOR_NONE
-        / (1.0 - PRIOR_NONE)
-        * WRONG_REACH_RATIO
-        * (PERFECT_IMITATORS_SHARE + (1.0 - PERFECT_IMITATORS_SHARE) * float(np.exp(ratio)))
-    )
+    likelier = PERFECT_IMITATORS_SHARE + (1.0 - PERFECT_IMITATORS_SHARE) * float(np.exp(ratio))
+    return PRIOR_NONE / (1.0 - PRIOR_NONE) * WRONG_REACH_RATIO * likelier
 
 
 def log_ratio(share: float, error: float, mean: float) -> float:
