@@ -27,7 +27,7 @@ from benchmarks.discrepancy.table import grid
 from gateway.lab.traces.load import load
 from sim.artefacts.formats import find_model
 from sim.discrepancy import diagnose
-from sim.discrepancy.posterior import LEFT_EXCESS, LEFT_HEAT, NamesEvidence, gains_of, posterior
+from sim.discrepancy.posterior import RIGHT_EXCESS_LEFT, RIGHT_HEAT_LEFT, NamesEvidence, gains_of, posterior
 from sim.discrepancy.rules import RULES
 
 FOLDERS = click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
@@ -227,7 +227,7 @@ def _share(claims: Sequence[Claim], weight: Callable[[Claim], float]) -> tuple[s
 
 def _is_twin(evidence: NamesEvidence) -> bool:
     """Whether the shares that are known lie where those of right names do, and one is."""
-    shares = ((evidence.heat_left, LEFT_HEAT), (evidence.excess_left, LEFT_EXCESS))
+    shares = ((evidence.heat_left, RIGHT_HEAT_LEFT), (evidence.excess_left, RIGHT_EXCESS_LEFT))
     known = [share <= mean for share, mean in shares if share is not None]
     return bool(known) and all(known)
 

@@ -17,17 +17,17 @@ from sim.discrepancy.rules import DecisionRules
 
 PRIOR_NONE = 0.25
 """The share of gaps that no name of the catalogue stands for, before anything is seen."""
-MOST_SURE = 0.99
+MAX_CONFIDENCE = 0.99
 """The greatest confidence that is stated."""
-SO_FAR = 0.4
+WRONG_REACH_RATIO = 0.4
 """How often names get as far as the held-out cycles where none is true, over how often true ones do."""
-TWINS = 0.2
+PERFECT_IMITATORS_SHARE = 0.2
 """The share of the names that are not true and got so far which leave no more than true ones do."""
-LEFT_HEAT, LEFT_EXCESS = 0.02, 0.25
+RIGHT_HEAT_LEFT, RIGHT_EXCESS_LEFT = 0.02, 0.25
 """Means of the shares that true names leave: of the systematic heat, and of the held-out excess."""
-HEAT_ERROR = 0.1
+HEAT_LEFT_ERROR = 0.1
 """Standard error of the share of the systematic heat that is left."""
-LEAST_ERROR = 0.1
+LEAST_EXCESS_LEFT_ERROR = 0.1
 """Least standard error of the share of the held-out excess that is left: a true name's shape is not quite the plant's,
 nor is the floor quite known, however many cycles there are."""
 NULL_ODDS = 99.0
@@ -58,8 +58,8 @@ class NamePosterior:
     none_of_these: float
 
     def confidence(self, members: tuple[str, ...]) -> float:
-        """The share of a claim: one of these names. At most `MOST_SURE`."""
-        return min(sum(self.shares.get(name, 0.0) for name in members), MOST_SURE)
+        """The share of a claim: one of these names. At most `MAX_CONFIDENCE`."""
+        return min(sum(self.shares.get(name, 0.0) for name in members), MAX_CONFIDENCE)
 
 
 def names_evidence(
@@ -86,11 +86,13 @@ def none_odds(evidence: NamesEvidence) -> float:
     """Odds of none of these against everything that was fitted."""
     ratio = 0.0
     if evidence.heat_left is not None:
-        ratio += log_ratio(evidence.heat_left, HEAT_ERROR, LEFT_HEAT)
+        ratio += log_ratio(evidence.heat_left, HEAT_LEFT_ERROR, RIGHT_HEAT_LEFT)
     if evidence.excess_left is not None:
-        ratio += log_ratio(evidence.excess_left, float(np.hypot(evidence.excess_error, LEAST_ERROR)), LEFT_EXCESS)
+        error = float(np.hypot(evidence.excess_error, LEAST_EXCESS_LEFT_ERROR))
+        ratio += log_ratio(evidence.excess_left, error, RIGHT_EXCESS_LEFT)
     # What does all that the true cause does leaves what that leaves: nothing in these data tells the two apart.
-    return PRIOR_NONE / (1.0 - PRIOR_NONE) * SO_FAR * (TWINS + (1.0 - TWINS) * float(np.exp(ratio)))
+    likelier = PERFECT_IMITATORS_SHARE + (1.0 - PERFECT_IMITATORS_SHARE) * float(np.exp(ratio))
+    return PRIOR_NONE / (1.0 - PRIOR_NONE) * WRONG_REACH_RATIO * likelier
 
 
 def log_ratio(share: float, error: float, mean: float) -> float:

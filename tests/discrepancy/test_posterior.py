@@ -14,7 +14,7 @@ from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.held_out import compared
 from sim.discrepancy.naming import confirm, step
 from sim.discrepancy.posterior import (
-    MOST_SURE,
+    MAX_CONFIDENCE,
     PRIOR_NONE,
     NamesEvidence,
     log_ratio,
@@ -41,7 +41,7 @@ def test_the_shares_of_what_was_fitted_and_of_none_of_these_are_one(
     assert set(found.shares) == set(gains)
     assert sum(found.shares.values()) + found.none_of_these == pytest.approx(1.0)
     assert all(share >= 0 for share in (*found.shares.values(), found.none_of_these))
-    assert found.confidence(tuple(gains)[:1]) <= MOST_SURE
+    assert found.confidence(tuple(gains)[:1]) <= MAX_CONFIDENCE
 
 
 def test_none_of_these_grows_with_what_the_names_leave() -> None:
