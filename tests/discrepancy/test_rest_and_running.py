@@ -19,7 +19,7 @@ MEMORY = 400.0
 """s that the rough heat of the plant lasts."""
 
 
-def plant(seed: int, at_rest: float, running: float, rough: float, days: int = 3) -> Trace:
+def plant(seed: int, at_rest: float, running: float, rough: float, days: int = 2) -> Trace:
     """`days` days of three cycles: white noise (degC/sqrt(s)) of two sizes, and while it runs `rough` heat (degC/s)."""
     rng = np.random.default_rng(seed)
     size = int(days * 86400 / PERIOD)

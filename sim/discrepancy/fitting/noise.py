@@ -351,11 +351,12 @@ class WindowBelief:
     """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory, of still,
     and of lasting and fades where the centre has an error that lasts.
 
-    The sensor's is not below `least` (degC).
+    The sensor's is not below `least` (degC). The process noise is held to what the model states of it, by a factor of
+    two or so: a day or two overrule that, while between white and rough heat the data decide late.
     """
 
     centre: NoiseModel
-    spread: tuple[float, float, float, float, float] = (1.0, 2.0, 2.0, 1.5, 0.7)
+    spread: tuple[float, float, float, float, float] = (1.0, 0.7, 1.5, 1.5, 0.7)
     still: float = 1.0
     lasts: tuple[float, float] = (2.0, 0.7)
     least: float = 0.0
