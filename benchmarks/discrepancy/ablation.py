@@ -32,7 +32,8 @@ OFF: Mapping[str, Any] = {
     "least_gain_nats": 0.0, "same_least_cosine": inf, "near_least_cosine": 0.0, "margin_nats": 0.0,
     "margin_share": 0.0, "invisible_most_share": 0.0,
     "robust_least_z": 0.0, "spread_least_cycles": 0.0, "overwhelming_nats": inf,
-    "further_nats": 0.0, "leftover_share": 0.0, "leftover_of_rival_share": 0.0, "most_heat_times": inf,
+    "further_nats": 0.0, "further_least_size_share": 0.0, "further_clear_nats": -inf,
+    "leftover_share": 0.0, "leftover_of_rival_share": 0.0, "most_heat_times": inf,
     "material_sigmas": 0.0, "gap_itself_least_share": inf,
     "removed_least_share": -inf, "beyond_doubt_nats": inf, "covered_most_times": inf,
     "ceiling_most_p": -1.0, "ceiling_least_share": -inf, "ceiling_left_most_share": inf, "ceiling_alone_most_p": -1.0,
@@ -76,13 +77,28 @@ def variants(name: str) -> Iterator[tuple[str, DecisionRules]]:
 
 def remembered() -> dict[Any, tuple[str, ...]]:
     """The functions of the workflow that cost something, by the modules that call them."""
-    from sim.discrepancy import constants, gap, judging, law_search, locate, naming, path, story, workflow
+    from sim.discrepancy import (
+        constants,
+        gap,
+        judging,
+        law_search,
+        layout,
+        locate,
+        naming,
+        path,
+        proving,
+        story,
+        workflow,
+    )
 
     return {
+        layout: ("record_of", "frame_of", "anchored", "on", "follows", "patiently"),
         workflow: (
-            "fit", "ceiling", "let_run", "compared", "stated_errors", "sensor_noise", "missing_heat", "record_of",
-            "frame_of", "anchored", "on", "course_of", "floor_of", "excess", "beginning", "absorbed", "places",
-            "shifts", "candidate_laws", "follows", "patiently",
+            "fit", "ceiling", "missing_heat", "record_of", "course_of", "absorbed", "places", "shifts", "candidate_laws",
+        ),
+        proving: (
+            "ceiling", "let_run", "compared", "stated_errors", "sensor_noise", "floor_of", "excess", "beginning",
+            "given_fit",
         ),
         naming: ("fit", "screen", "confirm", "_cosines", "slow_heat", "with_heats"),
         path: ("fit",),

@@ -62,7 +62,11 @@ def insignificant(step: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
         return f"adds {gain:.1f} nats, and a name needs {rules.least_gain_nats:.1f}"
     if immaterial(step):
         return TOO_SMALL
-    # A further name must stand out of what the earlier ones' imperfect shapes leave behind.
+    # A further name must stand out of what the earlier ones' imperfect shapes leave behind, in degrees and in nats.
+    before = max((other.best.amplitude for other in earlier if other.best is not None), default=0.0)
+    if best.gain < rules.further_clear_nats and best.amplitude < rules.further_least_size_share * before:
+        unit = shown_unit(step.before.frame.record.model.unit)
+        return f"moves the temperature by {best.amplitude:.3f} {unit}, no more than the shapes before may have left"
     needed, near = 0.0, rules.near_least_cosine
     least, most = rules.leftover_share, rules.leftover_of_rival_share
     for other in earlier:

@@ -124,7 +124,7 @@ def family(columns: LawColumns, running: Array, begin: float) -> list[LawForm]:
     ) -> None:
         both = (words, f"less {words}") if words else None
         for on in (True,) if only_running else (True, False):
-            forms.append(LawForm(text, terms, on, experiment, exchange, both))
+            forms.append(LawForm(text, terms, on, experiment, exchange, words=both))
 
     values = columns.values
     warm = values[TEMPERATURE]

@@ -1,5 +1,4 @@
-"""What a diagnosis stands on: the traces laid out under the model, the roles that their signals play, and which cycles
-are fitted and which are kept for the proof."""
+"""What a diagnosis stands on: traces laid out, roles of their signals, cycles to fit and for the proof."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -64,6 +64,11 @@ class DecisionRules:
     whose shape does not look like it (`near_least_cosine`)."""
     leftover_of_rival_share: float = 0.3
     """The same at the greater end, where both shapes are the same."""
+    further_least_size_share: float = 0.2
+    """Of the greatest amplitude before it that a further name must have, unless its gain is clear. What a thermostat's
+    shape leaves of 619 nats is as good as a housing of 35 nats that is a sixth as large."""
+    further_clear_nats: float = 40.0
+    """From which the gain of a further name is clear."""
     most_heat_times: float = 10.0
     """The fastest movement that a record shows (both in degC/s) up to which a heat or a cooling is believed: those of
     plants make 0.3 to 0.9 times, what was named of a measured box without being there thousands."""

@@ -102,7 +102,7 @@ def test_what_has_no_name_is_held_beside_the_names_and_described(more: Plant, wo
 @pytest.mark.parametrize("pump", [0.0, 8e-5])
 def test_an_unmeasured_neighbour_takes_no_place_of_what_is_there(pump: float) -> None:
     record = record_of(model(), [plant(2, days=DAYS, pump=pump)], tuple(ROLES.values()))
-    found = step(fit(anchored(on(frame_of(record), record))), entries_besides(()), ROLES, 0)
+    found = step(fit(anchored(on(frame_of(record), record))), entries_besides(()), ROLES, rules=RULES)
     assert "unmeasured-neighbour" not in [each.entry.name for each in found.evidence]
     assert found.best is not None and (found.best.entry.name == "pump-cooling") == (pump > 0)
 
@@ -110,7 +110,7 @@ def test_an_unmeasured_neighbour_takes_no_place_of_what_is_there(pump: float) ->
 def test_beside_an_unmeasured_neighbour_a_name_that_is_certain_stays() -> None:
     """The neighbour explains more than the pump does, and nothing of what the pump does."""
     record = record_of(model(), [plant(2, days=DAYS, pump=8e-5, more=neighbour)], tuple(ROLES.values()))
-    found = step(fit(anchored(on(frame_of(record), record))), entries_besides(()), ROLES, 0)
+    found = step(fit(anchored(on(frame_of(record), record))), entries_besides(()), ROLES, rules=RULES)
     assert found.best is not None and found.best.entry.name == "pump-cooling"
 
 
@@ -124,7 +124,7 @@ def test_the_sentence_says_what_has_no_name_and_the_advice_where_to_look() -> No
     found = diagnose(model(), [plant(3, days=DAYS, more=cooler)], seed=0).diagnosis
     assert found.verdict == "unexplained" and not found.effects
     assert found.description.startswith("less cooling since 2023-11-17")
-    assert found.description in found.sentence and found.description in found.reasons[0]
+    assert found.description in found.sentence and any(found.description in reason for reason in found.reasons)
     assert "in no particular place" not in found.sentence
     assert look_at(found)[0] == (
         f"what carries heat away: cooler, fan, filter, flow of oil and water, dirt on the housing ({found.description})"
