@@ -94,7 +94,8 @@ def remembered() -> dict[Any, tuple[str, ...]]:
     return {
         layout: ("record_of", "frame_of", "anchored", "on", "follows", "patiently"),
         workflow: (
-            "fit", "ceiling", "missing_heat", "record_of", "course_of", "absorbed", "places", "shifts", "candidate_laws",
+            "fit", "ceiling", "missing_heat", "record_of", "course_of", "absorbed", "places", "shifts",
+            "candidate_laws",
         ),
         proving: (
             "ceiling", "let_run", "compared", "stated_errors", "sensor_noise", "floor_of", "excess", "beginning",
