@@ -168,12 +168,12 @@ def _unmeasured(
             spread=float(found.cycles[1]),
             carried=gain,
             amplitude=_visible_size(before, found.course),
-            fitted=_naming(found.fitted, named),
+            fitted=_with_name(found.fitted, named),
         )
     ]
 
 
-def _naming(fitted: Fitted, named: Named) -> Fitted:
+def _with_name(fitted: Fitted, named: Named) -> Fitted:
     """A fit that has in its noise what `named` stands for, with its name: it moves nothing by its strength."""
     return replace(
         fitted,

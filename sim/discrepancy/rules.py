@@ -66,7 +66,7 @@ class DecisionRules:
     """The same at the greater end, where both shapes are the same."""
     further_least_size_share: float = 0.2
     """Of the greatest amplitude before it that a further name must have, unless its gain is clear. What a thermostat's
-    shape leaves of 619 nats is as good as a housing of 35 nats that is a sixth as large."""
+    shape leaves of 619 nats is as good as a housing of 35 nats that is a ninth as large."""
     further_clear_nats: float = 40.0
     """From which the gain of a further name is clear."""
     most_heat_times: float = 10.0

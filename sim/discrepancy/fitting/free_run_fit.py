@@ -127,6 +127,11 @@ def first_noise(model: Model, record: Record) -> NoiseModel:
     )
 
 
+def belief_of(record: Record) -> WindowBelief:
+    """What is believed of the noise before a record's windows are looked at."""
+    return WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+
+
 def begin_noise(centre: NoiseModel) -> NoiseModel:
     """Where the search for the noise begins: at the belief's centre, but never from next to no rough heat.
 
@@ -213,7 +218,7 @@ def fit(
     prior = np.concatenate([frame.prior, np.zeros(len(added))])
     # Parameters under fixed noise, then the noise under fixed parameters, until the noise stands still: a wrong target
     # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
-    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    belief = belief_of(record)
     noise = begin_noise(belief.centre) if begin is None else begin.noise
     first = _allowed(named, np.concatenate([own, added]))
     point = _around(frame, at(frame, first, start, named), start, reading)
@@ -241,7 +246,7 @@ def given_fit(fitted: Fitted) -> Fitted:
     numbers = np.concatenate([frame.centre, *(np.array(each.point) for each in named)])
     prior = np.concatenate([frame.prior, np.zeros(numbers.size - frame.centre.size)])
     point = _around(frame, at(frame, numbers, fitted.start, named), fitted.start, record.reading)
-    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    belief = belief_of(record)
     noise, cost = noise_around(point, frame, belief, fitted.noise, 12)
     return _fitted(frame, point, start=fitted.start, noise=noise, prior=prior, cost=cost)
 
@@ -294,7 +299,7 @@ def with_heats(before: Fitted, heats: Array, iterations: int = 8) -> Fitted:
     begins = np.where((columns != 0.0).any(axis=0), np.argmax(columns != 0.0, axis=0), columns.shape[0])
     grid = replace(before.grid, heats=columns[:, np.argsort(begins, kind="stable")])
     frame, record = before.frame, before.frame.record
-    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    belief = belief_of(record)
     point = _Point(before.state, grid, before.residual, before.columns, before.off)
     noise, cost = noise_around(point, frame, belief, before.noise, iterations)
     return replace(before, grid=grid, noise=noise, likelihood=-cost)
@@ -306,7 +311,7 @@ def with_column(before: Fitted, column: Array, rounds: int = 2) -> tuple[Fitted,
     The noise is fitted anew, the parameters make room in the linear problem, and the course stays.
     """
     frame, record = before.frame, before.frame.record
-    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    belief = belief_of(record)
     noise, strength, cost = before.noise, 0.0, 0.0
     prior, off = np.append(np.maximum(before.prior, 1e-12), 0.0), np.append(before.off, 0.0)
     columns = np.column_stack([before.residual, before.columns, column])
@@ -341,9 +346,10 @@ def _newton_steps(
         state, whitener = point.state, Whitener(point.grid, noise)
         gram = whitener.gram(np.column_stack([point.residual, point.columns]))
         normal = gram[1:, 1:] + np.diag(np.maximum(prior, 1e-12))
-        if not is_definite(normal):
+        root = lower_root(normal)
+        if root is None:
             break
-        step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal), gram[1:, 0] - prior * point.off)
+        step = scipy.linalg.cho_solve((root, True), gram[1:, 0] - prior * point.off)
         # The whole step is shortened, not single parts of it: it must stay a descent direction.
         strengths = [size for named in state.named for size in _longest(named)]
         longest = np.concatenate([LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior), strengths])
@@ -399,9 +405,12 @@ def _allowed(effects: Sequence[Named], point: Array) -> Array:
     return out
 
 
-def is_definite(matrix: Array) -> bool:
-    """Whether a symmetric matrix is positive definite as a Cholesky factorisation sees it (LAPACK's `potrf`)."""
-    return bool(np.isfinite(matrix).all()) and scipy.linalg.lapack.dpotrf(matrix, lower=True)[1] == 0
+def lower_root(matrix: Array) -> Array | None:
+    """The lower Cholesky factor of a symmetric matrix; None where it is not positive definite (LAPACK's `potrf`)."""
+    if not np.isfinite(matrix).all():
+        return None
+    root, failed = scipy.linalg.lapack.dpotrf(matrix, lower=True)
+    return None if failed else np.asarray(root)
 
 
 def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array, off: Array) -> tuple[float, Array]:
@@ -411,11 +420,10 @@ def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array
     # posterior precision and g the score at the state, -2 ln L = ln |V| + ln |N| - ln |P| + misfit - g' N^-1 g.
     gram = whitener.gram(np.column_stack([residual, columns]))
     score = gram[1:, 0] - prior * off
-    precision = gram[1:, 1:] + np.diag(prior)
-    if not is_definite(precision):
+    root = lower_root(gram[1:, 1:] + np.diag(prior))
+    if root is None:
         # A candidate that has run away (less cooling than none at all: the free run grows) explains nothing.
         return -np.inf, np.zeros(vector(whitener.noise).size)
-    root = scipy.linalg.cholesky(precision, lower=True)
     best = scipy.linalg.cho_solve((root, True), score)
     misfit = float(gram[0, 0] + off @ (prior * off) - score @ best)
     determinant = 2.0 * float(np.log(np.diag(root)).sum()) - float(np.log(prior).sum())
