@@ -89,13 +89,14 @@ async def test_answers_to_others_requests_and_broadcasts_are_read_beside_plain_f
 
 async def test_a_value_that_is_not_told_again_is_bad_after_its_timeout(car: tuple[Car, Opened]) -> None:
     unit, opened = car
-    driver = await opened(answer_timeout=30.0, answer_timeouts={"speed": 0.1})
+    driver = await opened(answer_timeout=30.0, answer_timeouts={"speed": 1.0})
     assert (await driver.read([SPEED]))[0].quality is Quality.WAITING_FOR_INITIAL_DATA
+    began = time.time()
     unit.send(0x7E8, isotp(b"\x41\x0c\x1a\xf8")[0])
     before = await read_until_good(driver, SPEED)
     assert before.sent is None
-    assert abs(before.time - time.time()) < 1.0
-    await asyncio.sleep(0.15)
+    assert began <= before.time <= time.time()
+    await asyncio.sleep(1.1)
     (after,) = await driver.read([SPEED])
     assert (after.value, after.quality) == (None, Quality.TIMEOUT)
     assert "obd:0C" in after.reason
