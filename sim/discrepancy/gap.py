@@ -37,6 +37,8 @@ LEAST_ROWS = 50
 """Rows at rest from which the sensor's noise is told by them alone."""
 DRAWS = 200
 """Draws of the noise from which a floor is told."""
+EQUAL_DRAWS = 60
+"""Draws of the noise by which the scatter of equal cycles is judged."""
 LEAST_READING = 1e-4
 """degC that no window's mean is nearer to the truth."""
 PHASES_S = (240.0, 900.0, 3600.0, 7200.0)
@@ -92,25 +94,55 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     alone = trial.whitener.draw(rng, DRAWS)
     wrong = limit_parameter_errors(trial, beyond @ taken, alone, rules.floor_parameters_most_times)
     own, drawn = predicted(trial, cycles, alone - wrong)
-    expected = _rms(predicted(training, known, training.whitener.draw(rng, DRAWS))[0])
-    # Each bound says how many times the noise of the fit there is; how cycles differ among themselves (how long they
-    # are, how much is heated in them) that noise knows.
-    sizes = {
-        "what the model states of its own free runs": _rms(stated) / expected,
+    # Each tells how many times the noise of the fit there is; how cycles differ among themselves (how long they are,
+    # how much is heated in them) that noise knows.
+    told = {
         "what is left of the fitted cycles": _rms(explained.residual) / fitted,
-        "what equal cycles differ by": scatter_of_equal_cycles(training, rules) / expected,
+        "what equal cycles differ by": size_by_equal_cycles(training, explained, rng, rules),
     }
-    source = min(sizes, key=lambda name: sizes[name])
-    floor = sizes[source] * own
+    source = min(told, key=lambda name: told[name])
+    # The noise itself is known from so many independent pieces: its standard error in logarithms is 1 / sqrt(2 n).
+    pieces = np.unique(training.record.window_cycle[np.isin(training.record.window_whole, known)]).size
+    expected = _rms(predicted(training, known, training.whitener.draw(rng, DRAWS))[0])
+    size, unsure = believed_size(_rms(stated) / expected, told[source], pieces, rules)
+    floor = size * own
     least = read_alone(trial, cycles, sensor_alone(explained), rng)
     source = "the sensor alone" if _rms(floor) < _rms(least) else source
     floor = np.maximum(floor, least)
     error = float(np.sqrt(np.average(floor**2, weights=weights)))
-    # The noise itself is known from so many independent pieces: its standard error in logarithms is 1 / sqrt(2 n).
-    pieces = np.unique(training.record.window_cycle[np.isin(training.record.window_whole, known)]).size
-    unsure = np.exp(rng.standard_normal(drawn.size) / np.sqrt(2.0 * pieces))
-    low, high = np.quantile(drawn / _rms(drawn) * unsure, [0.025, 0.975])
+    wrong_by = np.exp(unsure * rng.standard_normal(drawn.size))
+    low, high = np.quantile(drawn / _rms(drawn) * wrong_by, [0.025, 0.975])
     return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
+
+
+def believed_size(stated: float, told: float, pieces: int, rules: DecisionRules) -> tuple[float, float]:
+    """(how many times the fit's noise there is, its standard error in logarithms).
+
+    The prior is what the given model states of its own free runs, the evidence what so many independent `pieces` have
+    `told`. What is stated beyond that may be a cause that the model was learned without: it is no excuse.
+    """
+    known, before = 2.0 * pieces, rules.stated_noise_log_sd**-2
+    if not 0 < stated < told:
+        return told, known**-0.5
+    both = known + before
+    return float(np.exp((known * np.log(told) + before * np.log(stated)) / both)), both**-0.5
+
+
+def size_by_equal_cycles(
+    trial: HeldOutRun, explained: Fitted, rng: np.random.Generator, rules: DecisionRules
+) -> float:
+    """By how much equal cycles differ, over what the fit's noise makes of it; infinite where too few can be compared.
+
+    The noise is drawn over the same cycles, with what the fit's parameters take from it.
+    """
+    scatter = scatter_of_equal_cycles(trial.record, trial.residual, rules)
+    if not np.isfinite(scatter):
+        return scatter
+    columns = trial.record.windowed(sensitivity(on(explained.frame, trial.record), trial.state, trial.start))
+    noise = trial.whitener.draw(rng, EQUAL_DRAWS)
+    precision = trial.whitener.gram(columns) + np.diag(np.maximum(explained.prior, 1e-12))
+    left = trial.started(noise - columns @ np.linalg.solve(precision, columns.T @ trial.whitener.weigh(noise)))
+    return scatter / _rms(np.array([scatter_of_equal_cycles(trial.record, one, rules) for one in left.T]))
 
 
 def limit_parameter_errors(trial: HeldOutRun, taken: Array, alone: Array, most: float) -> Array:
@@ -187,13 +219,14 @@ def sensor_alone(fitted: Fitted) -> NoiseModel:
     return NoiseModel(sensor=in_window, process=0.0, rough=0.0, cycle=0.0)
 
 
-def scatter_of_equal_cycles(trial: HeldOutRun, rules: DecisionRules) -> float:
+def scatter_of_equal_cycles(record: Record, residual: Array, rules: DecisionRules) -> float:
     """degC rms by which free runs over equal cycles err differently; infinite where too few cycles can be compared.
+
+    `residual` (m,) degC are their windows' errors.
 
     Cells are a location and a time since the last switch. What errs alike in all cycles of a cell is taken out: a
     cause that is missing does the same in equal cycles, and noise does not.
     """
-    record = trial.record
     place = record.runs.place[record.rows[record.begins]]
     phase = np.searchsorted(PHASES_S, record.windowed(since_switch(record)), side="right")
     cell = np.unique(np.column_stack([place, phase]), axis=0, return_inverse=True)[1].ravel()
@@ -203,9 +236,9 @@ def scatter_of_equal_cycles(trial: HeldOutRun, rules: DecisionRules) -> float:
     comparable = shared[cell] >= rules.equal_least_cycles
     if comparable.mean() < rules.comparable_least_share:
         return float("inf")
-    of_cycle = np.bincount(member.ravel(), trial.residual) / np.bincount(member.ravel())
+    of_cycle = np.bincount(member.ravel(), residual) / np.bincount(member.ravel())
     mean = np.bincount(pairs[:, 0], of_cycle) / shared
-    left = trial.residual - mean[cell]
+    left = residual - mean[cell]
     return float(np.sqrt(np.mean((left**2 * shared[cell] / np.maximum(shared[cell] - 1, 1))[comparable])))
 
 

@@ -86,6 +86,11 @@ def immaterial(step: NamingStep) -> bool:
     return best.amplitude < step.rules.material_sigmas * sensor_noise(step.before.frame.record)
 
 
+def is_certain(path: NamingResult) -> bool:
+    """True where what goes best with the fitted cycles is beyond chance and could be felt in them."""
+    return bool(path.steps) and not insignificant(path.steps[0][0])
+
+
 def dubious(step: NamingStep) -> str:
     """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
     best, rules = step.best, step.rules

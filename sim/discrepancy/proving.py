@@ -19,6 +19,7 @@ from sim.discrepancy.judging import (
     evidence_of,
     felt,
     immaterial,
+    is_certain,
     least_told,
     left_over,
     matters,
@@ -132,6 +133,7 @@ def prove(
     began = beginning(trials, rules.material_sigmas * sensor, rules)
     evidence = evidence_of(path, search.ceiling, proof.before)
     material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))
+    material = material or (not kept and is_certain(judged.path))
     unit, little = shown_unit(layout.model.unit), ""
     if kept:
         verdict: Verdict = "named" if all(len(step.members) == 1 for step in path.taken) else "class"

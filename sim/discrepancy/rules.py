@@ -108,6 +108,9 @@ class DecisionRules:
     """As rough as the model has learned from which the heat is a gap."""
 
     # ---- the floor
+    stated_noise_log_sd: float = 0.35
+    """By which the noise of a machine differs from what its model states, in logarithms: machines of one type differ
+    by a factor of 1.4 in what is rough about them."""
     floor_parameters_most_times: float = 2.0**0.5
     """The noise alone that it is with what the fit's parameters took from it: as much again in the mean square."""
     equal_least_cycles: int = 4
