@@ -119,11 +119,6 @@ def kept_share(fitted: Fitted) -> float:
     return 1.0 if fitted.noise.rest >= ALSO_AT_REST else fitted.noise.rest
 
 
-def process_noise(fitted: Fitted, k: float) -> float:
-    """degC/sqrt(s) while the machine runs: the process noise, and the rough heat as what it is over its memory."""
-    return float(np.hypot(fitted.noise.process, as_white(fitted.noise.rough, fitted.noise.memory, k)))
-
-
 def as_white(sigma: float, memory: float, k: float) -> float:
     """degC/sqrt(s): white noise for heat of `sigma` (degC/s) with a `memory` (s), under the plant's rate `k` (1/s)."""
     # Slowly seen, an Ornstein-Uhlenbeck heat of memory M is white noise of intensity sigma sqrt(2 M). The longer M is

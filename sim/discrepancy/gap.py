@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.discrepancy.augment import as_white, process_noise
 from sim.discrepancy.diagnosis import NoiseFloor
 from sim.discrepancy.fitting import (
     SLOW,
@@ -28,7 +27,7 @@ from sim.discrepancy.fitting import (
 from sim.discrepancy.heat import since_switch
 from sim.discrepancy.held_out import HeldOutRun, let_run, mean_squares
 from sim.discrepancy.rules import DecisionRules
-from sim.effects import of_feature, without
+from sim.effects import without
 from sim.engine import open_loop
 from sim.learning import Indices
 from sim.sha import Array, Model, Trace
@@ -49,28 +48,19 @@ PHASES_S = (240.0, 900.0, 3600.0, 7200.0)
 class Excess:
     """Of the fitted cycles: the free run's error over the given model's own spread, the median and a lower quantile.
 
-    Roughness that the model has learned counts as its spread, so a rough plant has no excess; a heat that came after it
-    was learned has, even where nothing measured says what it is. `rougher` is the fit's process noise over the given
-    model's (0 where that has none).
+    Roughness that the model has learned counts as its spread, so a rough plant has no excess.
     """
 
     median: float
     low: float
-    rougher: float
 
     def wide(self, rules: DecisionRules) -> bool:
         """True where the model's noise does not cover its errors."""
         return self.median >= rules.wide_median_times and self.low >= rules.wide_low_times
 
-    def exceeded(self, rules: DecisionRules) -> bool:
-        """True where there is a gap: the errors are too great, or the heat is rougher than the model has learned."""
-        return self.wide(rules) or self.rougher >= rules.rougher_least_times
-
-    def words(self, rules: DecisionRules) -> str:
+    def words(self) -> str:
         """What is too much, in a sentence."""
-        if self.wide(rules):
-            return f"the free run is {self.median:.1f} times as far off as the model's own noise allows"
-        return f"the heat is {self.rougher:.1f} times as rough as the model has learned"
+        return f"the free run is {self.median:.1f} times as far off as the model's own noise allows"
 
 
 def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules: DecisionRules) -> NoiseFloor:
@@ -104,7 +94,10 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     # The noise itself is known from so many independent pieces: its standard error in logarithms is 1 / sqrt(2 n).
     pieces = np.unique(training.record.window_cycle[np.isin(training.record.window_whole, known)]).size
     expected = _rms(predicted(training, known, training.whitener.draw(rng, DRAWS))[0])
-    size, unsure = believed_size(_rms(stated) / expected, told[source], pieces, rules)
+    said = _rms(stated) / expected
+    size, unsure = believed_size(said, told[source], pieces, rules)
+    if size > rules.stated_noise_most_times * said:
+        size, source = rules.stated_noise_most_times * said, "the most that the model's own noise can be taken for"
     floor = size * own
     least = read_alone(trial, cycles, sensor_alone(explained), rng)
     source = "the sensor alone" if _rms(floor) < _rms(least) else source
@@ -128,9 +121,7 @@ def believed_size(stated: float, told: float, pieces: int, rules: DecisionRules)
     return float(np.exp((known * np.log(told) + before * np.log(stated)) / both)), both**-0.5
 
 
-def size_by_equal_cycles(
-    trial: HeldOutRun, explained: Fitted, rng: np.random.Generator, rules: DecisionRules
-) -> float:
+def size_by_equal_cycles(trial: HeldOutRun, explained: Fitted, rng: np.random.Generator, rules: DecisionRules) -> float:
     """By how much equal cycles differ, over what the fit's noise makes of it; infinite where too few can be compared.
 
     The noise is drawn over the same cycles, with what the fit's parameters take from it.
@@ -267,22 +258,7 @@ def excess(stated: Array, fitted: Fitted, rules: DecisionRules) -> Excess | None
         return None
     squares, _, cycles = mean_squares(let_run(fitted, fitted.frame.record.by_cycles()))
     ratio = np.sqrt(squares) / stated[np.isin(np.unique(fitted.frame.record.whole), cycles)]
-    return Excess(float(np.median(ratio)), float(np.quantile(ratio, rules.wide_low_share)), rougher(fitted))
-
-
-def rougher(fitted: Fitted) -> float:
-    """The fit's process noise over the given model's own, heat with a memory in both; 0 where it has none."""
-    sha = fitted.frame.record.model.sha
-    flows = [location.flow for location in sha.locations if location.flow.kind != "constant"]
-    own = [flow.params["noise"] for flow in flows if flow.params.get("noise", 0.0) > 0]
-    rates = [flow.params["k"] for flow in flows if flow.params.get("k", 0.0) > 0]
-    if not own or not rates:
-        return 0.0
-    rate = float(np.median(rates))
-    noise = process_noise(fitted, rate)
-    heats = [as_white(heat.params["sigma"], heat.params["memory"], rate) for heat in of_feature(sha, "disturbance")]
-    learned = float(np.hypot(np.median(own), sum(heats)))
-    return noise / learned
+    return Excess(float(np.median(ratio)), float(np.quantile(ratio, rules.wide_low_share)))
 
 
 def spread_of(model: Model, traces: Sequence[Trace], record: Record, cycles: Indices) -> Array:

@@ -86,11 +86,6 @@ def immaterial(step: NamingStep) -> bool:
     return best.amplitude < step.rules.material_sigmas * sensor_noise(step.before.frame.record)
 
 
-def is_certain(path: NamingResult) -> bool:
-    """True where what goes best with the fitted cycles is beyond chance and could be felt in them."""
-    return bool(path.steps) and not insignificant(path.steps[0][0])
-
-
 def dubious(step: NamingStep) -> str:
     """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
     best, rules = step.best, step.rules
@@ -278,7 +273,7 @@ def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | Non
     # No candidate stands for it: then the free learner's word alone, or the model's own noise (decision 0031).
     if systematic(before, rules) and before is not None and before.p <= rules.ceiling_alone_most_p:
         return ("a free learner predicts heat on cycles that it has not seen",)
-    return (beyond.words(rules),) if beyond is not None and beyond.exceeded(rules) else ()
+    return (beyond.words(),) if beyond is not None and beyond.wide(rules) else ()
 
 
 def untested(

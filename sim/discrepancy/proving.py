@@ -14,12 +14,12 @@ from sim.discrepancy.held_out import HeldOutRun, as_given, compared, let_run, su
 from sim.discrepancy.judging import (
     NamingResult,
     above,
+    description,
     doubts,
     dubious,
     evidence_of,
     felt,
     immaterial,
-    is_certain,
     least_told,
     left_over,
     matters,
@@ -133,7 +133,8 @@ def prove(
     began = beginning(trials, rules.material_sigmas * sensor, rules)
     evidence = evidence_of(path, search.ceiling, proof.before)
     material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))
-    material = material or (not kept and is_certain(judged.path))
+    # What has no name need not act while the last cycles run: a greasing fades, a neighbour comes and goes.
+    material = material or bool(description(judged.path))
     unit, little = shown_unit(layout.model.unit), ""
     if kept:
         verdict: Verdict = "named" if all(len(step.members) == 1 for step in path.taken) else "class"
