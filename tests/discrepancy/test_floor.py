@@ -9,10 +9,12 @@ from sim.discrepancy.diagnosis import HeldOutProof, NoiseFloor
 from sim.discrepancy.fitting import Fitted, Record, fit, frame_of, on, record_of
 from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.gap import (
+    believed_size,
     floor_of,
     limit_parameter_errors,
     predicted,
     scatter_of_equal_cycles,
+    size_by_equal_cycles,
     stated_errors,
 )
 from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares
@@ -70,7 +72,29 @@ def test_a_model_that_takes_everything_for_noise_does_not_lift_the_floor(clean: 
     made = floor(proud, plant(1), base, held_out)
     assert made.error < 0.5 and made.source != "what the model states of its own free runs"
     modest = replace(model(), provenance=replace(model().provenance, scores={"held_out_rmse": 0.07}))
-    assert floor(modest, plant(1), base, held_out).source == "what the model states of its own free runs"
+    least = floor(modest, plant(1), base, held_out)
+    assert least.source == "the most that the model's own noise can be taken for"
+    assert least.error < 0.8 * made.error
+
+
+def test_what_the_model_states_draws_the_floor_towards_it_by_as_much_as_the_cycles_leave_open() -> None:
+    few, many = (believed_size(0.5, 1.0, pieces, RULES) for pieces in (4, 400))
+    assert 0.5 < few[0] < 0.75 and 0.98 < many[0] < 1.0 and many[1] < few[1]
+    assert believed_size(3.0, 1.0, 4, RULES)[0] == 1.0, "what is stated beyond may be a cause"
+    assert believed_size(float("inf"), 1.0, 4, RULES)[0] == 1.0
+    assert few[0] == pytest.approx(np.exp(np.log(0.5) * RULES.stated_noise_log_sd**-2 / (RULES.stated_noise_log_sd**-2 + 8)))
+
+
+def test_equal_cycles_are_judged_by_what_the_same_noise_leaves_of_the_same_cycles(
+    clean: tuple[Fitted, Record], pumped: tuple[Fitted, Record]
+) -> None:
+    """Where nothing is missing they differ by the fit's own noise; held against runs that nothing was fitted to they
+    would seem quieter."""
+    sizes = []
+    for base, _ in (clean, pumped):
+        trial = let_run(base, base.frame.record.by_cycles())
+        sizes.append(size_by_equal_cycles(trial, base, np.random.default_rng(0), RULES))
+    assert 0.8 < sizes[0] < 1.2
 
 
 def test_parameters_that_the_fitted_cycles_hardly_show_widen_the_interval_no_more_than_the_floor(
@@ -115,11 +139,11 @@ def test_what_all_equal_cycles_err_by_alike_is_no_noise() -> None:
     record = record_of(model(), [plant(1, days=6)], ())
     base = fit(on(frame_of(record), record), rounds=2)
     trial = let_run(base, base.frame.record.by_cycles())
-    before = scatter_of_equal_cycles(trial, RULES)
+    before = scatter_of_equal_cycles(trial.record, trial.residual, RULES)
     # Three degrees more in each cycle's running hours: an error of all alike.
     running = trial.record.windowed(trial.record.running) > 0.5
     missing = replace(trial, residual=trial.residual + 3.0 * running)
-    assert scatter_of_equal_cycles(missing, RULES) == pytest.approx(before, rel=0.05)
+    assert scatter_of_equal_cycles(missing.record, missing.residual, RULES) == pytest.approx(before, rel=0.05)
     assert np.sqrt(np.mean(missing.residual**2)) > 5.0 * before
 
 
