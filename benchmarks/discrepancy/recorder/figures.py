@@ -55,6 +55,7 @@ def rows(judged: Group, known: Mapping[str, Verdict]) -> list[Row]:
         row("half-way gap at 3: found, and said to begin", strong, lambda one: began_at(one) is not None),
         row("half-way gap at 3: dated within a cycle", strong, dates_gap, at_least(0.80)),
         row("rightly named: >= 90 % of the excess removed", right, lambda one: one.removed >= 0.9, at_least(0.85)),
+        row("the same by the plant's own noise", _with_excess(right), lambda one: one.removed_by_truth >= 0.9),
         row("stated 0.95 to 0.99: right", stated, lambda one: not one.wrong_first, (0.93, 0.99)),
         row("outside: a name or a class", outside, lambda one: one.answer.claims, at_most(0.05)),
         row("outside: unexplained", outside, lambda one: one.answer.verdict == "unexplained"),
@@ -63,6 +64,11 @@ def rows(judged: Group, known: Mapping[str, Verdict]) -> list[Row]:
         *_known_rows(judged, known),
     ]
     return [one for one in found if one.cases]
+
+
+def _with_excess(judged: Group) -> list[Judged]:
+    """Where the noise that fell in the held-out cycles left an excess to remove."""
+    return [one for one in judged if np.isfinite(one.removed_by_truth)]
 
 
 def _of(judged: Group, stratum: str) -> list[Judged]:
