@@ -61,6 +61,7 @@ MOST_ROWS = 20_000
 """Rows of a schedule at most; beyond, they lie further apart than those of the record."""
 SURE_SIGMAS = 1.64
 """Standard deviations of the gain by which its mean lies above what a name needs: it is then had in 95 %."""
+DAY_S = 86400.0
 SHAPE_STEP, LEAST_SCALE = 0.05, 20.0
 """The share of its scale by which a parameter of a shape is moved for a derivative; the scale (s) is one at least."""
 
@@ -85,13 +86,30 @@ class ExperimentSchedule:
         return ExperimentSchedule(self.what, self.phases * times)
 
 
+@dataclass(frozen=True, slots=True)
+class FreeCourse:
+    """What a signal that nobody sets was (n,) at `times` (n,) absolute s: a room, a feed. It goes on as it went."""
+
+    times: Array
+    values: Array
+
+    def ahead(self, times: Array) -> Array:
+        """(m,) what it is at later times (absolute s): what it was as many whole days before, of less than a day what it
+        was before that again."""
+        lasted = float(self.times[-1] - self.times[0])
+        days = DAY_S * (lasted // DAY_S) or max(lasted, 1.0)
+        back = days * np.ceil(np.maximum(times - self.times[-1], 0.0) / days)
+        return np.asarray(np.interp(times - back, self.times, self.values))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MachineOperation:
     """What a person can set of a machine and what was seen of its signals.
 
     `switch` starts and stops it ("": it cannot be stopped), `load` is the signal of its load ("": none). `levels` are
     (low, high) of each signal that can be set, `running` and `resting` what all signals usually have, `near` what those
-    that follow the load have at a level of it. `row` (s) is the interval between rows, `end` (absolute s) the last one.
+    that follow the load have at a level of it, `free` the course of each that goes its own way, whether the machine
+    runs or not. `row` (s) is the interval between rows, `end` (absolute s) the last one.
     """
 
     switch: str
@@ -100,6 +118,7 @@ class MachineOperation:
     running: Mapping[str, float]
     resting: Mapping[str, float]
     near: Callable[[float], Mapping[str, float]]
+    free: Mapping[str, "FreeCourse"]
     row: float
     end: float
 
@@ -130,7 +149,8 @@ def machine_operation(model: Model, traces: Sequence[Trace], roles: Mapping[str,
     load = loads[0] if loads and loads[0] in levels else ""
     running = _usual(columns, runs)
     running |= {name: _settable(running[name]) for name in levels}
-    resting = _usual({name: columns[name] for name in columns if _changes(columns[name], runs)}, ~runs)
+    changing = [name for name in columns if _changes(columns[name], runs)]
+    resting = _usual({name: columns[name] for name in changing}, ~runs)
     follow = [
         name for name in columns if load and name not in (*levels, stops) and _goes_with(columns, name, load, runs)
     ]
@@ -142,6 +162,8 @@ def machine_operation(model: Model, traces: Sequence[Trace], roles: Mapping[str,
         rows = runs & (np.abs(columns[load] - level) <= (high - low) / 6.0)
         return _usual({name: columns[name] for name in follow}, rows) if rows.any() else {}
 
+    times = np.concatenate([trace.times for trace in traces])
+    own = [name for name in columns if name in running and name not in (*levels, stops, *follow, *changing)]
     steps = np.concatenate([np.diff(trace.times) for trace in traces])
     return MachineOperation(
         switch=stops,
@@ -150,6 +172,7 @@ def machine_operation(model: Model, traces: Sequence[Trace], roles: Mapping[str,
         running=running,
         resting={**running, **resting},
         near=near,
+        free={name: _free_course(times, columns[name]) for name in own},
         row=float(np.median(steps[steps > 0])),
         end=max(float(trace.times[-1]) for trace in traces),
     )
@@ -160,6 +183,12 @@ def _held(trace: Trace, name: str) -> Array:
     column = trace.signals.get(name, np.full(trace.times.size, np.nan))
     last = np.maximum.accumulate(np.where(np.isnan(column), -1, np.arange(column.size)))
     return np.where(last < 0, np.nan, column[last])
+
+
+def _free_course(times: Array, column: Array) -> FreeCourse:
+    order = np.argsort(times, kind="stable")
+    order = order[np.isfinite(column[order])]
+    return FreeCourse(times[order], column[order])
 
 
 def _usual(columns: Mapping[str, Array], rows: Mask) -> dict[str, float]:
@@ -189,6 +218,8 @@ def _changes(column: Array, runs: Mask) -> bool:
     turning, still = (column[rows & np.isfinite(column)] for rows in (runs, ~runs))
     if turning.size == 0 or still.size == 0:
         return False
+    if np.unique(turning).size <= 2:  # of a switch both values are usual while the machine runs
+        return bool(np.median(still) != np.median(turning))
     low, high = np.quantile(turning, LEVEL_SHARES)
     return not low <= float(np.median(still)) <= high
 
@@ -270,7 +301,8 @@ def steps_of(schedule: ExperimentSchedule) -> tuple[ExperimentStep, ...]:
 
 
 def schedule_trace(schedule: ExperimentSchedule, operation: MachineOperation, begin: float) -> Trace:
-    """The schedule as rows from `begin` (absolute s) on: what is set, and of all other signals what is usual then."""
+    """The schedule as rows from `begin` (absolute s) on: what is set, what goes its own way as it went, and of all other
+    signals what is usual then."""
     row = max(operation.row, schedule.seconds / MOST_ROWS)
     times = np.arange(0.0, schedule.seconds, row)
     names = dict.fromkeys([*([operation.switch] if operation.switch else []), *operation.running])
@@ -286,6 +318,7 @@ def schedule_trace(schedule: ExperimentSchedule, operation: MachineOperation, be
         for name, column in columns.items():
             column[rows] = values[name]
         since += seconds
+    columns |= {name: course.ahead(begin + times) for name, course in operation.free.items()}
     return Trace("experiment", begin + times, columns, origin="a proposed experiment", synthetic=True)
 
 

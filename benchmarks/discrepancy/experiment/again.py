@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.discrepancy.experiment.cases import TwinCase, folder_of, write_experiment
+from benchmarks.discrepancy.experiment.over_plc import over_plc
 from benchmarks.discrepancy.judging import answer
 from benchmarks.discrepancy.runner import Outcome, by_call
 from benchmarks.discrepancy.runner import case as case_of
@@ -91,8 +92,11 @@ def _gains(outcome: Outcome) -> dict[str, float]:
     return {each["name"]: float(each["gain_nats"]) for each in tried if each["step"] == 1}
 
 
-def close_circle(one: TwinCase, ratio: float, out: Path) -> Closed:
-    """Diagnose a case, have the machine obey what is proposed, diagnose again. What lies there is not done again."""
+def close_circle(one: TwinCase, ratio: float, out: Path, *, plc: bool = False) -> Closed:
+    """Diagnose a case, have the machine obey what is proposed, diagnose again. What lies there is not done again.
+
+    `plc`: the machine reads its set-points off the software PLC, and what it does is read off a software PLC, too.
+    """
     folder = folder_of(one.spec, out)
     given = case_of(out, one.spec.identifier)
     set_points, recorded = folder / SET_POINTS, folder / RECORDED
@@ -103,12 +107,22 @@ def close_circle(one: TwinCase, ratio: float, out: Path) -> Closed:
     way = Closed(kind=one.spec.stratum, case=given.name, acts=one.spec.acts[0], ratio=ratio, first=first)
     if way.proposed is None or way.acts not in way.rivals:
         return way
-    second = _kept(folder / "second.json")
+    again = folder / ("second_over_plc.json" if plc else "second.json")
+    second = _kept(again)
     if second is None:
+        if plc:
+            set_points, recorded = _over_plc(set_points), recorded.with_stem("experiment_to_plc")
         write_experiment(one, set_points, recorded)
-        second = by_call(given.with_options("--with-experiment", str(recorded)), LIMIT_S)
-        _keep(folder / "second.json", second)
+        given = given.with_options("--with-experiment", str(_over_plc(recorded) if plc else recorded))
+        second = by_call(given, LIMIT_S)
+        _keep(again, second)
     return Closed(kind=way.kind, case=way.case, acts=way.acts, ratio=ratio, first=first, second=second)
+
+
+def _over_plc(trace: Path) -> Path:
+    read = trace.with_stem(f"{trace.stem}_over_plc")
+    over_plc(trace, read)
+    return read
 
 
 def _kept(path: Path) -> Outcome | None:

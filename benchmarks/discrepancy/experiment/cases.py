@@ -55,13 +55,25 @@ class TwinKind:
 
 
 KINDS: Mapping[str, TwinKind] = {
-    "pump or feed": TwinKind(acts=("pump-cooling", "feed-temperature-coupling"), dull=days.even_feed),
-    "law of the current": TwinKind(acts=("current-heating", "quadratic-current-heating"), dull=days.four_loads, law="steps"),
-    "bend of the current": TwinKind(acts=("quadratic-current-heating", "current-saturation"), dull=days.four_loads, law="line"),
-    "lag, delay or late heat": TwinKind(acts=("sensor-lag", "dead-time", LATE), dull=days.two_loads, law="line"),
-    "start-up or mass": TwinKind(acts=("startup-churning", "housing-thermal-mass"), dull=days.one_load),
-    "loss": TwinKind(acts=("radiation-loss", "ambient-coupling", "thermostatic-cooling"), dull=days.even_hall),
-    "friction": TwinKind(acts=("torque-friction", "speed-friction"), dull=days.speed_by_torque),
+    "pump or feed": TwinKind(
+        acts=("pump-cooling", "feed-temperature-coupling"), dull=days.even_feed, ratios=(1.5, 2.5)
+    ),
+    "law of the current": TwinKind(
+        acts=("current-heating", "quadratic-current-heating"), dull=days.four_loads, law="steps", ratios=(2.0, 3.0)
+    ),
+    "bend of the current": TwinKind(
+        acts=("quadratic-current-heating", "current-saturation"), dull=days.two_loads, law="line", ratios=(2.0, 3.0)
+    ),
+    "lag or delay": TwinKind(acts=("sensor-lag", "dead-time"), dull=days.one_load, ratios=(0.6, 0.9)),
+    "square or late": TwinKind(
+        acts=("quadratic-current-heating", LATE), dull=days.two_loads, law="line", ratios=(0.7, 1.0)
+    ),
+    "loss": TwinKind(
+        acts=("radiation-loss", "ambient-coupling", "thermostatic-cooling"), dull=days.even_hall, ratios=(0.7, 1.0)
+    ),
+    "friction": TwinKind(
+        acts=("torque-friction", "speed-friction"), dull=days.speed_by_torque, ratios=(0.7, 1.0)
+    ),
 }
 """What is made, by the kind of class that it may end in."""
 

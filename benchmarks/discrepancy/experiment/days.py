@@ -52,15 +52,15 @@ def four_loads(usual: Work, rng: np.random.Generator) -> Work:
 def speed_by_torque(usual: Work, rng: np.random.Generator) -> Work:
     """The differential speed is set by the solids, as a controller of the torque does."""
     del rng
-    speed = usual.running * np.clip(5.0 + 0.35 * follow(usual.torque, 120.0), 5.0, 27.0)
+    speed = usual.running * np.clip(2.0 + 0.35 * usual.torque, 2.0, 27.0)
     return replace(usual, differential=speed)
 
 
 def even_feed(usual: Work, rng: np.random.Generator) -> Work:
-    """A pump that runs with the machine, and slurry that is always about as warm."""
+    """Slurry that always flows as fast and is about as warm."""
     del rng
     mean = float(np.mean(usual.feed))
-    return replace(usual, pump=usual.running, flow=70.0 * usual.running, feed=mean + 0.15 * (usual.feed - mean))
+    return replace(usual, flow=70.0 * usual.pump, feed=mean + 0.15 * (usual.feed - mean))
 
 
 def even_hall(usual: Work, rng: np.random.Generator) -> Work:
