@@ -61,6 +61,8 @@ MOST_ROWS = 20_000
 """Rows of a schedule at most; beyond, they lie further apart than those of the record."""
 SURE_SIGMAS = 1.64
 """Standard deviations of the gain by which its mean lies above what a name needs: it is then had in 95 %."""
+EDGE_SHARE = 0.05
+"""Of its range, by which a load keeps away from where the model's bins meet: it trembles, and would be in both."""
 DAY_S = 86400.0
 SHAPE_STEP, LEAST_SCALE = 0.05, 20.0
 """The share of its scale by which a parameter of a shape is moved for a derivative; the scale (s) is one at least."""
@@ -108,8 +110,9 @@ class MachineOperation:
 
     `switch` starts and stops it ("": it cannot be stopped), `load` is the signal of its load ("": none). `levels` are
     (low, high) of each signal that can be set, `running` and `resting` what all signals usually have, `near` what those
-    that follow the load have at a level of it, `free` the course of each that goes its own way, whether the machine
-    runs or not. `row` (s) is the interval between rows, `end` (absolute s) the last one.
+    that follow the load have at a level of it, `barred` are the (low, high) between which the load is not set, `free` the
+    course of each that goes its own way, whether the machine runs or not. `row` (s) is the interval between rows, `end`
+    (absolute s) the last one.
     """
 
     switch: str
@@ -118,9 +121,20 @@ class MachineOperation:
     running: Mapping[str, float]
     resting: Mapping[str, float]
     near: Callable[[float], Mapping[str, float]]
-    free: Mapping[str, "FreeCourse"]
+    free: Mapping[str, FreeCourse]
     row: float
     end: float
+    barred: tuple[tuple[float, float], ...] = ()
+
+    def allowed(self, level: float) -> float:
+        """The nearest level at which the load may be set."""
+        low, high = self.levels[self.load]
+        ends = [end for between in self.barred for end in between]
+        near = [each for each in (level, low, high, *ends) if low <= each <= high and not self._is_barred(each)]
+        return _settable(min(near, key=lambda each: abs(each - level), default=level))
+
+    def _is_barred(self, level: float) -> bool:
+        return any(low < level < high for low, high in self.barred)
 
     def at_rest(self, seconds: float) -> tuple[Phase, ...]:
         """A rest; nothing where the machine cannot be stopped."""
@@ -233,6 +247,36 @@ def _goes_with(columns: Mapping[str, Array], name: str, load: str, runs: Mask) -
     return bool(abs(np.corrcoef(one, other)[0, 1]) >= FOLLOWS)
 
 
+def barred_loads(operation: MachineOperation, record: Record) -> tuple[tuple[float, float], ...]:
+    """(low, high) of the loads about the edges of bins, and of those that were never seen in a location whose flow does
+    not follow the load, where those of others do: of what they do there, nothing is known."""
+    model, load = record.model, operation.load
+    if not load:
+        return ()
+    low, high = operation.levels[load]
+    edges = [
+        edge
+        for channel in model.alphabet.channels
+        if isinstance(channel, Bins) and channel.signal == load
+        for edge in channel.thresholds
+    ]
+    away = EDGE_SHARE * (high - low)
+    barred = [(edge - away, edge + away) for edge in edges]
+    driven = [any(each.signal == load for each in place.flow.inputs) for place in model.sha.locations]
+    if load not in record.signals or not any(driven):
+        return tuple(barred)
+    bounds = [-inf, *edges, inf]
+    for number in np.unique(record.runs.place).tolist():
+        there = record.runs.place == number
+        if driven[number] or record.running[there].mean() < 0.5:
+            continue
+        seen = record.signal(load)[there]
+        least, most = _levels(seen)
+        begin, end = bounds[int(np.searchsorted(edges, least, side="right")) :][:2]
+        barred += [(begin, least), (most, end)]
+    return tuple(barred)
+
+
 # -------------------------------------------------------------------- schedules
 
 
@@ -252,10 +296,10 @@ def _of_the_load(operation: MachineOperation, dwell: float) -> list[ExperimentSc
     rest = operation.at_rest(REST_S)
 
     def loads(*levels: float, seconds: float = dwell) -> tuple[Phase, ...]:
-        return tuple(operation.turning(seconds, **{operation.load: level}) for level in levels)
+        return tuple(operation.turning(seconds, **{operation.load: operation.allowed(level)}) for level in levels)
 
-    middle = _settable(0.5 * (low + high))
-    ramp = [_settable(level) for level in np.linspace(low, high, RAMP_STEPS).tolist()]
+    middle = 0.5 * (low + high)
+    ramp = np.linspace(low, high, RAMP_STEPS).tolist()
     slow = max(dwell / 2.0, SHORTEST_DWELL_S)
     return [
         ExperimentSchedule("dwell at three loads, up and down", (*rest, *loads(low, middle, high, middle))),
@@ -454,6 +498,7 @@ def propose_experiment(
         return None
     record = path.base.frame.record
     operation = machine_operation(record.model, traces, roles)
+    operation = replace(operation, barred=barred_loads(operation, record))
     alternatives = [_alternative(each) for each in rivals]
     start = resting_temperature(record)
 

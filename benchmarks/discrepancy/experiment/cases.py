@@ -61,10 +61,7 @@ KINDS: Mapping[str, TwinKind] = {
     "law of the current": TwinKind(
         acts=("current-heating", "quadratic-current-heating"), dull=days.four_loads, law="steps", ratios=(2.0, 3.0)
     ),
-    "bend of the current": TwinKind(
-        acts=("quadratic-current-heating", "current-saturation"), dull=days.two_loads, law="line", ratios=(2.0, 3.0)
-    ),
-    "lag or delay": TwinKind(acts=("sensor-lag", "dead-time"), dull=days.one_load, ratios=(0.6, 0.9)),
+    "lag or delay": TwinKind(acts=("sensor-lag", "dead-time"), dull=days.one_load, ratios=(1.0, 1.5)),
     "square or late": TwinKind(
         acts=("quadratic-current-heating", LATE), dull=days.two_loads, law="line", ratios=(0.7, 1.0)
     ),
@@ -73,6 +70,12 @@ KINDS: Mapping[str, TwinKind] = {
     ),
     "friction": TwinKind(
         acts=("torque-friction", "speed-friction"), dull=days.speed_by_torque, ratios=(0.7, 1.0)
+    ),
+    "speed or load": TwinKind(
+        acts=("speed-friction", "current-heating"), dull=days.speed_by_load, law="steps", ratios=(1.5, 2.5)
+    ),
+    "pump or start-up": TwinKind(
+        acts=("pump-cooling", "startup-churning"), dull=days.pump_after_start, ratios=(1.5, 2.5)
     ),
 }
 """What is made, by the kind of class that it may end in."""

@@ -18,12 +18,6 @@ TREMBLE_A, TREMBLE_S = 3.0, 120.0
 Dull = Callable[[Work, np.random.Generator], Work]
 
 
-def as_usual(usual: Work, rng: np.random.Generator) -> Work:
-    """Nothing is dull about these days."""
-    del rng
-    return usual
-
-
 def few_loads(usual: Work, rng: np.random.Generator, levels: int) -> Work:
     """So many recipes, each in a bin of its own as far as there are bins."""
     n = usual.running.size
@@ -56,11 +50,22 @@ def speed_by_torque(usual: Work, rng: np.random.Generator) -> Work:
     return replace(usual, differential=speed)
 
 
+def speed_by_load(usual: Work, rng: np.random.Generator) -> Work:
+    """The differential speed is a part of the recipe: the more load, the faster."""
+    load = four_loads(usual, rng)
+    return replace(load, differential=load.running * follow(np.clip(0.08 * load.load, 3.0, 27.0), 30.0))
+
+
+def pump_after_start(usual: Work, rng: np.random.Generator) -> Work:
+    """The pump begins ten minutes after each start and runs until the stop."""
+    pump = usual.running * (usual.age > 600.0)
+    return replace(one_load(usual, rng), pump=pump, flow=70.0 * pump)
+
+
 def even_feed(usual: Work, rng: np.random.Generator) -> Work:
-    """Slurry that always flows as fast and is about as warm."""
-    del rng
-    mean = float(np.mean(usual.feed))
-    return replace(usual, flow=70.0 * usual.pump, feed=mean + 0.15 * (usual.feed - mean))
+    """Slurry that always flows as fast and is about as warm, or not by so much as elsewhere."""
+    mean, share = float(np.mean(usual.feed)), rng.uniform(0.1, 0.6)
+    return replace(usual, flow=70.0 * usual.pump, feed=mean + share * (usual.feed - mean))
 
 
 def even_hall(usual: Work, rng: np.random.Generator) -> Work:
