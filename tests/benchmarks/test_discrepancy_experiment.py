@@ -51,7 +51,7 @@ def test_a_machine_does_what_is_set_and_its_surroundings_what_they_like(plant: P
 
 
 def test_what_was_recorded_is_not_changed_by_what_is_set_later(plant: PlantTime) -> None:
-    (spec,) = specs("development", "square or late", [1])
+    (spec,) = specs("development", "speed or square of the load", [1])
     machine = restless(machine_of_type("development", "line-1"), np.random.default_rng(0), True)
     short = slice(0, int(1.5 * DAY / STEP))
     plant = replace(plant, work=part(plant.work, short), **{

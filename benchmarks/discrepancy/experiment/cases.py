@@ -12,7 +12,7 @@ import pandas as pd
 from benchmarks.discrepancy.experiment import days
 from benchmarks.discrepancy.experiment.days import Dull, PlantTime, days_of, obey, part
 from benchmarks.discrepancy.operation import Array
-from benchmarks.discrepancy.recorder.actors import ACTORS, LATE
+from benchmarks.discrepancy.recorder.actors import ACTORS
 from benchmarks.discrepancy.recorder.baseline import cut_cells, measure_visible
 from benchmarks.discrepancy.recorder.cases import (
     MOVED,
@@ -55,27 +55,24 @@ class TwinKind:
 
 
 KINDS: Mapping[str, TwinKind] = {
-    "pump or feed": TwinKind(
-        acts=("pump-cooling", "feed-temperature-coupling"), dull=days.even_feed, ratios=(1.5, 2.5)
-    ),
     "law of the current": TwinKind(
         acts=("current-heating", "quadratic-current-heating"), dull=days.four_loads, law="steps", ratios=(2.0, 3.0)
-    ),
-    "lag or delay": TwinKind(acts=("sensor-lag", "dead-time"), dull=days.one_load, ratios=(1.0, 1.5)),
-    "square or late": TwinKind(
-        acts=("quadratic-current-heating", LATE), dull=days.two_loads, law="line", ratios=(0.7, 1.0)
-    ),
-    "loss": TwinKind(
-        acts=("radiation-loss", "ambient-coupling", "thermostatic-cooling"), dull=days.even_hall, ratios=(0.7, 1.0)
-    ),
-    "friction": TwinKind(
-        acts=("torque-friction", "speed-friction"), dull=days.speed_by_torque, ratios=(0.7, 1.0)
     ),
     "speed or load": TwinKind(
         acts=("speed-friction", "current-heating"), dull=days.speed_by_load, law="steps", ratios=(1.5, 2.5)
     ),
-    "pump or start-up": TwinKind(
-        acts=("pump-cooling", "startup-churning"), dull=days.pump_after_start, ratios=(1.5, 2.5)
+    "speed or square of the load": TwinKind(
+        acts=("speed-friction", "quadratic-current-heating"), dull=days.speed_by_load, law="line", ratios=(1.5, 2.5)
+    ),
+    "speed or torque": TwinKind(
+        acts=("torque-friction", "speed-friction"), dull=days.speed_by_torque, ratios=(1.0, 1.5)
+    ),
+    "pump or feed": TwinKind(
+        acts=("pump-cooling", "feed-temperature-coupling"), dull=days.even_feed, ratios=(1.5, 2.5)
+    ),
+    "lag or delay": TwinKind(acts=("sensor-lag", "dead-time"), dull=days.one_load, ratios=(1.0, 1.5)),
+    "loss": TwinKind(
+        acts=("radiation-loss", "ambient-coupling", "thermostatic-cooling"), dull=days.even_hall, ratios=(0.7, 1.0)
     ),
 }
 """What is made, by the kind of class that it may end in."""

@@ -33,11 +33,6 @@ def one_load(usual: Work, rng: np.random.Generator) -> Work:
     return few_loads(usual, rng, 1)
 
 
-def two_loads(usual: Work, rng: np.random.Generator) -> Work:
-    """Two recipes in two bins."""
-    return few_loads(usual, rng, 2)
-
-
 def four_loads(usual: Work, rng: np.random.Generator) -> Work:
     """Four recipes, two a bin."""
     return few_loads(usual, rng, 4)
@@ -54,12 +49,6 @@ def speed_by_load(usual: Work, rng: np.random.Generator) -> Work:
     """The differential speed is a part of the recipe: the more load, the faster."""
     load = four_loads(usual, rng)
     return replace(load, differential=load.running * follow(np.clip(0.08 * load.load, 3.0, 27.0), 30.0))
-
-
-def pump_after_start(usual: Work, rng: np.random.Generator) -> Work:
-    """The pump begins ten minutes after each start and runs until the stop."""
-    pump = usual.running * (usual.age > 600.0)
-    return replace(one_load(usual, rng), pump=pump, flow=70.0 * pump)
 
 
 def even_feed(usual: Work, rng: np.random.Generator) -> Work:
