@@ -96,8 +96,8 @@ class FreeCourse:
     values: Array
 
     def ahead(self, times: Array) -> Array:
-        """(m,) what it is at later times (absolute s): what it was as many whole days before, of less than a day what it
-        was before that again."""
+        """(m,) what it is at later times (absolute s): what it was whole days before, or, where less than a day was
+        recorded, what it was that long before."""
         lasted = float(self.times[-1] - self.times[0])
         days = DAY_S * (lasted // DAY_S) or max(lasted, 1.0)
         back = days * np.ceil(np.maximum(times - self.times[-1], 0.0) / days)
@@ -110,9 +110,9 @@ class MachineOperation:
 
     `switch` starts and stops it ("": it cannot be stopped), `load` is the signal of its load ("": none). `levels` are
     (low, high) of each signal that can be set, `running` and `resting` what all signals usually have, `near` what those
-    that follow the load have at a level of it, `barred` are the (low, high) between which the load is not set, `free` the
-    course of each that goes its own way, whether the machine runs or not. `row` (s) is the interval between rows, `end`
-    (absolute s) the last one.
+    that follow the load have at a level of it, `free` the course of each that goes its own way, whether the machine
+    runs or not. `row` (s) is the interval between rows, `end` (absolute s) the last one. `barred` are the (low, high)
+    between which the load is not set.
     """
 
     switch: str
@@ -345,8 +345,8 @@ def steps_of(schedule: ExperimentSchedule) -> tuple[ExperimentStep, ...]:
 
 
 def schedule_trace(schedule: ExperimentSchedule, operation: MachineOperation, begin: float) -> Trace:
-    """The schedule as rows from `begin` (absolute s) on: what is set, what goes its own way as it went, and of all other
-    signals what is usual then."""
+    """The schedule as rows from `begin` (absolute s) on: what is set, what goes its own way, and of all other signals
+    what is usual then."""
     row = max(operation.row, schedule.seconds / MOST_ROWS)
     times = np.arange(0.0, schedule.seconds, row)
     names = dict.fromkeys([*([operation.switch] if operation.switch else []), *operation.running])

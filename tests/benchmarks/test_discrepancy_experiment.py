@@ -102,6 +102,7 @@ def test_what_became_of_a_class_is_counted_with_the_nats_that_were_gained() -> N
     assert [one.inseparable for one in ways] == [False] * 5 + [True, False]
     found = {one.name: (one.hits, one.cases) for one in rows(ways)}
     assert found["class to the right member"] == (1, 5)
+    assert found["the same, where the experiment was said to be enough"] == (1, 5)
     assert found["the same, to a wrong one"] == (2, 5)
     assert found["said to be beyond any experiment: not named wrongly"] == (1, 1)
     said = tables(ways, every=True)

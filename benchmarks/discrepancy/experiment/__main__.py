@@ -31,7 +31,9 @@ def main(set_: str, kinds: tuple[str, ...], count: int, first: int, out: Path, p
         for case, ratio in drawn:
             way = close_circle(case, ratio, out, plc=plc)
             ways.append(way)
-            click.echo(f"{one}, {way.acts}: {way.first.diagnosis.get('verdict')}, then {way.fate or 'nothing'}", err=True)
+            click.echo(
+                f"{one}, {way.acts}: {way.first.diagnosis.get('verdict')}, then {way.fate or 'nothing'}", err=True
+            )
     click.echo(tables(ways, every=every))
 
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ SET_POINTS, RECORDED = "set_points.csv", "experiment.csv"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Closed:
-    """A case's way: the `kind` of its class, what acts, the two outcomes (`second` None: no experiment was proposed)."""
+    """A case's way: the `kind` of its class, what acts, the two outcomes (`second` None: no experiment was made)."""
 
     kind: str
     case: str
@@ -60,6 +60,11 @@ class Closed:
         return any(float(pair["at_most"]) < least for pair in self.pairs())
 
     @property
+    def enough(self) -> bool:
+        """Whether the experiment was said to be enough for what acts and each of its rivals."""
+        return self.expected >= float((self.proposed or {}).get("needed_nats", 0.0))
+
+    @property
     def gained(self) -> float:
         """Nats by which what acts has drawn ahead of the nearest of its rivals, of those weighed both times."""
         if self.second is None:
@@ -73,7 +78,7 @@ class Closed:
 
     @property
     def fate(self) -> str:
-        """What became of it: `right`, `wrong`, `class`, `withheld` or `error`; "" where there was nothing to resolve."""
+        """What became of it: `right`, `wrong`, `class`, `withheld` or `error`; "" where nothing was to be resolved."""
         if self.second is None:
             return ""
         if self.second.status != "done":

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from zlib import crc32
 
@@ -146,7 +145,7 @@ def draw(spec: RecorderSpec, out: Path) -> TwinCase:
 
 
 def scale(cases: Sequence[TwinCase]) -> list[tuple[TwinCase, float]]:
-    """The cases at the strengths at which their effects have the wanted ratios to the sensor's noise; and the ratios."""
+    """The cases at strengths that give the wanted ratios to the sensor's noise, and the ratios that were reached."""
     whole = [part(one.plant.work, slice(0, one.plant.recorded)) for one in cases]
     cells = [cut_cells(work, one.family) for work, one in zip(whole, cases, strict=True)]
 

@@ -1,7 +1,7 @@
-"""Days of the recorder's plant on which near-twins look alike, and the same machine afterwards, doing what it is told."""
+"""Days of the recorder's plant on which near-twins look alike, and the same machine afterwards, told what to do."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -113,7 +113,7 @@ def days_of(rng: np.random.Generator, days: int, dull: Dull) -> PlantTime:
 def obey(plant: PlantTime, times: Array, columns: Mapping[str, Array]) -> tuple[Work, slice]:
     """The plant's work with set-points by their signals' names, held from `times` (s) on; and its rows of them.
 
-    What is set is reached as a machine reaches it: with an inrush, a load that trembles and a speed that takes its time.
+    What is set is reached as a machine does it: with an inrush, a load that trembles and a speed that takes its time.
     Raises ValueError for set-points that begin in the record or end after the plant's time.
     """
     seconds, was = plant.work.seconds, plant.work
@@ -151,9 +151,6 @@ def obey(plant: PlantTime, times: Array, columns: Mapping[str, Array]) -> tuple[
 
 def part(whole: Work, rows: slice) -> Work:
     """These rows of a work, as one of its own."""
-    columns = {
-        name: getattr(whole, name)[rows]
-        for name in ("running", "load", "current", "pump", "flow", "torque", "differential", "vibration", "feed", "ambient")
-    }
+    columns = {one.name: getattr(whole, one.name)[rows] for one in fields(Work) if one.name != "starts"}
     starts = tuple(start - rows.start for start in whole.starts if rows.start <= start < rows.stop)
     return Work(**columns, starts=starts)

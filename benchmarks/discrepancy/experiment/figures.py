@@ -21,10 +21,12 @@ def rows(ways: Sequence[Closed]) -> list[Row]:
     apart, and these alone; then by kind."""
     made = [one for one in ways if one.fate]
     told = [one for one in made if not one.inseparable]
+    enough = [one for one in told if one.enough]
     apart = [one for one in made if one.inseparable]
     found = [
         row("class to the right member", [one for one in told if one.is_class], _right, RIGHT),
         row("class, or names withheld between rivals, to the right one", told, _right, RIGHT),
+        row("the same, where the experiment was said to be enough", enough, _right, RIGHT),
         row("the same, to a wrong one", told, _wrong, WRONG),
         row("the same, still a class", told, lambda one: one.fate == "class"),
         row("the same, nothing named", told, lambda one: one.fate in ("withheld", "error")),
@@ -51,15 +53,15 @@ def tables(ways: Sequence[Closed], *, every: bool = False) -> str:
     made = [one for one in ways if one.fate]
     classes = sum(one.is_class for one in ways)
     stray = sum(one.proposed is not None and one.acts not in one.rivals for one in ways)
+    proposed = sum(one.proposed is not None for one in ways)
     about = (
-        f"{len(ways)} cases: {classes} ended in a class, in {sum(one.proposed is not None for one in ways)} an experiment "
-        f"was proposed ({stray} without what acts among its rivals, left out), {len(made)} were made and diagnosed again"
+        f"{len(ways)} cases: {classes} ended in a class, in {proposed} an experiment was proposed ({stray} without "
+        f"what acts among its rivals, left out), {len(made)} were made and diagnosed again"
     )
-    body = [
-        [one.name, wanted(one) if one.target != (0.0, 1.0) else "", percent(one), interval(one), f"{one.hits}/{one.cases}",
-         one.verdict]
-        for one in rows(ways)
-    ]  # fmt: skip
+    body = []
+    for one in rows(ways):
+        target = wanted(one) if one.target != (0.0, 1.0) else ""
+        body.append([one.name, target, percent(one), interval(one), f"{one.hits}/{one.cases}", one.verdict])
     parts = [about, grid(["figure", "target", "share", "95 %", "n", ""], body)]
     weighed = [one for one in made if np.isfinite(one.gained) and not one.inseparable]
     if weighed:

@@ -9,8 +9,8 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
@@ -23,6 +23,8 @@ from gateway.settings import load_device
 CYCLE_S = 0.001
 NEW_CYCLES = 2
 """Cycles of the program after which it shows the row that it was sought to, whatever it was about."""
+HEARTBEATS = 0xFFFF
+"""After so many the program counts them anew."""
 PATIENCE_S = 20.0
 
 
@@ -62,28 +64,38 @@ def _plc(trace: Path) -> Iterator[Plc]:
 
 
 async def _read_all(
-    plc: Plc, driver: Driver, tags: list[Tag], heartbeat: str, positions: list[float]
+    plc: Plc, driver: Driver, tags: Sequence[Tag], heartbeat: str, positions: Sequence[float]
 ) -> list[dict[str, float | None]]:
     rows = []
     await driver.open()
     try:
         async with asyncio.timeout(PATIENCE_S):
-            while not (await _read(driver, tags))[heartbeat].quality is Quality.GOOD:
+            while _beat(await _read(driver, tags), heartbeat) is None:
                 await asyncio.sleep(0.05)
         for position in positions:
             plc.order("seek", position=float(position))
-            since = (await _read(driver, tags))[heartbeat].value
             async with asyncio.timeout(PATIENCE_S):
+                since = _beat(await _read(driver, tags), heartbeat)
                 while True:
                     row = await _read(driver, tags)
-                    if (int(row[heartbeat].value) - int(since)) % 0xFFFF >= NEW_CYCLES:
+                    now = _beat(row, heartbeat)
+                    if since is not None and now is not None and (now - since) % HEARTBEATS >= NEW_CYCLES:
                         break
-            rows.append({name: float(one.value) if one.quality is Quality.GOOD else None for name, one in row.items() if name != heartbeat})
+            rows.append({name: _value(one) for name, one in row.items() if name != heartbeat})
     finally:
         await driver.close()
     return rows
 
 
-async def _read(driver: Driver, tags: list[Tag]) -> dict[str, Sample]:
+async def _read(driver: Driver, tags: Sequence[Tag]) -> dict[str, Sample]:
     samples = await driver.read(tags)
     return dict(zip([tag.name for tag in tags], samples, strict=True))
+
+
+def _value(sample: Sample) -> float | None:
+    return None if sample.value is None or sample.quality is not Quality.GOOD else float(sample.value)
+
+
+def _beat(row: Mapping[str, Sample], heartbeat: str) -> int | None:
+    value = _value(row[heartbeat])
+    return None if value is None else int(value)
