@@ -97,13 +97,16 @@ def test_what_became_of_a_class_is_counted_with_the_nats_that_were_gained() -> N
     both = way(outcome("named", ("sensor-lag",), ("wear-drift",)))
     withheld, beyond = way(outcome("unexplained")), way(outcome("class", ("dead-time", "sensor-lag")), most=2.0)
     ways = [right, wrong, class_, both, withheld, beyond, way(None)]
-    assert [one.fate for one in ways] == ["right", "wrong", "class", "wrong", "withheld", "class", ""]
+    nothing = {**withheld.first.diagnosis, "verdict": "agree", "effects": []}
+    ways.append(replace(withheld, first=replace(withheld.first, diagnosis=nothing)))
+    assert [one.fate for one in ways] == ["right", "wrong", "class", "wrong", "withheld", "class", "", "withheld"]
     assert (right.expected, right.gained) == (20.0, 30.0)
-    assert [one.inseparable for one in ways] == [False] * 5 + [True, False]
+    assert [one.inseparable for one in ways] == [False] * 5 + [True, False, False]
     found = {one.name: (one.hits, one.cases) for one in rows(ways)}
     assert found["class to the right member"] == (1, 5)
     assert found["the same, where the experiment was said to be enough"] == (1, 5)
     assert found["the same, to a wrong one"] == (2, 5)
+    assert found["agreed at first, with rivals too small to matter: not named wrongly"] == (1, 1)
     assert found["said to be beyond any experiment: not named wrongly"] == (1, 1)
     said = tables(ways, every=True)
-    assert "7 cases: 7 ended in a class" in said and "expected 20, gained 30 (medians)" in said
+    assert "8 cases: 7 ended in a class" in said and "expected 20, gained 30 (medians)" in said

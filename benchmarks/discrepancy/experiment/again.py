@@ -44,6 +44,11 @@ class Closed:
         """Whether the first diagnosis ended in a class of two or more, and not in a name withheld between rivals."""
         return bool(answer(self.first).classes)
 
+    @property
+    def missing(self) -> bool:
+        """Whether the first diagnosis said that something is missing; where it agrees, nothing is to be resolved."""
+        return answer(self.first).verdict in ("named", "class", "unexplained")
+
     def pairs(self) -> list[dict[str, Any]]:
         """The pairs of what acts and a rival, as the experiment has them."""
         return [pair for pair in (self.proposed or {}).get("nats", ()) if self.acts in pair["pair"]]

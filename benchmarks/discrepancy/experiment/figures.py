@@ -20,9 +20,10 @@ def rows(ways: Sequence[Closed]) -> list[Row]:
     """Of the experiments that were made: what became of the class, all together, without the pairs that nothing tells
     apart, and these alone; then by kind."""
     made = [one for one in ways if one.fate]
-    told = [one for one in made if not one.inseparable]
+    told = [one for one in made if one.missing and not one.inseparable]
     enough = [one for one in told if one.enough]
-    apart = [one for one in made if one.inseparable]
+    apart = [one for one in made if one.missing and one.inseparable]
+    small = [one for one in made if not one.missing]
     found = [
         row("class to the right member", [one for one in told if one.is_class], _right, RIGHT),
         row("class, or names withheld between rivals, to the right one", told, _right, RIGHT),
@@ -32,6 +33,11 @@ def rows(ways: Sequence[Closed]) -> list[Row]:
         row("the same, nothing named", told, lambda one: one.fate in ("withheld", "error")),
         row("said to be beyond any experiment: not named wrongly", apart, lambda one: one.fate != "wrong"),
         row("said to be beyond any experiment: resolved all the same", apart, _right),
+        row(
+            "agreed at first, with rivals too small to matter: not named wrongly",
+            small,
+            lambda one: one.fate != "wrong",
+        ),
     ]
     found += [
         row(f"{kind}: to the right one", [one for one in told if one.kind == kind], _right)
