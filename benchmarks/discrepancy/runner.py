@@ -13,7 +13,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from io import StringIO
 from pathlib import Path
 from time import perf_counter
@@ -47,11 +47,16 @@ class Case:
     traces: Path
     model: Path
     seed: int
+    options: tuple[str, ...] = ()
+
+    def with_options(self, *options: str) -> "Case":
+        """The same case with further options of the command line."""
+        return replace(self, options=options)
 
     def arguments(self, out: Path) -> list[str]:
         """The command line of the tool under test, after its name."""
         where = ["--model", str(self.model), "--traces", str(self.traces), "--out", str(out)]
-        return ["diagnose", *where, "--json", "--seed", str(self.seed)]
+        return ["diagnose", *where, "--json", "--seed", str(self.seed), *self.options]
 
 
 Diagnose = Callable[[Case, float], Outcome]

@@ -61,6 +61,9 @@ MOST_ROWS = 20_000
 """Rows of a schedule at most; beyond, they lie further apart than those of the record."""
 SURE_SIGMAS = 1.64
 """Standard deviations of the gain by which its mean lies above what a name needs: it is then had in 95 %."""
+EDGE_SHARE = 0.05
+"""Of its range, by which a load keeps away from where the model's bins meet: it trembles, and would be in both."""
+DAY_S = 86400.0
 SHAPE_STEP, LEAST_SCALE = 0.05, 20.0
 """The share of its scale by which a parameter of a shape is moved for a derivative; the scale (s) is one at least."""
 
@@ -85,13 +88,31 @@ class ExperimentSchedule:
         return ExperimentSchedule(self.what, self.phases * times)
 
 
+@dataclass(frozen=True, slots=True)
+class FreeCourse:
+    """What a signal that nobody sets was (n,) at `times` (n,) absolute s: a room, a feed. It goes on as it went."""
+
+    times: Array
+    values: Array
+
+    def ahead(self, times: Array) -> Array:
+        """(m,) what it is at later times (absolute s): what it was whole days before, or, where less than a day was
+        recorded, what it was that long before."""
+        lasted = float(self.times[-1] - self.times[0])
+        days = DAY_S * (lasted // DAY_S) or max(lasted, 1.0)
+        back = days * np.ceil(np.maximum(times - self.times[-1], 0.0) / days)
+        return np.asarray(np.interp(times - back, self.times, self.values))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MachineOperation:
     """What a person can set of a machine and what was seen of its signals.
 
     `switch` starts and stops it ("": it cannot be stopped), `load` is the signal of its load ("": none). `levels` are
     (low, high) of each signal that can be set, `running` and `resting` what all signals usually have, `near` what those
-    that follow the load have at a level of it. `row` (s) is the interval between rows, `end` (absolute s) the last one.
+    that follow the load have at a level of it, `free` the course of each that goes its own way, whether the machine
+    runs or not. `row` (s) is the interval between rows, `end` (absolute s) the last one. `barred` are the (low, high)
+    between which the load is not set.
     """
 
     switch: str
@@ -100,8 +121,20 @@ class MachineOperation:
     running: Mapping[str, float]
     resting: Mapping[str, float]
     near: Callable[[float], Mapping[str, float]]
+    free: Mapping[str, FreeCourse]
     row: float
     end: float
+    barred: tuple[tuple[float, float], ...] = ()
+
+    def allowed(self, level: float) -> float:
+        """The nearest level at which the load may be set."""
+        low, high = self.levels[self.load]
+        ends = [end for between in self.barred for end in between]
+        near = [each for each in (level, low, high, *ends) if low <= each <= high and not self._is_barred(each)]
+        return _settable(min(near, key=lambda each: abs(each - level), default=level))
+
+    def _is_barred(self, level: float) -> bool:
+        return any(low < level < high for low, high in self.barred)
 
     def at_rest(self, seconds: float) -> tuple[Phase, ...]:
         """A rest; nothing where the machine cannot be stopped."""
@@ -130,7 +163,8 @@ def machine_operation(model: Model, traces: Sequence[Trace], roles: Mapping[str,
     load = loads[0] if loads and loads[0] in levels else ""
     running = _usual(columns, runs)
     running |= {name: _settable(running[name]) for name in levels}
-    resting = _usual({name: columns[name] for name in columns if _changes(columns[name], runs)}, ~runs)
+    changing = [name for name in columns if _changes(columns[name], runs)]
+    resting = _usual({name: columns[name] for name in changing}, ~runs)
     follow = [
         name for name in columns if load and name not in (*levels, stops) and _goes_with(columns, name, load, runs)
     ]
@@ -142,6 +176,8 @@ def machine_operation(model: Model, traces: Sequence[Trace], roles: Mapping[str,
         rows = runs & (np.abs(columns[load] - level) <= (high - low) / 6.0)
         return _usual({name: columns[name] for name in follow}, rows) if rows.any() else {}
 
+    times = np.concatenate([trace.times for trace in traces])
+    own = [name for name in columns if name in running and name not in (*levels, stops, *follow, *changing)]
     steps = np.concatenate([np.diff(trace.times) for trace in traces])
     return MachineOperation(
         switch=stops,
@@ -150,6 +186,7 @@ def machine_operation(model: Model, traces: Sequence[Trace], roles: Mapping[str,
         running=running,
         resting={**running, **resting},
         near=near,
+        free={name: _free_course(times, columns[name]) for name in own},
         row=float(np.median(steps[steps > 0])),
         end=max(float(trace.times[-1]) for trace in traces),
     )
@@ -160,6 +197,12 @@ def _held(trace: Trace, name: str) -> Array:
     column = trace.signals.get(name, np.full(trace.times.size, np.nan))
     last = np.maximum.accumulate(np.where(np.isnan(column), -1, np.arange(column.size)))
     return np.where(last < 0, np.nan, column[last])
+
+
+def _free_course(times: Array, column: Array) -> FreeCourse:
+    order = np.argsort(times, kind="stable")
+    order = order[np.isfinite(column[order])]
+    return FreeCourse(times[order], column[order])
 
 
 def _usual(columns: Mapping[str, Array], rows: Mask) -> dict[str, float]:
@@ -189,6 +232,8 @@ def _changes(column: Array, runs: Mask) -> bool:
     turning, still = (column[rows & np.isfinite(column)] for rows in (runs, ~runs))
     if turning.size == 0 or still.size == 0:
         return False
+    if np.unique(turning).size <= 2:  # of a switch both values are usual while the machine runs
+        return bool(np.median(still) != np.median(turning))
     low, high = np.quantile(turning, LEVEL_SHARES)
     return not low <= float(np.median(still)) <= high
 
@@ -200,6 +245,36 @@ def _goes_with(columns: Mapping[str, Array], name: str, load: str, runs: Mask) -
     if one.size < 2 or np.ptp(one) == 0 or np.ptp(other) == 0:
         return False
     return bool(abs(np.corrcoef(one, other)[0, 1]) >= FOLLOWS)
+
+
+def barred_loads(operation: MachineOperation, record: Record) -> tuple[tuple[float, float], ...]:
+    """(low, high) of the loads about the edges of bins, and of those that were never seen in a location whose flow does
+    not follow the load, where those of others do: of what they do there, nothing is known."""
+    model, load = record.model, operation.load
+    if not load:
+        return ()
+    low, high = operation.levels[load]
+    edges = [
+        edge
+        for channel in model.alphabet.channels
+        if isinstance(channel, Bins) and channel.signal == load
+        for edge in channel.thresholds
+    ]
+    away = EDGE_SHARE * (high - low)
+    barred = [(edge - away, edge + away) for edge in edges]
+    driven = [any(each.signal == load for each in place.flow.inputs) for place in model.sha.locations]
+    if load not in record.signals or not any(driven):
+        return tuple(barred)
+    bounds = [-inf, *edges, inf]
+    for number in np.unique(record.runs.place).tolist():
+        there = record.runs.place == number
+        if driven[number] or record.running[there].mean() < 0.5:
+            continue
+        seen = record.signal(load)[there]
+        least, most = _levels(seen)
+        begin, end = bounds[int(np.searchsorted(edges, least, side="right")) :][:2]
+        barred += [(begin, least), (most, end)]
+    return tuple(barred)
 
 
 # -------------------------------------------------------------------- schedules
@@ -221,10 +296,10 @@ def _of_the_load(operation: MachineOperation, dwell: float) -> list[ExperimentSc
     rest = operation.at_rest(REST_S)
 
     def loads(*levels: float, seconds: float = dwell) -> tuple[Phase, ...]:
-        return tuple(operation.turning(seconds, **{operation.load: level}) for level in levels)
+        return tuple(operation.turning(seconds, **{operation.load: operation.allowed(level)}) for level in levels)
 
-    middle = _settable(0.5 * (low + high))
-    ramp = [_settable(level) for level in np.linspace(low, high, RAMP_STEPS).tolist()]
+    middle = 0.5 * (low + high)
+    ramp = np.linspace(low, high, RAMP_STEPS).tolist()
     slow = max(dwell / 2.0, SHORTEST_DWELL_S)
     return [
         ExperimentSchedule("dwell at three loads, up and down", (*rest, *loads(low, middle, high, middle))),
@@ -270,7 +345,8 @@ def steps_of(schedule: ExperimentSchedule) -> tuple[ExperimentStep, ...]:
 
 
 def schedule_trace(schedule: ExperimentSchedule, operation: MachineOperation, begin: float) -> Trace:
-    """The schedule as rows from `begin` (absolute s) on: what is set, and of all other signals what is usual then."""
+    """The schedule as rows from `begin` (absolute s) on: what is set, what goes its own way, and of all other signals
+    what is usual then."""
     row = max(operation.row, schedule.seconds / MOST_ROWS)
     times = np.arange(0.0, schedule.seconds, row)
     names = dict.fromkeys([*([operation.switch] if operation.switch else []), *operation.running])
@@ -286,6 +362,7 @@ def schedule_trace(schedule: ExperimentSchedule, operation: MachineOperation, be
         for name, column in columns.items():
             column[rows] = values[name]
         since += seconds
+    columns |= {name: course.ahead(begin + times) for name, course in operation.free.items()}
     return Trace("experiment", begin + times, columns, origin="a proposed experiment", synthetic=True)
 
 
@@ -421,6 +498,7 @@ def propose_experiment(
         return None
     record = path.base.frame.record
     operation = machine_operation(record.model, traces, roles)
+    operation = replace(operation, barred=barred_loads(operation, record))
     alternatives = [_alternative(each) for each in rivals]
     start = resting_temperature(record)
 

@@ -129,7 +129,9 @@ def prove(
     told = told_fits(proof, base, judged, kept=kept)
     gap = above(told.held, floor, sensor, rules)
     # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
-    trials = let_run(told.after, training.by_cycles()), told.second
+    # Of an experiment nothing is told: what a machine lacks shows there as it never did, and would begin with it.
+    usual = training.where(training.cycle < layout.first_made)
+    trials = let_run(told.after, usual.by_cycles()), told.second
     began = beginning(trials, rules.material_sigmas * sensor, rules)
     evidence = evidence_of(path, search.ceiling, proof.before)
     material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))

@@ -10,26 +10,31 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from sim.artefacts.formats import write_model_directory
+from sim.discrepancy import proving
 from sim.discrepancy.advice import experiment_lines
-from sim.discrepancy.diagnosis import ProposedExperiment
+from sim.discrepancy.beginning import beginning
+from sim.discrepancy.diagnosis import GapBeginning, ProposedExperiment
 from sim.discrepancy.experiment import (
     ExperimentSchedule,
+    barred_loads,
     machine_operation,
     propose_experiment,
     rivals_to_tell,
+    schedule_trace,
     schedules,
     steps_of,
 )
 from sim.discrepancy.fitting import first_cycle_after, frame_of, on, record_of, rivals
 from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.free_run_fit import fit
+from sim.discrepancy.held_out import HeldOutRun
 from sim.discrepancy.judging import NamingResult
 from sim.discrepancy.naming import NamingStep, step
-from sim.discrepancy.rules import RULES
+from sim.discrepancy.rules import RULES, DecisionRules
 from sim.discrepancy.workflow import diagnose
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
-from sim.sha.automaton import Effect
+from sim.sha.automaton import Effect, Flow, Input
 from sim.sha.events import encode
 from sim.sha.model import Model
 from sim.sha.trace import Trace
@@ -95,6 +100,41 @@ def test_what_is_set_lies_within_what_was_seen_and_a_room_is_not_set() -> None:
         assert all(trace.signals["Assorbimento"][on_].min() <= value <= 260.0 for value in values), (each.what, values)
 
 
+def test_a_pump_rests_with_the_machine_and_a_room_goes_on_as_it_went() -> None:
+    trace = plant(1, days=2, room=0.3)
+    operation = machine_operation(model(), [trace], {**ROLES, "ambient": "TAmbiente"})
+    shown = max(schedules(operation, 1500.0), key=lambda each: each.seconds)
+    rows = schedule_trace(shown, operation, operation.end + 3600.0)
+    rests = rows.signals["MarciaDecanter"] == 0
+    assert rests.any() and not rows.signals["MarciaPmpFango"][rests].any()
+    # The day after the record is as its last one.
+    before = np.interp(rows.times - 86400.0, trace.times, trace.signals["TAmbiente"])
+    day = rows.times < operation.end + 86400.0
+    assert rows.signals["TAmbiente"][day] == pytest.approx(before[day]) and np.ptp(before[day]) > 5.0
+
+
+def test_a_load_is_set_where_the_model_knows_what_it_does() -> None:
+    trace = plant(1, days=2)
+    record = record_of(model(), [trace], ("Assorbimento",))
+    operation = machine_operation(model(), [trace], ROLES)
+    low, high = operation.levels["Assorbimento"]
+    (edge,) = barred_loads(operation, record)
+    assert edge == pytest.approx((200.0 - 0.05 * (high - low), 200.0 + 0.05 * (high - low)))
+    follows = [
+        replace(place, flow=Flow("driven", place.flow.params, (Input("Assorbimento", 0.1, 250.0),)))
+        if place.name == "HIGH"
+        else place
+        for place in model().sha.locations
+    ]
+    driven = replace(model(), sha=replace(model().sha, locations=tuple(follows)))
+    barred = replace(operation, barred=barred_loads(operation, record_of(driven, [trace], ("Assorbimento",))))
+    seen = trace.signals["Assorbimento"]
+    seen = seen[(seen > 0) & (seen < 200.0)]
+    assert barred.allowed(180.0) in (pytest.approx(np.quantile(seen, 0.95), rel=0.01), pytest.approx(edge[1], rel=0.01))
+    assert barred.allowed(240.0) == 240.0 and barred.allowed(150.0) == 150.0
+    assert operation.allowed(180.0) == 180.0 and replace(operation, barred=(edge,)).allowed(201.0) > 204.0
+
+
 def test_what_is_set_at_once_is_one_step_with_a_time() -> None:
     steps = steps_of(
         ExperimentSchedule("", (({"W": 0.0}, 60.0), ({"W": 1.0, "A": 5.0}, 120.0), ({"W": 1.0, "A": 5.0}, 30.0)))
@@ -147,7 +187,14 @@ def test_a_pair_that_no_experiment_tells_apart_is_said_with_what_is_expected(pro
     assert "may have to be made again" in experiment_lines(replace(proposed, pairs=(twins, weak)))[-1]
 
 
-def test_an_experiment_is_fitted_and_never_held_out() -> None:
+def test_an_experiment_is_fitted_and_never_held_out_and_no_gap_begins_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+
+    def looked_for(trials: tuple[HeldOutRun, ...], least: float, rules: DecisionRules) -> GapBeginning | None:
+        asked.extend(float(trial.record.times.max()) for trial in trials)
+        return beginning(trials, least, rules)
+
+    monkeypatch.setattr(proving, "beginning", looked_for)
     days, later = plant(1, days=2), plant(5, days=1)
     later = replace(later, times=later.times + 3 * 86400.0, events=())
     record = record_of(model(), [days, replace(later, events=encode(later, ALPHABET))], ())
@@ -157,6 +204,7 @@ def test_an_experiment_is_fitted_and_never_held_out() -> None:
     assert course is not None
     assert course.held_out[(course.times < later.times[0])].any()
     assert not course.held_out[(course.times >= later.times[0])].any()
+    assert len(asked) == 2 and max(asked) < later.times[0]
 
 
 def test_the_command_proposes_and_writes_the_experiment(tmp_path: Path) -> None:
