@@ -30,6 +30,8 @@ from sim.discrepancy.fitting import (
 from sim.effects import MachineLog
 from sim.sha import Array
 
+TOGETHER = 16
+"""Columns that are weighed at a time: the states behind them take several times their memory."""
 SIMPLEX = 60
 """Evaluations at most when the shape of an effect is refined."""
 TIMES = ("tau", "delay", "lag")
@@ -212,16 +214,19 @@ def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     # Columns of unit size: strengths run from degC to 1/s, and one normal matrix of them all would lose its digits.
     scale = np.sqrt(np.mean(columns**2, axis=0))
     scaled = columns / np.where(scale > 1e-12, scale, 1.0)
-    cleaned, weighed, before = projector.clean(scaled)
-    normal = scaled.T @ weighed
-    left = np.maximum(np.diag(normal), 0.0)
-    visible = np.where((scale > 1e-12) & (before > 0), np.sqrt(left / np.maximum(before, 1e-300)), 0.0)
     # np.add.at, not a fancy +=, because windows of one cycle share a row and each of them must count.
     cycles = np.unique(fitted.grid.cycle, return_inverse=True)[1]
-    parts = np.zeros((int(cycles.max()) + 1, columns.shape[1]))
-    shares = np.zeros_like(parts)
-    np.add.at(parts, cycles, cleaned * projector.weighed_residual[:, None])
-    np.add.at(shares, cycles, cleaned * weighed)
+    count, width = int(cycles.max()) + 1, columns.shape[1]
+    parts, shares, before = np.zeros((count, width)), np.zeros((count, width)), np.empty(width)
+    normal = np.empty((width, width))
+    for begin in range(0, width, TOGETHER):
+        some = slice(begin, begin + TOGETHER)
+        cleaned, weighed, before[some] = projector.clean(scaled[:, some])
+        normal[:, some] = scaled.T @ weighed
+        np.add.at(parts[:, some], cycles, cleaned * projector.weighed_residual[:, None])
+        np.add.at(shares[:, some], cycles, cleaned * weighed)
+    left = np.maximum(np.diag(normal), 0.0)
+    visible = np.where((scale > 1e-12) & (before > 0), np.sqrt(left / np.maximum(before, 1e-300)), 0.0)
     return Screen(
         shapes=shapes,
         scale=scale,
