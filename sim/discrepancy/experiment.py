@@ -27,7 +27,7 @@ from sim.discrepancy.fitting import (
     patiently,
     readings_in_window,
     record_of,
-    sensitivity,
+    window_sensitivity,
 )
 from sim.discrepancy.judging import NamingResult
 from sim.discrepancy.naming import EffectEvidence, confirm, margin_of_class
@@ -343,7 +343,7 @@ def _sensitivities(frame: Frame, state: CourseState, start: Array) -> Array:
 
     A parameter of a shape is in units of its own scale.
     """
-    columns = [frame.record.windowed(sensitivity(frame, state, start))]
+    columns = [window_sensitivity(frame, state, start)]
     *others, last = state.named
     for name, (_, high) in last.entry.candidate.refine.items():
         if name not in last.params or name in last.free:

@@ -23,7 +23,7 @@ from sim.discrepancy.fitting import (
     filtered,
     heat_and_loss,
     on,
-    sensitivity,
+    window_sensitivity,
     with_column,
 )
 from sim.discrepancy.held_out import HeldOutRun, let_run
@@ -132,7 +132,7 @@ def candidate_laws(
         residual=trial.residual,
     )
     there = columns_on(unseen, smooth_course(unseen), names, begin, periods)
-    own = trial.record.windowed(sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first]))
+    own = window_sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first])
     chosen = _distinct(scored, rules)
     sharper = _sharpened(fitted, scored, chosen)
     chosen += range(len(scored.forms), len(scored.forms) + len(sharper))

@@ -9,8 +9,8 @@ from sim.discrepancy.fitting.course import (
     filtered,
     friction_heat,
     grid_at,
-    sensitivity,
     unseen_switches,
+    window_sensitivity,
 )
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged_signal, on_sensor
 from sim.discrepancy.fitting.free_run_fit import (
@@ -75,10 +75,10 @@ __all__ = [
     "record_of",
     "rivals",
     "rounding",
-    "sensitivity",
     "shown_locations",
     "signals_of",
     "unseen_switches",
+    "window_sensitivity",
     "with_column",
     "with_heats",
 ]

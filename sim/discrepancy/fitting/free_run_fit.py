@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
-from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
+from sim.discrepancy.fitting.course import CourseState, at, grid_at, window_sensitivity
 from sim.discrepancy.fitting.named import Named, named_of
 from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise, vector
 from sim.discrepancy.fitting.record import Record
@@ -191,7 +191,7 @@ def _around(frame: Frame, state: CourseState, start: Array, reading: Array) -> _
         state,
         grid_at(frame, state),
         reading - record.windowed(state.mean),
-        record.windowed(sensitivity(frame, state, start)),
+        window_sensitivity(frame, state, start),
         off,
     )
 
