@@ -27,6 +27,7 @@ from sim.discrepancy.fitting import (
     patiently,
     readings_in_window,
     record_of,
+    restored,
     window_sensitivity,
 )
 from sim.discrepancy.judging import NamingResult
@@ -327,9 +328,9 @@ class _Alternative:
 
 
 def _alternative(evidence: EffectEvidence) -> _Alternative:
-    fitted = evidence.fitted
-    if fitted is None:
+    if evidence.fitted is None:
         raise ValueError(f"{evidence.entry.name} was not fitted")
+    fitted = restored(evidence.fitted)
     columns = _sensitivities(fitted.frame, fitted.state, fitted.start)
     # Of a parameter of the shape nothing is believed but that it stays near its own size.
     more = columns.shape[1] - fitted.prior.size

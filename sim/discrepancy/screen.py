@@ -21,8 +21,8 @@ from sim.discrepancy.fitting import (
     as_read,
     as_sensed,
     effects_of,
-    filtered,
     heat_and_loss,
+    heat_filter,
     held,
     on_sensor,
     signals_of,
@@ -151,6 +151,7 @@ def smooth_course(fitted: Fitted) -> Array:
 def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
     """(m, c) degC what one unit of strength of each shape does to the windows."""
     record, state = fitted.frame.record, fitted.state
+    added = heat_filter(fitted.frame, state)
     out = []
     for shape in shapes:
         effects = effects_of(shape.named(1.0), record.model)
@@ -166,8 +167,7 @@ def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
         for effect in effects:
             gained, lost = heat_and_loss(record, effect, smooth)
             heat += gained - lost * smooth
-        added = filtered(fitted.frame, state, heat)[:, 0]
-        out.append(record.windowed(as_read(fitted.frame, state, added)))
+        out.append(record.windowed(as_read(fitted.frame, state, added(heat))))
     return np.column_stack(out)
 
 

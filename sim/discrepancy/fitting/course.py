@@ -147,14 +147,12 @@ def rates_of(frame: Frame, log_rates: Array) -> Array:
     return np.asarray(rate[frame.record.runs.place])
 
 
-def filtered(frame: Frame, state: CourseState, heat: Array) -> Array:
-    """(n, c) degC what heats (n, c) in degC/s, held over each step, add to the bearing's temperature."""
+def heat_filter(frame: Frame, state: CourseState) -> Callable[[Array], Array]:
+    """What makes of a heat (n,) in degC/s, held over each step, what it adds to the bearing's temperature (n,) degC."""
     runs = frame.record.runs
     decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
-    decay = np.where(runs.first, 0.0, decay)
-    pull = np.where(runs.first, 0.0, pull)
-    columns = heat if heat.ndim == 2 else heat[:, None]
-    return linear_recursion(decay[:, None], pull[:, None] * columns, np.zeros(columns.shape[1]))
+    decay, pull = np.where(runs.first, 0.0, decay), np.where(runs.first, 0.0, pull)
+    return lambda heat: linear_recursion(decay, pull * heat, 0.0)
 
 
 def window_sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:

@@ -251,6 +251,22 @@ def given_fit(fitted: Fitted) -> Fitted:
     return _fitted(frame, point, start=fitted.start, noise=noise, prior=prior, cost=cost)
 
 
+def slim(fitted: Fitted) -> Fitted:
+    """The fit without what its free run gives again (`restored`): of many fits of a long record, most of the memory."""
+    state, nothing = fitted.state, np.empty(0)
+    bare = replace(state, mean=nothing, decay=nothing, k=nothing, target=nothing, loss=nothing, heat=nothing)
+    return replace(fitted, state=bare, grid=replace(fitted.grid, heats=np.empty((0, 0))))
+
+
+def restored(fitted: Fitted) -> Fitted:
+    """A fit that may be `slim`, whole."""
+    before = fitted.state
+    if before.mean.size:
+        return fitted
+    state = at(fitted.frame, before.parameters, fitted.start, before.named, before.course)
+    return replace(fitted, state=state, grid=grid_at(fitted.frame, state))
+
+
 def _fitted(frame: Frame, point: _Point, *, start: Array, noise: NoiseModel, prior: Array, cost: float) -> Fitted:
     whitener = Whitener(point.grid, noise)
     inverse = np.linalg.inv(whitener.gram(point.columns) + np.diag(np.maximum(prior, 1e-12)))
