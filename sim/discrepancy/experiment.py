@@ -27,7 +27,8 @@ from sim.discrepancy.fitting import (
     patiently,
     readings_in_window,
     record_of,
-    sensitivity,
+    restored,
+    window_sensitivity,
 )
 from sim.discrepancy.judging import NamingResult
 from sim.discrepancy.naming import EffectEvidence, confirm, margin_of_class
@@ -404,9 +405,9 @@ class _Alternative:
 
 
 def _alternative(evidence: EffectEvidence) -> _Alternative:
-    fitted = evidence.fitted
-    if fitted is None:
+    if evidence.fitted is None:
         raise ValueError(f"{evidence.entry.name} was not fitted")
+    fitted = restored(evidence.fitted)
     columns = _sensitivities(fitted.frame, fitted.state, fitted.start)
     # Of a parameter of the shape nothing is believed but that it stays near its own size.
     more = columns.shape[1] - fitted.prior.size
@@ -420,7 +421,7 @@ def _sensitivities(frame: Frame, state: CourseState, start: Array) -> Array:
 
     A parameter of a shape is in units of its own scale.
     """
-    columns = [frame.record.windowed(sensitivity(frame, state, start))]
+    columns = [window_sensitivity(frame, state, start)]
     *others, last = state.named
     for name, (_, high) in last.entry.candidate.refine.items():
         if name not in last.params or name in last.free:

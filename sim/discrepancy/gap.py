@@ -21,8 +21,8 @@ from sim.discrepancy.fitting import (
     averaged_readings,
     on,
     rounding,
-    sensitivity,
     unseen_switches,
+    window_sensitivity,
 )
 from sim.discrepancy.heat import since_switch
 from sim.discrepancy.held_out import HeldOutRun, let_run, mean_squares
@@ -80,7 +80,7 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     precision = whitener.gram(explained.columns) + np.diag(np.maximum(explained.prior, 1e-12))
     taken = np.linalg.solve(precision, explained.columns.T @ whitener.weigh(noise))
     fitted = _rms(noise - explained.columns @ taken)
-    beyond = trial.record.windowed(sensitivity(on(explained.frame, record), trial.state, trial.start))
+    beyond = window_sensitivity(on(explained.frame, record), trial.state, trial.start)
     alone = trial.whitener.draw(rng, DRAWS)
     wrong = limit_parameter_errors(trial, beyond @ taken, alone, rules.floor_parameters_most_times)
     own, drawn = predicted(trial, cycles, alone - wrong)

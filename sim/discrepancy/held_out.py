@@ -110,17 +110,30 @@ def surely_nearer(one: HeldOutRun, other: HeldOutRun, seed: int) -> bool:
     return bool(np.quantile(further[picks].sum(axis=1), 0.025) > 0)
 
 
+@dataclass(frozen=True, slots=True)
+class RunsBefore:
+    """What runs over the held-out record before anything is added: the `refit`, and the model as it was `given`."""
+
+    refit: HeldOutRun
+    given: HeldOutRun
+
+
+def runs_before(fitted: Fitted, record: Record) -> RunsBefore:
+    """The runs of a refit and of its model as given."""
+    return RunsBefore(let_run(fitted, record), let_run(as_given(fitted), record))
+
+
 def compared(
-    before: Fitted, after: Fitted, record: Record, seed: int, floor: NoiseFloor
+    before: Fitted, after: Fitted, record: Record, seed: int, floor: NoiseFloor, runs: RunsBefore | None = None
 ) -> tuple[HeldOutProof, HeldOutRun, HeldOutRun]:
     """Two fits let run over the held-out record, held against the floor, with the excess removed.
 
     Where the error before is no greater than the floor there is no excess, and none of it can have been removed; no
-    more than all of it can be.
+    more than all of it can be. `runs` are those of `before`, where they are at hand.
     """
-    first = let_run(before, record)
+    runs = runs_before(before, record) if runs is None else runs
+    first, given = runs.refit, runs.given
     second = first if after is before else let_run(after, record)
-    given = let_run(as_given(before), record)
     old, counts, cycles = mean_squares(first)
     new, _, _ = mean_squares(second)
     # By the independent pieces of evidence: the cycles, or pieces of the long runs of a machine that runs on.

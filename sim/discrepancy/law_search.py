@@ -20,10 +20,10 @@ from sim.discrepancy.fitting import (
     Whitener,
     as_read,
     effects_of,
-    filtered,
     heat_and_loss,
+    heat_filter,
     on,
-    sensitivity,
+    window_sensitivity,
     with_column,
 )
 from sim.discrepancy.held_out import HeldOutRun, let_run
@@ -132,7 +132,7 @@ def candidate_laws(
         residual=trial.residual,
     )
     there = columns_on(unseen, smooth_course(unseen), names, begin, periods)
-    own = trial.record.windowed(sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first]))
+    own = window_sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first])
     chosen = _distinct(scored, rules)
     sharper = _sharpened(fitted, scored, chosen)
     chosen += range(len(scored.forms), len(scored.forms) + len(sharper))
@@ -145,7 +145,7 @@ def candidate_laws(
         # The model's own parameters make room for the law as a joint fit would let them.
         room = Projector(replace(fitted, noise=beside.noise))
         moved = room.made_room(strength * column) - room.made_room(np.zeros_like(column))
-        unit = _reading(unseen, _heats(unseen, there, [form]))[:, 0]
+        unit = _reading(unseen, there, [form])[:, 0]
         after = trial.residual - strength * unit - own[:, : moved.size] @ moved
         share, better, cycles = _held_out(trial, after, floor)
         return _JudgedLaw(
@@ -228,35 +228,34 @@ def _rhythms(times: Array, score: Array) -> tuple[list[float], int]:
     return periods, 2 * frequencies.size
 
 
-def _heats(fitted: Fitted, columns: LawColumns, forms: Sequence[LawForm]) -> Array:
-    """(n, c) degC/s the heat of each form at unit strength."""
+def _heat(fitted: Fitted, columns: LawColumns, form: LawForm) -> Array:
+    """(n,) degC/s the heat of a form at unit strength."""
     record, smooth = fitted.frame.record, columns.values[TEMPERATURE]
     running = record.running
-    out = np.zeros((running.size, len(forms)))
-    for number, form in enumerate(forms):
-        for shape in form.shapes:
-            for effect in effects_of(shape.named(1.0), record.model):
-                gained, lost = heat_and_loss(record, effect, smooth)
-                out[:, number] += gained - lost * smooth
-        if form.shapes:
-            continue
+    if not form.shapes:
         heat = np.broadcast_to(compiled(parse(form.text))(columns.values), running.shape)
-        out[:, number] = np.where(np.isfinite(heat), heat, 0.0) * (running if form.running else 1.0)
+        return np.asarray(np.where(np.isfinite(heat), heat, 0.0) * (running if form.running else 1.0))
+    out = np.zeros(running.size)
+    for shape in form.shapes:
+        for effect in effects_of(shape.named(1.0), record.model):
+            gained, lost = heat_and_loss(record, effect, smooth)
+            out += gained - lost * smooth
     return out
 
 
-def _reading(fitted: Fitted, heats: Array) -> Array:
-    """(m, c) degC what heats do to the windows."""
+def _reading(fitted: Fitted, columns: LawColumns, forms: Sequence[LawForm]) -> Array:
+    """(m, c) degC what the heats of forms do to the windows."""
     frame, state = fitted.frame, fitted.state
-    added = filtered(frame, state, heats)
-    return np.column_stack([frame.record.windowed(as_read(frame, state, column)) for column in added.T])
+    added = heat_filter(frame, state)
+    heats = (_heat(fitted, columns, form) for form in forms)
+    return np.column_stack([frame.record.windowed(as_read(frame, state, added(heat))) for heat in heats])
 
 
 def _scored(fitted: Fitted, projector: Projector, columns: LawColumns, forms: list[LawForm]) -> _Scored:
     gains, strengths, kept, weights = [], [], [], []
     for begin in range(0, len(forms), CHUNK):
         part = forms[begin : begin + CHUNK]
-        made = _reading(fitted, _heats(fitted, columns, part))
+        made = _reading(fitted, columns, part)
         _, weighed, before = projector.clean(made)
         size = np.einsum("ij,ij->j", made, weighed)
         score = made.T @ projector.weighed_residual

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import scipy
 
-from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit, rivals, with_heats
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit, restored, rivals, slim, with_heats
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import (
     Projector,
@@ -33,7 +33,8 @@ RIVALLED = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EffectEvidence:
-    """An entry against what a fit leaves: its best shape, its gain (nats), and the joint refit where there was one.
+    """An entry against what a fit leaves: its best shape, its gain (nats), and the joint refit where there was one,
+    which is `slim` but for the best of a step.
 
     `visible`, `z`, `robust` and `cycles` are those of `diagnosis.TriedEffect`. `spread` is over how many cycles its
     information is spread, `carried` the gain (nats, linearised) when each cycle's strength is that of the others.
@@ -114,22 +115,34 @@ def step(
     names = [each for each in evidence if not each.entry.rival]
     first = {each.entry.name for each in (*names[:CONFIRMED], *evidence[:CONFIRMED])}
     likely = [each for each in evidence if each.entry.name in first and each.gain >= WORTH]
-    confirmed = []
+    confirmed = list[EffectEvidence]()
     for each in likely:
         told(each.entry.name)
-        confirmed.append(confirm(before, each))
+        confirmed = _slim_but_best([*confirmed, confirm(before, each)])
     # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
     top = max((each.gain for each in confirmed), default=0.0)
     near = top - margin_of_class(top, rules)
     special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.special}
     behind = [each for each in names[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
-    confirmed += [confirm(before, each) for each in behind]
+    for each in behind:
+        confirmed = _slim_but_best([*confirmed, confirm(before, each)])
     done = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in done]
     everything = [*confirmed, *rest, *_unmeasured(before, confirmed, entries, rules.least_gain_nats)]
     order = tuple(sorted(without_idle(everything, rules), key=lambda each: -each.gain))
+    if order and order[0].fitted is not None:
+        order = (replace(order[0], fitted=restored(order[0].fitted)), *order[1:])
     nameless = {each.entry.name: each.gain for each in everything if each.entry.rival}
     return NamingStep(before, order, _cosines(before, order), rules, nameless)
+
+
+def _slim_but_best(confirmed: Sequence[EffectEvidence]) -> list[EffectEvidence]:
+    """The evidence with the refits slim, but for that of the greatest gain, which may become a name."""
+    top = max(each.gain for each in confirmed)
+    return [
+        replace(each, fitted=slim(each.fitted)) if each.gain < top and each.fitted is not None else each
+        for each in confirmed
+    ]
 
 
 def _unmeasured(
@@ -150,7 +163,7 @@ def _unmeasured(
         return []
     for other in others[:RIVALLED]:
         if other.fitted is not None:
-            both = with_heats(other.fitted, found.heats).likelihood - other.entry.burden
+            both = with_heats(restored(other.fitted), found.heats).likelihood - other.entry.burden
             if both - found.fitted.likelihood >= threshold:
                 return []
     shape = Shape(entry, {}, {"memory": found.spacing})

@@ -10,7 +10,7 @@ from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
 from sim.discrepancy.fitting import Fitted, Record, given_fit
 from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors
-from sim.discrepancy.held_out import HeldOutRun, as_given, compared, let_run, surely_nearer
+from sim.discrepancy.held_out import HeldOutRun, RunsBefore, compared, let_run, runs_before, surely_nearer
 from sim.discrepancy.judging import (
     NamingResult,
     above,
@@ -44,9 +44,11 @@ class NamesSearched:
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What names are judged by: held-out cycles with their floor, what the model states, excess and ceiling before."""
+    """What names are judged by: held-out cycles with their floor and the `runs` over them before there are names, what
+    the model states, excess and ceiling before."""
 
     held_out: Record
+    runs: RunsBefore
     floor: NoiseFloor
     stated: Array
     before: Excess | None
@@ -113,6 +115,7 @@ def prove(
     floor = floor_of(stated, paths[0].explained, held_out, seed, rules)
     proof = Proof(
         held_out=held_out,
+        runs=runs_before(base, held_out),
         floor=floor,
         stated=stated,
         before=excess(stated, base, rules),
@@ -120,7 +123,7 @@ def prove(
         seed=seed,
         rules=rules,
     )
-    paths = (with_the_gap_itself(paths[0], held_out, seed, floor), *paths[1:])
+    paths = (with_the_gap_itself(proof, paths[0]), *paths[1:])
     if not search.allowed:
         few = f"would be named from fewer than {rules.first_name_least_cycles} cycles"
         paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], few),)) for path in paths[:1])
@@ -180,14 +183,16 @@ def told_fits(proof: Proof, base: Fitted, judged: JudgedPath, *, kept: bool) -> 
 
     Where nothing is added, both are the refit itself, or the model as given, if held-out cycles say that it is better.
     """
-    first = let_run(base, proof.held_out)
+    runs = proof.runs
     if kept:
-        return ToldFits(base=base, after=judged.path.fitted, held=judged.held, first=first, second=judged.second)
+        return ToldFits(base=base, after=judged.path.fitted, held=judged.held, first=runs.refit, second=judged.second)
     refit, sensor = judged.held.rmse_before, sensor_noise(base.frame.record)
-    given = let_run(as_given(base), proof.held_out)
-    refused = felt(refit, judged.held.rmse_given, sensor, proof.rules) and surely_nearer(given, first, proof.seed)
-    base = given_fit(base) if refused else base
-    held, first, second = compared(base, base, proof.held_out, proof.seed, proof.floor)
+    worse = felt(refit, judged.held.rmse_given, sensor, proof.rules)
+    refused = worse and surely_nearer(runs.given, runs.refit, proof.seed)
+    if refused:
+        base = given_fit(base)
+        runs = runs_before(base, proof.held_out)
+    held, first, second = compared(base, base, proof.held_out, proof.seed, proof.floor, runs)
     held = replace(held, rmse_refit=refit if refused else None)
     return ToldFits(base=base, after=base, held=held, first=first, second=second)
 
@@ -204,7 +209,7 @@ def longest_that_passes(proof: Proof, paths: Sequence[NamingResult]) -> JudgedPa
 
 
 def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) -> JudgedPath:
-    held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor)
+    held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor, proof.runs)
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
     excess_after = excess(proof.stated, path.fitted, proof.rules) if path.taken else proof.before
     reasons = (
@@ -222,7 +227,7 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
     return JudgedPath(path=path, reasons=reasons, held=held, second=second, ceiling=left, excess=excess_after)
 
 
-def with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor: NoiseFloor) -> NamingResult:
+def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
     """The path with the certain effect that was refused as too small, where the held-out gap is that effect.
 
     What it does to the fitted cycles says little of what the model's parameters, which have made room for it there, are
@@ -232,7 +237,7 @@ def with_the_gap_itself(path: NamingResult, held_out: Record, seed: int, floor: 
     rules = step.rules
     if path.taken or not immaterial(step) or dubious(step) or step.best is None or step.best.fitted is None:
         return path
-    held, _, _ = compared(path.base, step.best.fitted, held_out, seed, floor)
+    held, _, _ = compared(path.base, step.best.fitted, proof.held_out, proof.seed, proof.floor, proof.runs)
     removed, interval = held.excess_removed, held.ci95
     if not matters(held, sensor_noise(path.base.frame.record), rules) or removed is None or interval is None:
         return path

@@ -21,8 +21,8 @@ from sim.discrepancy.fitting import (
     as_read,
     as_sensed,
     effects_of,
-    filtered,
     heat_and_loss,
+    heat_filter,
     held,
     on_sensor,
     signals_of,
@@ -30,6 +30,8 @@ from sim.discrepancy.fitting import (
 from sim.effects import MachineLog
 from sim.sha import Array
 
+TOGETHER = 16
+"""Columns that are weighed at a time: the states behind them take several times their memory."""
 SIMPLEX = 60
 """Evaluations at most when the shape of an effect is refined."""
 TIMES = ("tau", "delay", "lag")
@@ -149,6 +151,7 @@ def smooth_course(fitted: Fitted) -> Array:
 def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
     """(m, c) degC what one unit of strength of each shape does to the windows."""
     record, state = fitted.frame.record, fitted.state
+    added = heat_filter(fitted.frame, state)
     out = []
     for shape in shapes:
         effects = effects_of(shape.named(1.0), record.model)
@@ -164,8 +167,7 @@ def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
         for effect in effects:
             gained, lost = heat_and_loss(record, effect, smooth)
             heat += gained - lost * smooth
-        added = filtered(fitted.frame, state, heat)[:, 0]
-        out.append(record.windowed(as_read(fitted.frame, state, added)))
+        out.append(record.windowed(as_read(fitted.frame, state, added(heat))))
     return np.column_stack(out)
 
 
@@ -212,16 +214,19 @@ def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     # Columns of unit size: strengths run from degC to 1/s, and one normal matrix of them all would lose its digits.
     scale = np.sqrt(np.mean(columns**2, axis=0))
     scaled = columns / np.where(scale > 1e-12, scale, 1.0)
-    cleaned, weighed, before = projector.clean(scaled)
-    normal = scaled.T @ weighed
-    left = np.maximum(np.diag(normal), 0.0)
-    visible = np.where((scale > 1e-12) & (before > 0), np.sqrt(left / np.maximum(before, 1e-300)), 0.0)
     # np.add.at, not a fancy +=, because windows of one cycle share a row and each of them must count.
     cycles = np.unique(fitted.grid.cycle, return_inverse=True)[1]
-    parts = np.zeros((int(cycles.max()) + 1, columns.shape[1]))
-    shares = np.zeros_like(parts)
-    np.add.at(parts, cycles, cleaned * projector.weighed_residual[:, None])
-    np.add.at(shares, cycles, cleaned * weighed)
+    count, width = int(cycles.max()) + 1, columns.shape[1]
+    parts, shares, before = np.zeros((count, width)), np.zeros((count, width)), np.empty(width)
+    normal = np.empty((width, width))
+    for begin in range(0, width, TOGETHER):
+        some = slice(begin, begin + TOGETHER)
+        cleaned, weighed, before[some] = projector.clean(scaled[:, some])
+        normal[:, some] = scaled.T @ weighed
+        np.add.at(parts[:, some], cycles, cleaned * projector.weighed_residual[:, None])
+        np.add.at(shares[:, some], cycles, cleaned * weighed)
+    left = np.maximum(np.diag(normal), 0.0)
+    visible = np.where((scale > 1e-12) & (before > 0), np.sqrt(left / np.maximum(before, 1e-300)), 0.0)
     return Screen(
         shapes=shapes,
         scale=scale,

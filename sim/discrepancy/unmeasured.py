@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.discrepancy.fitting import Fitted, Whitener, as_read, filtered, with_heats
+from sim.discrepancy.fitting import Fitted, Whitener, as_read, heat_filter, with_heats
 from sim.discrepancy.heat import HOUR
 from sim.sha import Array
 
@@ -20,8 +20,8 @@ MOST_KNOTS = 200
 BESIDE_ROUGH = (0.5, 0.2, 1.2)
 """Times the plant's own rough heat that it may be before it is fitted, together with the scatter of the cycles: the
 first at each distance of the knots, the others at the best."""
-FADED, TOGETHER = 1e-4, 16
-"""The share of a column's greatest value below which it is over, and the knots that are worked out at a time."""
+FADED = 1e-4
+"""The share of a column's greatest value below which it is over."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,11 +76,10 @@ def _knot_columns(before: Fitted, spacing: float) -> Array:
     middle = record.runs.time - record.runs.dt / 2.0
     count = max(round(float(middle[-1] - middle[0]) / spacing), 1)
     knots, step = np.linspace(middle[0], middle[-1], count + 1, retstep=True)
-    columns = []
-    for first in range(0, knots.size, TOGETHER):
-        away = np.abs(middle[:, None] - knots[None, first : first + TOGETHER]) / step
-        added = filtered(before.frame, before.state, np.maximum(1.0 - away, 0.0))
-        columns += [record.windowed(as_read(before.frame, before.state, column)) for column in added.T]
+    added, columns = heat_filter(before.frame, before.state), []
+    for knot in knots:
+        heat = np.maximum(1.0 - np.abs(middle - knot) / step, 0.0)
+        columns.append(record.windowed(as_read(before.frame, before.state, added(heat))))
     out = np.column_stack(columns)
     top = np.abs(out).max(axis=0)
     return np.where(np.abs(out) < FADED * top, 0.0, out)[:, top > 0]

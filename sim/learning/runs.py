@@ -45,8 +45,9 @@ class FreeRuns:
         """(n,) whether a knot begins a run."""
         return np.asarray(np.diff(self.run, prepend=-1) != 0)
 
-    def where(self, keep: Mask) -> "FreeRuns":
-        """The knots of whole runs, or of parts of runs cut by `pieces`; runs and stays keep their numbers."""
+    def where(self, keep: Mask | slice) -> "FreeRuns":
+        """The knots of whole runs, or of parts of runs cut by `pieces`; runs and stays keep their numbers. A slice
+        copies nothing."""
         return FreeRuns(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
 
 

@@ -8,7 +8,7 @@ import pytest
 from sim.discrepancy.fitting import course
 from sim.discrepancy.fitting.baseline import Frame, frame_of
 from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.fitting.course import CourseState, at, grid_at, scattered, sensitivity
+from sim.discrepancy.fitting.course import CourseState, at, grid_at, scattered, window_sensitivity
 from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.record import record_of
 from sim.sha.trace import Array
@@ -35,7 +35,7 @@ def test_a_scatter_of_all_cycles_alike_is_a_change_of_the_targets_through_the_se
     start = frame.record.reading[frame.record.window_first]
     targets = dict(zip(frame.names.targets, state.linear, strict=False))
     direction = np.array([targets[name] - targets["OFF"] for name in frame.names.targets])
-    both = frame.record.windowed(sensitivity(frame, state, start)[:, : direction.size] @ direction)
+    both = window_sensitivity(frame, state, start)[:, : direction.size] @ direction
     columns = scattered(frame, state)
     assert columns.shape == (frame.record.reading.size, 6)
     np.testing.assert_allclose(columns.sum(axis=1), both, atol=2e-3 * np.max(np.abs(both)))
@@ -116,9 +116,10 @@ def test_derivatives_in_closed_form_are_those_of_the_simulation(
     sizes += [size for effect in named for size in (1e-4 * effect.strength, *[1e-3] * (len(effect.free) - 1))]
     moved = [point + size * (np.arange(point.size) == number) for number, size in enumerate(sizes)]
     runs = [at(frame, each, start, named, state.course) for each in moved]
-    expected = np.column_stack([(run.mean - state.mean) / size for run, size in zip(runs, sizes, strict=True)])
+    changes = np.column_stack([(run.mean - state.mean) / size for run, size in zip(runs, sizes, strict=True)])
+    expected = frame.record.windowed(changes)
     monkeypatch.setattr(course, "run_free", None)
-    columns = sensitivity(frame, state, start)
+    columns = window_sensitivity(frame, state, start)
     # What a valve's bend is worth in a row that it falls into is known to the row's length.
     near = 6e-3 if kind == "thermostatic-cooling" else 1e-3
     assert np.all(np.max(np.abs(columns - expected), axis=0) <= near * np.max(np.abs(expected), axis=0))

@@ -17,7 +17,7 @@ from sim.discrepancy.gap import (
     size_by_equal_cycles,
     stated_errors,
 )
-from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares
+from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares, runs_before
 from sim.discrepancy.judging import NamingResult, above, doubts, least_told
 from sim.discrepancy.naming import NamingStep, confirm, step
 from sim.discrepancy.proving import Proof, longest_that_passes
@@ -202,7 +202,7 @@ def test_a_superfluous_second_name_does_not_take_the_first_one_down(pumped: tupl
     whole = NamingResult(base, second, ((first, ""), (harmful, "")))
     beginning = NamingResult(base, pump, ((first, ""), (harmful, "does not pass")))
     made = floor(model(), plant(3, pump=2e-4), pump, held_out)
-    proof = Proof(held_out, made, np.full(8, 0.1), None, None, 0, RULES)
+    proof = Proof(held_out, runs_before(base, held_out), made, np.full(8, 0.1), None, None, 0, RULES)
     judged = longest_that_passes(proof, [whole, beginning])
     assert judged.path is beginning and judged.reasons == ()
     alone = longest_that_passes(proof, [whole])

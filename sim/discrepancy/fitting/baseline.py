@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sim.discrepancy.fitting.record import Record
 from sim.engine import linear_recursion
-from sim.learning import RATES, FitShape, ParameterNames, Prior, loads, shape_of, steps
+from sim.learning import RATES, FitShape, ParameterNames, Prior, shape_of, steps
 from sim.sha import Array, Model, mode_parameter
 
 TARGET_SPREAD, DRIFT_SPREAD, FACTOR_SPREAD, LOG_RATE_SPREAD, GAIN_SPREAD = 40.0, 0.02, 10.0, 1.5, 1.0
@@ -25,12 +25,11 @@ ANCHORED = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A record with the structure of the parameters: `shape`, their `names`, and `load` (n, p) on targets."""
+    """A record with the structure of the parameters: `shape` and their `names`."""
 
     record: Record
     shape: FitShape
     names: ParameterNames
-    load: Array
 
     @property
     def count(self) -> tuple[int, int]:
@@ -68,7 +67,7 @@ def frame_of(record: Record) -> Frame:
             gains[name] = of_gains.setdefault(tuple((driving.signal, driving.gain) for driving in flow.inputs), name)
     shape, names = shape_of(model.sha, free, record.signals, Prior((20.0, TARGET_SPREAD)), rates=rates, gains=gains)
     shape = _centred(model, shape, names)
-    return Frame(record, shape, names, loads(record.runs, shape))
+    return Frame(record, shape, names)
 
 
 def _centred(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:
@@ -94,7 +93,35 @@ def _centred(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:
 
 def on(frame: Frame, record: Record) -> Frame:
     """The same parameters over another record of the same model."""
-    return Frame(record, frame.shape, frame.names, loads(record.runs, frame.shape))
+    return Frame(record, frame.shape, frame.names)
+
+
+def targets(frame: Frame, linear: Array) -> Array:
+    """(n,) the target of each step at the linear parameters (p,)."""
+    shape, runs = frame.shape, frame.record.runs
+    values = np.append(linear, 0.0)  # the last is that of a place without a parameter (-1)
+    total = np.asarray(values[shape.target][runs.place])
+    for number in range(shape.gain.shape[1]):
+        if (shape.gain[:, number] >= 0).any():
+            total += values[shape.gain[:, number]][runs.place] * _beyond(frame, number)
+    return total
+
+
+def load(frame: Frame, parameter: int) -> Array:
+    """(n,) what a linear parameter adds to the target of each step, per unit of the parameter."""
+    shape, place = frame.shape, frame.record.runs.place
+    total = (shape.target == parameter)[place].astype(float)
+    for number in range(shape.gain.shape[1]):
+        driven = shape.gain[:, number] == parameter
+        if driven.any():
+            total += np.where(driven[place], _beyond(frame, number), 0.0)
+    return total
+
+
+def _beyond(frame: Frame, number: int) -> Array:
+    """(n,) by how much an input is more than that at which it adds nothing; 0 while it was never read."""
+    runs = frame.record.runs
+    return np.nan_to_num(runs.inputs[:, number] - frame.shape.reference[:, number][runs.place])
 
 
 def anchored(frame: Frame) -> Frame:

@@ -5,14 +5,14 @@ whose heat or loss depends on the course (a housing, a thermostat, radiation) ar
 it stands still; the iteration contracts because what they add is fed back through a relaxation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from sim.discrepancy.fitting.baseline import Frame
+from sim.discrepancy.fitting.baseline import Frame, load, targets
 from sim.discrepancy.fitting.effects import (
     as_sensed,
     coupled,
@@ -79,7 +79,7 @@ def run_free(
     runs = frame.record.runs
     first = runs.first
     decay, pull = steps(runs, frame.shape, log_rates)
-    target = frame.load @ linear
+    target = targets(frame, linear)
     k = rates_of(frame, log_rates)
     effects = [effect for each in named for effect in effects_of(each, frame.record.model)]
     heating = [effect for effect in effects if not on_sensor(effect)]
@@ -147,40 +147,56 @@ def rates_of(frame: Frame, log_rates: Array) -> Array:
     return np.asarray(rate[frame.record.runs.place])
 
 
-def filtered(frame: Frame, state: CourseState, heat: Array) -> Array:
-    """(n, c) degC what heats (n, c) in degC/s, held over each step, add to the bearing's temperature."""
+def heat_filter(frame: Frame, state: CourseState) -> Callable[[Array], Array]:
+    """What makes of a heat (n,) in degC/s, held over each step, what it adds to the bearing's temperature (n,) degC."""
     runs = frame.record.runs
     decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
-    decay = np.where(runs.first, 0.0, decay)
-    pull = np.where(runs.first, 0.0, pull)
-    columns = heat if heat.ndim == 2 else heat[:, None]
-    return linear_recursion(decay[:, None], pull[:, None] * columns, np.zeros(columns.shape[1]))
+    decay, pull = np.where(runs.first, 0.0, decay), np.where(runs.first, 0.0, pull)
+    return lambda heat: linear_recursion(decay, pull * heat, 0.0)
 
 
-def sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
-    """(n, p + r + e) derivative of the reading's mean by every parameter of the state; the start is held.
+def window_sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
+    """(m, p + r + e) derivative of the windows' readings by every parameter of the state; the start is held.
 
     In closed form: the course's own recursion, driven by the change of its coefficients. Only a valve that switches has
     none, since it opens a row earlier or does not; it is told by differences of the simulation itself.
     """
+    # Column by column: at the knots all of them together would be most of the memory that a diagnosis takes.
+    columns = [frame.record.windowed(column) for column in _knot_sensitivities(frame, state, start)]
+    return np.column_stack(columns)
+
+
+def _knot_sensitivities(frame: Frame, state: CourseState, start: Array) -> Iterator[Array]:
+    """The same at the knots (n,), one parameter after the other."""
     model = frame.record.model
     effects = [effect for named in state.named for effect in effects_of(named, model)]
     if any(kind_of(effect).law == VALVE and not is_gradual(effect) for effect in effects):
-        return _by_differences(frame, state, start)
-    p, r = frame.count
+        yield from _by_differences(frame, state, start)
+        return
     heating = any(not on_sensor(effect) for effect in effects)
-    loss = state.loss if heating else None
-    here = _steps_at(frame, state.log_rates, loss)
-    by_target, group = here.pull[:, None] * frame.load, np.append(frame.shape.rate, -1)[frame.record.runs.place]
-    up, down = (_steps_at(frame, state.log_rates + sign * RATE_STEP, loss) for sign in (1, -1))
-    by_rate = (_pushed(up, state, state.heat) - _pushed(down, state, state.heat)) / (2 * RATE_STEP)
-    by_strength, read = _by_strengths(frame, state, here, heating=heating)
-    forcing = np.column_stack([by_target, np.where(group[:, None] == np.arange(r), by_rate[:, None], 0.0), by_strength])
-    columns = _carried(frame, effects, here, forcing)
-    if any(named.entry.whole for named in state.named):
-        columns = np.column_stack([as_read(frame, state, column) for column in columns.T])
-    columns[:, p + r :] += read
-    return columns
+    here = _steps_at(frame, state.log_rates, state.loss if heating else None)
+    carried, late = _carrier(frame, effects, here), any(named.entry.whole for named in state.named)
+    for forcing, read in _forcings(frame, state, here, heating=heating):
+        column = carried(forcing)
+        column = as_read(frame, state, column) if late else column
+        yield column if read is None else column + read
+
+
+def _forcings(
+    frame: Frame, state: CourseState, here: "_LinearSteps", *, heating: bool
+) -> Iterator[tuple[Array, Array | None]]:
+    """What each parameter changes (n,) of a step's end, and of the reading at once (None: nothing)."""
+    p, r = frame.count
+    for number in range(p):
+        yield here.pull * load(frame, number), None
+    if r:
+        loss = state.loss if heating else None
+        group = np.append(frame.shape.rate, -1)[frame.record.runs.place]
+        up, down = (_steps_at(frame, state.log_rates + sign * RATE_STEP, loss) for sign in (1, -1))
+        by_rate = (_pushed(up, state, state.heat) - _pushed(down, state, state.heat)) / (2 * RATE_STEP)
+        for number in range(r):
+            yield np.where(group == number, by_rate, 0.0), None
+    yield from _by_strengths(frame, state, here)
 
 
 RATE_STEP = 1e-4
@@ -216,29 +232,26 @@ def _pushed(moved: _LinearSteps, state: CourseState, heat: Array) -> Array:
     return np.asarray(moved.decay * before + moved.heated * heat + moved.pull * state.target)
 
 
-def _by_strengths(frame: Frame, state: CourseState, here: _LinearSteps, *, heating: bool) -> tuple[Array, Array]:
-    """(n, e) what each free parameter of the effects changes of a step's end, and (n, e) what of the reading at once.
+def _by_strengths(frame: Frame, state: CourseState, here: _LinearSteps) -> Iterator[tuple[Array, Array | None]]:
+    """What each free parameter of the effects changes (n,) of a step's end, and of the reading at once (None: nothing).
 
-    The temperature along which an effect heats is held: what follows it comes in by `_carried`.
+    The temperature along which an effect heats is held: what follows it comes in by `_carrier`.
     """
     record = frame.record
     middle, pushed = midway(frame, state.course), _pushed(here, state, state.heat)
-    forcing, read = [np.empty((len(record.runs), 0))], [np.empty((len(record.runs), 0))]
     for number, named in enumerate(state.named):
         was = _heats(frame, named, middle)
         for place, size in enumerate(_steps_of(named)):
             moved = named.at([value + size * (place == other) for other, value in enumerate(named.point)])
             heat, loss = (new - old for new, old in zip(_heats(frame, moved, middle), was, strict=True))
-            changed, shown = np.zeros(len(record.runs)), np.zeros(len(record.runs))
+            changed, shown = np.zeros(len(record.runs)), None
             if np.any(heat) or np.any(loss):
                 trial = _steps_at(frame, state.log_rates, state.loss + loss) if np.any(loss) else here
                 changed = (_pushed(trial, state, state.heat + heat) - pushed) / size
             if any(on_sensor(effect) for effect in effects_of(moved, record.model)):
                 chain = [*state.named[:number], moved, *state.named[number + 1 :]]
                 shown = (_sensed(frame, chain, state.course) - state.mean) / size
-            forcing.append(changed[:, None])
-            read.append(shown[:, None])
-    return np.column_stack(forcing), np.column_stack(read)
+            yield changed, shown
 
 
 def _heats(frame: Frame, named: Named, middle: Array) -> tuple[Array, Array]:
@@ -259,11 +272,11 @@ def _sensed(frame: Frame, named: Sequence[Named], course: Array) -> Array:
     return course
 
 
-def _carried(frame: Frame, effects: Sequence[Effect], here: _LinearSteps, forcing: Array) -> Array:
-    """(n, c) degC the courses that are pushed by `forcing` (n, c) degC, what a housing gives back of them included."""
+def _carrier(frame: Frame, effects: Sequence[Effect], here: _LinearSteps) -> Callable[[Array], Array]:
+    """What makes of pushes (n,) degC the courses (n,) degC, with what a housing gives back of them."""
     housings = [effect for effect in effects if kind_of(effect).law == HOUSING]
     if not housings:
-        return linear_recursion(here.decay[:, None], forcing, np.zeros(forcing.shape[1]))
+        return lambda forcing: linear_recursion(here.decay, forcing, 0.0)
     record, runs = frame.record, frame.record.runs
     coupling = sum(coupled(record, effect) for effect in housings)
     # x = decay x' + push (coupling y) + forcing and y = keep y' + (1 - keep) (x + x') / 2, y = x where a run begins:
@@ -278,26 +291,28 @@ def _carried(frame: Frame, effects: Sequence[Effect], here: _LinearSteps, forcin
     bands[2, 0:-2:2] = -(here.decay + half * back)[1:]
     bands[2, 1:-2:2] = np.where(runs.first, 0.0, -keep)[1:]
     bands[3, 0:-2:2] = np.where(runs.first, 0.0, -half)[1:]
-    right = np.zeros((2 * len(runs), forcing.shape[1]), order="F")
-    right[0::2] = forcing
-    solved, _ = dtbtrs(bands, right, uplo="L", overwrite_b=True)
-    return np.asarray(solved[0::2])
+
+    def carried(forcing: Array) -> Array:
+        right = np.zeros(2 * len(runs))
+        right[0::2] = forcing
+        solved, _ = dtbtrs(bands, right, uplo="L", overwrite_b=True)
+        return np.asarray(solved[0::2])
+
+    return carried
 
 
-def _by_differences(frame: Frame, state: CourseState, start: Array) -> Array:
-    """(n, p + r + e) the same by finite differences of the simulation itself."""
+def _by_differences(frame: Frame, state: CourseState, start: Array) -> Iterator[Array]:
+    """The sensitivities at the knots by finite differences of the simulation itself."""
     # One more free run each, begun from the course at hand, so that only the change is iterated.
     point = state.parameters
     strengths = [size for named in state.named for size in _steps_of(named)]
-    columns = []
     for number, size in enumerate(
         [*(1e-3 * frame.shape.spread).tolist(), *[1e-3] * frame.shape.rate_spread.size, *strengths]
     ):
         moved = point.copy()
         moved[number] += size
         trial = at(frame, moved, start, state.named, state.course)
-        columns.append((trial.mean - state.mean) / size)
-    return np.column_stack(columns)
+        yield (trial.mean - state.mean) / size
 
 
 def _steps_of(named: Named) -> list[float]:

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
-from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
+from sim.discrepancy.fitting.course import CourseState, at, grid_at, window_sensitivity
 from sim.discrepancy.fitting.named import Named, named_of
 from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise, vector
 from sim.discrepancy.fitting.record import Record
@@ -191,7 +191,7 @@ def _around(frame: Frame, state: CourseState, start: Array, reading: Array) -> _
         state,
         grid_at(frame, state),
         reading - record.windowed(state.mean),
-        record.windowed(sensitivity(frame, state, start)),
+        window_sensitivity(frame, state, start),
         off,
     )
 
@@ -249,6 +249,22 @@ def given_fit(fitted: Fitted) -> Fitted:
     belief = belief_of(record)
     noise, cost = noise_around(point, frame, belief, fitted.noise, 12)
     return _fitted(frame, point, start=fitted.start, noise=noise, prior=prior, cost=cost)
+
+
+def slim(fitted: Fitted) -> Fitted:
+    """The fit without what its free run gives again (`restored`): of many fits of a long record, most of the memory."""
+    state, nothing = fitted.state, np.empty(0)
+    bare = replace(state, mean=nothing, decay=nothing, k=nothing, target=nothing, loss=nothing, heat=nothing)
+    return replace(fitted, state=bare, grid=replace(fitted.grid, heats=np.empty((0, 0))))
+
+
+def restored(fitted: Fitted) -> Fitted:
+    """A fit that may be `slim`, whole."""
+    before = fitted.state
+    if before.mean.size:
+        return fitted
+    state = at(fitted.frame, before.parameters, fitted.start, before.named, before.course)
+    return replace(fitted, state=state, grid=grid_at(fitted.frame, state))
 
 
 def _fitted(frame: Frame, point: _Point, *, start: Array, noise: NoiseModel, prior: Array, cost: float) -> Fitted:

@@ -202,28 +202,36 @@ def _laid(knots: Record | _Knots, runs: FreeRuns, keep: Mask) -> Record:
         raise LearningError(
             f"none of these cycles has a reading of {knots.model.temperature!r}, the model's temperature"
         )
-    runs = runs.where(keep)
+    kept = _together(keep)
+    runs = runs.where(kept)
     runs = replace(runs, run=np.cumsum(runs.first) - 1)
     runs = replace(runs, dt=np.where(runs.first, 0.0, runs.dt))
-    running, cycle = knots.running[keep], knots.cycle[keep]
+    running, cycle = knots.running[kept], knots.cycle[kept]
     rows, begins = _windows(runs, cycle, running, knots.window)
     return Record(
         model=knots.model,
         signals=knots.signals,
         runs=runs,
         running=running,
-        since=knots.since[keep],
-        whole=knots.whole[keep],
+        since=knots.since[kept],
+        whole=knots.whole[kept],
         cycle=cycle,
-        turned=knots.turned[keep],
-        rushed=knots.rushed[keep],
+        turned=knots.turned[kept],
+        rushed=knots.rushed[kept],
         window=knots.window,
         rows=rows,
         begins=begins,
         uncut=knots.uncut,
-        kept=knots.kept[keep],
+        kept=knots.kept[kept],
         ran=knots.ran,
     )
+
+
+def _together(keep: Mask) -> Mask | slice:
+    """The knots to keep, as a slice where they lie together: the first days, or the last ones, then need no copy."""
+    places = np.flatnonzero(keep)
+    begin, end = int(places[0]), int(places[-1]) + 1
+    return slice(begin, end) if end - begin == places.size else keep
 
 
 def broken(record: Record) -> tuple[str, ...]:
