@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import scipy
 
-from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit, rivals, with_heats
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, effects_of, fit, rivals, with_heats
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import (
     Projector,
@@ -21,7 +21,7 @@ from sim.discrepancy.screen import (
 )
 from sim.discrepancy.unmeasured import slow_heat
 from sim.effects import UNMEASURED
-from sim.sha import Array
+from sim.sha import Array, Effect
 
 CONFIRMED, WORTH = 4, 1.0
 """Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
@@ -236,11 +236,7 @@ def _evidence(screened: Screen, number: int) -> EffectEvidence:
 
 def confirm(before: Fitted, evidence: EffectEvidence) -> EffectEvidence:
     """The evidence with its shape refined and everything fitted anew together: the likeliest of its alternatives."""
-    either = evidence.entry.either
-    shapes = [
-        replace(evidence.shape, params={**evidence.shape.params, **dict(zip(either, values, strict=True))})
-        for values in product(*either.values())
-    ]
+    shapes = _alternatives(before, evidence)
     # The three answers below are all taken in the linear problem around `before`: strength, shape, and how far the
     # model's own parameters move to make room. The joint refit starts from there.
     smooth, projector = smooth_course(before), Projector(before)
@@ -267,6 +263,21 @@ def confirm(before: Fitted, evidence: EffectEvidence) -> EffectEvidence:
         size = amplitude(before, shape, last)
         alternatives.append(replace(evidence, shape=shape, gain=gain, amplitude=size, fitted=fitted))
     return max(alternatives, key=lambda alternative: alternative.gain)
+
+
+def _alternatives(before: Fitted, evidence: EffectEvidence) -> list[Shape]:
+    """The evidence's shape with every value of the parameters that are fitted either way, but those that come to the
+    same effect (walls of the room's temperature where no room is measured)."""
+    either = evidence.entry.either
+    shapes = list[Shape]()
+    seen = list[tuple[Effect, ...]]()
+    for values in product(*either.values()):
+        shape = replace(evidence.shape, params={**evidence.shape.params, **dict(zip(either, values, strict=True))})
+        effects = effects_of(shape.named(1.0), before.frame.record.model)
+        if effects not in seen:
+            seen.append(effects)
+            shapes.append(shape)
+    return shapes
 
 
 def begins(before: Fitted) -> tuple[Fitted, ...]:
