@@ -334,7 +334,19 @@ def likeness(step: NamingStep, further: EffectEvidence) -> float:
     """The size of the cosine of a step's best effect with the shape that a later step found of another one."""
     if step.best is None:
         return 0.0
-    return abs(_cosines(step.before, (step.best, further))[further.entry.name])
+    # A name that is looked at again is in the fit before those after it: projected out of itself, nothing is left of it
+    # but rounding, which is like anything.
+    before = _without_columns(step.before, further.entry.name)
+    return abs(_cosines(before, (step.best, further))[further.entry.name])
+
+
+def _without_columns(fitted: Fitted, name: str) -> Fitted:
+    """The linear problem around a fit in which the parameters of the effect `name` do not move."""
+    widths = [(named.entry.name, len(named.free)) for named in fitted.state.named]
+    free = np.array(
+        [*(True for _ in range(fitted.own)), *(each != name for each, width in widths for _ in range(width))]
+    )
+    return replace(fitted, columns=fitted.columns[:, free], prior=fitted.prior[free], off=fitted.off[free])
 
 
 def entries_besides(named: Sequence[Named], entries: Sequence[CatalogueEntry] = ()) -> tuple[CatalogueEntry, ...]:
