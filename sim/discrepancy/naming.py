@@ -7,7 +7,18 @@ from itertools import product
 import numpy as np
 import scipy
 
-from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit, restored, rivals, slim, with_heats
+from sim.discrepancy.fitting import (
+    CatalogueEntry,
+    Fitted,
+    Named,
+    catalogue,
+    effects_of,
+    fit,
+    restored,
+    rivals,
+    slim,
+    with_heats,
+)
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import (
     Projector,
@@ -21,7 +32,7 @@ from sim.discrepancy.screen import (
 )
 from sim.discrepancy.unmeasured import slow_heat
 from sim.effects import UNMEASURED
-from sim.sha import Array
+from sim.sha import Array, Effect
 
 CONFIRMED, WORTH = 4, 1.0
 """Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
@@ -249,11 +260,7 @@ def _evidence(screened: Screen, number: int) -> EffectEvidence:
 
 def confirm(before: Fitted, evidence: EffectEvidence) -> EffectEvidence:
     """The evidence with its shape refined and everything fitted anew together: the likeliest of its alternatives."""
-    either = evidence.entry.either
-    shapes = [
-        replace(evidence.shape, params={**evidence.shape.params, **dict(zip(either, values, strict=True))})
-        for values in product(*either.values())
-    ]
+    shapes = _alternatives(before, evidence)
     # The three answers below are all taken in the linear problem around `before`: strength, shape, and how far the
     # model's own parameters move to make room. The joint refit starts from there.
     smooth, projector = smooth_course(before), Projector(before)
@@ -280,6 +287,21 @@ def confirm(before: Fitted, evidence: EffectEvidence) -> EffectEvidence:
         size = amplitude(before, shape, last)
         alternatives.append(replace(evidence, shape=shape, gain=gain, amplitude=size, fitted=fitted))
     return max(alternatives, key=lambda alternative: alternative.gain)
+
+
+def _alternatives(before: Fitted, evidence: EffectEvidence) -> list[Shape]:
+    """The evidence's shape with every value of the parameters that are fitted either way, but those that come to the
+    same effect (walls of the room's temperature where no room is measured)."""
+    either = evidence.entry.either
+    shapes = list[Shape]()
+    seen = list[tuple[Effect, ...]]()
+    for values in product(*either.values()):
+        shape = replace(evidence.shape, params={**evidence.shape.params, **dict(zip(either, values, strict=True))})
+        effects = effects_of(shape.named(1.0), before.frame.record.model)
+        if effects not in seen:
+            seen.append(effects)
+            shapes.append(shape)
+    return shapes
 
 
 def begins(before: Fitted) -> tuple[Fitted, ...]:
@@ -336,7 +358,19 @@ def likeness(step: NamingStep, further: EffectEvidence) -> float:
     """The size of the cosine of a step's best effect with the shape that a later step found of another one."""
     if step.best is None:
         return 0.0
-    return abs(_cosines(step.before, (step.best, further))[further.entry.name])
+    # A name that is looked at again is in the fit before those after it: projected out of itself, nothing is left of it
+    # but rounding, which is like anything.
+    before = _without_columns(step.before, further.entry.name)
+    return abs(_cosines(before, (step.best, further))[further.entry.name])
+
+
+def _without_columns(fitted: Fitted, name: str) -> Fitted:
+    """The linear problem around a fit in which the parameters of the effect `name` do not move."""
+    widths = [(named.entry.name, len(named.free)) for named in fitted.state.named]
+    free = np.array(
+        [*(True for _ in range(fitted.own)), *(each != name for each, width in widths for _ in range(width))]
+    )
+    return replace(fitted, columns=fitted.columns[:, free], prior=fitted.prior[free], off=fitted.off[free])
 
 
 def entries_besides(named: Sequence[Named], entries: Sequence[CatalogueEntry] = ()) -> tuple[CatalogueEntry, ...]:

@@ -2,7 +2,7 @@
 
 from sim.effects.check import check_effect, check_effects, check_sha
 from sim.effects.correction import corrected, in_sensor_scale, of_machine, with_targets
-from sim.effects.exchange import ABSOLUTE_ZERO, in_scale_of_x, is_gradual, radiation_tangent
+from sim.effects.exchange import ABSOLUTE_ZERO, in_scale_of_x, is_gradual, linear_radiation, radiation_tangent
 from sim.effects.expressed import SINCE, TEMPERATURE, cells, enclosure, steepest_loss
 from sim.effects.expression import Expression, compiled, parse
 from sim.effects.expression import names as names_in
@@ -103,6 +103,7 @@ __all__ = [
     "late_kept",
     "late_mean",
     "late_source",
+    "linear_radiation",
     "moment_words",
     "names_in",
     "of_feature",

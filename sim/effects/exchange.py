@@ -125,12 +125,23 @@ def _opens_above(params: Params) -> str:
     )
 
 
-def radiation_tangent(*, gain: Array | float, zero: float, about: Array, around: Array) -> tuple[Array, Array]:
-    """(loss, heat) of the tangent at `about` to -gain ((X - zero)^4 - (around - zero)^4), by X."""
+def radiation_tangent(
+    effect: Effect, *, gain: Array | float, about: Array, around: Array | float
+) -> tuple[Array, Array]:
+    """(loss, heat) of the tangent at `about` to what an effect radiates towards `around` with the strength `gain`."""
     # A tangent has the form of every other loss, heat - loss X, so that one exact step serves them all.
+    zero = effect.params.get("zero", ABSOLUTE_ZERO)
     loss = 4.0 * gain * (about - zero) ** 3
     radiated = gain * ((about - zero) ** 4 - (around - zero) ** 4)
-    return loss, loss * about - radiated
+    slope, level = linear_radiation(effect)
+    held = np.where(about > level, gain * slope, 0.0)
+    return loss - held, loss * about - radiated - held * level
+
+
+def linear_radiation(effect: Effect) -> tuple[float, float]:
+    """(loss for a gain of 1, degC above which it counts): of what is radiated, the part that the flow has already."""
+    share, level = effect.params.get("linear", 0.0), effect.params.get("surroundings", 0.0)
+    return 4.0 * share * (level - effect.params.get("zero", ABSOLUTE_ZERO)) ** 3, level
 
 
 def _radiation_text(writer: TextWriter, effect: Effect) -> str:
@@ -140,13 +151,24 @@ def _radiation_text(writer: TextWriter, effect: Effect) -> str:
         around, read = writer.degrees(effect, "ambient"), f"{writer.read(effect, 'ambient')[1]} * "
     else:
         around, read = writer.constant("AROUND", effect.params["surroundings"]), ""
-    return f" - {read}{gain} * (pow({writer.x} - {zero}, 4.0) - pow({around} - {zero}, 4.0))"
+    linear, level = linear_radiation(effect)
+    bent = ""
+    if linear:
+        bent = f" - {writer.constant('LINEAR', linear)} * fmax({writer.x} - {writer.constant('LEVEL', level)}, 0.0)"
+    return f" - {read}{gain} * (pow({writer.x} - {zero}, 4.0) - pow({around} - {zero}, 4.0){bent})"
 
 
 def _walls(log: MachineLog) -> Sequence[Params]:
     """Against walls of one temperature, or against the room's where it is measured."""
+    # A rate that was learned where the machine radiates holds the linear part of that. Added to it once more, the whole
+    # radiation could be no more than a rate can give up: at rest, where nothing blows, next to nothing.
     choices = (1.0, 0.0) if "ambient" in log.signals else (1.0,)
-    return [{"surroundings": log.cold, "walls": walls} for walls in choices]
+    return [{"surroundings": log.cold, "walls": walls, "linear": 1.0} for walls in choices]
+
+
+def _has_level(params: Params) -> str:
+    lacking = params.get("linear", 0.0) > 0 and "surroundings" not in params
+    return "has a linear part, and no surroundings at which that would be taken" if lacking else ""
 
 
 FLOWING = (
@@ -253,12 +275,14 @@ BENDING = (
     ),
     EffectKind(
         name="radiation-loss",
-        # heat -gain ((X - zero)^4 - (Ts - zero)^4), Ts the ambient signal or `surroundings`
+        # heat -gain ((X - zero)^4 - (Ts - zero)^4 - linear 4 (S - zero)^3 max(X - S, 0)), S being `surroundings`, Ts
+        # the ambient signal or S: with `linear` 1 the bend alone, and none of it where X is S
         meaning="a loss that grows faster than the temperature difference",
         parameters={
             "gain": Parameter(unit="1/(s degC^3)", low=0.0, rescaled="inverse cube"),
             "surroundings": Parameter(unit="degC", rescaled="mapped", role="ambient"),
             "zero": Parameter(unit="degC", default=ABSOLUTE_ZERO, rescaled="mapped"),
+            "linear": Parameter(unit="1", low=0.0, high=1.0, default=0.0, rescaled="stays"),
             **TO_SCALE_OF_X,
         },
         roles=Roles(
@@ -268,13 +292,17 @@ BENDING = (
         law=Structural("radiation"),
         bound=Structural("radiation"),
         uppaal=TextLaw(_radiation_text),
+        consistent=_has_level,
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="a slow ramp of the load up and down: no loop, but a bend",
             look="hot bare surfaces: paint, insulation, what the machine faces",
             shapes=_walls,
+            either={"walls": (1.0, 0.0)},
             unread="walls",
+            # Towards the room's walls it goes with the room as well; what it is known by is the bend.
+            special=("ambient-coupling",),
         ),
     ),
 )

@@ -34,7 +34,7 @@ FEATURES: Mapping[Feature, tuple[str, ...]] = {
     "sensor offset": ("size", "at"),
     "housing": ("coupling", "tau"),
     "thermostat": ("loss", "sink", "opens", "closes"),
-    "radiation": ("gain", "surroundings", "zero", "scale", "shift"),
+    "radiation": ("gain", "surroundings", "zero", "linear", "scale", "shift"),
     "disturbance": ("sigma", "memory"),
     "machine offset": ("sigma",),
 }

@@ -59,7 +59,7 @@ def tables(plant: Plant, segments: Segments, about: Array | None = None) -> Tabl
         # Walls that were never read have no temperature; where nothing is radiated any will do.
         radiates = acting.mask[segments.location] & np.isfinite(around)
         gain = np.where(radiates, effect.params["gain"], 0.0)
-        loss, heat = radiation_tangent(gain=gain, zero=zero, about=about, around=np.where(radiates, around, zero))
+        loss, heat = radiation_tangent(effect, gain=gain, about=about, around=np.where(radiates, around, zero))
         sums = _more(sums, loss, heat)
     couplings = plant.couplings[segments.location]
     closed = _half(plant, segments, sums)

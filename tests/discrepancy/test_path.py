@@ -7,7 +7,7 @@ from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.naming import confirm, entries_besides, step
+from sim.discrepancy.naming import confirm, entries_besides, likeness, step
 from sim.discrepancy.path import name, revised
 from sim.discrepancy.rules import RULES
 from tests.discrepancy.plants import model, plant
@@ -60,3 +60,17 @@ def test_each_effect_that_is_fitted_is_told_before() -> None:
     fitted = [each.entry.name for each in found.steps[0][0].evidence if each.confirmed]
     assert {f"looking for effect 1: {each}" for each in fitted} <= set(said)
     assert fitted
+
+
+def test_a_name_that_is_looked_at_again_is_not_taken_for_what_a_later_one_left() -> None:
+    """The later one's fit has the very effect in it already: what is left of its shape there is rounding alone."""
+    present = {"ambient": "TAmbiente"}
+    entries = [one for one in catalogue() if one.name in ("sensor-offset-step", "ambient-coupling")]
+    alone = [one for one in entries if one.name == "sensor-offset-step"]
+    record = record_of(model(), [plant(1, days=2, offset=1.2, room=0.4)], tuple(present.values()))
+    base = fit(on(frame_of(record), record))
+    offset = step(base, alone, present, rules=RULES)
+    assert offset.best is not None and offset.best.fitted is not None
+    room = step(offset.best.fitted, entries, present, rules=RULES)
+    assert room.best is not None and room.best.entry.name == "ambient-coupling"
+    assert 0.01 < likeness(room, offset.best) < 0.6

@@ -24,7 +24,9 @@ def _power(p: dict[str, float], s: float) -> float:
 
 def _radiation(e: Effect, x: float, u: float, t: float, s: dict[str, float]) -> float:
     around = s[e.signals["ambient"]] if "ambient" in e.signals else e.params["surroundings"]
-    return -e.params["gain"] * ((x + 273.15) ** 4 - (around + 273.15) ** 4)
+    level, linear = e.params.get("surroundings", 0.0), e.params.get("linear", 0.0)
+    held = linear * 4.0 * (level + 273.15) ** 3 * max(x - level, 0.0)
+    return -e.params["gain"] * ((x + 273.15) ** 4 - (around + 273.15) ** 4 - held)
 
 
 HEATS: dict[str, Heat] = {
@@ -209,6 +211,9 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
         Effect("thermostatic-cooling", {"loss": 0.05, "sink": 38.0, "opens": 38.0, "closes": 38.0}),
     ),
     "radiation-loss": (Effect("radiation-loss", {"gain": 2e-11, "surroundings": 20.0}),),
+    "radiation beyond its linear part": (
+        Effect("radiation-loss", {"gain": 1e-11, "surroundings": 12.0, "linear": 0.9}, {"ambient": "Ta"}, ("on",)),
+    ),
     "radiation to ambient": (Effect("radiation-loss", {"gain": 2e-11}, {"ambient": "Ta"}, ("on",)),),
 }
 

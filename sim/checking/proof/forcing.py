@@ -28,6 +28,7 @@ from sim.effects import (
     enclosure,
     kind_of,
     lag_of,
+    linear_radiation,
     names_in,
     parameter,
     steepest_loss,
@@ -350,23 +351,40 @@ def _loss_signals(
 def _radiated(effect: Effect, around: float, *, up: bool) -> DriftBound:
     """Tangents (`up`) or chords of -gain ((X - zero)^4 - (around - zero)^4), which is concave above zero.
 
-    Below the absolute zero of X's scale nothing is radiated.
+    Below the absolute zero of X's scale nothing is radiated. Where the flow has a linear part of it already, what is
+    above the surroundings is another such curve, which begins where the first one ends.
     """
     # On a concave curve a tangent is never below it, and a chord never above: upper and lower bounds, both in lines.
     gain, zero = effect.params["gain"], parameter(effect, "zero")
     received = gain * (max(around, zero) - zero) ** 4
+    linear, level = linear_radiation(effect)
+    bends = max(level - zero, 0.0) if linear else HOTTEST
     # Every 2 K, where machines are; beyond that coarser, as nothing real comes there.
     depths = np.concatenate([np.arange(0.0, 900.0, 2.0), np.geomspace(900.0, HOTTEST, 200)])
-    heats = received - gain * depths**4
+    depths = np.union1d(depths[np.abs(depths - bends) > 1e-3], [bends])
+    heats = received - gain * (depths**4 - linear * np.maximum(depths - bends, 0.0))
     if up:
         slopes = 4.0 * gain * depths**3
-        lines = np.column_stack([heats + slopes * (depths + zero), slopes])
-        # The lowest of lines that grow steeper from one to the next: each begins where it meets the one before it.
-        # Where the gain is so small that two are equally steep in floats, the first is enough.
-        falling: list[Pair] = [(received, 0.0), *map(tuple, lines[1:].tolist())]
-        steeper = [falling[0], *(after for before, after in pairwise(falling) if after[1] > before[1])]
-        knots = ((after[0] - before[0]) / (after[1] - before[1]) for before, after in pairwise(steeper))
-        return DriftBound(tuple(knots), tuple(steeper))
+        whole = _tangents(depths, heats, slopes, depths <= bends, zero)
+        bent = _tangents(depths, heats, slopes - gain * linear, depths >= bends, zero)
+        falling: list[Pair] = [(received, 0.0), *whole[1:]]
+        parts = [_lowest(falling), _lowest(bent)] if linear else [_lowest(falling)]
+        knots = [*parts[0][0], *(knot for each in parts[1:] for knot in (bends + zero, *each[0]))]
+        return DriftBound(tuple(knots), tuple(line for _, lines in parts for line in lines))
     slopes = np.append(-np.diff(heats) / np.diff(depths), STEEP)
     lines = np.column_stack([heats + slopes * (depths + zero), slopes])
     return DriftBound(tuple((depths + zero).tolist()), ((received, 0.0), *map(tuple, lines.tolist())))
+
+
+def _tangents(depths: Array, heats: Array, slopes: Array, those: Array, zero: float) -> list[Pair]:
+    """(heat, loss) of the tangents at `those` depths."""
+    lines = np.column_stack([heats + slopes * (depths + zero), slopes])[those]
+    return [(heat, loss) for heat, loss in lines.tolist()]
+
+
+def _lowest(lines: Sequence[Pair]) -> tuple[list[float], list[Pair]]:
+    """(knots, lines): the lowest of lines that grow steeper, each from where it meets the one before it."""
+    # Where the gain is so small that two are equally steep in floats, the first is enough.
+    steeper = [lines[0], *(after for before, after in pairwise(lines) if after[1] > before[1])]
+    knots = [(after[0] - before[0]) / (after[1] - before[1]) for before, after in pairwise(steeper)]
+    return knots, steeper

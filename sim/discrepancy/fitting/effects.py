@@ -26,7 +26,6 @@ from sim.effects import (
     late_kept,
     late_mean,
     late_source,
-    parameter,
     radiation_tangent,
     unknown,
 )
@@ -81,8 +80,7 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
         case Structural(feature="radiation"):
             room = "ambient" in effect.signals
             around = in_scale_of_x(effect, "ambient", signals) if room else nothing + effect.params["surroundings"]
-            zero = parameter(effect, "zero")
-            loss, heat = radiation_tangent(gain=effect.params["gain"], zero=zero, about=course, around=around)
+            loss, heat = radiation_tangent(effect, gain=effect.params["gain"], about=course, around=around)
         case law:
             raise unknown("a diagnosis", effect.kind, law)
     present = np.array([acts_in(effect, location.name) for location in record.model.sha.locations])[runs.place]
