@@ -124,7 +124,7 @@ def _all_that_may_begin(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) 
 def _columns_since(fitted: Fitted, begins: Sequence[_MayBegin], start: float) -> Array:
     """(m, c) degC what each does to the windows at unit strength where it acts from `start` (s) on."""
     frame, state, runs = fitted.frame, fitted.state, fitted.frame.record.runs
-    since = (runs.time >= start).astype(float)
+    since = (runs.time > start).astype(float)
     added = filtered(frame, state, np.column_stack([each.heat for each in begins]) * since[:, None])
     columns = [
         since if each.reading else as_read(frame, state, heat) for each, heat in zip(begins, added.T, strict=True)

@@ -136,9 +136,8 @@ def prove(
     gap = above(told.held, floor, sensor, rules)
     # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
     trials = let_run(told.after, training.by_cycles()), told.second
-    began = acting_since(
-        with_all_cycles(told.after, layout), entries, layout.present, rules.material_sigmas * sensor, rules
-    )
+    since = with_all_cycles(told.after, layout)
+    began = acting_since(since, entries, layout.present, rules.material_sigmas * sensor, rules)
     began = began or beginning(trials, rules.material_sigmas * sensor, rules)
     evidence = evidence_of(path, search.ceiling, proof.before)
     material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))

@@ -151,7 +151,8 @@ def beginning_sentence(began: GapBeginning, unit: str) -> str:
     like = f", most like {began.acts}" if began.acts else ""
     return (
         f"It begins with the {what} of {moment} (between {low} and {high}): since then the machine is "
-        f"{_warmer(began.moves, unit)} {how} than before{like}{more} ({began.before} {count} before, {began.after} after)."
+        f"{_warmer(began.moves, unit)} {how} than before{like}{more} "
+        f"({began.before} {count} before, {began.after} after)."
     )
 
 
@@ -159,7 +160,8 @@ def beginning_reason(began: GapBeginning, unit: str) -> str:
     """Why a beginning is a gap, whatever the held-out cycles say; `unit` as people read it."""
     how, size = "while the machine runs" if began.running else "at rest", f"{abs(began.moves):.2g} {unit}"
     if began.acts:
-        return f"from {shown_time(began.time)} on {began.acts} explains more than all that acts all along (p = {began.p:.1g})"
+        since = f"{began.acts} from {shown_time(began.time)} on"
+        return f"{since} explains more than anything that acts all along (p = {began.p:.1g})"
     return f"from {shown_time(began.time)} on the free run errs by {size} more {how} (p = {began.p:.1g})"
 
 
