@@ -19,8 +19,11 @@ from sim.effects import HeldLaw, VaryingLaw
 from sim.learning import Indices
 from sim.sha import Array
 
-BORDERS = 24
-"""Borders between cycles at most that every effect is tried at; in a longer record the best one alone is at all."""
+FIRST, BORDERS = 5, 24
+"""Borders between cycles at which every shape of every effect is tried, and at most those at which the best shape of
+each is; in a longer record the best of all alone is tried at every one."""
+CHUNK = 16
+"""Shapes whose heats at the knots are held at a time: in a long record each is some megabytes."""
 LIKELY = 1.92
 """Nats below the best date up to which a date is in its 95 % interval: half the quantile of chi-square."""
 GROWING, LATE = "wear-drift", "lag"
@@ -60,15 +63,16 @@ def acting_since(
     every = shapes_of(fitted, (*entries, *rivals()), roles, smooth)
     lasting = tuple(shape for shape in every if DATE not in shape.params or _by_the_clock(shape))
     all_along = judged(fitted, lasting, columns_of(fitted, lasting, smooth)).gain.max() if lasting else 0.0
-    begins = _all_that_may_begin(fitted, [shape for shape in lasting if _stateless(shape)], smooth)
-    coarse = borders[:: -(-borders.size // BORDERS)]
-    gains = np.array([_gains(projector, begins, start) for start in starts[coarse]])
+    shapes = [shape for shape in lasting if _stateless(shape)]
+    begins = _best_of_each(projector, shapes, smooth, starts[_evenly(borders, FIRST)])
+    gains = np.array([_gains(projector, begins, start) for start in starts[_evenly(borders, BORDERS)]])
     best = begins[int(np.argmax(gains.max(axis=0)))]
     profile = np.array([_gains(projector, [best], start)[0] for start in starts[borders]])
     top = int(np.argmax(profile))
     before, gain = int(borders[top]), float(profile[top])
     # A likelihood ratio of one parameter, at each place that was looked at (Bonferroni).
-    p = min(float(scipy.stats.chi2.sf(2.0 * gain, 1)) * borders.size * len(begins), 1.0)
+    looks = borders.size * (len(shapes) + len(begins))
+    p = min(float(scipy.stats.chi2.sf(2.0 * gain, 1)) * looks, 1.0)
     if p > rules.beginning_most_p or gain - float(all_along) < rules.margin_nats:
         return None
     column = _columns_since(fitted, [best], starts[before])
@@ -103,22 +107,37 @@ def _stateless(shape: Shape) -> bool:
     return at_once and not entry.rival and entry.name != GROWING
 
 
-def _all_that_may_begin(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> list[_MayBegin]:
-    """The shapes' heats along the smoothed course; and heat that no signal has, or an offset of the sensor."""
-    record, found = fitted.frame.record, []
-    for shape in shapes:
-        heat = np.zeros(len(record.runs))
-        for effect in effects_of(shape.named(1.0), record.model):
-            gained, lost = heat_and_loss(record, effect, smooth)
-            heat += gained - lost * smooth
-        found.append(_MayBegin(shape.entry.name, shape.entry.sign, heat))
+def _evenly(borders: Indices, most: int) -> Indices:
+    """At most so many of the borders, evenly over all."""
+    return borders[np.unique(np.linspace(0, borders.size - 1, min(most, borders.size)).round().astype(int))]
+
+
+def _best_of_each(projector: Projector, shapes: Sequence[Shape], smooth: Array, starts: Array) -> list[_MayBegin]:
+    """Of each effect the shape of the greatest gain at some of the `starts`; heat without a signal; and an offset."""
+    record, best = projector.fitted.frame.record, dict[str, tuple[float, _MayBegin]]()
+    for first in range(0, len(shapes), CHUNK):
+        some = [_heat_of(projector.fitted, shape, smooth) for shape in shapes[first : first + CHUNK]]
+        gains = np.max([_gains(projector, some, start) for start in starts], axis=0)
+        for one, gain in zip(some, gains.tolist(), strict=True):
+            if one.name not in best or gain > best[one.name][0]:
+                best[one.name] = gain, one
     always = np.ones(len(record.runs))
     return [
-        *found,
+        *(one for _, one in best.values()),
         _MayBegin("heat while the machine runs", 0.0, record.running),
         _MayBegin("heat at all times", 0.0, always),
         _MayBegin("an offset of the sensor", 0.0, always, reading=True),
     ]
+
+
+def _heat_of(fitted: Fitted, shape: Shape, smooth: Array) -> _MayBegin:
+    """The shape with its heat along the smoothed course."""
+    record = fitted.frame.record
+    heat = np.zeros(len(record.runs))
+    for effect in effects_of(shape.named(1.0), record.model):
+        gained, lost = heat_and_loss(record, effect, smooth)
+        heat += gained - lost * smooth
+    return _MayBegin(shape.entry.name, shape.entry.sign, heat)
 
 
 def _columns_since(fitted: Fitted, begins: Sequence[_MayBegin], start: float) -> Array:
