@@ -41,7 +41,8 @@ OFF: Mapping[str, Any] = {
     "stated_noise_log_sd": inf, "stated_noise_most_times": inf,
     "floor_parameters_most_times": inf, "equal_least_cycles": 10**9, "comparable_least_share": inf,
     "floor_blind_from_share": inf,
-    "beginning_least_cycles": 1, "beginning_most_p": -1.0, "beginning_wanders_from": inf,
+    "beginning_least_cycles": 1, "beginning_most_p": -1.0, "beginning_carried_share": -inf,
+    "beginning_wanders_from": inf,
     "place_most_p": 1.0, "place_least_share": 0.0, "place_least_correlation": 0.0,
     "moved_least_sigmas": 0.0, "moved_least_share": 0.0, "absorbed_least_p": 0.0, "absorbed_least_saved": 0,
     "law_least_nats": -inf, "law_fitted_least_nats": -inf,
@@ -99,7 +100,7 @@ def remembered() -> dict[Any, tuple[str, ...]]:
         ),
         proving: (
             "ceiling", "let_run", "compared", "stated_errors", "sensor_noise", "floor_of", "excess", "beginning",
-            "given_fit",
+            "given_fit", "fit", "acting_since",
         ),
         naming: ("fit", "screen", "confirm", "_cosines", "slow_heat", "with_heats"),
         path: ("fit",),

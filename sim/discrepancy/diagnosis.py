@@ -171,7 +171,8 @@ class GapBeginning:
     `before` and `after` count the cycles, `moves` (degC) is by how much more the free run errs from then on in the mean
     of a cycle, while the machine is `running` or at rest. Of a machine that runs on, `stretch` is the length (s) of the
     pieces of its runs that stand for cycles here; 0: they are cycles. `then` are the start (s UTC) of the first one
-    with which the gap changes once more, and by how much more than before the beginning it errs from there on.
+    with which the gap changes once more, and by how much more than before the beginning it errs from there on. `acts`
+    is what it is most like of all that might act from the beginning on, "" where the errors alone tell it.
     """
 
     time: float
@@ -183,6 +184,7 @@ class GapBeginning:
     p: float
     stretch: float = 0.0
     then: tuple[float, float] | None = None
+    acts: str = ""
 
 
 @dataclass(frozen=True, slots=True)

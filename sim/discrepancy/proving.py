@@ -8,7 +8,7 @@ import numpy as np
 from sim.discrepancy.beginning import beginning
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
-from sim.discrepancy.fitting import Fitted, Record, given_fit
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on
 from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors
 from sim.discrepancy.held_out import HeldOutRun, RunsBefore, compared, let_run, runs_before, surely_nearer
 from sim.discrepancy.judging import (
@@ -25,6 +25,7 @@ from sim.discrepancy.judging import (
     matters,
 )
 from sim.discrepancy.layout import DataLayout
+from sim.discrepancy.onset import acting_since
 from sim.discrepancy.posterior import NamesEvidence, names_evidence
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.story import beginning_reason, little_sentence
@@ -105,7 +106,13 @@ class ProvenFindings:
 
 
 def prove(
-    layout: DataLayout, search: NamesSearched, held_out: Record, *, seed: int, rules: DecisionRules
+    layout: DataLayout,
+    search: NamesSearched,
+    held_out: Record,
+    entries: Sequence[CatalogueEntry],
+    *,
+    seed: int,
+    rules: DecisionRules,
 ) -> ProvenFindings:
     """The names that stand on held-out cycles, or what else there is, with the verdict."""
     base, paths = search.base, search.paths
@@ -135,7 +142,9 @@ def prove(
     # Of an experiment nothing is told: what a machine lacks shows there as it never did, and would begin with it.
     usual = training.where(training.cycle < layout.first_made)
     trials = let_run(told.after, usual.by_cycles()), told.second
-    began = beginning(trials, rules.material_sigmas * sensor, rules)
+    since = with_all_cycles(told.after, layout)
+    began = acting_since(since, entries, layout.present, rules.material_sigmas * sensor, rules)
+    began = began or beginning(trials, rules.material_sigmas * sensor, rules)
     evidence = evidence_of(path, search.ceiling, proof.before)
     material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))
     # What has no name need not act while the last cycles run: a greasing fades, a neighbour comes and goes.
@@ -176,6 +185,15 @@ def prove(
         material=material,
         little=little,
     )
+
+
+def with_all_cycles(after: Fitted, layout: DataLayout) -> Fitted:
+    """The fit, with its names, of all cycles, the held-out ones included: what begins may begin with any of them."""
+    record = layout.record
+    if np.isfinite(layout.first_made):
+        record = record.where(record.cycle < layout.first_made)
+    begin = replace(after, start=record.reading[record.window_first])
+    return fit(on(after.frame, record), after.state.named, begin, rounds=2)
 
 
 def told_fits(proof: Proof, base: Fitted, judged: JudgedPath, *, kept: bool) -> ToldFits:

@@ -128,6 +128,9 @@ class DecisionRules:
     beginning_most_p: float = 0.001
     """Of a beginning among draws of as many normal errors: it is looked for at all cycles and in two phases.
     Permutations would do without the normal law, but of fifteen cycles there are too few ways to take the last four."""
+    beginning_carried_share: float = 0.5
+    """Of its gain that an effect which begins must keep where each cycle's strength is that of the others: of the
+    half-way gaps of a plant 0.7 to 1, of what one cycle or a neighbour made up at most 0.25."""
     beginning_wanders_from: float = 0.5
     """The correlation of neighbouring cycles, once the step is taken out, from which the error wanders."""
 

@@ -148,15 +148,20 @@ def beginning_sentence(began: GapBeginning, unit: str) -> str:
     if began.stretch:
         what, count = "stretch", f"stretches of {shown_span(began.stretch)}"
     more = "" if began.then is None else f", and from {shown_time(began.then[0])} on {_warmer(began.then[1], unit)}"
+    like = f", most like {began.acts}" if began.acts else ""
     return (
         f"It begins with the {what} of {moment} (between {low} and {high}): since then the machine is "
-        f"{_warmer(began.moves, unit)} {how} than before{more} ({began.before} {count} before, {began.after} after)."
+        f"{_warmer(began.moves, unit)} {how} than before{like}{more} "
+        f"({began.before} {count} before, {began.after} after)."
     )
 
 
 def beginning_reason(began: GapBeginning, unit: str) -> str:
     """Why a beginning is a gap, whatever the held-out cycles say; `unit` as people read it."""
     how, size = "while the machine runs" if began.running else "at rest", f"{abs(began.moves):.2g} {unit}"
+    if began.acts:
+        since = f"{began.acts} from {shown_time(began.time)} on"
+        return f"{since} explains more than anything that acts all along (p = {began.p:.1g})"
     return f"from {shown_time(began.time)} on the free run errs by {size} more {how} (p = {began.p:.1g})"
 
 

@@ -78,7 +78,7 @@ def diagnose(
     allowed = min(most, count // rules.each_name_least_cycles) if count >= rules.first_name_least_cycles else 0
     search = search_names(split.training, layout.present, entries, allowed, seed=seed, rules=rules, report=report)
     report("held-out cycles", 0.85)
-    found = prove(layout, search, split.held_out, seed=seed, rules=rules)
+    found = prove(layout, search, split.held_out, entries, seed=seed, rules=rules)
     diagnosis = describe(layout, split, search, found, entries, seed=seed, rules=rules, report=report)
     after, path = found.told.after, found.judged.path
     named = after.state.named if found.kept else ()
