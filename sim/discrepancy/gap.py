@@ -129,7 +129,7 @@ def size_by_equal_cycles(trial: HeldOutRun, explained: Fitted, rng: np.random.Ge
     scatter = scatter_of_equal_cycles(trial.record, trial.residual, rules)
     if not np.isfinite(scatter):
         return scatter
-    columns = trial.record.windowed(sensitivity(on(explained.frame, trial.record), trial.state, trial.start))
+    columns = window_sensitivity(on(explained.frame, trial.record), trial.state, trial.start)
     noise = trial.whitener.draw(rng, EQUAL_DRAWS)
     precision = trial.whitener.gram(columns) + np.diag(np.maximum(explained.prior, 1e-12))
     left = trial.started(noise - columns @ np.linalg.solve(precision, columns.T @ trial.whitener.weigh(noise)))

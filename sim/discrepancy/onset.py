@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from sim.discrepancy.diagnosis import GapBeginning
-from sim.discrepancy.fitting import CatalogueEntry, Fitted, as_read, effects_of, filtered, heat_and_loss, rivals
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, as_read, effects_of, heat_and_loss, heat_filter, rivals
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.screen import Projector, Shape, columns_of, judged, shapes_of, smooth_course
 from sim.effects import HeldLaw, VaryingLaw
@@ -144,10 +144,8 @@ def _columns_since(fitted: Fitted, begins: Sequence[_MayBegin], start: float) ->
     """(m, c) degC what each does to the windows at unit strength where it acts from `start` (s) on."""
     frame, state, runs = fitted.frame, fitted.state, fitted.frame.record.runs
     since = (runs.time > start).astype(float)
-    added = filtered(frame, state, np.column_stack([each.heat for each in begins]) * since[:, None])
-    columns = [
-        since if each.reading else as_read(frame, state, heat) for each, heat in zip(begins, added.T, strict=True)
-    ]
+    added = heat_filter(frame, state)
+    columns = [since if each.reading else as_read(frame, state, added(each.heat * since)) for each in begins]
     return frame.record.windowed(np.column_stack(columns))
 
 
