@@ -110,7 +110,7 @@ def targets(frame: Frame, linear: Array) -> Array:
 def load(frame: Frame, parameter: int) -> Array:
     """(n,) what a linear parameter adds to the target of each step, per unit of the parameter."""
     shape, place = frame.shape, frame.record.runs.place
-    total = (shape.target == parameter)[place].astype(float)
+    total: Array = (shape.target == parameter)[place].astype(float)
     for number in range(shape.gain.shape[1]):
         driven = shape.gain[:, number] == parameter
         if driven.any():
