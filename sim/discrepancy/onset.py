@@ -109,7 +109,7 @@ def _stateless(shape: Shape) -> bool:
 
 def _evenly(borders: Indices, most: int) -> Indices:
     """At most so many of the borders, evenly over all."""
-    return borders[np.unique(np.linspace(0, borders.size - 1, min(most, borders.size)).round().astype(int))]
+    return np.asarray(borders[np.unique(np.linspace(0, borders.size - 1, min(most, borders.size)).round().astype(int))])
 
 
 def _best_of_each(projector: Projector, shapes: Sequence[Shape], smooth: Array, starts: Array) -> list[_MayBegin]:
