@@ -35,7 +35,7 @@ from sim.effects import (
     unknown,
 )
 from sim.engine import held
-from sim.sha import FLOWS, RELAXING, SHA, Array, Effect, Flow, Location, drawn_temperature, flows
+from sim.sha import FLOWS, RELAXING, SHA, Array, Effect, Flow, Location, Mask, drawn_temperature, flows
 
 Range = tuple[float, float]
 
@@ -376,7 +376,7 @@ def _radiated(effect: Effect, around: float, *, up: bool) -> DriftBound:
     return DriftBound(tuple((depths + zero).tolist()), ((received, 0.0), *map(tuple, lines.tolist())))
 
 
-def _tangents(depths: Array, heats: Array, slopes: Array, those: Array, zero: float) -> list[Pair]:
+def _tangents(depths: Array, heats: Array, slopes: Array, those: Mask, zero: float) -> list[Pair]:
     """(heat, loss) of the tangents at `those` depths."""
     lines = np.column_stack([heats + slopes * (depths + zero), slopes])[those]
     return [(heat, loss) for heat, loss in lines.tolist()]
