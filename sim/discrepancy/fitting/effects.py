@@ -129,11 +129,23 @@ def late_inrush(record: Record, effect: Effect) -> Array:
 
 def _late(record: Record, effect: Effect, signals: Mapping[str, Array]) -> Array:
     uncut = record.uncut
-    source = late_source(effect, signals)
+    source = late_source(effect, {name: _known_from_there(record, column) for name, column in signals.items()})
     jumps = late_jumps(np.concatenate([source[:1], source[:-1]]), source)
     kept = np.concatenate([[0.0], late_kept(effect, uncut.dt[:-1])])
     begins = linear_recursion(np.where(uncut.first, 0.0, kept), np.where(uncut.first, 0.0, jumps), 0.0)
     return np.asarray((begins * late_mean(effect, uncut.dt))[record.kept])
+
+
+def _known_from_there(record: Record, column: Array) -> Array:
+    """A column (N,) held over each step of `Record.uncut`, where a run begins as it is from there on.
+
+    Where the traces have a gap the last value before it stands there, and when in the gap it changed is not known:
+    taken for a step of the first row after it, what comes late of the change would come when it is long over.
+    """
+    begins = np.flatnonzero(record.uncut.first[:-1])
+    out = column.copy()
+    out[begins] = column[begins + 1]
+    return out
 
 
 def as_sensed(record: Record, effect: Effect, course: Array) -> Array:
@@ -194,7 +206,8 @@ def lagged_signal(record: Record, column: Array, lag: float) -> Array:
         return np.asarray(column[record.kept])
     uncut = record.uncut
     keep = np.where(uncut.first, 0.0, np.exp(-uncut.dt / lag))
-    return np.asarray(linear_recursion(keep, (1.0 - keep) * column, 0.0)[record.kept])
+    pushed = (1.0 - keep) * _known_from_there(record, column)
+    return np.asarray(linear_recursion(keep, pushed, 0.0)[record.kept])
 
 
 def delayed(record: Record, column: Array, delay: float) -> Array:
