@@ -20,6 +20,8 @@ TOLD = ("sentence", "unexplained", "descriptions")
 """Where in a diagnosis a description of what has no name may stand, beside the sentences of its laws."""
 ADVICE = "; to find out"
 """What a law's sentence ends with: what to try, not what was found."""
+ROWS_LATE = 300.0
+"""Seconds after a start up to which the first row that shows it comes: late rows of the slowest recorder."""
 SHOWN = 120
 """Characters of a reason or an error in a case's line."""
 
@@ -126,8 +128,8 @@ def dates_gap(one: Judged) -> bool:
     if time is None or not finds_gap(one):
         return False
     starts = np.asarray(truth["starts"])
-    # A change in a rest may be dated at any moment between the stop and the next start, or at that start itself.
-    stated = int(np.searchsorted(starts, time - 1.0))
+    # A change in a rest may be dated at any moment between the stop and the next start, or at the row that shows it.
+    stated = int(np.searchsorted(starts, time - ROWS_LATE))
     return abs(stated - int(truth["before"])) <= 1
 
 
