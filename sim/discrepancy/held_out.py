@@ -124,7 +124,7 @@ def runs_before(fitted: Fitted, record: Record) -> RunsBefore:
 
 
 def compared(
-    before: Fitted, after: Fitted, record: Record, seed: int, floor: NoiseFloor, runs: RunsBefore | None = None
+    before: Fitted, after: Fitted, record: Record, seed: int, floor: NoiseFloor, *, runs: RunsBefore | None = None
 ) -> tuple[HeldOutProof, HeldOutRun, HeldOutRun]:
     """Two fits let run over the held-out record, held against the floor, with the excess removed.
 

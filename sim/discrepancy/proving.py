@@ -210,7 +210,7 @@ def told_fits(proof: Proof, base: Fitted, judged: JudgedPath, *, kept: bool) -> 
     if refused:
         base = given_fit(base)
         runs = runs_before(base, proof.held_out)
-    held, first, second = compared(base, base, proof.held_out, proof.seed, proof.floor, runs)
+    held, first, second = compared(base, base, proof.held_out, proof.seed, proof.floor, runs=runs)
     held = replace(held, rmse_refit=refit if refused else None)
     return ToldFits(base=base, after=base, held=held, first=first, second=second)
 
@@ -227,7 +227,7 @@ def longest_that_passes(proof: Proof, paths: Sequence[NamingResult]) -> JudgedPa
 
 
 def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) -> JudgedPath:
-    held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor, proof.runs)
+    held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor, runs=proof.runs)
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
     excess_after = excess(proof.stated, path.fitted, proof.rules) if path.taken else proof.before
     reasons = (
@@ -255,7 +255,7 @@ def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
     rules = step.rules
     if path.taken or not immaterial(step) or dubious(step) or step.best is None or step.best.fitted is None:
         return path
-    held, _, _ = compared(path.base, step.best.fitted, proof.held_out, proof.seed, proof.floor, proof.runs)
+    held, _, _ = compared(path.base, step.best.fitted, proof.held_out, proof.seed, proof.floor, runs=proof.runs)
     removed, interval = held.excess_removed, held.ci95
     if not matters(held, sensor_noise(path.base.frame.record), rules) or removed is None or interval is None:
         return path
