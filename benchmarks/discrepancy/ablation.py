@@ -108,7 +108,9 @@ def remembered() -> dict[Any, tuple[str, ...]]:
         gap: ("let_run", "predicted"),
         locate: ("blocks_of", "flips"),
         constants: ("let_run",),
-        law_search: ("let_run", "Projector", "_rhythms", "columns_on", "_scored", "sensitivity", "smooth_course"),
+        law_search: (
+            "let_run", "Projector", "_rhythms", "columns_on", "_scored", "window_sensitivity", "smooth_course",
+        ),
         story: ("implied_heat",),
     }  # fmt: skip
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from sim.discrepancy.beginning import beginning
 from sim.discrepancy.ceiling import ceiling
-from sim.discrepancy.diagnosis import Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
+from sim.discrepancy.diagnosis import CandidateLaw, Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
 from sim.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on
 from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors
 from sim.discrepancy.held_out import HeldOutRun, RunsBefore, compared, let_run, runs_before, surely_nearer
@@ -87,8 +87,8 @@ class ProvenFindings:
     """What was proved: the `verdict` with its `reasons`, and the figures that it follows from.
 
     `kept`: the names of the judged path are given; `against` is what speaks against them. `excess` is that of the
-    fitted cycles before. `gap`: the error is beyond the floor's interval. `little` says why agreement would say
-    nothing, "" where it does.
+    fitted cycles before, and `stated` (degC rms) what the given model allows itself on them. `gap`: the error is beyond
+    the floor's interval. `little` says why agreement would say nothing, "" where it does.
     """
 
     verdict: Verdict
@@ -99,6 +99,7 @@ class ProvenFindings:
     told: ToldFits
     floor: NoiseFloor
     excess: Excess | None
+    stated: float
     began: GapBeginning | None
     gap: bool
     material: bool
@@ -180,11 +181,20 @@ def prove(
         told=told,
         floor=floor,
         excess=proof.before,
+        stated=float(np.sqrt(np.mean(stated**2))),
         began=began,
         gap=gap,
         material=material,
         little=little,
     )
+
+
+def with_laws(found: ProvenFindings, laws: Sequence[CandidateLaw]) -> ProvenFindings:
+    """The findings, with a gap where a law foresees what the model's own noise does not cover: noise follows none."""
+    if found.verdict == "unexplained" or found.excess is None or not laws:
+        return found
+    words = f"{found.excess.words()}, and a law of what is measured foresees it"
+    return replace(found, verdict="unexplained", reasons=(words,), material=True, little="")
 
 
 def with_all_cycles(after: Fitted, layout: DataLayout) -> Fitted:

@@ -23,7 +23,7 @@ from sim.discrepancy.missing_heat import missing_heat
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.posterior import NamesEvidence, gains_of, posterior, shares_left
-from sim.discrepancy.proving import NamesSearched, ProvenFindings, prove
+from sim.discrepancy.proving import NamesSearched, ProvenFindings, prove, with_laws
 from sim.discrepancy.rules import RULES, DecisionRules
 from sim.discrepancy.story import course_of, sentence_of
 from sim.effects import ROLES
@@ -79,7 +79,9 @@ def diagnose(
     search = search_names(split.training, layout.present, entries, allowed, seed=seed, rules=rules, report=report)
     report("held-out cycles", 0.85)
     found = prove(layout, search, split.held_out, entries, seed=seed, rules=rules)
-    diagnosis = describe(layout, split, search, found, entries, seed=seed, rules=rules, report=report)
+    laws = laws_to_look_at(layout, split, found, rules, report)
+    found = with_laws(found, laws)
+    diagnosis = describe(layout, split, search, found, entries, laws=laws, seed=seed, rules=rules, report=report)
     after, path = found.told.after, found.judged.path
     named = after.state.named if found.kept else ()
     return DiagnosisOutcome(diagnosis, named, after, path, found.against if path.taken else None)
@@ -112,6 +114,7 @@ def describe(
     found: ProvenFindings,
     entries: Sequence[CatalogueEntry],
     *,
+    laws: tuple[CandidateLaw, ...],
     seed: int,
     rules: DecisionRules,
     report: Progress,
@@ -135,13 +138,6 @@ def describe(
     none_of_these = max((each.none_of_these for each in sure), default=None)
     moved = shifts(told.after, rules)
     unexplained = remaining if unnamed or (kept and systematic(found.judged.ceiling, rules)) else ()
-    laws: tuple[CandidateLaw, ...] = ()
-    if unnamed:
-        report("laws to look at", 0.97)
-        # All that is measured, not only what the catalogue knows a role for: a record of its own on the same knots.
-        everything = record_of(model, layout.traces, measured_signals(model, layout.traces, rules))
-        floor = found.floor.error
-        laws = candidate_laws(told.base, everything, split.first, floor, rules, fitted_again=layout.first_made)
     described = description(path) if unnamed else ""
     return Diagnosis(
         verdict=found.verdict,
@@ -189,6 +185,22 @@ def describe(
         missing_heat=missing_heat(told.base, layout.record, layout.cycles[layout.cycles >= split.first]),
         none_of_these=none_of_these,
     )
+
+
+def laws_to_look_at(
+    layout: DataLayout, split: SplitCycles, found: ProvenFindings, rules: DecisionRules, report: Progress
+) -> tuple[CandidateLaw, ...]:
+    """The laws of what has no name; looked for too where the model's own noise does not cover its errors, though the
+    machine might be as rough as that."""
+    doubtful = found.excess is not None and found.excess.wide(rules) and not found.kept
+    if found.verdict != "unexplained" and not doubtful:
+        return ()
+    report("laws to look at", 0.9)
+    # All that is measured, not only what the catalogue knows a role for: a record of its own on the same knots.
+    model = layout.model
+    everything = record_of(model, layout.traces, measured_signals(model, layout.traces, rules))
+    floor = min(found.floor.error, found.stated)
+    return candidate_laws(found.told.base, everything, split.first, floor, rules, fitted_again=layout.first_made)
 
 
 def settings_of(found: ProvenFindings, seed: int, rules: DecisionRules) -> dict[str, float]:

@@ -198,7 +198,8 @@ def judged(stratum: str, said: dict[str, Any], *, acts: tuple[str, ...] = (), be
     [
         ({"time": 12.0 * 3600}, True),  # in the rest before the third cycle, which is the first that has it
         ({"time": STARTS[2]}, True),
-        ({"time": STARTS[3] + 60.0}, False),
+        ({"time": STARTS[3] + 60.0}, True),  # at the row that shows the fourth start: one cycle late
+        ({"time": STARTS[3] + 600.0}, False),
         ({"time": STARTS[1]}, True),
         ({"time": STARTS[0]}, False),
         ({"time": None}, False),
