@@ -1,9 +1,9 @@
 """Is there a gap at all: how far off the refitted free run is, beside what noise alone makes of it.
 
-The floor is told from times and temperatures, and the least of three bounds counts: what the given model states of its
-own free runs, what the best explanation that was found still errs by on the cycles it was fitted to, and by how much
-cycles that are equal differ. A refit takes what is missing for noise, and so does a model that was learned without it;
-an explanation that is none leaves nearly all of it. The sensor bounds the floor from below.
+The floor is told from times and temperatures: by what the best explanation that was found still errs by on the cycles
+it was fitted to, or by how much cycles that are equal differ, where that is less. What the given model states of its
+own free runs is the prior of it, and draws down only: a model that was learned without a cause takes it for noise, as
+a refit does. The sensor bounds the floor from below.
 """
 
 from collections.abc import Iterator, Sequence

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, NoiseFloor
-from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, effects_of, heat_and_loss, on_sensor
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, effects_of, net_heat, on_sensor
 from sim.discrepancy.gap import Excess, sensor_noise
 from sim.discrepancy.heat import HOUR
 from sim.discrepancy.held_out import HeldOutRun
@@ -127,12 +127,8 @@ def unbelievable(step: NamingStep) -> str:
 def greatest_heat(fitted: Fitted, named: Named) -> float:
     """degC/s the greatest heat or cooling of an effect along the course of a fit; 0 of what acts on the reading."""
     record, smooth = fitted.frame.record, smooth_course(fitted)
-    total = np.zeros(len(record.runs))
-    for effect in effects_of(named, record.model):
-        if not on_sensor(effect):
-            heat, loss = heat_and_loss(record, effect, smooth)
-            total += heat - loss * smooth
-    return float(np.max(np.abs(total)))
+    heating = [effect for effect in effects_of(named, record.model) if not on_sensor(effect)]
+    return float(np.max(np.abs(net_heat(record, heating, smooth))))
 
 
 def fastest_movement(fitted: Fitted) -> float:

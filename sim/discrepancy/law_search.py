@@ -20,8 +20,8 @@ from sim.discrepancy.fitting import (
     Whitener,
     as_read,
     effects_of,
-    heat_and_loss,
     heat_filter,
+    net_heat,
     on,
     window_sensitivity,
     with_column,
@@ -40,7 +40,7 @@ from sim.discrepancy.law_family import (
     signal_names,
 )
 from sim.discrepancy.rules import DecisionRules
-from sim.discrepancy.screen import Projector, Shape, refined, smooth_course
+from sim.discrepancy.screen import Projector, Shape, alone, refined, smooth_course
 from sim.effects import SINCE, TEMPERATURE, LineError, compiled, names_in, own_kind, parse
 from sim.sha import Array, EffectLine, LineParameter
 
@@ -235,12 +235,8 @@ def _heat(fitted: Fitted, columns: LawColumns, form: LawForm) -> Array:
     if not form.shapes:
         heat = np.broadcast_to(compiled(parse(form.text))(columns.values), running.shape)
         return np.asarray(np.where(np.isfinite(heat), heat, 0.0) * (running if form.running else 1.0))
-    out = np.zeros(running.size)
-    for shape in form.shapes:
-        for effect in effects_of(shape.named(1.0), record.model):
-            gained, lost = heat_and_loss(record, effect, smooth)
-            out += gained - lost * smooth
-    return out
+    effects = [effect for shape in form.shapes for effect in effects_of(shape.named(1.0), record.model)]
+    return net_heat(record, effects, smooth)
 
 
 def _reading(fitted: Fitted, columns: LawColumns, forms: Sequence[LawForm]) -> Array:
@@ -256,15 +252,9 @@ def _scored(fitted: Fitted, projector: Projector, columns: LawColumns, forms: li
     for begin in range(0, len(forms), CHUNK):
         part = forms[begin : begin + CHUNK]
         made = _reading(fitted, columns, part)
-        _, weighed, before = projector.clean(made)
-        size = np.einsum("ij,ij->j", made, weighed)
-        score = made.T @ projector.weighed_residual
-        # What the model's own parameters imitate but for a twentieth is not visible, as in the screen.
-        visible = size > 0.0025 * np.maximum(before, 1e-300)
-        allowed = visible & ((score > 0) | ~np.array([form.exchange for form in part]))
-        safe = np.where(size > 0, size, 1.0)
-        gains.append(np.where(allowed, 0.5 * score**2 / safe, 0.0))
-        strengths.append(np.where(allowed, score / safe, 0.0))
+        gain, strength, weighed = alone(projector, made, np.array([float(form.exchange) for form in part]))
+        gains.append(gain)
+        strengths.append(strength)
         kept.append(made)
         weights.append(weighed)
     empty = np.empty((fitted.residual.size, 0))

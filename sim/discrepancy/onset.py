@@ -12,9 +12,9 @@ import numpy as np
 import scipy
 
 from sim.discrepancy.diagnosis import GapBeginning
-from sim.discrepancy.fitting import CatalogueEntry, Fitted, as_read, effects_of, heat_and_loss, heat_filter, rivals
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, as_read, effects_of, heat_filter, net_heat, rivals
 from sim.discrepancy.rules import DecisionRules
-from sim.discrepancy.screen import Projector, Shape, columns_of, judged, shapes_of, smooth_course
+from sim.discrepancy.screen import Projector, Shape, alone, columns_of, judged, shapes_of, smooth_course
 from sim.effects import HeldLaw, VaryingLaw
 from sim.learning import Indices
 from sim.sha import Array
@@ -26,12 +26,10 @@ CHUNK = 16
 """Shapes whose heats at the knots are held at a time: in a long record each is some megabytes."""
 LIKELY = 1.92
 """Nats below the best date up to which a date is in its 95 % interval: half the quantile of chi-square."""
-GROWING, LATE = "wear-drift", "lag"
-"""The effect that begins nowhere since it grows, and the parameter of one that has a state: what comes late."""
+MOMENT, LATE = "since", "lag"
+"""The parameter of what has a moment of its own from which it grows, and that of what comes late: it has a state."""
 DATE, BY_THE_CLOCK = "at", ("period", "length")
 """The parameter that is a date, but for those that come with the clock and have one of the others."""
-VISIBLE = 0.0025
-"""Of a column's square that the model's own parameters must leave, as in the screen of laws."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +102,7 @@ def _stateless(shape: Shape) -> bool:
     """Whether an effect has a name and neither a state nor a course of its own: it may begin at once."""
     entry = shape.entry
     at_once = isinstance(entry.kind.law, HeldLaw | VaryingLaw) and LATE not in shape.params
-    return at_once and not entry.rival and entry.name != GROWING
+    return at_once and not entry.rival and MOMENT not in shape.params
 
 
 def _evenly(borders: Indices, most: int) -> Indices:
@@ -133,10 +131,7 @@ def _best_of_each(projector: Projector, shapes: Sequence[Shape], smooth: Array, 
 def _heat_of(fitted: Fitted, shape: Shape, smooth: Array) -> _MayBegin:
     """The shape with its heat along the smoothed course."""
     record = fitted.frame.record
-    heat = np.zeros(len(record.runs))
-    for effect in effects_of(shape.named(1.0), record.model):
-        gained, lost = heat_and_loss(record, effect, smooth)
-        heat += gained - lost * smooth
+    heat = net_heat(record, effects_of(shape.named(1.0), record.model), smooth)
     return _MayBegin(shape.entry.name, shape.entry.sign, heat)
 
 
@@ -152,11 +147,7 @@ def _columns_since(fitted: Fitted, begins: Sequence[_MayBegin], start: float) ->
 def _gains(projector: Projector, begins: Sequence[_MayBegin], start: float) -> Array:
     """(c,) nats of each that acts from `start` (s) on, 0 where its sign is not physics or nothing of it is visible."""
     columns = _columns_since(projector.fitted, begins, start)
-    _, weighed, before = projector.clean(columns)
-    size, score = np.einsum("ij,ij->j", columns, weighed), columns.T @ projector.weighed_residual
-    sign = np.array([each.sign for each in begins])
-    allowed = (size > VISIBLE * np.maximum(before, 1e-300)) & ((sign == 0) | (sign * score > 0))
-    return np.where(allowed, 0.5 * score**2 / np.where(allowed, size, 1.0), 0.0)
+    return alone(projector, columns, np.array([each.sign for each in begins]))[0]
 
 
 def _agreement(projector: Projector, column: Array) -> tuple[float, float]:

@@ -21,15 +21,17 @@ from sim.discrepancy.fitting import (
     as_read,
     as_sensed,
     effects_of,
-    heat_and_loss,
     heat_filter,
     held,
+    net_heat,
     on_sensor,
     signals_of,
 )
 from sim.effects import MachineLog
 from sim.sha import Array
 
+VISIBLE = 0.05**2
+"""Of a column's square that the fit's own parameters must leave where it is weighed by itself: 1/20 of its size."""
 TOGETHER = 16
 """Columns that are weighed at a time: the states behind them take several times their memory."""
 SIMPLEX = 60
@@ -83,6 +85,19 @@ class Projector:
         part = scipy.linalg.cho_solve(self._factor, self._weighed.T @ columns)
         before = np.einsum("ij,ij->j", columns, weighed)
         return columns - self.fitted.columns @ part, weighed - self._weighed @ part, before
+
+
+def alone(projector: Projector, columns: Array, signs: Array) -> tuple[Array, Array, Array]:
+    """(gains (c,) nats, strengths (c,), the columns weighed (m, c)) of columns (m, c) degC, each by itself.
+
+    0 where nothing is visible beside the fit's own parameters, or where the sign that physics allows (`signs` (c,), 0:
+    either) is another.
+    """
+    _, weighed, before = projector.clean(columns)
+    size, score = np.einsum("ij,ij->j", columns, weighed), columns.T @ projector.weighed_residual
+    allowed = (size > VISIBLE * np.maximum(before, 1e-300)) & ((signs == 0) | (signs * score > 0))
+    strength = np.where(allowed, score / np.where(allowed, size, 1.0), 0.0)
+    return 0.5 * strength * score, strength, weighed
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +178,7 @@ def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
             continue
         # A heat that depends on the temperature is taken along the smoothed reading, not along the free run: where
         # something is missing the free run is wrong, and a thermostat would open in it at the wrong times.
-        heat = np.zeros(len(record.runs))
-        for effect in effects:
-            gained, lost = heat_and_loss(record, effect, smooth)
-            heat += gained - lost * smooth
-        out.append(record.windowed(as_read(fitted.frame, state, added(heat))))
+        out.append(record.windowed(as_read(fitted.frame, state, added(net_heat(record, effects, smooth)))))
     return np.column_stack(out)
 
 

@@ -12,7 +12,7 @@ from sim.discrepancy.fitting.course import (
     unseen_switches,
     window_sensitivity,
 )
-from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged_signal, on_sensor
+from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged_signal, net_heat, on_sensor
 from sim.discrepancy.fitting.free_run_fit import (
     Fitted,
     averaged_readings,
@@ -68,6 +68,7 @@ __all__ = [
     "in_order",
     "lagged_signal",
     "named_of",
+    "net_heat",
     "on",
     "on_sensor",
     "overlapping",

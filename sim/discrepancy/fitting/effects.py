@@ -5,7 +5,7 @@ the step's middle where it varies by itself), while the automaton's own engine i
 are short against the plant's time constants both have one course (`tests/effects` has by how much they differ).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -45,6 +45,15 @@ def on_sensor(effect: Effect) -> bool:
 def follows_course(effect: Effect) -> bool:
     """Whether an effect's heat or loss depends on the temperature itself."""
     return isinstance(kind_of(effect).law, Structural) and not on_sensor(effect)
+
+
+def net_heat(record: Record, effects: Iterable[Effect], course: Array) -> Array:
+    """(n,) degC/s by which effects heat, less what they lose, along a course (n,) degC."""
+    total = np.zeros(len(record.runs))
+    for effect in effects:
+        heat, loss = heat_and_loss(record, effect, course)
+        total += heat - loss * course
+    return total
 
 
 def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array, Array]:
