@@ -108,6 +108,25 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
 
 
+def at_most(floor: NoiseFloor, left: float) -> NoiseFloor:
+    """The floor, no higher than what names leave (degC rms) of held-out cycles that they foresee better.
+
+    What is left of cycles that nothing was fitted to is their noise and what the names' shapes err by: noise alone is
+    no more. Before and after err by the same noise, so this bound is nearer than what other cycles' noise tells.
+    """
+    share = left / floor.error
+    if share >= 1.0:
+        return floor
+    low, high = floor.interval
+    return NoiseFloor(
+        left,
+        (low * share, high * share),
+        floor.cycles,
+        floor.per_cycle * share,
+        "what the names leave of the held-out cycles",
+    )
+
+
 def believed_size(stated: float, told: float, pieces: int, rules: DecisionRules) -> tuple[float, float]:
     """(how many times the fit's noise there is, its standard error in logarithms).
 

@@ -124,7 +124,14 @@ def runs_before(fitted: Fitted, record: Record) -> RunsBefore:
 
 
 def compared(
-    before: Fitted, after: Fitted, record: Record, seed: int, floor: NoiseFloor, *, runs: RunsBefore | None = None
+    before: Fitted,
+    after: Fitted,
+    record: Record,
+    seed: int,
+    floor: NoiseFloor,
+    *,
+    runs: RunsBefore | None = None,
+    second: HeldOutRun | None = None,
 ) -> tuple[HeldOutProof, HeldOutRun, HeldOutRun]:
     """Two fits let run over the held-out record, held against the floor, with the excess removed.
 
@@ -133,7 +140,7 @@ def compared(
     """
     runs = runs_before(before, record) if runs is None else runs
     first, given = runs.refit, runs.given
-    second = first if after is before else let_run(after, record)
+    second = second or (first if after is before else let_run(after, record))
     old, counts, cycles = mean_squares(first)
     new, _, _ = mean_squares(second)
     # By the independent pieces of evidence: the cycles, or pieces of the long runs of a machine that runs on.

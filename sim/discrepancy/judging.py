@@ -88,15 +88,25 @@ def immaterial(step: NamingStep) -> bool:
 
 def dubious(step: NamingStep) -> str:
     """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
+    return contradicted(step) or undeserved(step)
+
+
+def contradicted(step: NamingStep) -> str:
+    """Why the fitted cycles do not agree about the best entry of a step; "" where they do, or cannot be asked."""
+    best, rules = step.best, step.rules
+    # Where the information lies in fewer than three cycles, single cycles cannot be asked to agree.
+    if best is None or best.spread < rules.spread_least_cycles or best.gain >= rules.overwhelming_nats:
+        return ""
+    if abs(best.robust) < rules.robust_least_z:
+        return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
+    return "does not carry over from cycle to cycle" if best.carried <= 0 else ""
+
+
+def undeserved(step: NamingStep) -> str:
+    """Why the best entry of a step is no name, whatever the cycles say of it; "" where it is one."""
     best, rules = step.best, step.rules
     if best is None:
         return "there is nothing to name"
-    # Where the information lies in fewer than three cycles, single cycles cannot be asked to agree.
-    weak = best.spread >= rules.spread_least_cycles and best.gain < rules.overwhelming_nats
-    if weak and abs(best.robust) < rules.robust_least_z:
-        return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
-    if weak and best.carried <= 0:
-        return "does not carry over from cycle to cycle"
     if best.entry.rival:
         return "goes best with the data, and has no name"
     if step.margin < rules.margin_nats:

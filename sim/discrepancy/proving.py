@@ -9,20 +9,20 @@ from sim.discrepancy.beginning import beginning
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import CandidateLaw, Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
 from sim.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on
-from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors
+from sim.discrepancy.gap import Excess, at_most, excess, floor_of, sensor_noise, stated_errors
 from sim.discrepancy.held_out import HeldOutRun, RunsBefore, compared, let_run, runs_before, surely_nearer
 from sim.discrepancy.judging import (
     NamingResult,
     above,
     description,
     doubts,
-    dubious,
     evidence_of,
     felt,
-    immaterial,
+    foreseen_better,
     least_told,
     left_over,
     matters,
+    undeserved,
 )
 from sim.discrepancy.layout import DataLayout
 from sim.discrepancy.onset import acting_since
@@ -60,10 +60,12 @@ class Proof:
 
 @dataclass(frozen=True, slots=True)
 class JudgedPath:
-    """A path of names with the reasons against them (none: they are given), and what the reasons were drawn from."""
+    """A path of names with the reasons against them (none: they are given), and what the reasons were drawn from;
+    `floor` is the one that `held` was told with."""
 
     path: NamingResult
     reasons: tuple[str, ...]
+    floor: NoiseFloor
     held: HeldOutProof
     second: HeldOutRun
     ceiling: Ceiling | None
@@ -131,12 +133,14 @@ def prove(
         seed=seed,
         rules=rules,
     )
-    paths = (with_the_gap_itself(proof, paths[0]), *paths[1:])
+    with_gap = with_the_gap_itself(proof, paths[0])
+    paths = paths if with_gap is paths[0] else (with_gap, *paths)
     if not search.allowed:
         few = f"would be named from fewer than {rules.first_name_least_cycles} cycles"
         paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], few),)) for path in paths[:1])
     judged = longest_that_passes(proof, paths)
     path, kept = judged.path, bool(judged.path.taken) and not judged.reasons
+    floor = judged.floor if kept else floor
     told = told_fits(proof, base, judged, kept=kept)
     gap = above(told.held, floor, sensor, rules)
     # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
@@ -238,6 +242,10 @@ def longest_that_passes(proof: Proof, paths: Sequence[NamingResult]) -> JudgedPa
 
 def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) -> JudgedPath:
     held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor, runs=proof.runs)
+    floor = proof.floor
+    if path.taken and foreseen_better(first, second) >= proof.rules.margin_nats:
+        floor = at_most(floor, held.rmse_after)
+        held, *_ = compared(path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second)
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
     excess_after = excess(proof.stated, path.fitted, proof.rules) if path.taken else proof.before
     reasons = (
@@ -252,23 +260,30 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
         ),
         *left_over(path, proof.before, excess_after),
     )
-    return JudgedPath(path=path, reasons=reasons, held=held, second=second, ceiling=left, excess=excess_after)
+    return JudgedPath(
+        path=path, reasons=reasons, floor=floor, held=held, second=second, ceiling=left, excess=excess_after
+    )
 
 
 def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
-    """The path with the certain effect that was refused as too small, where the held-out gap is that effect.
+    """The path with the effect beyond chance that was refused as too small, as a leftover of the names before or since
+    the fitted cycles contradict one another, where the gap of the held-out cycles is that effect.
 
     What it does to the fitted cycles says little of what the model's parameters, which have made room for it there, are
-    off by elsewhere.
+    off by elsewhere; and what grows is greatest in the cycles that were kept.
     """
-    step = path.nuisances[0] if path.nuisances else path.steps[-1][0]
-    rules = step.rules
-    if path.taken or not immaterial(step) or dubious(step) or step.best is None or step.best.fitted is None:
+    step = path.nuisances[0] if path.nuisances and not path.taken else path.steps[-1][0]
+    best, rules = step.best, step.rules
+    names = [each.best.entry.name for each in path.taken if each.best is not None]
+    before = [named.entry.name for named in step.before.state.named if named.existing is None]
+    if best is None or best.fitted is None or best.gain < rules.least_gain_nats or undeserved(step) or names != before:
         return path
-    held, _, _ = compared(path.base, step.best.fitted, proof.held_out, proof.seed, proof.floor, runs=proof.runs)
+    held, first, second = compared(path.fitted, best.fitted, proof.held_out, proof.seed, proof.floor)
     removed, interval = held.excess_removed, held.ci95
     if not matters(held, sensor_noise(path.base.frame.record), rules) or removed is None or interval is None:
         return path
     if removed < rules.gap_itself_least_share or interval[0] <= 0:
         return path
-    return replace(path, fitted=step.best.fitted, steps=((step, ""),))
+    if foreseen_better(first, second) < rules.least_gain_nats:
+        return path
+    return replace(path, fitted=best.fitted, steps=(*((each, "") for each in path.taken), (step, "")))
