@@ -232,12 +232,15 @@ def _hardly_smaller(path: NamingResult, held: HeldOutProof) -> bool:
     return matters(held, sensor_noise(path.base.frame.record), rules)
 
 
-def left_over(path: NamingResult, before: Excess | None, after: Excess | None) -> tuple[str, ...]:
-    """Why names without a clear gain are withheld: the model's own noise did not cover its errors, nor does it now."""
+def left_over(path: NamingResult, foreseen: float, before: Excess | None, after: Excess | None) -> tuple[str, ...]:
+    """Why names without a clear gain are withheld: the model's own noise did not cover its errors, nor does it now.
+
+    `foreseen` are the nats by which held-out cycles are better foreseen with them.
+    """
     if not path.taken or before is None or after is None or not before.wide(path.taken[0].rules):
         return ()
     rules = path.taken[0].rules
-    if _greatest_gain(path) >= rules.beyond_doubt_nats or after.median < rules.covered_most_times:
+    if max(foreseen, _greatest_gain(path)) >= rules.beyond_doubt_nats or after.median < rules.covered_most_times:
         return ()
     return (f"with it the free run is still {after.median:.1f} times as far off as the model's own noise allows",)
 

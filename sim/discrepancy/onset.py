@@ -71,7 +71,7 @@ def acting_since(
     # A likelihood ratio of one parameter, at each place that was looked at (Bonferroni).
     looks = borders.size * (len(shapes) + len(begins))
     p = min(float(scipy.stats.chi2.sf(2.0 * gain, 1)) * looks, 1.0)
-    if p > rules.beginning_most_p or gain - float(all_along) < rules.margin_nats:
+    if p > rules.beginning_most_p or gain < rules.least_gain_nats or gain - float(all_along) < rules.margin_nats:
         return None
     column = _columns_since(fitted, [best], starts[before])
     strength, carried = _agreement(projector, column)

@@ -243,7 +243,8 @@ def longest_that_passes(proof: Proof, paths: Sequence[NamingResult]) -> JudgedPa
 def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) -> JudgedPath:
     held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor, runs=proof.runs)
     floor = proof.floor
-    if path.taken and foreseen_better(first, second) >= proof.rules.margin_nats:
+    foreseen = foreseen_better(first, second)
+    if path.taken and foreseen >= proof.rules.margin_nats:
         floor = at_most(floor, held.rmse_after)
         held, *_ = compared(path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second)
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
@@ -258,7 +259,7 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
             left=left,
             shorter=None if shorter is None else let_run(shorter.fitted, proof.held_out),
         ),
-        *left_over(path, proof.before, excess_after),
+        *left_over(path, foreseen, proof.before, excess_after),
     )
     return JudgedPath(
         path=path, reasons=reasons, floor=floor, held=held, second=second, ceiling=left, excess=excess_after
