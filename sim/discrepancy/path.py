@@ -77,7 +77,8 @@ def name(
         stage, share = "looking at each name again", 0.25 + 0.6 * most / (most + 1)
         progress(stage, share)
         told = _told(progress, stage, share)
-        taken, fitted = revised(fitted, taken, present, len(taken) - 1, entries=entries, told=told)
+        taken, fitted, withdrawn = revised(fitted, taken, present, len(taken) - 1, entries=entries, told=told)
+        refused = withdrawn or refused
     if any(refusal for _, refusal in taken):
         return NamingResult(base, base, tuple(taken[-1:]), along), *beginnings
     return NamingResult(base, _without(fitted, along), (*taken, *refused), along), *beginnings
@@ -109,11 +110,13 @@ def revised(
     *,
     entries: Sequence[CatalogueEntry] = (),
     told: Callable[[str], None] = lambda _: None,
-) -> tuple[list[Judged], Fitted]:
-    """The first `count` names left out by turns and looked for again, and the fit with all that remains.
+) -> tuple[list[Judged], Fitted, list[Judged]]:
+    """The first `count` names left out by turns and looked for again, the fit with all that remains, and what took the
+    place of the last name that went.
 
-    `fitted` has all names of `taken`. A name that adds nothing beside the others is dropped, and the others are looked
-    at without it; what is refused otherwise ends the list.
+    `fitted` has all names of `taken`. A name that adds nothing beside the others is dropped, and so is one in whose
+    place nothing deserves a name; the others are looked at without it. The last one that is refused stays with its
+    refusal.
     """
     judged = list(taken)
     for number, (before, _) in enumerate(taken[:count]):
@@ -123,13 +126,14 @@ def revised(
         again = step(without, entries_besides(others, entries), present, told, rules=before.rules)
         rest = [other for place, (other, _) in enumerate(judged) if place != number]
         chance = insignificant(again, rest)
-        if chance and rest:
+        refusal = chance or dubious(again)
+        if refusal and rest:
             # Each removal changes what the others must explain, so the round begins anew without it.
             left = [*judged[:number], *judged[number + 1 :]]
-            return revised(without, left, present, len(left), entries=entries, told=told)
-        refusal = chance or dubious(again)
+            taken, fitted, withdrawn = revised(without, left, present, len(left), entries=entries, told=told)
+            return taken, fitted, withdrawn or ([] if chance else [(again, refusal)])
         judged[number] = again, refusal
         if refusal or again.best is None or again.best.fitted is None:
-            return judged[: number + 1], fitted
+            return judged[: number + 1], fitted, []
         fitted = again.best.fitted
-    return judged, fitted
+    return judged, fitted, []
