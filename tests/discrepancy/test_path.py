@@ -2,8 +2,11 @@
 
 from dataclasses import replace
 
+import pytest
+
+from sim.discrepancy import path
 from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.candidates import catalogue
+from sim.discrepancy.fitting.candidates import catalogue, rivals
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.record import record_of
@@ -43,10 +46,30 @@ def test_a_name_that_adds_nothing_beside_the_others_is_dropped_and_the_others_st
     superfluous = replace(superfluous, evidence=(churning,))
     pump = step(churning.fitted, [one for one in catalogue() if one.name == "pump-cooling"], present, rules=RULES)
     assert pump.best is not None and pump.best.fitted is not None
-    judged, fitted = revised(pump.best.fitted, [(superfluous, ""), (pump, "")], present, 1)
+    judged, fitted, withdrawn = revised(pump.best.fitted, [(superfluous, ""), (pump, "")], present, 1)
     assert [one.entry.name for one in fitted.state.named] == ["pump-cooling"]
     assert [(one.best.entry.name, refusal) for one, refusal in judged if one.best] == [("pump-cooling", "")]
-    assert len(judged) == 1
+    assert (len(judged), withdrawn) == (1, [])
+
+
+def test_a_name_in_whose_place_goes_what_has_none_takes_no_other_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    present = {"pump": "MarciaPmpFango"}
+    record = record_of(model(), [plant(3, days=2, pump=2e-4)], tuple(present.values()))
+    base = fit(on(frame_of(record), record))
+    churning = step(base, [one for one in catalogue() if one.name == "startup-churning"], present, rules=RULES)
+    assert churning.best is not None
+    confirmed = confirm(base, churning.best)
+    assert confirmed.fitted is not None
+    churning = replace(churning, evidence=(confirmed,))
+    pump = step(confirmed.fitted, [one for one in catalogue() if one.name == "pump-cooling"], present, rules=RULES)
+    assert pump.best is not None and pump.best.fitted is not None
+    nameless = replace(pump, evidence=(replace(pump.best, entry=rivals()[0], gain=500.0, amplitude=5.0),))
+    looks = iter([nameless])
+    monkeypatch.setattr(path, "step", lambda *given, **told: next(looks, None) or step(*given, **told))
+    judged, fitted, withdrawn = revised(pump.best.fitted, [(churning, ""), (pump, "")], present, 1)
+    assert [one.entry.name for one in fitted.state.named] == ["pump-cooling"]
+    assert [(one.best.entry.name, refusal) for one, refusal in judged if one.best] == [("pump-cooling", "")]
+    assert withdrawn == [(nameless, "goes best with the data, and has no name")]
 
 
 def test_each_effect_that_is_fitted_is_told_before() -> None:

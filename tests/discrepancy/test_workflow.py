@@ -1,16 +1,19 @@
 """The whole diagnosis on small plants: nothing missing is nothing named, a hidden effect is found, named and added."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sim.discrepancy import evidence, judging, proving
 from sim.discrepancy.augment import augmented
+from sim.discrepancy.diagnosis import NoiseFloor
 from sim.discrepancy.fitting.baseline import frame_of
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import named_of
 from sim.discrepancy.fitting.record import record_of
+from sim.discrepancy.gap import floor_of
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 from sim.engine.open_loop_run import open_loop
@@ -168,13 +171,33 @@ def test_a_room_that_counts_for_more_while_the_machine_runs_is_told_with_its_sha
 def test_what_the_held_out_gap_is_made_of_is_named_however_little_it_does_to_the_fitted_cycles(
     share: float, verdict: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (evidence, judging, proving):
+    for module in (evidence, judging):
         monkeypatch.setattr(module, "immaterial", lambda _step: True)
     rules = DecisionRules(gap_itself_least_share=share)
     found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0, rules=rules).diagnosis
     assert found.verdict == verdict
     assert [one.name for one in found.effects] == ["pump-cooling"] * (verdict == "named")
     assert [one.name for one in found.traces] == ["pump-cooling"] * (verdict != "named")
+
+
+def test_what_names_leave_of_held_out_cycles_bounds_the_floor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A floor that was told too high hides nothing that cycles outside the fit foresee better with a name."""
+
+    def too_high(*given: Any) -> NoiseFloor:
+        floor = floor_of(*given)
+        low, high = floor.interval
+        return replace(floor, error=20 * floor.error, interval=(20 * low, 20 * high), per_cycle=20 * floor.per_cycle)
+
+    monkeypatch.setattr(proving, "floor_of", too_high)
+    found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0).diagnosis
+    assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])
+    held, floor = found.held_out, found.floor
+    assert held is not None and floor is not None
+    assert held.rmse_after == pytest.approx(held.noise_floor) == pytest.approx(floor.error)
+    assert held.rmse_before > floor.interval[1] > floor.error > floor.interval[0]
+    assert floor.source == "what the names leave of the held-out cycles"
+    clean = diagnose(model(), [plant(3, days=2)], seed=0).diagnosis
+    assert clean.verdict != "named" and clean.floor is not None and clean.floor.source != floor.source
 
 
 def test_a_machine_that_runs_on_is_diagnosed_by_pieces_of_its_run() -> None:

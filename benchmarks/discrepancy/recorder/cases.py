@@ -33,8 +33,14 @@ from benchmarks.discrepancy.seal import Label
 from benchmarks.discrepancy.visible import Family
 from sim.artefacts.model_directory import MANIFEST
 
-SETS: Mapping[str, int] = {"development": 104_003, "fresh": 115_013, "final": 126_011, "last": 137_029, "third": 148_039}
-"""The entropy of each set's seeds. `final`, `last` and `third` were run once, on frozen code, and have been looked at since."""
+SETS: Mapping[str, int] = {
+    "development": 104_003,
+    "fresh": 115_013,
+    "final": 126_011,
+    "last": 137_029,
+    "third": 148_039,
+}
+"""The entropy of each set's seeds. `final`, `last` and `third` were run once on frozen code, and are known since."""
 STRATA = ("clean", "singles", "pairs", "late", "half-way", "outside")
 TYPES, MOVED = 4, 0.08
 """Types of machine of each law in a set; how far off the sister may be that the type's model was learned on."""
