@@ -1,6 +1,7 @@
 """The benchmark's recorder: its habits, the plant behind it, what begins half-way, and the judge who knows it all."""
 
 import ast
+import gzip
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -10,18 +11,30 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.discrepancy.judging import Judged, answer
+from benchmarks.discrepancy.judging import Answer, Judged, answer
 from benchmarks.discrepancy.recorder import cases, masses
 from benchmarks.discrepancy.recorder.actors import ACTORS, BEGINNING, HALF_WAY, INSIDE, LATE, OUTSIDE, begin_at
-from benchmarks.discrepancy.recorder.cases import STRATA, RecorderSpec, draw_case, machine_of_type, make, specs
+from benchmarks.discrepancy.recorder.baseline import cut_cells
+from benchmarks.discrepancy.recorder.cases import (
+    STRATA,
+    RecorderSpec,
+    draw_case,
+    machine_of_type,
+    make,
+    read_verdicts,
+    specs,
+    write_verdicts,
+)
 from benchmarks.discrepancy.recorder.figures import began_at, dates_gap, describes, tables
 from benchmarks.discrepancy.recorder.habits import HABITS, LATE_INTERVALS, Habit, Rows, record, write_rows
-from benchmarks.discrepancy.recorder.ideal import Verdict
-from benchmarks.discrepancy.recorder.masses import Guest, Task, integrate
+from benchmarks.discrepancy.recorder.held_out import count_fitted, measure_removal
+from benchmarks.discrepancy.recorder.ideal import Candidate, Removal, Verdict
+from benchmarks.discrepancy.recorder.masses import Guest, Task, integrate, unrest_of
 from benchmarks.discrepancy.recorder.work import STEP, Work, work
 from benchmarks.discrepancy.runner import Outcome, case
 from benchmarks.discrepancy.seal import Label, commit, labels_of, write_labels
 from benchmarks.discrepancy.visible import Family
+from sim.discrepancy.rules import RULES
 from sim.effects import EFFECTS
 
 ROOM = Path(masses.__file__).parent
@@ -29,7 +42,7 @@ STARTS = [3600.0 * hour for hour in (6, 10, 14, 18, 30, 34)]
 
 
 def test_the_recorders_plant_shares_no_code_with_what_it_tests() -> None:
-    for name in ("work", "masses", "actors", "habits", "baseline", "ideal"):
+    for name in ("work", "masses", "actors", "habits", "baseline", "ideal", "held_out"):
         tree = ast.parse((ROOM / f"{name}.py").read_text(encoding="utf-8"))
         froms = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
         assert not [one for one in froms if one.split(".")[0] in ("sim", "gateway", "drivers")], name
@@ -180,6 +193,41 @@ def test_the_ideal_judge_knows_a_strong_effect_and_none_where_nothing_acts(
     assert verdicts[strong.identifier].knowable and verdicts[strong.identifier].rival != "torque-friction"
     assert not verdicts[clean.identifier].visible
     assert verdicts[clean.identifier].rival_nats < 14.0
+    assert verdicts[strong.identifier].removal and not verdicts[clean.identifier].removal
+
+
+def removed_of(days: Work, actor: str, *, rough: float, scatter: float) -> float:
+    """The share that a fit with the true form removes of what an actor makes of a machine so restless."""
+    machine = replace(machine_of_type("development", "line-1"), rough=rough, scatter=scatter)
+    guest = ACTORS[actor].make(days, machine, 0.4, np.random.default_rng(5))
+    unrest = unrest_of(np.random.default_rng(6), days, machine)
+    acting = Task(work=days, machine=machine, guest=guest, unrest=0.0 * unrest)
+    clean, quiet, course = integrate([replace(acting, guest=Guest()), acting, replace(acting, unrest=unrest)])
+    habit = Habit(noise=0.01, quantum=0.01)
+    removal = measure_removal(
+        cut_cells(days, Family((0, 1, 1, 1, 1), (-1, -1, 0, 0, 0)), 1.0),
+        machine,
+        habit,
+        record(np.random.default_rng(7), course, habit),
+        course=course,
+        quiet=quiet,
+        clean=clean,
+        true=[Candidate(name=actor, difference=quiet - clean)],
+    )
+    held_out = slice(days.starts[count_fitted(len(days.starts))], None)
+    assert removal
+    floor = np.hypot(habit.sigma, np.sqrt(np.mean((course - quiet)[held_out] ** 2)))
+    return removal.share(float(floor))
+
+
+def test_a_fit_with_the_true_form_removes_what_the_noise_lets_it(day: Work) -> None:
+    assert removed_of(day, "torque-friction", rough=0.0, scatter=0.0) == pytest.approx(1.0, abs=0.01)
+    assert removed_of(day, "torque-friction", rough=0.1, scatter=0.05) < 0.5
+
+
+def test_the_cycles_that_a_tool_fits_are_fitted_and_no_others() -> None:
+    kept = [max(round((1.0 - RULES.held_out_share) * cycles), RULES.least_cycles - 1) for cycles in range(4, 41)]
+    assert [count_fitted(cycles) for cycles in range(4, 41)] == kept
 
 
 def judged(stratum: str, said: dict[str, Any], *, acts: tuple[str, ...] = (), began: Any = None) -> Judged:
@@ -235,6 +283,36 @@ def test_the_table_says_what_was_found_of_what_could_be_known_and_each_error_in_
     assert "| singles: of these, exact |  | 50.0 % |" in words
     assert "ValueError: shapes (12,) (13,)" in words
     assert "90, margin 30 over wear-drift" in words
+    assert "| the same by an ideal judge: not computed |  | - |" in words
+
+
+def test_the_table_says_what_an_ideal_judge_removes_of_all_and_of_what_was_rightly_named() -> None:
+    effect = {"name": "torque-friction", "class": ["torque-friction"], "confidence": 0.97}
+    right = judged("singles", {"verdict": "named", "effects": [effect]}, acts=("torque-friction",))
+    missed = replace(right, label=replace(right.label, case="d"), answer=Answer("agree"))
+    without = replace(missed, label=replace(right.label, case="e"))
+    known = Verdict(nats=90.0, margin=30.0, rival="wear-drift", rival_nats=60.0)
+    floor = right.label.floor
+    removed = [(3.0 * floor, 1.3 * floor), (3.0 * floor, 2.0 * floor), (0.9 * floor, floor)]
+    verdicts = {
+        case: replace(known, removal=Removal(before=before, after=after))
+        for case, (before, after) in zip("cde", removed, strict=True)
+    }
+    words = tables([right, missed, without], verdicts)
+    assert "| the same by an ideal judge |  | 100.0 % | 2.5-100.0 | 1/1 |" in words
+    assert "| all singles, pairs and late: the same by an ideal judge |  | 50.0 % | 1.3-98.7 | 1/2 |" in words
+    assert "not computed" not in words
+
+
+def test_what_an_ideal_judge_said_is_read_as_it_was_written_and_older_files_too(tmp_path: Path) -> None:
+    verdict = Verdict(nats=90.0, margin=30.0, rival="wear-drift", rival_nats=60.0)
+    said = {"c": replace(verdict, removal=Removal(before=0.4, after=0.2)), "d": verdict}
+    write_verdicts(tmp_path, "some", said)
+    assert read_verdicts(tmp_path) == said
+    path = tmp_path / "ideal" / "some.json.gz"
+    older = {"c": {"nats": 90.0, "margin": 30.0, "rival": "wear-drift", "rival_nats": 60.0}}
+    path.write_bytes(gzip.compress(json.dumps(older).encode()))
+    assert read_verdicts(tmp_path) == {"c": verdict}
 
 
 def test_the_same_spec_is_the_same_case() -> None:

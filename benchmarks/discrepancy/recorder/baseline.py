@@ -23,8 +23,9 @@ ROUNDS, FAR = 4, 0.4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cells:
-    """The m cells of a work that may be fitted, from its first start on: rows of the plant's grid, share of time
-    `running`, `drives` (m, columns) of targets then gains, the cells at which cycles begin, and each cell's `cycle`."""
+    """The m cells of a work from its first start on, most often those that may be fitted: rows of the plant's grid,
+    share of time `running`, `drives` (m, columns) of targets then gains, the cells at which cycles begin, and each
+    cell's `cycle`."""
 
     rows: np.ndarray
     running: Array
@@ -33,11 +34,19 @@ class Cells:
     cycle: np.ndarray
     family: Family
 
+    def first_cycles(self, count: int) -> "Cells":
+        """The cells of so many cycles from the first on."""
+        kept = self.cycle < count
+        return Cells(
+            rows=self.rows[kept], running=self.running[kept], drives=self.drives[kept], begins=self.begins[:count],
+            cycle=self.cycle[kept], family=self.family,
+        )  # fmt: skip
 
-def cut_cells(work: Work, family: Family) -> Cells:
-    """The cells that a tool may fit."""
+
+def cut_cells(work: Work, family: Family, share: float = FITTED) -> Cells:
+    """The cells that a tool may fit, or those of another `share` of the time."""
     each = int(CELL / STEP)
-    rows = np.arange(work.starts[0], int(FITTED * work.running.size), each)
+    rows = np.arange(work.starts[0], int(share * work.running.size), each)
     behind = np.maximum(rows[:, None] - each + np.arange(each), 0)
     stages = [(work.stage == one).astype(float) for one in range(5)]
     gains = [
@@ -99,9 +108,24 @@ def fit_cells(cells: Cells, course: Array) -> Fit:
 
 def _tangent(cells: Cells, values: Array, rates: Array) -> tuple[Array, Array]:
     basis = columns_at(cells, rates)
-    best = np.linalg.lstsq(basis, values, rcond=None)[0]
+    return _tangent_at(cells, values, rates, basis, np.linalg.lstsq(basis, values, rcond=None)[0])
+
+
+def _tangent_at(cells: Cells, values: Array, rates: Array, basis: Array, best: Array) -> tuple[Array, Array]:
     slopes = [(columns_at(cells, rates + 1e-3 * one) - basis) @ best / 1e-3 for one in np.eye(2)]
     return values - basis @ best, np.column_stack([basis, *slopes])
+
+
+def fit_first_cycles(cells: Cells, count: int, course: Array) -> Fit:
+    """The free run nearest to a course (n,) in its first cycles, so many, let run over all cells: each further cycle
+    from where the course is as it begins."""
+    fitted = cells.first_cycles(count)
+    rates = fit_cells(fitted, course).rates
+    values, basis = course[cells.rows], columns_at(cells, rates)
+    seen, known = slice(fitted.rows.size), slice(cells.drives.shape[1] + count)
+    best = np.linalg.lstsq(basis[seen, known], values[seen], rcond=None)[0]
+    left, tangent = _tangent_at(cells, values, rates, basis, np.concatenate([best, values[cells.begins[count:]]]))
+    return Fit(left=left, tangent=tangent, rates=rates)
 
 
 def measure_left(cells: Cells, course: Array) -> float:

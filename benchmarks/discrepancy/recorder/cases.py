@@ -26,7 +26,8 @@ from benchmarks.discrepancy.recorder.actors import (
 )
 from benchmarks.discrepancy.recorder.baseline import FITTED, cut_cells, measure_left, measure_visible
 from benchmarks.discrepancy.recorder.habits import HABITS, Habit, record, write_rows
-from benchmarks.discrepancy.recorder.ideal import Candidate, Verdict, judge_case
+from benchmarks.discrepancy.recorder.held_out import measure_removal
+from benchmarks.discrepancy.recorder.ideal import Candidate, Removal, Verdict, judge_case
 from benchmarks.discrepancy.recorder.masses import Guest, Machine, Task, integrate, join, move, unrest_of
 from benchmarks.discrepancy.recorder.work import Work, work
 from benchmarks.discrepancy.seal import Label
@@ -321,7 +322,7 @@ def make(wanted: Sequence[RecorderSpec], out: Path) -> tuple[list[Label], dict[s
             )
         )
         true = [Candidate(name=name, difference=alone[n, name] - clean[n], signed=_signed(name)) for name in spec.acts]
-        verdicts[spec.identifier] = judge_case(
+        verdict = judge_case(
             cells[n],
             case.machine,
             habit,
@@ -332,6 +333,17 @@ def make(wanted: Sequence[RecorderSpec], out: Path) -> tuple[list[Label], dict[s
             true=true,
             rivals=rivals[n],
         )
+        removal = measure_removal(
+            cut_cells(case.work, cells[n].family, 1.0),
+            case.machine,
+            habit,
+            rows,
+            course=courses[n],
+            quiet=quiet[n],
+            clean=clean[n],
+            true=true,
+        )
+        verdicts[spec.identifier] = replace(verdict, removal=removal)
     return labels, verdicts
 
 
@@ -381,7 +393,7 @@ def write_verdicts(out: Path, batch: str, verdicts: Mapping[str, Verdict]) -> No
 def read_verdicts(out: Path) -> dict[str, Verdict]:
     """What the ideal judge says, by case."""
     return {
-        case: Verdict(**plain)
+        case: Verdict(**plain | {"removal": Removal(**plain["removal"]) if plain.get("removal") else None})
         for path in sorted((out / IDEAL).glob("*.json.gz"))
         for case, plain in json.loads(gzip.decompress(path.read_bytes())).items()
     }

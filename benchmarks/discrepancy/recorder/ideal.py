@@ -23,14 +23,30 @@ EVIDENCE, MARGIN = 14.0, 6.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Removal:
+    """Errors (degC, one reading) of free runs through cycles that were never fitted: of the model's own parameters,
+    fitted to the others (`before`), and of these with the true form of what acts (`after`)."""
+
+    before: float
+    after: float
+
+    def share(self, floor: float) -> float:
+        """Of the excess over a noise `floor` (degC), what is removed; NaN where there is none."""
+        excess = self.before**2 - floor**2
+        return 1.0 - (self.after**2 - floor**2) / excess if excess > 0 else float("nan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
     """`nats` over the case without its weakest effect, `margin` over the best rival of it, which is `rival`;
-    `rival_nats` what that rival gains over the case without the effect."""
+    `rival_nats` what that rival gains over the case without the effect. `removal`: what an ideal fit removes; None
+    where nothing acts or it was not computed."""
 
     nats: float
     margin: float
     rival: str
     rival_nats: float
+    removal: Removal | None = None
 
     @property
     def visible(self) -> bool:
@@ -59,11 +75,11 @@ def judge_case(
     """The verdict on a case: its `course` (n,) as it went, as it would have gone without what nobody knows (`quiet`),
     and without what acts, too (`clean`); `rows` are the readings of the course."""
     fitted = fit_cells(cells, quiet)
-    noise, variance = _readings(cells, habit, rows, course, quiet)
+    noise, variance, _ = read_cells(cells, habit, rows, course, quiet)
     columns = [(quiet - clean)[cells.rows], *(one.difference[cells.rows] for one in (*true, *rivals))]
-    responses = _scatter(cells, fitted)
+    responses = respond_to_scatter(cells, fitted)
     raw = np.column_stack([noise, *columns, fitted.tangent, responses])
-    white = _whiten(raw, variance, cells, fitted, machine)
+    white = whiten(raw, variance, cells, fitted, machine)
     count = len(columns)
     level = max(machine.usual * machine.running * machine.scatter, 1e-12)
     prior = np.zeros((responses.shape[1], white.shape[1]))
@@ -108,8 +124,9 @@ def _weigh(data: Array, doing: Array, true: Sequence[Candidate], rivals: Sequenc
     return min(found, key=lambda one: min(one.nats - EVIDENCE, one.margin - MARGIN))
 
 
-def _readings(cells: Cells, habit: Habit, rows: Rows, course: Array, quiet: Array) -> tuple[Array, Array]:
-    """((m,) mean of what the readings of each cell are off the quiet course, (m,) their variance; inf: no reading)."""
+def read_cells(cells: Cells, habit: Habit, rows: Rows, course: Array, quiet: Array) -> tuple[Array, Array, Array]:
+    """((m,) mean of what the readings of each cell are off the quiet course, (m,) its variance, inf: no reading,
+    (m,) mean square of the same readings about that mean)."""
     grid = STEP * np.arange(course.size)
     told = np.isfinite(rows.reading)
     times, reading = rows.times[told], rows.reading[told]
@@ -117,7 +134,9 @@ def _readings(cells: Cells, habit: Habit, rows: Rows, course: Array, quiet: Arra
     inside = (cell >= 0) & (cell < cells.rows.size)
     cell, times, reading = cell[inside], times[inside], reading[inside]
     count = np.bincount(cell, minlength=cells.rows.size)
-    off = np.bincount(cell, weights=reading - np.interp(times, grid, quiet), minlength=cells.rows.size)
+    each = reading - np.interp(times, grid, quiet)
+    off = np.bincount(cell, weights=each, minlength=cells.rows.size) / np.maximum(count, 1)
+    about = np.bincount(cell, weights=(each - off[cell]) ** 2, minlength=cells.rows.size) / np.maximum(count, 1)
     # Rounding is the noise's own company only where the noise reaches over a step of it; else it lasts as long as the
     # temperature takes for a step.
     if habit.noise >= 0.4 * habit.quantum:
@@ -126,10 +145,10 @@ def _readings(cells: Cells, habit: Habit, rows: Rows, course: Array, quiet: Arra
         moves = np.abs(np.gradient(course[cells.rows])) + habit.noise
         lasts = np.clip(habit.quantum / np.maximum(moves, 1e-6), 1.0, 30.0)
         variance = habit.noise**2 / np.maximum(count, 1) + habit.quantum**2 / 12.0 * lasts
-    return off / np.maximum(count, 1), np.where(count > 0, variance, np.inf)
+    return off, np.where(count > 0, variance, np.inf), about
 
 
-def _scatter(cells: Cells, fitted: Fit) -> Array:
+def respond_to_scatter(cells: Cells, fitted: Fit) -> Array:
     """(m, cycles) degC: what one K/s more in one cycle does."""
     rate = pace(cells, fitted.rates)
     keep = np.exp(-rate * CELL)
@@ -139,7 +158,7 @@ def _scatter(cells: Cells, fitted: Fit) -> Array:
     return respond(keep, push, cells.begins)
 
 
-def _whiten(raw: Array, variance: Array, cells: Cells, fitted: Fit, machine: Machine) -> Array:
+def whiten(raw: Array, variance: Array, cells: Cells, fitted: Fit, machine: Machine) -> Array:
     """(m, columns) innovations over their standard deviations; the filter's state is (temperature, heat) that nobody
     knows, and the columns share its gains. A cell without a reading gives a row of zeros."""
     rate = pace(cells, fitted.rates)
