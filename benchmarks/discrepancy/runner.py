@@ -98,6 +98,10 @@ def by_process(command: str) -> Diagnose:
     return diagnose
 
 
+class OverLimit(BaseException):
+    """A case took too long. No command under test takes it for an error of its input, as it would a TimeoutError."""
+
+
 def by_call(one: Case, limit: float) -> Outcome:
     """The same command line inside this process and without a report, for speed; needs the main thread (its limit)."""
     from gateway.cli.main import main
@@ -109,7 +113,7 @@ def by_call(one: Case, limit: float) -> Outcome:
         try:
             with _limited(limit), redirect_stdout(StringIO()), redirect_stderr(words):
                 main([*one.arguments(out), "--no-report"], standalone_mode=False)
-        except TimeoutError:
+        except OverLimit:
             return Outcome(one.name, "timeout", perf_counter() - began, message=f"over {limit:g} s")
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a tool under test raises is its score
             if not isinstance(error, SystemExit) or error.code:
@@ -121,10 +125,10 @@ def by_call(one: Case, limit: float) -> Outcome:
 
 @contextmanager
 def _limited(seconds: float) -> Iterator[None]:
-    """TimeoutError inside the block once `seconds` are over."""
+    """OverLimit inside the block once `seconds` are over."""
 
     def over(_signal: int, _frame: object) -> None:
-        raise TimeoutError
+        raise OverLimit
 
     before = signal.signal(signal.SIGALRM, over)
     signal.setitimer(signal.ITIMER_REAL, seconds)

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from benchmarks.discrepancy.effects import EFFECTS
 from benchmarks.discrepancy.generator import identifier
 from benchmarks.discrepancy.judging import Answer, Judged, answer
 from benchmarks.discrepancy.report import write_report
-from benchmarks.discrepancy.runner import RESULTS, Outcome, by_process, outcomes, run_all
+from benchmarks.discrepancy.runner import RESULTS, Outcome, by_call, by_process, case, outcomes, run_all
 from benchmarks.discrepancy.scorer import Row, reliability, row, said, targets
 from benchmarks.discrepancy.seal import COMMITMENT, Label, commit, committed, index, opened, write_labels
 from benchmarks.discrepancy.strata import RATIOS, SETS, STRATA, TWINS, Spec, chosen, generator, specs
@@ -122,6 +123,17 @@ def test_the_runner_keeps_what_the_tool_said_and_scores_failures_as_such(folder:
     assert [found[f"case{n}"].status for n in range(5)] == ["done", "error", "timeout", "error", "done"]
     assert "refused" in found["case1"].message and "nonsense" in found["case3"].message
     assert found["case4"].diagnosis["verdict"] == "agree" and found["case4"].seconds > 0
+
+
+def test_a_limit_inside_the_process_is_no_error_of_the_command(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def patient(_words: object, **_options: object) -> None:
+        try:
+            time.sleep(60.0)
+        except OSError:
+            raise SystemExit(2) from None
+
+    monkeypatch.setattr("gateway.cli.main.main", patient)
+    assert by_call(case(folder, "case0"), 0.1).status == "timeout"
 
 
 def test_a_finished_case_is_not_run_again_unless_it_failed_and_that_is_asked_for(folder: Path) -> None:
