@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     )
     from gateway.store.audit_damage import open_or_set_aside
     from gateway.store.backup import (
+        ROLES,
         BackupError,
         Manifest,
         as_one_file,
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
         make_backup,
         put_in_place,
         read_manifest,
+        signer,
         stage,
     )
     from gateway.store.confirming import confirmation
@@ -80,7 +82,15 @@ if TYPE_CHECKING:
     )
     from gateway.store.schema import storable
     from gateway.store.score import percentile, scorecard, warning_score
-    from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
+    from gateway.store.signing import (
+        SigningKeyError,
+        key_beside,
+        load_key,
+        load_or_make_key,
+        load_public_key,
+        public_digits,
+        public_path,
+    )
     from gateway.store.tables import TABLE_COLUMNS, Cells, TableColumn, cells_of
     from gateway.store.witness import (
         HEAD_EVENT,
@@ -108,6 +118,7 @@ __all__ = [
     "FOLLOWABLE",
     "HEAD_EVENT",
     "HEAD_STATE",
+    "ROLES",
     "TABLE_COLUMNS",
     "Audit",
     "AuditColumns",
@@ -154,6 +165,7 @@ __all__ = [
     "key_beside",
     "load_key",
     "load_or_make_key",
+    "load_public_key",
     "machines",
     "make_backup",
     "matured",
@@ -170,6 +182,7 @@ __all__ = [
     "percentile",
     "places_beside",
     "position_at",
+    "public_digits",
     "public_path",
     "put_in_place",
     "read",
@@ -184,6 +197,7 @@ __all__ = [
     "scorecard",
     "set_aside",
     "sign_head",
+    "signer",
     "stage",
     "standing",
     "storable",
