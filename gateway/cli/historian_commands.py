@@ -1,6 +1,5 @@
 """The commands of `decanter historian`: the records as CSV, Parquet, JSON or a table on the terminal."""
 
-import csv
 import json
 import os
 from collections import deque
@@ -16,6 +15,7 @@ from typing import Any
 
 import click
 
+from drivers.csv_rows import write_rows
 from gateway.cli.plant_file import config_option, machine_option
 from gateway.console import emit, json_option, table
 from gateway.entry import sentences
@@ -149,12 +149,11 @@ def export(
 @contextmanager
 def _csv_writer(path: Path, columns: Sequence[TableColumn]) -> Iterator[Writer]:
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([column.name for column in columns])
+        write_rows(file, [[column.name for column in columns]])
         kinds = [column.kind for column in columns]
 
         def write(rows: Sequence[Cells]) -> None:
-            writer.writerows([_as_text(kind, cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows)
+            write_rows(file, ([_as_text(kind, cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows))
 
         yield write
 
