@@ -32,20 +32,19 @@ def decanter(*words: object) -> Result:
     return done
 
 
-def plant_in(home: Path, text: str = "") -> tuple[Config, ...]:
-    """A plant whose files are all there: records, key, accounts, a model, a device file above its folder."""
-    (home / "conf").mkdir(parents=True)
-    (home / "devices").mkdir()
-    (home / "records").mkdir()
+def plant_in(home: Path, text: str = "", plant: str = "plant.toml") -> tuple[Config, ...]:
+    """A plant whose files are all there: records, key, accounts, a model, a device file."""
+    path, up = home / plant, "../" * plant.count("/")
+    for folder in (path.parent, home / "devices", home / "records"):
+        folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(MAP, home / "devices/plc.toml")
-    (home / "conf/model.json").write_text(model_text(two_modes()), encoding="utf-8")
-    plant = home / "conf/plant.toml"
-    plant.write_text(
-        '[device]\nfile = "../devices/plc.toml"\n[model]\npath = "model.json"\n'
-        '[historian]\npath = "../records/h.sqlite"\n' + text,
+    (home / "model.json").write_text(model_text(two_modes()), encoding="utf-8")
+    path.write_text(
+        f'[device]\nfile = "{up}devices/plc.toml"\n[model]\npath = "{up}model.json"\n'
+        f'[historian]\npath = "{up}records/h.sqlite"\n{text}',
         encoding="utf-8",
     )
-    machines = load_plant(plant)
+    machines = load_plant(path)
     open_historian(machines[0].historian.path).close()
     audit = open_audit(machines[0].audit)
     assert audit.record(AuditEntry(1.0, "start", "Ada", "test"))
@@ -78,6 +77,13 @@ def add(content: dict[str, Any], folder: Path, role: str, place: Path, mode: int
     (folder / stored).write_bytes(b"#!/bin/sh\n")
     row = {"role": role, "stored": stored, "original": str(place), "sha256": _digest(folder / stored), "size": 10}
     content["files"].insert(0, {**row, "mode": mode, "time": 1})
+
+
+def test_a_file_that_runs_as_root_is_not_restored(made: tuple[Config, Path], tmp_path: Path) -> None:
+    _, folder = made
+    forge(folder, lambda content: add(content, folder, "model", tmp_path / "bin/tool", 0o4755))
+    assert decanter("restore", folder, "--into", tmp_path / "box").exit_code == 2
+    assert not (tmp_path / "box").exists()
 
 
 @pytest.mark.parametrize("role", ["tool", "model", "device", "accounts", "heads", "public key", "plant"])
@@ -154,7 +160,7 @@ def test_whatever_is_backed_up_lies_where_the_plant_file_says(tmp_path: Path) ->
     for place in ("more.json", "store/v1/model.json"):
         (home / place).parent.mkdir(parents=True, exist_ok=True)
         (home / place).write_text(model_text(two_modes()), encoding="utf-8")
-    machines = plant_in(home, text)
+    machines = plant_in(home, text, "conf/plant.toml")
     (home / "heads").write_text("", encoding="utf-8")
     assert len({role for role, _ in sources_of(machines)}) == 9
     assert decanter("backup", tmp_path / "backup", "--config", machines[0].path).exit_code == 0
