@@ -179,7 +179,7 @@ def control(tree: Path, number: str, addition: str = "") -> str:
     """The control file of the tree as it is; `number` is the package's version, `addition` one of ADDITIONS or ""."""
     size = sum(max(1, -(-file.lstat().st_size // 1024)) for file in tree.rglob("*"))
     name = f"{NAME}-{addition}" if addition else NAME
-    needs = f"{NAME} (= {number})" if addition else ", ".join(DEPENDS)
+    needs = f"{NAME} (>= {number})" if addition else ", ".join(DEPENDS)
     wishes = "" if addition else "Recommends: systemd, systemd-timesyncd | time-daemon\n"
     wishes += "".join(f"Suggests: {NAME}-{other}\n" for other in ADDITIONS if not addition)
     return (
