@@ -15,6 +15,7 @@ from gateway.commission.session import login
 from gateway.commission.writeback.block_writer import gateway_runs
 from gateway.console import emit, json_option
 from gateway.entry import Exit, fail, sentences
+from gateway.machine.writing import own_process
 from gateway.plant import configuration_files, require_named_places, without_arming
 from gateway.settings import Config, load_plant
 from gateway.store import (
@@ -243,7 +244,7 @@ def _disarm(manifest: Manifest, drafts: dict[str, Path], by: str) -> str:
             reason = f"restored from a backup of {time.strftime('%F %T UTC', time.gmtime(manifest.made))}"
             # Each machine of several is armed by itself, and so is the gateway of one.
             for subject in dict.fromkeys(("", *armed_subjects(log))):
-                if not audit.record(AuditEntry(time.time(), DISARMED, by, reason).of(subject)):
+                if not audit.record(AuditEntry(time.time(), DISARMED, by, reason, own_process()).of(subject)):
                     raise BackupError(f"the restored audit log does not take a row: {audit.failure}")
         finally:
             audit.close()

@@ -57,9 +57,9 @@ def check_northbound(config: Config) -> NorthboundSecrets:
     wanted += [("metrics", "prometheus", ("prometheus_client",))] if section.metrics.port is not None else []
     wanted += [("opcua", "opcua", ("asyncua",))] if section.opcua.port is not None else []
     problems = [
-        f"{config.path}: northbound.{name}: {problem}"
+        f"{config.path}: northbound.{name}: {lacking}"
         for name, extra, needs in wanted
-        if (problem := _missing(extra, needs))
+        if (lacking := _missing(extra, needs))
     ]
     if problems:
         raise ConfigError(problems)

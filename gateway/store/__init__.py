@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         CONFIRMED,
         DISARMED,
         EXPIRED,
+        NO_PROCESS,
         Audit,
         AuditColumns,
         AuditEntry,
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
         stage,
     )
     from gateway.store.confirming import confirmation
-    from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
+    from gateway.store.durable import RECORDS_MODE, make_private, numbered_files, set_aside, sync_folder, write_durably
     from gateway.store.files import HistorianError
     from gateway.store.follow import (
         FOLLOWABLE,
@@ -118,6 +119,8 @@ __all__ = [
     "FOLLOWABLE",
     "HEAD_EVENT",
     "HEAD_STATE",
+    "NO_PROCESS",
+    "RECORDS_MODE",
     "ROLES",
     "TABLE_COLUMNS",
     "Audit",
@@ -168,6 +171,7 @@ __all__ = [
     "load_public_key",
     "machines",
     "make_backup",
+    "make_private",
     "matured",
     "moment_of",
     "newest_position",

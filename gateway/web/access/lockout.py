@@ -69,7 +69,7 @@ class Lockout:
     def _keys(self, name: str, address: str) -> dict[tuple[str, ...], int]:
         """What counts for an account from an address, with how many wrong passwords are free."""
         origin = origin_of(address)
-        pair = {("pair", name, origin): FREE}
-        if (name, origin) in self._known:
-            return pair
-        return {**pair, ("address", origin): FREE_OF_ADDRESS, ("account", name): FREE_OF_ACCOUNT}
+        keys: dict[tuple[str, ...], int] = {("pair", name, origin): FREE}
+        if (name, origin) not in self._known:
+            keys |= {("address", origin): FREE_OF_ADDRESS, ("account", name): FREE_OF_ACCOUNT}
+        return keys
