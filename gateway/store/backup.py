@@ -21,7 +21,7 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from drivers.named_files import place_of
+from drivers.named_files import contents, place_of
 from gateway.store import audit as audit_log
 from gateway.store import schema
 from gateway.store.audit import verify
@@ -41,6 +41,8 @@ LAYOUTS: Mapping[str, int] = {"historian": schema.VERSION, "audit": audit_log.VE
 """The newest layouts of the databases that this program reads, by role."""
 _STORED = re.compile(r"files/\d{4}-[^/\0]{1,200}")
 _CHUNK = 1 << 20
+_FARTHEST_NS = 8e18
+"""Of a moment from 1970, either way: what a file's time can be (64 bits of ns)."""
 _LONGEST = 16 << 20
 
 
@@ -167,7 +169,7 @@ def read_manifest(folder: Path) -> Manifest:
     """
     path = folder / MANIFEST
     try:
-        content = json.loads(path.read_bytes()[:_LONGEST])
+        content = json.loads(contents(path, _LONGEST))
         seal = content.pop("seal", "")
     except FileNotFoundError:
         raise BackupError(f"{folder}: has no {MANIFEST}, so it is no backup or only a part of one") from None
@@ -186,10 +188,15 @@ def read_manifest(folder: Path) -> Manifest:
         manifest = Manifest(**{**content, "files": files, "seal": seal})
         numbers = [manifest.made, *manifest.layouts.values()]
         numbers += [number for file in manifest.files for number in (file.size, file.mode, file.time)]
+        if not all(isinstance(file.time, int) for file in manifest.files):
+            raise TypeError
         texts = [manifest.note]
         texts += [text for file in manifest.files for text in (file.role, file.stored, file.original, file.sha256)]
         if not (all(isinstance(n, int | float) for n in numbers) and all(isinstance(text, str) for text in texts)):
             raise TypeError
+        moments = [manifest.made * 1e9, *(file.time for file in manifest.files)]
+        if not all(abs(moment) < _FARTHEST_NS for moment in moments):
+            raise ValueError
     except (ValueError, TypeError, KeyError, AttributeError):
         raise BackupError(f"{path}: is damaged or was changed; take another backup") from None
     for role, layout in manifest.layouts.items():
@@ -218,7 +225,7 @@ def read_manifest(folder: Path) -> Manifest:
 def signer(folder: Path, manifest: Manifest) -> str:
     """The public key (digits) that has signed a backup; "" where none has."""
     try:
-        plain = json.loads((folder / SIGNATURE).read_bytes()[:_LONGEST])
+        plain = json.loads(contents(folder / SIGNATURE, _LONGEST))
         key, signature = str(plain["key"]), str(plain["signature"])
     except (OSError, ValueError, RecursionError, TypeError, KeyError):
         return ""

@@ -5,6 +5,7 @@ restored has a known role, lies where the plant file in the backup says, has no 
 """
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -126,6 +127,32 @@ def test_what_was_changed_and_sealed_anew_is_not_restored(made: tuple[Config, Pa
         done = decanter("restore", folder, "--into", tmp_path / "box", *words)
         assert done.exit_code == 2 and ("nobody vouches" in done.output or "another seal" in done.output), done.output
     assert not (tmp_path / "box").exists()
+
+
+@pytest.mark.parametrize("moment", [1e300, 1.5, float("nan"), 1 << 70, -(1 << 70), "now", None])
+@pytest.mark.parametrize("key", ["made", "time"])
+def test_a_moment_that_no_file_has_is_refused_in_one_sentence(
+    made: tuple[Config, Path], tmp_path: Path, key: str, moment: object
+) -> None:
+    _, folder = made
+
+    def change(content: dict[str, Any]) -> None:
+        (content if key == "made" else content["files"][0])[key] = moment
+
+    seal = forge(folder, change)
+    done = decanter("restore", folder, "--into", tmp_path / "box", "--seal", seal)
+    if (key, moment) == ("made", 1.5):
+        assert done.exit_code == 0, done.output
+    else:
+        assert done.exit_code == 2 and "is damaged or was changed" in done.output, done.output
+
+
+def test_a_pipe_in_place_of_the_manifest_is_not_waited_for(made: tuple[Config, Path], tmp_path: Path) -> None:
+    _, folder = made
+    (folder / MANIFEST).unlink()
+    os.mkfifo(folder / MANIFEST)
+    done = decanter("restore", folder, "--into", tmp_path / "box")
+    assert done.exit_code == 2 and "named pipe" in done.output
 
 
 def test_a_box_without_the_key_asks_for_the_public_key_or_the_seal(made: tuple[Config, Path], tmp_path: Path) -> None:
