@@ -21,6 +21,7 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from drivers.settings import ConfigError
+from gateway.listener import SharingListener
 from gateway.settings import Config
 from gateway.status import GatewayStatus
 from gateway.store import Audit
@@ -29,7 +30,6 @@ from gateway.web.access import Accounts, AccountsError, PasswordChecks, Sessions
 from gateway.web.application import make_application
 from gateway.web.backing_up import BackupMaker
 from gateway.web.calls import Answer, GatewayCalls
-from gateway.web.listener import SharingListener
 from gateway.web.live import LiveStream
 from gateway.web.reader import HistorianReader
 from gateway.web.state import PageState
@@ -207,9 +207,7 @@ class PageServer:
         with listener:
             try:
                 listener.bound(2 * page.most_clients + 20)
-                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                listener.bind(address)
-                listener.listen(BACKLOG)
+                listener.listen_at(address, BACKLOG)
             except OSError as error:
                 reason = (error.strerror or str(error)).lower()
                 raise OSError(

@@ -6,15 +6,19 @@ live stream; and in a burst more streams were let in than there are places.
 
 import asyncio
 import socket
+import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
 import pytest
 
+from gateway.northbound.metrics_server import MOST_REQUESTS, MetricsServer
 from gateway.serving import PeerServer
+from gateway.settings import MetricsSection
 from gateway.web.access import AccountRole, Lockout
 from tests.page.served import PAGE, Client, Served, eventually, served
+from tests.rig.servers import free_port
 
 STRANGER, AT_HOME = "127.0.0.9", "127.0.0.2"
 MOST = 4
@@ -168,3 +172,34 @@ async def test_one_address_does_not_take_the_places_of_a_peer() -> None:
             other.close()
     serving.cancel()
     await asyncio.gather(serving, return_exceptions=True)
+
+
+async def test_one_address_does_not_take_the_connections_of_monitoring() -> None:
+    port = free_port()
+    server = MetricsServer(MetricsSection(port=port), dict, ())
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    taken = list[socket.socket]()
+
+    def scraped() -> bytes:
+        for _ in range(4 * MOST_REQUESTS):
+            with suppress(OSError):
+                taken.append(socket.create_connection(("127.0.0.1", port), 120.0, source_address=(STRANGER, 0)))
+        with socket.create_connection(("127.0.0.1", port), 120.0, source_address=(AT_HOME, 0)) as client:
+            client.sendall(b"GET /metrics HTTP/1.1\r\nhost: localhost\r\n\r\n")
+            return client.recv(65536)
+
+    def listens() -> bool:
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port), 120.0):
+            return True
+        return False
+
+    try:
+        await asyncio.to_thread(eventually, listens)
+        assert (await asyncio.to_thread(scraped)).startswith(b"HTTP/1.1 200")
+    finally:
+        server.close()
+        for client in taken:
+            client.close()
+        await asyncio.to_thread(thread.join, 300.0)
+    assert not thread.is_alive()

@@ -1,4 +1,4 @@
-"""The page's listening socket: connections are bounded where they are accepted, before TLS or a request takes time."""
+"""A listening socket whose connections are bounded where they are accepted, before TLS or a request takes time."""
 
 from __future__ import annotations
 
@@ -16,6 +16,12 @@ class SharingListener(socket.socket):
     def bound(self, most: int) -> None:
         """Bound the connections; before the first is accepted."""
         self.places = SharedPlaces(most, _end)
+
+    def listen_at(self, address: Any, backlog: int) -> None:
+        """Take an address, also one that a program before this has just left. Raises OSError."""
+        self.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self.bind(address)
+        self.listen(backlog)
 
     def accept(self) -> tuple[socket.socket, Any]:
         """The next connection that has a place. Raises BlockingIOError where none waits."""
