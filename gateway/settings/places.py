@@ -69,19 +69,18 @@ def named_files(plant: Path, contents: Mapping[Path, bytes]) -> Mapping[str, fro
     devices, models = set[Path](), set[Path]()
     for machine in machines:
         own = _table(machine, "device")
-        links = [row for row in _rows(own, "links") if isinstance(row.get("file"), str)]
-        own_files = [own["file"]] if isinstance(own.get("file"), str) else []
-        for file in (*own_files, *(row["file"] for row in links)):
-            settings = dict(_table(_tables(contents.get(place := place_of(home / file), b"")), "device"))
+        for link in (own, *_rows(own, "links")):
+            if not isinstance(file := link.get("file"), str):
+                continue
+            settings = _table(_tables(contents.get(place := place_of(home / file), b"")), "device")
+            driver = settings.get("driver")
+            files = DRIVERS[driver].files if isinstance(driver, str) and driver in DRIVERS else frozenset[str]()
             # A link's own settings are relative to the plant file, those of the device file to that.
-            beside = {key: value for row in links if row["file"] == file for key, value in row.items()}
-            driver = settings.pop("driver", None)
-            files = DRIVERS[driver].files if driver in DRIVERS else frozenset[str]()
-            devices |= {place, *(place_of(place.parent / str(settings[key])) for key in files if key in settings)}
-            devices |= {place_of(home / str(beside[key])) for key in files if key in beside}
-        named = [_table(machine, "model").get("path"), *_names(_table(machine, "ensemble").get("members"))]
-        named += [row.get("model") for row in _rows(machine, "temperature")]
-        models |= {place_of(home / name) for name in named if isinstance(name, str)}
+            named = [(place.parent, settings.get(key)) for key in files] + [(home, link.get(key)) for key in files]
+            devices |= {place, *(place_of(folder / name) for folder, name in named if isinstance(name, str) and name)}
+        wanted = [_table(machine, "model").get("path"), *_names(_table(machine, "ensemble").get("members"))]
+        wanted += [row.get("model") for row in _rows(machine, "temperature")]
+        models |= {place_of(home / name) for name in wanted if isinstance(name, str) and name}
     own_historian, users = _path(document, "historian", "path"), _path(document, "page", "users")
     key, heads = (_path(document, "writeback", name) for name in ("audit_key", "audit_heads"))
     # Where nothing is named the records are at the default, or where those of former versions are.

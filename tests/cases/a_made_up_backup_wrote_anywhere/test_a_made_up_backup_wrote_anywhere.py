@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 from gateway.cli.backup import sources_of
 from gateway.cli.main import main
 from gateway.plant import configurations
-from gateway.settings import Config, load_plant
+from gateway.settings import Config, load_plant, named_files
 from gateway.store import AuditEntry, load_or_make_key, open_audit, open_historian, public_path
 from gateway.store.backup import MANIFEST, _digest, _seal
 from sim.artefacts.model_json import model_text
@@ -193,6 +193,18 @@ def test_whatever_is_backed_up_lies_where_the_plant_file_says(tmp_path: Path) ->
     assert decanter("backup", tmp_path / "backup", "--config", machines[0].path).exit_code == 0
     done = decanter("restore", tmp_path / "backup", "--overwrite")
     assert done.exit_code == 0, done.output
+
+
+def test_a_plant_file_names_the_files_of_each_link_and_what_is_no_plant_file_names_nothing() -> None:
+    plant, device = Path("/conf/plant.toml"), Path("/conf/node.toml")
+    links = "".join(f'[[device.links]]\nname = "{name}"\nfile = "node.toml"\neds = "{name}.eds"\n' for name in "ab")
+    contents = {plant: links.encode(), device: b'[device]\ndriver = "canopen"\neds = "own.eds"\n'}
+    named = {path.name for path in named_files(plant, contents)["device"]}
+    assert named == {"node.toml", "own.eds", "a.eds", "b.eds"}
+    for text in (b"\xff", b"[", b"device = 1\nmachine = 2\nmodel = []", b"[device]\nfile = 3\nlinks = [1, {}]", b""):
+        assert not named_files(plant, {plant: text})["device"] | named_files(plant, {plant: text})["model"]
+    for text in (b"[device]\ndriver = [1]", b"device = 1", b"\xff", b'[device]\ndriver = "canopen"\neds = 1'):
+        assert named_files(plant, {plant: links.encode(), device: text})["device"] >= {device}
 
 
 def test_a_made_up_configuration_is_not_gone_back_to(made: tuple[Config, Path], tmp_path: Path) -> None:
