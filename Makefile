@@ -80,9 +80,10 @@ docs: $(STAMP)
 # The locks are made anew by hand, when a dependency is raised on purpose.
 lock: $(STAMP)
 	$(BIN)/uv pip compile pyproject.toml --extra dev --generate-hashes --python-version 3.11 --no-emit-index-url --no-header -q --upgrade -o requirements-dev.lock
-	$(BIN)/uv pip compile pyproject.toml --generate-hashes --python-version 3.11 --no-emit-index-url --no-header -c requirements-dev.lock -q -o requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --extra mqtt --extra opcua --extra postgres --extra prometheus --generate-hashes --python-version 3.11 --no-emit-index-url --no-header -c requirements-dev.lock -q -o requirements.lock
+	echo pyarrow | $(BIN)/uv pip compile - --generate-hashes --python-version 3.11 --no-emit-index-url --no-header -c requirements-dev.lock -q -o requirements-parquet.lock
 
-# One Debian package with an environment of its own, in dist/ (docs/operations.md).
+# The Debian package with an environment of its own, and the one with Arrow for it, in dist/ (docs/operations.md).
 deb: $(STAMP)
 	$(BIN)/python deploy/build_deb.py
 

@@ -1,7 +1,8 @@
 """`make deb`: one Debian package with the program and an environment of its own, installed without a network.
 
 The tree is /usr/lib/decanter (a virtual environment on Debian's own Python), its command in /usr/bin, the unit. The
-packages are those of requirements.lock, by hash. Nothing in it is younger than the commit that it is built from.
+packages are those of requirements.lock, by hash: with them all that a plant file can name. What only exports need is
+large and a package beside it (ADDITIONS). Nothing in them is younger than the commit that they are built from.
 """
 
 import argparse
@@ -36,6 +37,13 @@ edge gateway that foresees bearing overheating of decanters
  Reads a PLC over Modbus, CAN or CANopen, follows the bearings' temperatures
  with a learned stochastic hybrid automaton, forecasts them, raises alarms and
  writes a prediction block back, where it is armed."""
+ADDITIONS = {
+    "parquet": """\
+Parquet for the decanter gateway's exports
+ Apache Arrow in the environment of decanter-gateway: with it records are
+ exported as Parquet, and fleets are read from such files.""",
+}
+"""Packages decanter-gateway-NAME, by NAME, each with the locked packages of requirements-NAME.lock."""
 _START = """\
 #!/{home}/bin/{python}
 # -I: neither the working folder nor the environment of who calls it has a say in what is imported.
@@ -95,6 +103,29 @@ def fill_environment(tree: Path, work: Path) -> None:
             file.unlink()
     (home / "pyvenv.cfg").write_text("home = /usr/bin\ninclude-system-site-packages = false\n", encoding="utf-8")
     packages = next(home.glob("lib/python*/site-packages"))
+    tidy(packages)
+    (home / "lib64").unlink(missing_ok=True)
+    start = home / "bin/decanter"
+    start.write_text(_START.format(home=HOME, python=f"{PYTHON} -I"), encoding="utf-8")
+    start.chmod(0o755)
+    compile_all(home / "bin" / PYTHON, tree, packages)
+
+
+def fill_addition(tree: Path, main: Path, name: str) -> None:
+    """What an addition brings into the environment of the `main` tree, which is there already."""
+    python = main / HOME / "bin" / PYTHON
+    packages = tree / HOME / f"lib/{PYTHON}/site-packages"
+    uv: tuple[str | Path, ...] = (Path(sys.executable).with_name("uv"), "pip", "install", "-q", "--link-mode", "copy")
+    lock = ROOT / f"requirements-{name}.lock"
+    run(*uv, "--python", python, "--target", packages, "--no-deps", "--require-hashes", "-r", lock)
+    shutil.rmtree(packages / "bin", ignore_errors=True)
+    (packages / ".lock").unlink(missing_ok=True)
+    tidy(packages)
+    compile_all(python, tree, packages)
+
+
+def tidy(packages: Path) -> None:
+    """Take out of a folder of packages what bears the name of where it was built, and what nothing reads."""
     for file in [
         *packages.glob("*.dist-info/direct_url.json"),
         *packages.glob("*.dist-info/RECORD"),
@@ -106,11 +137,10 @@ def fill_environment(tree: Path, work: Path) -> None:
         # A third of the size; nothing but these packages' own test runs reads it.
         if folder.is_dir() and folder.relative_to(packages).parts[0] not in ("gateway", "sim", "drivers"):
             shutil.rmtree(folder)
-    (home / "lib64").unlink(missing_ok=True)
-    start = home / "bin/decanter"
-    start.write_text(_START.format(home=HOME, python=f"{PYTHON} -I"), encoding="utf-8")
-    start.chmod(0o755)
-    # Compiled here, under the names that the files will have: nobody may write there once it is installed.
+
+
+def compile_all(python: Path, tree: Path, packages: Path) -> None:
+    """Compile here, under the names that the files will have: nobody may write there once they are installed."""
     compiled = (
         "-m",
         "compileall",
@@ -124,7 +154,7 @@ def fill_environment(tree: Path, work: Path) -> None:
         "-p",
         "/",
     )
-    subprocess.run([home / "bin" / PYTHON, *compiled, packages], check=False)  # some have files for other Pythons
+    subprocess.run([python, *compiled, packages], check=False)  # some have files for other Pythons
 
 
 def fill_rest(tree: Path, number: str, date: int) -> None:
@@ -145,14 +175,17 @@ def fill_rest(tree: Path, number: str, date: int) -> None:
         raw.write(gzip.compress(entry.encode(), 9, mtime=0))
 
 
-def control(tree: Path, number: str) -> str:
-    """The control file of the tree as it is; `number` is the package's version."""
+def control(tree: Path, number: str, addition: str = "") -> str:
+    """The control file of the tree as it is; `number` is the package's version, `addition` one of ADDITIONS or ""."""
     size = sum(max(1, -(-file.lstat().st_size // 1024)) for file in tree.rglob("*"))
+    name = f"{NAME}-{addition}" if addition else NAME
+    needs = f"{NAME} (>= {number})" if addition else ", ".join(DEPENDS)
+    wishes = "" if addition else "Recommends: systemd, systemd-timesyncd | time-daemon\n"
+    wishes += "".join(f"Suggests: {NAME}-{other}\n" for other in ADDITIONS if not addition)
     return (
-        f"Package: {NAME}\nVersion: {number}\nArchitecture: {run('dpkg', '--print-architecture')}\n"
+        f"Package: {name}\nVersion: {number}\nArchitecture: {architecture()}\n"
         f"Maintainer: {MAINTAINER}\nSection: misc\nPriority: optional\nInstalled-Size: {size}\n"
-        f"Depends: {', '.join(DEPENDS)}\nRecommends: systemd, systemd-timesyncd | time-daemon\n"
-        f"Description: {DESCRIPTION}\n"
+        f"Depends: {needs}\n{wishes}Description: {ADDITIONS.get(addition, DESCRIPTION)}\n"
     )
 
 
@@ -165,23 +198,45 @@ def settle(tree: Path, date: int) -> None:
             os.utime(path, (date, date), follow_symlinks=False)
 
 
+def build_addition(out: Path, number: str, name: str) -> Path:
+    """Make one of ADDITIONS of this version in the folder `out`, after `build`; gives its file."""
+    work, date = out / "work", source_date()
+    tree = work / name
+    shutil.rmtree(tree, ignore_errors=True)
+    tree.mkdir(parents=True)
+    fill_addition(tree, work / "tree", name)
+    place = tree / f"usr/share/doc/{NAME}-{name}/copyright"
+    place.parent.mkdir(parents=True)
+    shutil.copyfile(DEPLOY / "copyright", place)
+    return packed(tree, out / f"{NAME}-{name}_{number}_{architecture()}.deb", control(tree, number, name), date)
+
+
 def build(out: Path, number: str) -> Path:
-    """Make the package of this version in the folder `out`; gives its file."""
+    """Make the program's package of this version in the folder `out`; gives its file."""
     work, date = out / "work", source_date()
     shutil.rmtree(work, ignore_errors=True)
     tree = work / "tree"
     tree.mkdir(parents=True)
     fill_environment(tree, work)
     fill_rest(tree, number, date)
+    scripts = sorted((DEPLOY / "maintainer").iterdir())
+    return packed(tree, out / f"{NAME}_{number}_{architecture()}.deb", control(tree, number), date, scripts)
+
+
+def architecture() -> str:
+    """Debian's name for this machine's."""
+    return run("dpkg", "--print-architecture")
+
+
+def packed(tree: Path, file: Path, text: str, date: int, scripts: Sequence[Path] = ()) -> Path:
+    """The tree as a package with this control file and these maintainer scripts; gives its file."""
     meta = tree / "DEBIAN"
-    text = control(tree, number)
     meta.mkdir()
     (meta / "control").write_text(text, encoding="utf-8")
-    for script in sorted((DEPLOY / "maintainer").iterdir()):
+    for script in scripts:
         shutil.copyfile(script, meta / script.name)
         (meta / script.name).chmod(0o755)
     settle(tree, date)
-    file = out / f"{NAME}_{number}_{run('dpkg', '--print-architecture')}.deb"
     run("dpkg-deb", "--root-owner-group", "-Zzstd", "-z6", "--build", tree, file, SOURCE_DATE_EPOCH=str(date))
     return file
 
@@ -197,7 +252,7 @@ def libraries(tree: Path) -> set[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Build, or say what a built tree is linked to."""
+    """Build all packages, or say what a built tree is linked to."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "dist")
     parser.add_argument("--version", default=version(), help="of the package  [default: the program's]")
@@ -206,8 +261,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.libraries:
         print("\n".join(sorted(libraries(given.out / "work/tree"))))
         return
-    file = build(given.out.absolute(), given.version)
-    print(f"{file}: {file.stat().st_size / 1e6:.0f} MB")
+    out = given.out.absolute()
+    for file in (build(out, given.version), *(build_addition(out, given.version, name) for name in ADDITIONS)):
+        print(f"{file}: {file.stat().st_size / 1e6:.0f} MB")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,27 @@
-"""Rows of CSV with the line at which each begins: what recordings and traces of a plant are split by."""
+"""Rows of CSV: read with the line at which each begins, and written so that no program runs what stands in a cell.
+
+Texts in a table come from a PLC, a device file or a person, and spreadsheet programs take one that begins with = + - or
+@ for a formula. Such a text gets an apostrophe before it, which reading takes away again; numbers are left alone.
+"""
 
 import csv
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
+
+# Where another program splits: with a comma for the decimals it splits at semicolons, whatever the quotation marks.
+_BEGIN = r"(?:^|(?<=[;\t\r\n]))"
+_FORMULA = r"(?=[ \v\f\xa0']*[=+\-@\uff1d\uff0b\uff0d\uff20][^;\t\r\n])"
+_UNGUARDED = re.compile(_BEGIN + _FORMULA)
+_GUARDED = re.compile(_BEGIN + "'" + _FORMULA)
+
+
+class TextSink(Protocol):
+    """A text file, or what takes text as one does."""
+
+    def write(self, text: str, /) -> object:
+        """Take a text."""
 
 
 @dataclass
@@ -31,7 +50,33 @@ def numbered_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
 
     try:
         for cells in csv.reader(feed(), strict=True):
-            yield number - inside + 1, cells
+            yield number - inside + 1, unguarded(cells)
             inside = 0
     except csv.Error as error:
         raise CsvRowError(number - inside + 1, str(error)) from None
+
+
+def write_rows(sink: TextSink, rows: Iterable[Iterable[object]]) -> None:
+    """Write rows as CSV, a header as well: doubles to the last bit, nothing for None, no text that is a formula.
+
+    The one owner of writing CSV. Open the file with `newline=""`. Raises OSError.
+    """
+    writer = csv.writer(sink, lineterminator="\n")
+    writer.writerows([_guarded(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+
+
+def unguarded(cells: Sequence[str]) -> list[str]:
+    """Cells as they were before they were written by `write_rows`."""
+    return [_GUARDED.sub("", cell) if "'" in cell else cell for cell in cells]
+
+
+def _guarded(text: str) -> str:
+    return text if _UNGUARDED.search(text) is None or _numbers(text) else _UNGUARDED.sub("'", text)
+
+
+def _numbers(text: str) -> bool:
+    """True for a number, or several between semicolons."""
+    try:
+        return all(float(part) is not None for part in text.split(";"))
+    except ValueError:
+        return False

@@ -49,6 +49,11 @@ def regular(path: Path) -> Path:
     return path
 
 
+def place_of(path: Path) -> Path:
+    """The whole path without `..`, by the name alone: nothing has to be there."""
+    return Path(os.path.normpath(path.absolute()))
+
+
 def contents(path: Path, most: int = MOST_BYTES) -> bytes:
     """All bytes of a file that has at most `most` of them. Raises OSError, with the reason in `strerror`."""
     with regular(path).open("rb") as stream:

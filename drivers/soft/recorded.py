@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
+from drivers.csv_rows import unguarded
 from drivers.errors import DriverError
 from drivers.named_files import regular
 from drivers.tag import Value
@@ -99,7 +100,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
         with regular(path).open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)
             for row in reader:
-                yield number, row
+                yield number, unguarded(row)
                 number = reader.line_num + 1
     except csv.Error as error:
         raise DriverError(f"{path}, line {number}: is not CSV: {error}") from None

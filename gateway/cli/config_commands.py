@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from drivers.named_files import place_of
 from drivers.settings import ConfigError, read_toml
 from gateway.cli.plant_file import config_option
 from gateway.commission.session import login
@@ -20,6 +21,7 @@ from gateway.plant import (
     history_folder,
     keep_files,
     kept_configurations,
+    require_named_places,
     without_arming,
 )
 from gateway.settings import load_plant
@@ -138,16 +140,16 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
         found = _kept(path, folder)
         wanted = _numbered(found, number)
         now, note = time.time(), f"before going back to {number}: {reason} ({by or login()})"
+        plant, kept = place_of(path), wanted.files
+        if plant not in kept:
+            raise BackupError(
+                f"configuration {number} is of {next(iter(kept), 'nothing')}, not of {path}; give --config with that"
+            )
+        require_named_places(wanted.manifest, plant, kept, roles=("plant", "device"))
         roles = {Path(file.original): file.role for one in found for file in one.manifest.files}
         present = [(role, place) for place, role in roles.items() if place.is_file()]
         keep_files(wanted.folder.parent, present, now=now, note=note)
-        content = {
-            place: without_arming(data) if roles[place] == "plant" else data for place, data in wanted.files.items()
-        }
-        if path.absolute() not in content:
-            raise BackupError(
-                f"configuration {number} is of {next(iter(content))}, not of {path}; give --config with that"
-            )
+        content = {place: without_arming(data) if place == plant else data for place, data in kept.items()}
         before = {place: place.read_bytes() if place.is_file() else None for place in content}
         modes = {Path(file.original): file.mode for file in wanted.manifest.files}
         usable = False

@@ -1,6 +1,5 @@
 """The commands of `decanter historian`: the records as CSV, Parquet, JSON or a table on the terminal."""
 
-import csv
 import json
 import os
 from collections import deque
@@ -16,9 +15,11 @@ from typing import Any
 
 import click
 
+from drivers.csv_rows import write_rows
 from gateway.cli.plant_file import config_option, machine_option
 from gateway.console import emit, json_option, table
 from gateway.entry import sentences
+from gateway.extras import missing
 from gateway.settings import load_plant
 from gateway.store import (
     TABLE_COLUMNS,
@@ -115,7 +116,7 @@ def export(
     machine: str | None,
     as_json: bool,
 ) -> None:
-    """Write rows of the records to FILE, which ends in .csv or .parquet (needs decanter-gateway[parquet]).
+    """Write rows of the records to FILE, which ends in .csv or .parquet (needs the package decanter-gateway-parquet).
 
     The file is there whole or not at all. Rows come machine by machine, in the order in which they were recorded; times
     are UTC.
@@ -149,12 +150,11 @@ def export(
 @contextmanager
 def _csv_writer(path: Path, columns: Sequence[TableColumn]) -> Iterator[Writer]:
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([column.name for column in columns])
+        write_rows(file, [[column.name for column in columns]])
         kinds = [column.kind for column in columns]
 
         def write(rows: Sequence[Cells]) -> None:
-            writer.writerows([_as_text(kind, cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows)
+            write_rows(file, ([_as_text(kind, cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows))
 
         yield write
 
@@ -163,10 +163,8 @@ def _csv_writer(path: Path, columns: Sequence[TableColumn]) -> Iterator[Writer]:
 def _parquet_writer(path: Path, columns: Sequence[TableColumn]) -> Iterator[Writer]:
     try:
         arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ImportError:
-        raise ValueError(
-            "Parquet needs pyarrow, which is not installed; pip install 'decanter-gateway[parquet]', or export .csv"
-        ) from None
+    except ImportError as error:
+        raise ValueError(f"Parquet {missing('parquet', error)}; or export .csv") from None
 
     types = {kind: getattr(arrow, name)() for kind, name in PARQUET.items()}
     types |= {"moment": arrow.timestamp("us", tz="UTC"), "reals": arrow.list_(arrow.float64())}

@@ -1,12 +1,12 @@
 """`decanter plc served`: where peers find each tag, its quality and its age, if the gateway serves them."""
 
-import csv
 import io
 from pathlib import Path
 from typing import Any
 
 import click
 
+from drivers.csv_rows import write_rows
 from gateway.console import emit, find_plant_file, json_option, table
 from gateway.entry import sentences
 from gateway.serving import served_rows
@@ -49,9 +49,7 @@ def served(path: Path | None, machine: str | None, as_csv: bool, as_json: bool) 
     serve = config.serve
     if as_csv:
         text = io.StringIO()
-        writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+        write_rows(text, (_COLUMNS, *([row[column] for column in _COLUMNS] for row in rows)))
         click.echo(text.getvalue(), nl=False)
         return
     place = {"host": serve.host, "port": serve.port, "unit": serve.unit, "state": serve.address}

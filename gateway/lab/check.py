@@ -1,11 +1,11 @@
 """`decanter model check`: a query put to a model, answered by runs or decided over its locations."""
 
-import csv
 from math import inf, isfinite, nan, nextafter
 from pathlib import Path
 
 import click
 
+from drivers.csv_rows import write_rows
 from drivers.named_files import writing
 from gateway.console import emit, finite, historian_machine_option, json_option, map_option, progress, table
 from gateway.entry import Exit, sentences
@@ -149,13 +149,10 @@ def check(
                 raise ValueError("--csv writes the courses of a simulate query; this query has none")
             labels = result.query.labels if isinstance(result.query, Simulation) else ()
             with writing(courses), courses.open("w", encoding="utf-8", newline="") as file:
-                writer = csv.writer(file)
-                writer.writerow(["run", "time", *labels])
+                write_rows(file, [("run", "time", *labels)])
                 for number, course in enumerate(result.courses):
-                    for row, time in enumerate(course.times.tolist()):
-                        # By repr, so that the numbers come back to the last bit.
-                        values = (repr(value) for value in course.values[:, row].tolist())
-                        writer.writerow([number, repr(time), *values])
+                    moments = enumerate(course.times.tolist())
+                    write_rows(file, ((number, time, *course.values[:, row].tolist()) for row, time in moments))
         if picture is not None:
             draw_answer(result, query_text, picture, unit)
     data = {

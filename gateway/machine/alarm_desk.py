@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from gateway.machine.alarms import BY_PERSONS, Alarm, AlarmBoard, AlarmError, Change
 from gateway.machine.plant_records import PlantRecords
 from gateway.machine.reading import Clock
 from gateway.settings import Config
-from gateway.store import Audit, AuditEntry, AuditError, HistorianView
+from gateway.store import NO_PROCESS, Audit, AuditEntry, AuditError, HistorianView
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -36,7 +36,14 @@ class AlarmDesk:
         self._clock, self._historian, self._log = clock, historian, log
 
     async def change(
-        self, change: Change, names: Sequence[str] = (), *, by: str, reason: str, minutes: float | None = None
+        self,
+        change: Change,
+        names: Sequence[str] = (),
+        *,
+        by: str,
+        reason: str,
+        minutes: float | None = None,
+        process: Mapping[str, int] = NO_PROCESS,
     ) -> dict[str, Alarm]:
         """Make a change of BY_PERSONS to the named alarms: all of them or, where one cannot be changed, none.
 
@@ -61,7 +68,7 @@ class AlarmDesk:
         until = now + minutes * 60.0 if change is Change.SHELVE and minutes is not None else None
         audit = await self._audit(change)
         for name in names:
-            detail = {"alarm": name, "machine": self._config.machine, "until": until}
+            detail = {"alarm": name, "machine": self._config.machine, "until": until, **process}
             entry = AuditEntry(now, f"alarm {BY_PERSONS[change]}", by, reason, detail).of(self._config.subject)
             if audit is not None and change not in HIDES:
                 audit.put(entry)

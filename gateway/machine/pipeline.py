@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isinf
 from random import Random
@@ -48,7 +48,7 @@ from gateway.machine.trust import ClockCheck, RecordsWatch, Surroundings
 from gateway.machine.writing import Arming, ArmingError, WritebackStage, end_by_mode
 from gateway.settings import Config, WritebackLayout
 from gateway.status import Phase
-from gateway.store import AuditError, HistorianError, saved_state, to_trace
+from gateway.store import NO_PROCESS, AuditError, HistorianError, saved_state, to_trace
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -381,20 +381,33 @@ class Machine:
         """What the device itself says is wrong with it, now."""
         return self.driver.complaints() if isinstance(self.driver, Complains) else ()
 
-    async def arm(self, by: str, reason: str, minutes: float, acknowledged: Sequence[str] = ()) -> Arming:
-        """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError."""
+    async def arm(
+        self,
+        by: str,
+        reason: str,
+        minutes: float,
+        acknowledged: Sequence[str] = (),
+        *,
+        process: Mapping[str, int] = NO_PROCESS,
+    ) -> Arming:
+        """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError.
+
+        `process` are `uid` and `pid` of the program by which the person asks, for the records.
+        """
         if self.writing is None:
             raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
         if why := self.common.log_failure():
             raise ArmingError(f"not armed: {why}")
-        return await self.writing.arm(by, reason, minutes, unverified=self.unverified, acknowledged=acknowledged)
+        return await self.writing.arm(
+            by, reason, minutes, unverified=self.unverified, acknowledged=acknowledged, process=process
+        )
 
-    async def disarm(self, by: str, reason: str) -> bool:
+    async def disarm(self, by: str, reason: str, *, process: Mapping[str, int] = NO_PROCESS) -> bool:
         """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed."""
         if self.writing is None:
             return False
         # Whoever asked may go away, or the gateway stop, before it is done: it is carried to its end all the same.
-        return await asyncio.shield(self.writing.disarm(by, reason, self.last, self.alarm_words))
+        return await asyncio.shield(self.writing.disarm(by, reason, self.last, self.alarm_words, process=process))
 
     async def withdraw(self, why: str) -> None:
         """Tell the PLC once, if armed and permitted, that nothing of ours is to be used any more."""

@@ -16,6 +16,7 @@ from starlette.applications import Starlette
 from starlette.responses import Response
 from starlette.routing import Route
 
+from gateway.listener import SharingListener
 from gateway.northbound.metrics import FeedFigures, GatewayCollector
 from gateway.northbound.pictures import Pictures, ask_statuses
 from gateway.settings import MetricsSection
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
 
 MOST_REQUESTS = 8
+"""Connections at a time; an address that has more of them gives way to another."""
 
 
 class MetricsServer:
@@ -52,9 +54,12 @@ class MetricsServer:
         if self.stop.is_set():
             return
         section = self._section
+        listener = SharingListener(socket.AF_INET, socket.SOCK_STREAM)
+        listener.bound(MOST_REQUESTS)
         try:
-            listener = socket.create_server((section.host, self.port), backlog=MOST_REQUESTS)
+            listener.listen_at((section.host, self.port), MOST_REQUESTS)
         except OSError as error:
+            listener.close()
             reason = error.strerror or str(error)
             raise OSError(
                 error.errno, f"[northbound.metrics] cannot listen at {section.host}:{section.port}: {reason.lower()}"
@@ -72,7 +77,6 @@ class MetricsServer:
                 access_log=False,
                 proxy_headers=False,
                 server_header=False,
-                limit_concurrency=MOST_REQUESTS,
                 timeout_keep_alive=60,
                 timeout_graceful_shutdown=1,
             )

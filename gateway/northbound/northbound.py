@@ -13,6 +13,7 @@ from drivers.json_lines import packed
 from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
 from gateway.certificates import application_problem
+from gateway.extras import missing
 from gateway.northbound.feed import SinkFeed
 from gateway.northbound.sink import SinkContext
 from gateway.settings import Config, NorthboundSecrets, load_northbound_secrets
@@ -52,27 +53,31 @@ SINK_KINDS: Mapping[str, SinkKind] = {
 def check_northbound(config: Config) -> NorthboundSecrets:
     """The secrets of the section. Raises ConfigError, before anything runs, for what is missing."""
     section = config.northbound
-    for name, kind in SINK_KINDS.items():
-        if getattr(section, name):
-            _load_extra(kind.extra, kind.needs, f"{config.path}: northbound.{name}")
-    if section.metrics.port is not None:
-        _load_extra("prometheus", ("prometheus_client",), f"{config.path}: northbound.metrics")
+    wanted = [(name, kind.extra, kind.needs) for name, kind in SINK_KINDS.items() if getattr(section, name)]
+    wanted += [("metrics", "prometheus", ("prometheus_client",))] if section.metrics.port is not None else []
+    wanted += [("opcua", "opcua", ("asyncua",))] if section.opcua.port is not None else []
+    problems = [
+        f"{config.path}: northbound.{name}: {lacking}"
+        for name, extra, needs in wanted
+        if (lacking := _missing(extra, needs))
+    ]
+    if problems:
+        raise ConfigError(problems)
     if section.opcua.port is not None:
-        _load_extra("opcua", ("asyncua",), f"{config.path}: northbound.opcua")
         folder = section.opcua.certificates
         if folder is not None and (problem := application_problem(folder)) is not None:
             raise ConfigError([f"{config.path}: northbound.opcua.certificates: {problem}"])
     return load_northbound_secrets(section)
 
 
-def _load_extra(extra: str, needs: Iterable[str], key: str) -> None:
+def _missing(extra: str, needs: Iterable[str]) -> str:
+    """What of an extra is not installed; "" if all of it is."""
     try:
         for module in needs:
             import_module(module)
     except ImportError as error:
-        raise ConfigError(
-            [f"{key}: needs {error.name}, which is not installed; pip install 'decanter-gateway[{extra}]'"]
-        ) from None
+        return missing(extra, error)
+    return ""
 
 
 class Northbound:

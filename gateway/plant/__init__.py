@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         history_folder,
         keep_files,
         kept_configurations,
+        require_named_places,
         without_arming,
     )
     from gateway.plant.device import link_driver, make_driver
@@ -34,6 +35,7 @@ __all__ = [
     "link_driver",
     "make_driver",
     "open_log",
+    "require_named_places",
     "serve",
     "without_arming",
 ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import re
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.driver import capabilities
-from gateway.settings import Config
-from gateway.store import BackupError, Manifest, make_backup, read_manifest
+from gateway.settings import Config, named_files
+from gateway.store import ROLES, BackupError, Manifest, make_backup, read_manifest
 
 FOLDER = "configurations"
 MOST_KEPT = 200
@@ -91,6 +91,25 @@ def keep_configuration(machines: Sequence[Config], *, now: float, note: str) -> 
     if first.path.stat().st_mtime != first.stamp:
         raise BackupError(f"{first.path}: was changed after it had been read; it is kept when it is taken over")
     return keep_files(history_folder(first), configuration_files(machines), now=now, note=note)
+
+
+def require_named_places(
+    manifest: Manifest, plant: Path, contents: Mapping[Path, bytes], *, roles: Container[str] = ROLES
+) -> None:
+    """Raise BackupError unless each file of a backup has one of the roles, and lies where the `plant` file in it says.
+
+    `contents` has at least its plant file and device files by their places.
+    """
+    named = named_files(plant, contents)
+    for file in manifest.files:
+        place, known = Path(file.original), named.get(file.role, frozenset[Path]())
+        # A store of models is a folder.
+        below = file.role == "model" and not known.isdisjoint(place.parents)
+        if file.role not in roles or (place not in known and not below):
+            raise BackupError(
+                f"the backup has {file.original!r} as {file.role!r}, which the plant file in it, {plant}, does not "
+                "name; nothing is restored, take another backup"
+            )
 
 
 def differences(before: Mapping[Path, bytes], after: Mapping[Path, bytes], names: tuple[str, str]) -> Iterator[str]:

@@ -183,17 +183,27 @@ class Control:
             task.add_done_callback(self._tasks.discard)
 
         async def reply(line: bytes) -> dict[str, Any]:
-            plain: dict[str, Any] = strict(await self._scope.answer(line))
+            plain: dict[str, Any] = strict(await self._scope.answer(_with_peer(line, pid, user)))
             return plain
 
-        await json_lines.serve(reader, writer, reply, admitted=lambda: _is_ours(writer))
+        pid, user = _peer(writer)
+        # Of this user or of the superuser, whatever the file's mode has become.
+        await json_lines.serve(reader, writer, reply, admitted=lambda: user in (0, os.geteuid()))
 
 
-def _is_ours(writer: asyncio.StreamWriter) -> bool:
-    """True for a client of this user or of the superuser, whatever the file's mode has become."""
+def _peer(writer: asyncio.StreamWriter) -> tuple[int, int]:
+    """Process and user of who has connected, as the kernel says."""
     sock: socket.socket = writer.get_extra_info("socket")
-    _, user, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
-    return user in (0, os.geteuid())
+    pid, user, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+    return pid, user
+
+
+def _with_peer(line: bytes, pid: int, user: int) -> bytes:
+    """A request with who asks; what is none is left as it is, for the refusal."""
+    try:
+        return json_lines.packed({**json_lines.parsed(line), "peer": {"uid": user, "pid": pid}})
+    except NoObject:
+        return line
 
 
 async def answer(scope: ControlScope, line: bytes) -> dict[str, Any]:
@@ -213,11 +223,27 @@ async def answer(scope: ControlScope, line: bytes) -> dict[str, Any]:
 # ---------------------------------------------------------------- what a request may hold
 
 
+class PeerProcess(Section):
+    """The process that asks over the socket, as the kernel says."""
+
+    uid: int
+    pid: int
+
+
 class ControlRequest(Section):
-    """One request; its other keys are those of its command. Without `machine` the gateway's only one is meant."""
+    """One request; its other keys are those of its command. Without `machine` the gateway's only one is meant.
+
+    `peer` is written into it by the socket, whatever a client has put there.
+    """
 
     command: str
     machine: str | None = Field(None, description="a machine's name as text")
+    peer: PeerProcess | None = Field(None, description="nothing: the gateway fills it in")
+
+    @property
+    def process(self) -> Mapping[str, int]:
+        """Who asks, for records; empty for the gateway's own parts, which name who asked them."""
+        return {} if self.peer is None else {"uid": self.peer.uid, "pid": self.peer.pid}
 
 
 class _ReadTags(ControlRequest):
@@ -268,6 +294,12 @@ class _Disarm(ControlRequest):
 
 
 R = TypeVar("R", bound=ControlRequest)
+
+
+def disarm_words(request: Mapping[str, Any]) -> tuple[str, str, Mapping[str, int]]:
+    """Who disarms, why, and at which process. Raises ControlError."""
+    given = _checked(_Disarm, request)
+    return given.by, given.reason, given.process
 
 
 def _checked(kind: type[R], request: Mapping[str, Any]) -> R:
@@ -353,7 +385,9 @@ async def _arm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any
     """Let blocks be written from the next scan on: `by`, `reason`, `minutes`."""
     given = _checked(_Arm, request)
     try:
-        arming = await scope.one(given).arm(given.by, given.reason, given.minutes, given.acknowledge)
+        arming = await scope.one(given).arm(
+            given.by, given.reason, given.minutes, given.acknowledge, process=given.process
+        )
     except ArmingError as error:
         raise ControlError(str(error)) from None
     return {"pid": os.getpid(), "by": arming.by, "reason": arming.reason, "until": arming.until}
@@ -362,13 +396,10 @@ async def _arm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any
 async def _disarm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """Take everything back and write no more: `by`, `reason`."""
     given = _checked(_Disarm, request)
-    return {"pid": os.getpid(), "was_armed": await scope.one(given).disarm(given.by, given.reason)}
-
-
-def disarm_words(request: Mapping[str, Any]) -> tuple[str, str]:
-    """Who disarms, and why. Raises ControlError."""
-    given = _checked(_Disarm, request)
-    return given.by, given.reason
+    return {
+        "pid": os.getpid(),
+        "was_armed": await scope.one(given).disarm(given.by, given.reason, process=given.process),
+    }
 
 
 async def _alarms(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
@@ -388,7 +419,9 @@ def _changing(change: Change) -> Command:
         machine = scope.one(given)
         names = [*filter(None, (given.alarm,)), *given.alarms]
         try:
-            changed = await machine.desk.change(change, names, by=given.by, reason=given.reason, minutes=given.minutes)
+            changed = await machine.desk.change(
+                change, names, by=given.by, reason=given.reason, minutes=given.minutes, process=given.process
+            )
         except AlarmError as error:
             raise ControlError(str(error)) from None
         states = {name: alarm.state.value for name, alarm in changed.items()}

@@ -173,6 +173,7 @@ class Fleet:
             try:
                 configs = {config.machine: config for config in await asyncio.to_thread(self._read_anew)}
                 changes = changed_machines({name: one.config for name, one in self.machines.items()}, configs)
+                changes |= self._newly_shared(changes, configs)
                 models = await self.examine([configs[name] for name in changes if name in configs], list(changes))
             except ConfigError as error:
                 raise ControlError(f"the file is refused and everything goes on as it was: {error}") from None
@@ -184,6 +185,16 @@ class Fleet:
                     await asyncio.to_thread(self.on_taken_over, list(configs.values()))
             raise_failures(failed)
             return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}
+
+    def _newly_shared(self, changes: Collection[str], configs: Mapping[str, Config]) -> dict[str, tuple[str, ...]]:
+        """Machines that have a connection to themselves, as the only one of their file, and are to share it now."""
+        found = dict[str, tuple[str, ...]]()
+        for group in on_one_connection(list(configs.values())):
+            for name in [config.machine for config in group if config.machine not in changes]:
+                others = ", ".join(config.machine for config in group if config.machine != name)
+                if others and not self.machines[name].config.several:
+                    found[name] = (f"shares its connection with {others}",)
+        return found
 
     async def examine(self, configs: Sequence[Config], leaving: Collection[str]) -> dict[str, Sequence[LoadedModels]]:
         """The models of machines that may be begun, while the former configuration runs; those `leaving` are stopped

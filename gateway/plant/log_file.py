@@ -9,6 +9,8 @@ from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
+from gateway.store import RECORDS_MODE
+
 RETRY_SECONDS = 5.0
 _DAY = 86_400.0
 _LONGEST = 1 << 16
@@ -102,7 +104,7 @@ class LogFile:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         # Not blocking: a named pipe that nobody reads is refused and not waited for.
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK
-        self._file = os.open(self.path, flags, 0o644)
+        self._file = os.open(self.path, flags, RECORDS_MODE)
         self._size, self._begun = os.fstat(self._file).st_size, self._first_line_time()
 
     def _append(self, data: bytes) -> None:

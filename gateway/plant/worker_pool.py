@@ -558,7 +558,7 @@ class WorkerPool:
 
     async def _disarm(self, worker: PlantWorker, name: str, request: Mapping[str, Any]) -> dict[str, Any]:
         """Take back a machine's arming while it has no process: on record, before one that begins looks there."""
-        by, reason = disarm_words(request)
+        by, reason, process = disarm_words(request)
         async with worker.opening:
             config = self._configs[name]
             if worker.is_opened or config.writeback.mode == "off":
@@ -566,7 +566,9 @@ class WorkerPool:
             stamp = config.path.stat().st_mtime if config.path.exists() else config.stamp
             log, now, subject = config.audit, self.clock.now(), config.subject
             try:
-                row = await asyncio.to_thread(lambda: disarm_in_log(log, by, reason, now, stamp, subject=subject))
+                row = await asyncio.to_thread(
+                    lambda: disarm_in_log(log, by, reason, now, stamp, subject=subject, process=process)
+                )
             except (ArmingError, OSError) as error:
                 raise ControlError(str(error)) from None
         return {"ok": True, "pid": os.getpid(), "was_armed": row is not None}

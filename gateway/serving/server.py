@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Protocol
 
+from gateway.shares import SharedPlaces
+
 _TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
 _BITS = (1, 2)
 _MOST = {1: 2000, 2: 2000, 3: 125, 4: 125}
@@ -28,13 +30,16 @@ class ServedImage(Protocol):
 
 
 class PeerServer:
-    """Serves each machine's image under its unit number, to `most_clients` at a time; `port` 0 takes a free one."""
+    """Serves each machine's image under its unit number, to `most_clients` at a time; `port` 0 takes a free one.
+
+    Where all places are taken, one address gives way to another that has fewer.
+    """
 
     def __init__(self, host: str, port: int, images: Mapping[int, ServedImage], *, most_clients: int = 8) -> None:
         self.host, self.port = host, port
         self.refused = self.answered = 0
-        self._images, self._most_clients = images, most_clients
-        self._clients: set[asyncio.StreamWriter] = set()
+        self._images = images
+        self._clients: SharedPlaces[asyncio.StreamWriter] = SharedPlaces(most_clients, _abort)
 
     async def serve(self) -> None:
         """Serve until cancelled. Raises OSError where the port cannot be had."""
@@ -48,15 +53,15 @@ class PeerServer:
             await server.serve_forever()
         finally:
             server.close()
-            for writer in tuple(self._clients):
+            for writer in self._clients.holders:
                 writer.transport.abort()
 
     async def _serve_client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._clients) >= self._most_clients:
+        peer = writer.get_extra_info("peername") or ("unknown",)  # it has gone
+        if not self._clients.take(writer, str(peer[0])):
             self.refused += 1
             writer.close()
             return
-        self._clients.add(writer)
         raw: socket.socket = writer.get_extra_info("socket")
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # The peer has gone, asks nothing, or the server closes: nobody awaits this task for more than its end.
@@ -69,7 +74,7 @@ class PeerServer:
                     pdu = self.answer(unit, await reader.readexactly(length - 1))
                     writer.write(_HEADER.pack(transaction, 0, len(pdu) + 1, unit) + pdu)
                     await writer.drain()
-        self._clients.discard(writer)
+        self._clients.give_back(writer)
         writer.close()
 
     def answer(self, unit: int, request: bytes) -> bytes:
@@ -96,3 +101,7 @@ class PeerServer:
             packed = sum(bool(bit) << number for number, bit in enumerate(words))
             return bytes((function, size)) + packed.to_bytes(size, "little")
         return struct.pack(f">BB{count}H", function, 2 * count, *words)
+
+
+def _abort(client: asyncio.StreamWriter) -> None:
+    client.transport.abort()

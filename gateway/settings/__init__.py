@@ -51,7 +51,7 @@ from gateway.settings.notify import (
     SmtpSection,
     load_secrets,
 )
-from gateway.settings.places import GatewayPlaces, gateway_places
+from gateway.settings.places import GatewayPlaces, gateway_places, named_files
 
 __all__ = [
     "ALARM_KINDS",
@@ -100,6 +100,7 @@ __all__ = [
     "load_northbound_secrets",
     "load_plant",
     "load_secrets",
+    "named_files",
     "settings_of",
     "suppressing",
 ]

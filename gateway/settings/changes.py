@@ -1,7 +1,7 @@
 """What another plant file changes for a gateway that runs, machine by machine and key by key."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from pydantic import BaseModel
@@ -12,6 +12,9 @@ from gateway.settings.config import COMMON, COMMON_KEYS, Config
 
 def changed_machines(before: Mapping[str, Config], after: Mapping[str, Config]) -> dict[str, tuple[str, ...]]:
     """The machines that another plant file adds, removes or changes, with what it changes in sentences.
+
+    Whether the file has [[machine]] tables is no change of a machine: one that runs goes on as it is, under the name
+    that it has on record until the gateway's next start.
 
     Raises ConfigError for a change of what all machines have in common, which only a restart takes over, and for a file
     without any machine that goes on.
@@ -29,8 +32,8 @@ def changed_machines(before: Mapping[str, Config], after: Mapping[str, Config]) 
     for name, config in after.items():
         if name not in before:
             changes[name] = ("added",)
-        elif config != before[name]:
-            changes[name] = tuple(_differences(before[name], config)) or ("its device file has changed",)
+        elif (config := replace(config, several=before[name].several)) != before[name]:
+            changes[name] = tuple(_differences(before[name], config)) or tuple(_others(before[name], config))
     return changes
 
 
@@ -47,6 +50,13 @@ def _differences(before: Config, after: Config) -> Iterator[str]:
         elif field.name == "temperatures" and old != new:
             names = [", ".join(row.tag for row in rows) for rows in (old, new)]
             yield f"temperature: {names[0]} -> {names[1]}" if names[0] != names[1] else "temperature: its table differs"
+
+
+def _others(before: Config, after: Config) -> Iterator[str]:
+    """What else differs, where no key of the plant file does."""
+    for field in fields(Config):
+        if field.compare and getattr(before, field.name) != getattr(after, field.name):
+            yield "its device file has changed" if field.name == "links" else f"{field.name}: differs"
 
 
 def _of_section(name: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:

@@ -32,6 +32,8 @@ OF_THE_TYPE = (
     "this key, none with an empty text"
 )
 MAX_ARMED_MINUTES = 480.0
+FORMER_HISTORIAN = Path("../out/historian.sqlite")
+"""Where the records were by default, from the plant file on (record 0109)."""
 LEAST_BLOCKS = 10.0
 
 
@@ -777,7 +779,7 @@ def historian_file(section: HistorianSection, home: Path) -> Path:
 
     Of a plant file that names none and has its records where the default once was, those (record 0109).
     """
-    file, former = home / section.path, home / "../out/historian.sqlite"
+    file, former = home / section.path, home / FORMER_HISTORIAN
     named = "path" in section.model_fields_set
     return former if not named and not file.exists() and former.exists() else file
 

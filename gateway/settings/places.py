@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
+from drivers.driver import DRIVERS
+from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml, place_of
 from drivers.settings import ConfigError
-from gateway.settings.config import HistorianSection, historian_file, load_plant
+from gateway.settings.config import FORMER_HISTORIAN, HistorianSection, historian_file, load_plant
 
 _MOST_SPOILED = 100
 """Lines that are left out of a file that is no TOML until nothing more is expected of it."""
@@ -46,14 +47,87 @@ def gateway_places(path: Path) -> GatewayPlaces:
     named = _path(tables, "historian", "path")
     # As for a file that can be used: the default, or where the records of former versions are.
     historian = historian_file(HistorianSection() if named is None else HistorianSection(path=named), home)
-    socket, audit = _path(tables, "control", "path"), _path(tables, "writeback", "audit")
+    socket = _path(tables, "control", "path")
     return GatewayPlaces(
         socket=historian.with_suffix(".sock") if socket is None else home / socket,
         historian=historian,
-        audit=historian.with_name("audit.sqlite") if audit is None else home / audit,
+        audit=_audit(tables, home, historian),
         several="machine" in tables,
         problem=problem,
     )
+
+
+def named_files(plant: Path, contents: Mapping[Path, bytes]) -> Mapping[str, frozenset[Path]]:
+    """Where the files of a gateway may lie by its plant file, by what they are to it; none of them has to be there.
+
+    `contents` has the plant file and device files by their places. Of a model it is its file or its folder. What
+    cannot be read names nothing.
+    """
+    home, document = plant.parent, _tables(contents.get(plant, b""))
+    rows = document.get("machine")
+    machines = [document, *(row for row in (rows if isinstance(rows, list) else ()) if isinstance(row, dict))]
+    devices, models = set[Path](), set[Path]()
+    for machine in machines:
+        own = _table(machine, "device")
+        for link in (own, *_rows(own, "links")):
+            if not isinstance(file := link.get("file"), str):
+                continue
+            settings = _table(_tables(contents.get(place := place_of(home / file), b"")), "device")
+            driver = settings.get("driver")
+            files = DRIVERS[driver].files if isinstance(driver, str) and driver in DRIVERS else frozenset[str]()
+            # A link's own settings are relative to the plant file, those of the device file to that.
+            named = [(place.parent, settings.get(key)) for key in files] + [(home, link.get(key)) for key in files]
+            devices |= {place, *(place_of(folder / name) for folder, name in named if isinstance(name, str) and name)}
+        wanted = [_table(machine, "model").get("path"), *_names(_table(machine, "ensemble").get("members"))]
+        wanted += [row.get("model") for row in _rows(machine, "temperature")]
+        models |= {place_of(home / name) for name in wanted if isinstance(name, str) and name}
+    own_historian, users = _path(document, "historian", "path"), _path(document, "page", "users")
+    key, heads = (_path(document, "writeback", name) for name in ("audit_key", "audit_heads"))
+    # Where nothing is named the records are at the default, or where those of former versions are.
+    historians = (
+        {home / own_historian}
+        if own_historian
+        else {home / place for place in (HistorianSection().path, FORMER_HISTORIAN)}
+    )
+    audits = {_audit(document, home, historian) for historian in historians}
+    keys = {home / key} if key else {audit.with_suffix(".key") for audit in audits}
+    found = {
+        "plant": {plant},
+        "device": devices,
+        "model": models,
+        "accounts": {home / users} if users else {place.with_name("users.json") for place in historians},
+        "key": keys,
+        "public key": {place.with_suffix(".pub") for place in keys},
+        "heads": {home / heads} if heads else {audit.with_suffix(".heads.jsonl") for audit in audits},
+        "historian": historians,
+        "audit": audits,
+    }
+    return {role: frozenset(map(place_of, places)) for role, places in found.items()}
+
+
+def _audit(tables: Mapping[str, Any], home: Path, historian: Path) -> Path:
+    named = _path(tables, "writeback", "audit")
+    return historian.with_name("audit.sqlite") if named is None else home / named
+
+
+def _tables(content: bytes) -> Mapping[str, Any]:
+    try:
+        return parse_toml(content.decode())
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return {}
+
+
+def _table(tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    table = tables.get(name)
+    return table if isinstance(table, dict) else {}
+
+
+def _rows(tables: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
+    return [row for row in _names(tables.get(name)) if isinstance(row, dict)]
+
+
+def _names(value: object) -> list[Any]:
+    return value if isinstance(value, list) else []
 
 
 def _readable(path: Path) -> Mapping[str, Any]:
@@ -78,6 +152,5 @@ def _readable(path: Path) -> Mapping[str, Any]:
 
 
 def _path(tables: Mapping[str, Any], section: str, key: str) -> Path | None:
-    table = tables.get(section)
-    text = table.get(key) if isinstance(table, dict) else None
+    text = _table(tables, section).get(key)
     return Path(text) if isinstance(text, str) and text else None

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         CONFIRMED,
         DISARMED,
         EXPIRED,
+        NO_PROCESS,
         Audit,
         AuditColumns,
         AuditEntry,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     )
     from gateway.store.audit_damage import open_or_set_aside
     from gateway.store.backup import (
+        ROLES,
         BackupError,
         Manifest,
         as_one_file,
@@ -41,10 +43,11 @@ if TYPE_CHECKING:
         make_backup,
         put_in_place,
         read_manifest,
+        signer,
         stage,
     )
     from gateway.store.confirming import confirmation
-    from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
+    from gateway.store.durable import RECORDS_MODE, make_private, numbered_files, set_aside, sync_folder, write_durably
     from gateway.store.files import HistorianError
     from gateway.store.follow import (
         FOLLOWABLE,
@@ -80,7 +83,15 @@ if TYPE_CHECKING:
     )
     from gateway.store.schema import storable
     from gateway.store.score import percentile, scorecard, warning_score
-    from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
+    from gateway.store.signing import (
+        SigningKeyError,
+        key_beside,
+        load_key,
+        load_or_make_key,
+        load_public_key,
+        public_digits,
+        public_path,
+    )
     from gateway.store.tables import TABLE_COLUMNS, Cells, TableColumn, cells_of
     from gateway.store.witness import (
         HEAD_EVENT,
@@ -108,6 +119,9 @@ __all__ = [
     "FOLLOWABLE",
     "HEAD_EVENT",
     "HEAD_STATE",
+    "NO_PROCESS",
+    "RECORDS_MODE",
+    "ROLES",
     "TABLE_COLUMNS",
     "Audit",
     "AuditColumns",
@@ -154,8 +168,10 @@ __all__ = [
     "key_beside",
     "load_key",
     "load_or_make_key",
+    "load_public_key",
     "machines",
     "make_backup",
+    "make_private",
     "matured",
     "moment_of",
     "newest_position",
@@ -170,6 +186,7 @@ __all__ = [
     "percentile",
     "places_beside",
     "position_at",
+    "public_digits",
     "public_path",
     "put_in_place",
     "read",
@@ -184,6 +201,7 @@ __all__ = [
     "scorecard",
     "set_aside",
     "sign_head",
+    "signer",
     "stage",
     "standing",
     "storable",

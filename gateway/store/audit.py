@@ -34,6 +34,7 @@ from typing import Any
 
 from drivers.supervision import Supervisor
 from gateway.chain import BEGIN, digest
+from gateway.store.durable import make_private
 from sim.strict_json import escaped, json_text
 
 APPLICATION_ID = 0x6465_6175
@@ -47,6 +48,8 @@ SHARE = 200
 SUBJECT = "subject"
 """The key of an entry's detail that names its subject."""
 LONGEST_SUBJECT = 200
+NO_PROCESS: Mapping[str, int] = {}
+"""No `uid` and `pid` in the detail of a row: the gateway's own doing, or a person's over the network."""
 BATCH_SECONDS = 1.0
 """The longest that an entry nobody waits for is kept back for the next commit."""
 PATIENCE_SECONDS = 5.0
@@ -441,6 +444,7 @@ def connected(path: Path) -> sqlite3.Connection:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        make_private(path)
         connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
     except (OSError, sqlite3.Error) as error:
         raise UnusableAuditError(f"{path}: cannot be made ({error}); give a path that this user may write") from None

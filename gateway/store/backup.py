@@ -2,7 +2,8 @@
 
 `files/` holds the files, numbered; `manifest.json` says of each where it was, its size, mode and SHA-256. Databases are
 copied by SQLite's online backup, so that the gateway goes on meanwhile; the audit log comes last, so that no signed
-head in the backup is newer than the log in it.
+head in the backup is newer than the log in it. The manifest's seal, a hash over all of it, is signed in `manifest.sig`
+by whoever holds the gateway's key: what is in a manifest is believed as far as somebody vouches for its seal.
 """
 
 import hashlib
@@ -14,21 +15,34 @@ import sqlite3
 import stat
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from drivers.named_files import contents, place_of
 from gateway.store import audit as audit_log
 from gateway.store import schema
 from gateway.store.audit import verify
 from gateway.store.durable import BESIDE, set_aside, sync_folder, write_durably
+from gateway.store.signing import is_signed, public_digits
 
 FORMAT = 1
 MANIFEST = "manifest.json"
+SIGNATURE = "manifest.sig"
+ROLES_ONCE = frozenset({"plant", "accounts", "key", "public key", "heads", "historian", "audit"})
+"""What at most one file of a backup is."""
+ROLES = ROLES_ONCE | {"device", "model"}
+"""What a file of a backup may be to the gateway."""
+PERMISSIONS = 0o777
+"""The bits of a file's mode that are kept; no backup makes a file that runs as its owner."""
 LAYOUTS: Mapping[str, int] = {"historian": schema.VERSION, "audit": audit_log.VERSION}
 """The newest layouts of the databases that this program reads, by role."""
 _STORED = re.compile(r"files/\d{4}-[^/\0]{1,200}")
 _CHUNK = 1 << 20
+_FARTHEST_NS = 8e18
+"""Of a moment from 1970, either way: what a file's time can be (64 bits of ns)."""
 _LONGEST = 16 << 20
 
 
@@ -52,7 +66,7 @@ class Backed:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
     """What a backup holds. `audit_head` is the newest hash of the audit log in it ("" without one); `note` is of who
-    made it ("" for none)."""
+    made it ("" for none); `seal` is the hash over all the others."""
 
     made: float
     program: str
@@ -61,12 +75,21 @@ class Manifest:
     audit_head: str
     files: tuple[Backed, ...]
     note: str = ""
+    seal: str = ""
 
 
 def make_backup(
-    folder: Path, sources: Sequence[tuple[str, Path]], *, now: float, program: str, note: str = ""
+    folder: Path,
+    sources: Sequence[tuple[str, Path]],
+    *,
+    now: float,
+    program: str,
+    note: str = "",
+    key: Ed25519PrivateKey | None = None,
 ) -> Manifest:
     """Copy the sources (role, file), in their order, into a new folder; the audit log has to be the last.
+
+    With `key`, the gateway's, the manifest is signed.
 
     Raises BackupError, also for an audit log whose chain is broken, and OSError; nothing is left at `folder` then.
     """
@@ -78,11 +101,17 @@ def make_backup(
     try:
         (draft / "files").mkdir(parents=True)
         draft.chmod(0o700)  # it holds the key
-        files, layouts, rows, head = [], {}, 0, ""
+        files, layouts, rows, head = list[Backed](), dict[str, int](), 0, ""
         for number, (role, source) in enumerate(sources):
             stored = f"files/{number:04d}-{source.name}"
             target = draft / stored
             status = source.stat()
+            mode = stat.S_IMODE(status.st_mode) & PERMISSIONS
+            original = place_of(source)
+            if any((file.role, file.original) == (role, str(original)) for file in files):
+                continue
+            if not original.samefile(source):
+                raise BackupError(f"{source}: leads by '..' out of a link; name it in the plant file without '..'")
             if role in LAYOUTS:
                 layouts[role] = _copy_database(source, target)
             else:
@@ -92,15 +121,15 @@ def make_backup(
                 if verdict.problem:
                     raise BackupError(f"{source}: {verdict.problem}; no backup is made of a broken audit log")
                 rows, head = verdict.rows, verdict.head
-            target.chmod(stat.S_IMODE(status.st_mode))
+            target.chmod(mode)
             files.append(
                 Backed(
                     role=role,
                     stored=stored,
-                    original=str(source.absolute()),
+                    original=str(original),
                     sha256=_digest(target),
                     size=target.stat().st_size,
-                    mode=stat.S_IMODE(status.st_mode),
+                    mode=mode,
                     time=status.st_mtime_ns,
                 )
             )
@@ -109,9 +138,17 @@ def make_backup(
             made=now, program=program, layouts=layouts, audit_rows=rows, audit_head=head, files=tuple(files), note=note
         )
         content = {"format": FORMAT, **asdict(manifest)}
+        del content["seal"]
         if not note:  # a key that former programs do not know
             del content["note"]
-        write_durably(draft / MANIFEST, json.dumps({**content, "seal": _seal(content)}, indent=1).encode())
+        manifest = replace(manifest, seal=_seal(content))
+        write_durably(draft / MANIFEST, json.dumps({**content, "seal": manifest.seal}, indent=1).encode())
+        if key is not None:  # in a file of its own: former programs read the manifest
+            signature = {
+                "key": public_digits(key.public_key()),
+                "signature": key.sign(_signed_bytes(manifest.seal)).hex(),
+            }
+            write_durably(draft / SIGNATURE, json.dumps(signature).encode())
         if folder.exists():
             folder.rmdir()
         draft.rename(folder)
@@ -132,7 +169,7 @@ def read_manifest(folder: Path) -> Manifest:
     """
     path = folder / MANIFEST
     try:
-        content = json.loads(path.read_bytes()[:_LONGEST])
+        content = json.loads(contents(path, _LONGEST))
         seal = content.pop("seal", "")
     except FileNotFoundError:
         raise BackupError(f"{folder}: has no {MANIFEST}, so it is no backup or only a part of one") from None
@@ -147,13 +184,19 @@ def read_manifest(folder: Path) -> Manifest:
         if form != FORMAT or seal != _seal(content):
             raise ValueError
         del content["format"]
-        manifest = Manifest(**{**content, "files": tuple(Backed(**file) for file in content["files"])})
+        files = tuple(Backed(**{**file, "mode": file["mode"] & PERMISSIONS}) for file in content["files"])
+        manifest = Manifest(**{**content, "files": files, "seal": seal})
         numbers = [manifest.made, *manifest.layouts.values()]
         numbers += [number for file in manifest.files for number in (file.size, file.mode, file.time)]
+        if not all(isinstance(file.time, int) for file in manifest.files):
+            raise TypeError
         texts = [manifest.note]
         texts += [text for file in manifest.files for text in (file.role, file.stored, file.original, file.sha256)]
         if not (all(isinstance(n, int | float) for n in numbers) and all(isinstance(text, str) for text in texts)):
             raise TypeError
+        moments = [manifest.made * 1e9, *(file.time for file in manifest.files)]
+        if not all(abs(moment) < _FARTHEST_NS for moment in moments):
+            raise ValueError
     except (ValueError, TypeError, KeyError, AttributeError):
         raise BackupError(f"{path}: is damaged or was changed; take another backup") from None
     for role, layout in manifest.layouts.items():
@@ -162,10 +205,15 @@ def read_manifest(folder: Path) -> Manifest:
                 f"{folder}: its {role} has layout {layout}, this program reads {LAYOUTS.get(role, 0)}; restore it with "
                 "a newer program"
             )
-    for file in manifest.files:
+    for number, file in enumerate(manifest.files):
         original = Path(file.original)
         if not _STORED.fullmatch(file.stored) or not original.is_absolute() or ".." in original.parts:
             raise BackupError(f"{path}: names {file.stored!r} for {file.original!r}, which no backup does")
+        others = [other for other in manifest.files[:number] if other.role == file.role and other.role in ROLES_ONCE]
+        others += [other for other in manifest.files[:number] if other.original == file.original]
+        if file.role not in ROLES or others:
+            both = " and ".join(repr(other.original) for other in (*others[:1], file))
+            raise BackupError(f"{path}: has {both} as {file.role!r}, which no backup does")
         stored = folder / file.stored
         if stored.is_symlink() or not stored.is_file():
             raise BackupError(f"{stored}: is missing; the backup is not whole, take another one")
@@ -174,10 +222,20 @@ def read_manifest(folder: Path) -> Manifest:
     return manifest
 
 
+def signer(folder: Path, manifest: Manifest) -> str:
+    """The public key (digits) that has signed a backup; "" where none has."""
+    try:
+        plain = json.loads(contents(folder / SIGNATURE, _LONGEST))
+        key, signature = str(plain["key"]), str(plain["signature"])
+    except (OSError, ValueError, RecursionError, TypeError, KeyError):
+        return ""
+    return key if is_signed(key, signature, _signed_bytes(manifest.seal)) else ""
+
+
 def stage(folder: Path, manifest: Manifest, root: Path) -> dict[Path, Path]:
     """Copy a backup's files beside the places under `root` where they were, on the disk; gives draft by place.
 
-    Raises OSError, and leaves no draft then.
+    Raises OSError, BackupError for a file that has changed since the manifest was read, and leaves no draft then.
     """
     drafts: dict[Path, Path] = {}
     done = False
@@ -188,6 +246,8 @@ def stage(folder: Path, manifest: Manifest, root: Path) -> dict[Path, Path]:
             draft = place.with_name(f".{place.name}.restored-{os.getpid()}")
             drafts[place] = draft
             _copy(folder / file.stored, draft)
+            if _digest(draft) != file.sha256:
+                raise BackupError(f"{folder / file.stored}: was changed while it was being restored")
             draft.chmod(file.mode)
             # What the plant file's time of change says of its arming stays as it was.
             os.utime(draft, ns=(file.time, file.time))
@@ -257,6 +317,10 @@ def _copy_database(source: Path, target: Path) -> int:
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _signed_bytes(seal: str) -> bytes:
+    return f"decanter backup {seal}\n".encode()
 
 
 def _seal(content: Mapping[str, Any]) -> str:

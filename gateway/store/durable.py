@@ -4,11 +4,13 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+RECORDS_MODE = 0o640
+"""Records are their owner's and its group's to read, whatever the umask of who starts the program."""
 BESIDE = ("", "-wal", "-shm", "-journal")
 """What SQLite keeps beside a database belongs to it."""
 
 
-def write_durably(path: Path, data: bytes, *, mode: int = 0o644, replace: bool = True) -> None:
+def write_durably(path: Path, data: bytes, *, mode: int = RECORDS_MODE, replace: bool = True) -> None:
     """Write a file in one step: to a temporary name, to the disk, then renamed. Raises OSError.
 
     Without `replace` FileExistsError is raised where there is one already.
@@ -27,6 +29,15 @@ def write_durably(path: Path, data: bytes, *, mode: int = 0o644, replace: bool =
         sync_folder(path.parent)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def make_private(path: Path) -> None:
+    """Make an empty file that others cannot read, where there is none; SQLite gives what it keeps beside it its mode.
+
+    Never raises: whoever opens the file next says better why it cannot be.
+    """
+    with suppress(OSError):
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, RECORDS_MODE))
 
 
 def sync_folder(folder: Path) -> None:

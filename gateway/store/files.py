@@ -18,7 +18,7 @@ from math import inf
 from pathlib import Path
 from shutil import disk_usage
 
-from gateway.store.durable import BESIDE, set_aside
+from gateway.store.durable import BESIDE, make_private, set_aside
 from gateway.store.schema import (
     APPLICATION_ID,
     COLUMNS,
@@ -139,6 +139,7 @@ def _connected(path: Path, max_mb: float, heir: str) -> HistorianFile:
 
 
 def _connection(path: Path, synchronous: str, most_bytes: float) -> sqlite3.Connection:
+    make_private(path)
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
     try:
         # Before anything else: a database takes up auto_vacuum only while it is empty (sqlite.org/pragma.html), and the
@@ -262,6 +263,7 @@ def _migrated(connection: sqlite3.Connection, path: Path, version: int, heir: st
     if not copy.exists():
         draft = copy.with_name(copy.name + ".part")
         draft.unlink(missing_ok=True)
+        make_private(draft)
         with closing(sqlite3.connect(draft)) as target:
             connection.backup(target)
         # In one step: a copy that was cut short by a kill never bears the name of a whole one.

@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.supervision import Supervisor
 from drivers.tag import Tag
 from gateway.store.columns import PackedError
+from gateway.store.durable import RECORDS_MODE
 from gateway.store.files import HistorianError, HistorianFile, UnusableHistorianError, opened
 from gateway.store.numbers import FileNumbers, Source, newest_of
 from gateway.store.queues import Batch, LostRows, Row, RowQueues
@@ -588,7 +589,7 @@ class _FileLock:
             return
         try:
             self._place.parent.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self._place, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
+            descriptor = os.open(self._place, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, RECORDS_MODE)
         except OSError as error:
             raise UnusableHistorianError(
                 f"{self._path}: cannot be made ({error.strerror}); give a path that this user may write"

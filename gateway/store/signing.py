@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.serialization import (
 
 from gateway.store.durable import write_durably
 
-KEY_MODE = 0o600
+KEY_MODE, PUBLIC_MODE = 0o600, 0o644
 
 
 class SigningKeyError(OSError):
@@ -57,7 +57,7 @@ def load_or_make_key(path: Path) -> Ed25519PrivateKey:
         public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
         # Whoever may not write it may still sign: the key can be taken from any signed head.
         with suppress(OSError):
-            write_durably(public_path(path), public)
+            write_durably(public_path(path), public, mode=PUBLIC_MODE)
     return key
 
 

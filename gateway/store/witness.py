@@ -20,6 +20,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.store.audit import CONFIRMED, AuditEntry, ChainVerdict, hashes, read, verify
 from gateway.store.confirming import is_confirmed
+from gateway.store.durable import RECORDS_MODE
 from gateway.store.files import HistorianError
 from gateway.store.read_back import reading
 from gateway.store.signing import (
@@ -129,7 +130,7 @@ class AuditVerdict:
 def heads_file(head: SignedHead, path: Path) -> None:
     """Append a signed head to a file, a line of JSON each, on the disk when this returns. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, RECORDS_MODE)
     try:
         size = os.fstat(file).st_size
         # A line that a power cut has torn stays alone.

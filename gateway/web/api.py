@@ -33,8 +33,6 @@ BODY_S = 10.0
 """How long a request's body may take to come."""
 MOST_QUERY = 2_000
 FARTHEST_S = 1e10
-WAITING_LOGINS = 8
-"""Passwords that wait to be looked at; more are refused at once."""
 COOKIE = "decanter_session"
 TOKEN_HEADER = "x-csrf-token"  # noqa: S105 - the name of a header
 
@@ -126,7 +124,7 @@ async def _admitted(page: PageState, endpoint: Endpoint, request: Request) -> Ca
         if session is None or role is None:
             raise Refused(HTTPStatus.UNAUTHORIZED, "log in first: this changes something, and needs a person")
         if ROLE_ORDER.index(role) < ROLE_ORDER.index(endpoint.role):
-            page.note("page: refused", f"{session.name} at {_address(request)}", f"{role} may not {endpoint.path}")
+            page.note("page: refused", f"{session.name} at {address_of(request)}", f"{role} may not {endpoint.path}")
             raise Refused(HTTPStatus.FORBIDDEN, f"an account of the role {role} may not do this; {endpoint.role} may")
     elif session is None and not endpoint.open and not page.reading_is_open:
         raise Refused(HTTPStatus.UNAUTHORIZED, "log in first: this page shows nothing without an account")
@@ -134,7 +132,7 @@ async def _admitted(page: PageState, endpoint: Endpoint, request: Request) -> Ca
         page=page,
         given=await _given(endpoint, request),
         language=language_of(request),
-        address=_address(request),
+        address=address_of(request),
         secret=secret,
         secure=request.url.scheme == "https",
         session=session,
@@ -200,7 +198,8 @@ async def _body(request: Request) -> bytes:
     return bytes(body)
 
 
-def _address(request: Request) -> str:
+def address_of(request: Request) -> str:
+    """The address that a request comes from."""
     return request.client.host if request.client else "unknown"
 
 
@@ -329,10 +328,10 @@ async def _log_in(call: Call) -> Any:
             f"too many wrong passwords; try again in {max(round(wait), 1)} s",
             {"retry-after": str(max(round(wait), 1))},
         )
-    if page.passwords.waiting >= WAITING_LOGINS:
+    if not page.passwords.has_room(call.address):
         raise Refused(HTTPStatus.TOO_MANY_REQUESTS, "too many log-ins at a time; try again in a moment")
     account = page.accounts.get(name)
-    if not await page.passwords.right(account, call.given.password):
+    if not await page.passwords.right(account, call.given.password, call.address):
         locked = page.lockout.failed(name, call.address)
         page.note("page: log-in locked" if locked else "page: log-in failed", f"{name[:40]} at {call.address}")
         raise Refused(HTTPStatus.UNAUTHORIZED, "the name or the password is wrong")

@@ -21,7 +21,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gateway.status import ControlError
 from gateway.texts import LANGUAGES
-from gateway.web.api import COOKIE, ENDPOINTS, Endpoint, answered, as_json, language_of
+from gateway.web.api import COOKIE, ENDPOINTS, Endpoint, address_of, answered, as_json, language_of
 from gateway.web.state import PageState
 from sim.strict_json import json_text
 
@@ -76,10 +76,22 @@ class SecureHeaders:
 class EventStream:
     """A response that never ends by itself: the live stream, for as long as its client listens and may."""
 
-    def __init__(self, page: PageState, language: str, secret: str) -> None:
-        self._page, self._language, self._secret = page, language, secret
+    def __init__(self, page: PageState, language: str, secret: str, address: str) -> None:
+        self._page, self._language, self._secret, self._address = page, language, secret, address
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        # A place is had before anything is waited for: of many who come at once none is let in by the same free one.
+        places, ended = self._page.live.places, asyncio.Event()
+        if not places.take(ended, self._address):
+            refusal = as_json({"reason": f"{len(places)} browsers follow already"}, HTTPStatus.SERVICE_UNAVAILABLE)
+            await refusal(scope, receive, send)
+            return
+        try:
+            await self._follow(receive, send, ended)
+        finally:
+            places.give_back(ended)
+
+    async def _follow(self, receive: Receive, send: Send, ended: asyncio.Event) -> None:
         async def until_gone() -> None:
             while (await receive())["type"] != "http.disconnect":
                 pass
@@ -93,7 +105,7 @@ class EventStream:
 
         headers = [(b"content-type", b"text/event-stream"), (b"x-accel-buffering", b"no")]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
-        tasks = {asyncio.ensure_future(work()) for work in (until_gone, events)}
+        tasks = {asyncio.ensure_future(work()) for work in (until_gone, events, ended.wait)}
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -117,8 +129,8 @@ def static_files() -> dict[str, tuple[bytes, str, str]]:
     return files
 
 
-def make_application(page: PageState, most_streams: int, failed: Callable[[str, Exception], None]) -> ASGIApp:
-    """The application; beyond `most_streams` browsers that follow a further one is refused.
+def make_application(page: PageState, failed: Callable[[str, Exception], None]) -> ASGIApp:
+    """The application.
 
     `failed` is told the path of a request that could not be answered, and why: that is a defect, and never silent.
     """
@@ -176,9 +188,7 @@ def make_application(page: PageState, most_streams: int, failed: Callable[[str, 
         secret = request.cookies.get(COOKIE, "")[:200]
         if not page.reading_is_open and page.sessions.find(secret) is None:
             return as_json({"reason": "log in first"}, HTTPStatus.UNAUTHORIZED)
-        if page.live.listeners >= most_streams:
-            return as_json({"reason": f"{most_streams} browsers follow already"}, HTTPStatus.SERVICE_UNAVAILABLE)
-        return EventStream(page, language_of(request), secret)
+        return EventStream(page, language_of(request), secret, address_of(request))
 
     async def refused(_: Request, error: Exception) -> Response:
         status = HTTPStatus(error.status_code) if isinstance(error, HTTPException) else HTTPStatus.BAD_REQUEST

@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from gateway.shares import SharedPlaces
 from gateway.status import GatewayStatus
 from sim.strict_json import json_text
 
@@ -29,11 +30,13 @@ class MachinePicture:
 class LiveStream:
     """Takes statuses and gives events (`text/event-stream`); all methods belong to the page's own loop.
 
-    `listeners` counts those who follow: while there is none, nobody need take a picture.
+    `places` are those for `most` who follow; who has one is told by its event to end. `listeners` counts those who
+    follow: while there is none, nobody need take a picture.
     """
 
-    def __init__(self, show: Show) -> None:
+    def __init__(self, show: Show, most: int) -> None:
         self._show = show
+        self.places: SharedPlaces[asyncio.Event] = SharedPlaces(most, asyncio.Event.set)
         self._pictures: dict[str, MachinePicture] = {}
         self._order: tuple[str, ...] = ()
         self._version = 0

@@ -21,6 +21,7 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from drivers.settings import ConfigError
+from gateway.listener import SharingListener
 from gateway.settings import Config
 from gateway.status import GatewayStatus
 from gateway.store import Audit
@@ -45,17 +46,13 @@ REFRESH_S, LEAST_S = 1.0, 0.1
 
 
 class BoundedProtocol(H11Protocol):
-    """uvicorn's HTTP/1.1, whose connections are bounded in number and in how long they may do nothing."""
+    """uvicorn's HTTP/1.1, whose connections are bounded in how long they may do nothing."""
 
-    most = 100
     _timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """A further client, or one too many."""
+        """A further client."""
         super().connection_made(transport)
-        if len(self.connections) > self.most:
-            transport.abort()
-            return
         raw: socket.socket | None = transport.get_extra_info("socket")
         if raw is not None:
             raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -204,14 +201,13 @@ class PageServer:
             family, kind, protocol, _, address = socket.getaddrinfo(
                 page.host, page.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
             )[0]
-            listener = socket.socket(family, kind, protocol)
+            listener = SharingListener(family, kind, protocol)
         except OSError as error:
             raise OSError(error.errno, f"[page] cannot listen at {page.host}: {error.strerror or error}") from None
         with listener:
             try:
-                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                listener.bind(address)
-                listener.listen(BACKLOG)
+                listener.bound(2 * page.most_clients + 20)
+                listener.listen_at(address, BACKLOG)
             except OSError as error:
                 reason = (error.strerror or str(error)).lower()
                 raise OSError(
@@ -223,7 +219,7 @@ class PageServer:
         config, page = self._config, self._config.page
         words = all_words()
         accounts = Accounts(config.users)
-        live: LiveStream = LiveStream(lambda language, status: state.show(language, status))
+        live: LiveStream = LiveStream(lambda language, status: state.show(language, status), page.most_clients)
         # An unchanged value is stored so often, and a scan may be late.
         gap = config.historian.max_interval + 10.0 * max(each.scan.period for each in self._configs)
         state = PageState(
@@ -239,13 +235,12 @@ class PageServer:
             now=self._now,
             backups=BackupMaker(config),
         )
-        protocol = type("PageProtocol", (BoundedProtocol,), {"most": 2 * page.most_clients + 20})
         context = None if page.certificates is None else _tls(page.certificates, config)
         server = uvicorn.Server(
             uvicorn.Config(
-                make_application(state, page.most_clients, self._request_failed),
+                make_application(state, self._request_failed),
                 loop="asyncio",
-                http=protocol,
+                http=BoundedProtocol,
                 ws="none",
                 lifespan="off",
                 log_config=None,

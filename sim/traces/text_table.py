@@ -14,6 +14,7 @@ from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 
+from drivers.csv_rows import unguarded
 from drivers.errors import did_you_mean
 from drivers.named_files import regular
 from sim.traces.cells import numbers
@@ -136,7 +137,7 @@ def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]
     """The names in the row that begins with the first of `lines`, and how many lines it takes; no names: no row."""
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
     try:
-        names = [cell.strip() for cell in next(reader)]
+        names = [cell.strip() for cell in unguarded(next(reader))]
     except csv.Error:
         return (), 1
     while names and not names[-1]:
@@ -229,7 +230,7 @@ def _plain_rows(lines: Sequence[str], layout: TextLayout, comment: str) -> list[
     # A row of another width is refused, or loses blank cells; the header may come again. Both are looked at singly.
     if set(map(len, rows)) != {len(layout.header)} or layout.header[0] in map(itemgetter(0), rows):
         return None
-    return rows
+    return list(map(unguarded, rows)) if "'" in text else rows
 
 
 def split_rows(
@@ -270,7 +271,7 @@ def split_rows(
                     break
                 number = taken[0][0]
                 taken.clear()
-                yield number, cells, ""
+                yield number, unguarded(cells), ""
             else:
                 return
         except csv.Error as error:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.csv_rows import write_rows
 from drivers.named_files import writing
 from sim.sha import Trace
 from sim.traces.traces import SYNTHETIC
@@ -19,17 +20,16 @@ def write_trace(trace: Trace, path: str | Path) -> None:
     for name in trace.signals:
         if not name or name == "time" or name != name.strip() or any(mark in name for mark in ',"\n\r#'):
             raise ValueError(f"trace {trace.name!r}: {name!r} cannot be a column's name; rename the signal")
-    columns: list[list[str]] = []
+    columns: list[list[object]] = []
     for name, values in trace.signals.items():
-        # repr is the shortest text from which the same double is read again.
-        cells = ["" if value != value else repr(value) for value in values.tolist()]
+        cells: list[object] = [None if value != value else value for value in values.tolist()]
         for row in np.flatnonzero(trace.bad[name]).tolist() if name in trace.bad else ():
             cells[row] = "nan"
         columns.append(cells)
-    rows = zip(map(repr, trace.times.tolist()), *columns, strict=True)
+    rows = zip(trace.times.tolist(), *columns, strict=True)
     with writing(path), Path(path).open("w", encoding="utf-8", newline="\n") as stream:
         stream.write(f"# origin: {' '.join((trace.origin or trace.name).split())}\n")
         if trace.synthetic:
             stream.write(f"# {SYNTHETIC}: not measured on a plant\n")
-        stream.write(",".join(["time", *trace.signals]) + "\n")
-        stream.writelines(",".join(row_of_cells) + "\n" for row_of_cells in rows)
+        write_rows(stream, [("time", *trace.signals)])
+        write_rows(stream, rows)

@@ -1,6 +1,5 @@
 """The folder of a campaign: what may be written over, records stage by stage, results as JSON and CSV, read back."""
 
-import csv
 import fcntl
 import io
 import json
@@ -13,6 +12,7 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
+from drivers.csv_rows import write_rows
 from drivers.named_files import regular
 from sim.engine import Score
 from sim.files import replace_durably
@@ -196,9 +196,7 @@ def results_csv(results: Iterable[TraceResult]) -> str:
         rows.append(row)
     text = io.StringIO()
     names = list(rows[0]) if rows else [field.name for field in fields(TraceResult)]
-    writer = csv.DictWriter(text, names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
+    write_rows(text, (names, *([row.get(name) for name in names] for row in rows)))
     return text.getvalue()
 
 

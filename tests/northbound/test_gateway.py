@@ -217,7 +217,8 @@ def test_secrets_and_extras_that_are_missing_are_named(tmp_path: Path, monkeypat
     with pytest.raises(ConfigError) as missing:
         check_northbound(config)
     assert str(missing.value) == (
-        f"{config.path}: northbound.mqtt: needs paho, which is not installed; pip install 'decanter-gateway[mqtt]'"
+        f"{config.path}: northbound.mqtt: needs paho, which is not installed; pip install 'decanter-gateway[mqtt]', "
+        "or on Debian install the package decanter-gateway"
     )
     refused(decanter("run", "--config", config.path), 2, "pip install 'decanter-gateway[mqtt]'")
     checked = decanter("plc", "check", "--offline", "--config", config.path)

@@ -379,5 +379,6 @@ def test_a_missing_extra_and_wrong_certificates_are_named(tmp_path: Path, monkey
     with pytest.raises(ConfigError) as missing:
         check_northbound(config)
     assert str(missing.value) == (
-        f"{config.path}: northbound.opcua: needs asyncua, which is not installed; pip install 'decanter-gateway[opcua]'"
+        f"{config.path}: northbound.opcua: needs asyncua, which is not installed; pip install "
+        "'decanter-gateway[opcua]', or on Debian install the package decanter-gateway"
     )

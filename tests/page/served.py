@@ -125,6 +125,7 @@ class Client:
     cookie: str = ""
     token: str = ""
     headers: dict[str, str] = field(default_factory=dict)
+    address: str = "127.0.0.1"
 
     def ask(self, method: str, path: str, given: Any = None, **headers: str) -> tuple[int, Any]:
         """The status and the JSON of an answer."""
@@ -133,7 +134,7 @@ class Client:
 
     def raw(self, method: str, path: str, given: Any = None, **headers: str) -> tuple[int, dict[str, str], bytes]:
         """The status, headers and body of an answer."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120.0)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120.0, source_address=(self.address, 0))
         body = given if isinstance(given, bytes) else None if given is None else json.dumps(given).encode()
         sent = {"content-type": "application/json", "cookie": self.cookie, "x-csrf-token": self.token, **self.headers}
         sent |= {name.replace("_", "-"): value for name, value in headers.items()}

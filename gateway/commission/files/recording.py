@@ -1,13 +1,12 @@
 """Recordings of readings: made by `soak`, read by `verify` and `replay`; a gateway's historian is one too."""
 
-import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from drivers.csv_rows import CsvRowError, numbered_rows
+from drivers.csv_rows import CsvRowError, numbered_rows, write_rows
 from drivers.named_files import regular, writing
 from drivers.tag import Sample, Tag
 from gateway.commission.files.cells import ListError
@@ -119,9 +118,8 @@ class ScanRecorder:
     def __init__(self, path: Path, tags: Sequence[Tag]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._path, self._stream = path, path.open("w", encoding="utf-8", newline="")
-        self._writer = csv.writer(self._stream, lineterminator="\n")
         self._names = [tag.name for tag in tags]
-        self._writer.writerow(["time", *self._names])
+        write_rows(self._stream, [("time", *self._names)])
 
     def take(self, time: float, samples: Sequence[Sample]) -> None:
         """One scan."""
@@ -134,7 +132,7 @@ class ScanRecorder:
                 cells.append("")  # text too is left out: a recording holds numbers only
             else:
                 cells.append(str(int(value)) if isinstance(value, bool) else repr(value))
-        self._writer.writerow([f"{time:.3f}", *cells])
+        write_rows(self._stream, [(f"{time:.3f}", *cells)])
         # What was read stands in the file even when the program is killed.
         with writing(self._path):
             self._stream.flush()

@@ -81,7 +81,9 @@ def commit(
     path.parent.mkdir(parents=True, exist_ok=True)
     fresh = path.with_name(f".{path.name}.{os.getpid()}.new")
     try:
-        _write(fresh, edit.after)
+        # A web hook in a plant file may hold a token: who may not read the file may not read a copy of it.
+        mode = path.stat().st_mode & 0o777 if path.exists() else 0o666
+        _write(fresh, edit.after, mode)
         try:
             check(fresh)
         except ConfigError as error:
@@ -97,8 +99,9 @@ def commit(
             stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime(now()))
             names = [f"{path.name}.{stamp}{f'-{count}' if count else ''}.bak" for count in range(1000)]
             backup = next(place for name in names if not (place := path.with_name(name)).exists())
-            _write(backup, edit.before)
-            fresh.chmod(path.stat().st_mode & 0o7777)
+            _write(backup, edit.before, mode)
+            for copy in (fresh, backup):
+                copy.chmod(mode)
         fresh.replace(path)
     finally:
         with suppress(FileNotFoundError):
@@ -112,8 +115,9 @@ def commit(
     return backup
 
 
-def _write(path: Path, text: str) -> None:
-    with writing(path), path.open("wb") as stream:
+def _write(path: Path, text: str, mode: int) -> None:
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, mode)
+    with writing(path), os.fdopen(file, "wb") as stream:
         stream.write(text.encode("utf-8"))
         stream.flush()
         os.fsync(stream.fileno())

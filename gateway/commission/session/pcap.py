@@ -11,6 +11,7 @@ from typing import BinaryIO
 
 from drivers.named_files import writing
 from drivers.tap import Medium, TapFrame
+from gateway.store import make_private
 
 LINK_TYPES: dict[Medium, int] = {"tcp": 101, "serial": 147, "can": 227}
 """LINKTYPE_RAW (IP from the first byte), LINKTYPE_USER0 (RTU bytes as they stand), LINKTYPE_CAN_SOCKETCAN."""
@@ -29,6 +30,7 @@ class PcapWriter:
 
     def __init__(self, path: Path, medium: Medium) -> None:
         self.path, self.medium, self.foreign = path, medium, 0
+        make_private(path)
         self._file: BinaryIO = path.open("wb")
         self._file.write(struct.pack(">IHHiIII", _MAGIC, 2, 4, 0, 0, _LONGEST, LINK_TYPES[medium]))
         self._moved: dict[tuple[str, str], int] = {}

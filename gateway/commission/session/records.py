@@ -16,6 +16,7 @@ from typing import Any
 from drivers.errors import OneLineError
 from drivers.named_files import writing
 from gateway.chain import first_break, hash_of
+from gateway.store import make_private
 from sim.strict_json import json_text
 
 LIBRARIES = ("decanter-gateway", "pymodbus", "python-can", "canopen", "cantools", "pyserial")
@@ -56,6 +57,7 @@ def append(path: Path, record: CommandRecord) -> str:
     Two commands at a time take their turns.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    make_private(path)
     with writing(path), path.open("a+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         # The last line is read backwards in blocks: a file of records grows for years, and an append must not.
@@ -76,6 +78,7 @@ def append(path: Path, record: CommandRecord) -> str:
 def check_writable(path: Path) -> None:
     """Raises OSError where no record could be appended: better before the command than after it."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    make_private(path)
     with path.open("ab"):
         pass
 

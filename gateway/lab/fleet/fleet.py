@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import nullcontext
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from drivers.csv_rows import write_rows
 from drivers.named_files import writing
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
 from gateway.entry import Exit, fail, interruptible, sentences
@@ -188,9 +188,7 @@ def write_table(found: FleetFindings, words: Mapping[str, str], path: Path) -> N
     """All machines as CSV. Raises OSError."""
     rows = rows_of(found, words)
     with writing(path), path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+        write_rows(file, (rows[0], *(row.values() for row in rows)))
 
 
 def draw(found: FleetFindings, words: Mapping[str, str], path: Path) -> None:

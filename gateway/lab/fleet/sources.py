@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from drivers.tag import Quality
+from gateway.extras import missing
 from sim.sha import Trace
 from sim.traces import ColumnMap, files_by_machine, load_traces
 
@@ -228,19 +229,15 @@ def _arrow() -> Any:
     try:
         import_module("pyarrow.parquet")
         return import_module("pyarrow")
-    except ImportError:
-        raise ValueError(
-            "Parquet needs pyarrow, which is not installed; pip install 'decanter-gateway[parquet]'"
-        ) from None
+    except ImportError as error:
+        raise ValueError(f"Parquet {missing('parquet', error)}") from None
 
 
 def _answers(url: str, schema: str, query: str, values: tuple[object, ...]) -> list[tuple[Any, ...]]:
     try:
         psycopg = import_module("psycopg")
-    except ImportError:
-        raise ValueError(
-            "PostgreSQL needs psycopg, which is not installed; pip install 'decanter-gateway[postgres]'"
-        ) from None
+    except ImportError as error:
+        raise ValueError(f"PostgreSQL {missing('postgres', error)}") from None
     sql = psycopg.sql
     try:
         with psycopg.connect(url, connect_timeout=5, options="-c default_transaction_read_only=on") as connection:

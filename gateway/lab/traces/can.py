@@ -1,6 +1,5 @@
 """`decanter trace can`: a recorded CAN log decoded by a device file, as a table and as a CSV trace."""
 
-import csv
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Any, TextIO
 
 import click
 
+from drivers.csv_rows import write_rows
 from drivers.driver import open_recording
 from drivers.named_files import writing
 from drivers.tag import Sample
@@ -80,12 +80,11 @@ def _written(out: Path | None) -> Iterator[Any]:
 
 
 def _rows(stream: TextIO, samples: Iterable[Sample]) -> Iterator[Sample]:
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    write_rows(stream, [COLUMNS])
     for sample in samples:
         value = sample.value if sample.quality.is_good else "nan"
         cell = int(value) if isinstance(value, bool) else value
-        writer.writerow((f"{sample.time:.6f}", sample.tag, cell, sample.quality.name))
+        write_rows(stream, [(f"{sample.time:.6f}", sample.tag, cell, sample.quality.name)])
         yield sample
 
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         disarm_in_log,
         end_by_mode,
         next_start,
+        own_process,
         signed,
         uptime,
     )
@@ -66,6 +67,7 @@ __all__ = [
     "next_heartbeat",
     "next_start",
     "open_audit_trail",
+    "own_process",
     "places_for",
     "places_of",
     "signed",

@@ -10,8 +10,9 @@ start makes of all that.
 from __future__ import annotations
 
 import asyncio
+import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
@@ -28,6 +29,7 @@ from gateway.store import (
     ARMED,
     DISARMED,
     EXPIRED,
+    NO_PROCESS,
     Audit,
     AuditEntry,
     AuditRow,
@@ -91,12 +93,17 @@ def arming_of(row: AuditRow) -> Arming:
     return Arming(row.entry.who, row.entry.reason, float(row.entry.detail["until"]))
 
 
+def own_process() -> Mapping[str, int]:
+    """`uid` and `pid` of this program, for the row of what a person does by it."""
+    return {"uid": os.getuid(), "pid": os.getpid()}
+
+
 def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = None, subject: str = "") -> None:
     """Arm a subject where no gateway runs: for the commands that write, and for a gateway that starts meanwhile.
 
     `key` is the gateway's key file, by default the one beside the log. Raises ArmingError, AuditError, SigningKeyError.
     """
-    entry = entry_of(arming, now, "command").of(subject)
+    entry = entry_of(arming, now, "command", **own_process()).of(subject)
     late = "the disk did not take it in time"
     signing = load_or_make_key(key or key_beside(path))
     audit = open_audit(path)
@@ -115,7 +122,14 @@ def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = Non
 
 
 def disarm_in_log(
-    path: Path, by: str, reason: str, now: float, stamp: float | None = None, *, subject: str = ""
+    path: Path,
+    by: str,
+    reason: str,
+    now: float,
+    stamp: float | None = None,
+    *,
+    subject: str = "",
+    process: Mapping[str, int] | None = None,
 ) -> AuditRow | None:
     """Take back what is in force of a subject, and what a plant file saved at `stamp` would arm at the next start.
 
@@ -125,7 +139,8 @@ def disarm_in_log(
     row = _standing(path, now, subject)
     audit = open_audit(path)
     try:
-        entry = AuditEntry(now, DISARMED, by, reason, {} if stamp is None else {"stamp": stamp})
+        detail = {**(own_process() if process is None else process), **({} if stamp is None else {"stamp": stamp})}
+        entry = AuditEntry(now, DISARMED, by, reason, detail)
         if not audit.record(entry.of(subject)):
             why = audit.failure or "the disk does not answer"
             raise ArmingError(f"nothing has changed, as the audit log does not take it: {why}")
@@ -309,7 +324,14 @@ def open_writers(
 
 
 async def arm(
-    writers: Sequence[Writer], driver: Driver, *, by: str, reason: str, minutes: float, key: Ed25519PrivateKey
+    writers: Sequence[Writer],
+    driver: Driver,
+    *,
+    by: str,
+    reason: str,
+    minutes: float,
+    key: Ed25519PrivateKey,
+    process: Mapping[str, int] = NO_PROCESS,
 ) -> Arming:
     """Arm the blocks of a gateway that runs in shadow, or sign their arming anew; `key` confirms it.
 
@@ -322,7 +344,7 @@ async def arm(
         raise ArmingError("it is being disarmed at this moment; arm again once that is done")
     now, generations = clock.now(), [writer.generation for writer in writers]
     arming = signed(by, reason, minutes, now)
-    entry = entry_of(arming, now, "command", clock.speed).of(writers[0].subject)
+    entry = entry_of(arming, now, "command", clock.speed, **process).of(writers[0].subject)
     row = await audit.stored(entry, undo=cancelling(entry, "not armed: the disk did not take it in time"))
     if row is None:
         why = audit.failure or "the disk does not answer"

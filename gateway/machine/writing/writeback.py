@@ -20,7 +20,7 @@ from drivers.errors import DriverError, WriteForbidden
 from gateway.machine.reading import Clock, Scan
 from gateway.machine.writing.block import SessionWords, Validity, Values, WritebackBlock, block_builder, next_heartbeat
 from gateway.settings import WritebackLayout
-from gateway.store import DISARMED, EXPIRED, Audit, AuditEntry, detail_about
+from gateway.store import DISARMED, EXPIRED, NO_PROCESS, Audit, AuditEntry, detail_about
 
 Mode = Literal["off", "shadow", "armed"]
 Verdict = Literal["shadow", "written", "failed", "not permitted", "held back"]
@@ -398,12 +398,13 @@ async def disarm_together(
     audit: Audit | None,
     scan: Scan | None = None,
     stamp: float | None = None,
+    process: Mapping[str, int] = NO_PROCESS,
 ) -> list[Attempt | None]:
     """Let the writers of one arming fall back to shadow; with the newest `scan` each one's last block has validity 0.
 
     Gives what became of these blocks; `alarms` are their alarm words. When this returns nothing usable leaves any more,
     and the row is on record; also where nothing was armed, so that the newest word of a person is known. `stamp` is the
-    plant file's time of change, where there is one.
+    plant file's time of change, where there is one, `process` the program by which a person asks.
     """
     formers = [writer.arming for writer in writers]
     former = next((arming for arming in formers if arming is not None), None)
@@ -422,7 +423,8 @@ async def disarm_together(
         if audit is not None and (former is not None or by):
             over = former is not None and not by and now >= former.until
             who, why = by or (former.by if former else ""), reason or "the arming is over"
-            entry = AuditEntry(now, EXPIRED if over else DISARMED, who, why, {} if stamp is None else {"stamp": stamp})
+            detail = {**process, **({} if stamp is None else {"stamp": stamp})}
+            entry = AuditEntry(now, EXPIRED if over else DISARMED, who, why, detail)
             await audit.kept(entry.of(writers[0].subject), DISARMED_SECONDS)
         return attempts
     finally:

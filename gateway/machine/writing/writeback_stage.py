@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from random import Random
@@ -17,7 +17,7 @@ from gateway.machine.writing.block_stage import BlockStage
 from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
 from gateway.machine.writing.writeback import Arming, disarm_together
 from gateway.settings import Config, WritebackLayout
-from gateway.store import Audit, HistorianView, open_or_set_aside, saved_state
+from gateway.store import NO_PROCESS, Audit, HistorianView, open_or_set_aside, saved_state
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -145,7 +145,14 @@ class WritebackStage:
             await block.withdraw(why, scan, word)
 
     async def arm(
-        self, by: str, reason: str, minutes: float, *, unverified: str = "", acknowledged: Sequence[str] = ()
+        self,
+        by: str,
+        reason: str,
+        minutes: float,
+        *,
+        unverified: str = "",
+        acknowledged: Sequence[str] = (),
+        process: Mapping[str, int] = NO_PROCESS,
     ) -> Arming:
         """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError."""
         if unverified:
@@ -163,13 +170,21 @@ class WritebackStage:
         )
         if [writer.generation for writer in self._writers] != generations:
             raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
-        arming = await arm(self._writers, self._driver, by=by, reason=reason, minutes=minutes, key=key)
+        arming = await arm(self._writers, self._driver, by=by, reason=reason, minutes=minutes, key=key, process=process)
         self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
         await asyncio.to_thread(witnessing.sign, self._clock.now(), witnessing.turn())
         return arming
 
-    async def disarm(self, by: str, reason: str, scan: Scan | None, alarms: Sequence[int]) -> bool:
+    async def disarm(
+        self,
+        by: str,
+        reason: str,
+        scan: Scan | None,
+        alarms: Sequence[int],
+        *,
+        process: Mapping[str, int] = NO_PROCESS,
+    ) -> bool:
         """Take back what stands in the PLC, as the last blocks that leave, and write no more; False: it was not armed.
 
         `by` is "" where the gateway disarms itself; `scan` is the newest one.
@@ -177,7 +192,7 @@ class WritebackStage:
         now, arming = self._clock.now(), next((writer.arming for writer in self._writers if writer.arming), None)
         stamp = self.config.path.stat().st_mtime if self.config.path.exists() else self.config.stamp
         attempts = await disarm_together(
-            self._writers, now, by, reason, scan=scan, alarms=alarms, audit=self.audit, stamp=stamp
+            self._writers, now, by, reason, scan=scan, alarms=alarms, audit=self.audit, stamp=stamp, process=process
         )
         for block, attempt in zip(self.blocks, attempts, strict=True):
             if attempt is not None:

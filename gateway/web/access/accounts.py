@@ -8,6 +8,7 @@ import asyncio
 import fcntl
 import os
 import stat
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from enum import StrEnum
@@ -21,11 +22,14 @@ from pydantic import Field, StringConstraints, ValidationError
 from drivers.errors import OneLineError
 from drivers.named_files import contents
 from drivers.settings import Section, first_sentence
+from gateway.shares import origin_of
 from gateway.store import write_durably
 
 LEAST_LENGTH, MOST_LENGTH = 12, 128
 """Characters of a password (OWASP ASVS 4.0, 2.1.1 and 2.1.2)."""
 MOST_BYTES = 1 << 20
+MOST_WAITING, WAITING_OF_ADDRESS = 8, 2
+"""Passwords that wait to be looked at, in all and of one address; more are refused at once."""
 HASHER = PasswordHasher(time_cost=2, memory_cost=19 * 1024, parallelism=1, type=Type.ID)
 """OWASP's least parameters for Argon2id: a box of two cores and 1 GB that reads a PLC is to check a password beside."""
 
@@ -172,22 +176,27 @@ class Accounts:
 
 
 class PasswordChecks:
-    """Looks at passwords in a thread, one at a time: each takes 19 MB, and its time. `waiting` is how many wait."""
+    """Looks at passwords in a thread, one at a time: each takes 19 MB, and its time."""
 
     def __init__(self) -> None:
-        self.waiting = 0
+        self._waiting = Counter[str]()
         self._turn = asyncio.Semaphore(1)
         # A name that is not there takes as long to refuse as a wrong password does.
         self._nobody = HASHER.hash(os.urandom(16).hex())
 
-    async def right(self, account: PageAccount | None, password: str) -> bool:
+    def has_room(self, address: str) -> bool:
+        """Whether a password from an address may wait for its turn."""
+        return self._waiting.total() < MOST_WAITING and self._waiting[origin_of(address)] < WAITING_OF_ADDRESS
+
+    async def right(self, account: PageAccount | None, password: str, address: str) -> bool:
         """Whether the password is the account's; as long without an account."""
-        self.waiting += 1
+        origin = origin_of(address)
+        self._waiting[origin] += 1
         try:
             async with self._turn:
                 return await asyncio.to_thread(self._verified, account, password)
         finally:
-            self.waiting -= 1
+            self._waiting -= Counter((origin,))  # what is at 0 is left out
 
     def _verified(self, account: PageAccount | None, password: str) -> bool:
         try:

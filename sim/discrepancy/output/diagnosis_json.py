@@ -3,12 +3,14 @@
 The missing heat over time is a table beside it, `missing_heat.csv`, which the document names.
 """
 
+import io
 from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
 import numpy as np
 
+from drivers.csv_rows import write_rows
 from sim.artefacts import effect_line_part
 from sim.discrepancy import (
     LONGEST,
@@ -88,11 +90,16 @@ def missing_heat_text(heat: MissingHeat) -> str:
     temperature an hour, and 1 where the machine was `running` and where the window was `held_out`."""
     columns = [column.tolist() for column in (heat.times, heat.mean, heat.low, heat.high)]
     flags = [column.astype(int).tolist() for column in (heat.running, heat.held_out)]
-    lines = [
-        f"{time:.3f},{mean:.6g},{low:.6g},{high:.6g},{running},{held_out}"
-        for time, mean, low, high, running, held_out in zip(*columns, *flags, strict=True)
-    ]
-    return "\n".join(["time,mean,low,high,running,held_out", *lines]) + "\n"
+    text = io.StringIO()
+    write_rows(text, [("time", "mean", "low", "high", "running", "held_out")])
+    write_rows(
+        text,
+        (
+            (f"{time:.3f}", f"{mean:.6g}", f"{low:.6g}", f"{high:.6g}", running, held_out)
+            for time, mean, low, high, running, held_out in zip(*columns, *flags, strict=True)
+        ),
+    )
+    return text.getvalue()
 
 
 def _beginning(began: GapBeginning) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.csv_rows import unguarded
 from drivers.named_files import regular
 from sim.traces import SEPARATORS, TraceError, decode_head
 from sim.traces.mapping.clocks import is_time, pure_date
@@ -103,7 +104,7 @@ def find_table(path: Path) -> FoundTable:
 
 
 def _cells(line: str, mark: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])]
+    return [cell.strip() for cell in unguarded(next(csv.reader([line], delimiter=mark, skipinitialspace=True), []))]
 
 
 def _is_data(row: Sequence[str]) -> bool:

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from gateway.settings import load_plant
-from gateway.store import ARMED, DISARMED, AuditEntry, armed_subjects, given_words, open_audit
+from gateway.store import ARMED, DISARMED, AuditEntry, armed_subjects, given_words, load_or_make_key, open_audit
 from tests.gateway.support import MAP
 
 PLANT = f"""\
@@ -45,6 +45,7 @@ def test_nothing_of_it_is_armed(tmp_path: Path) -> None:
         detail = {"until": time.time() + 3600.0, "minutes": 60.0}
         assert audit.record(AuditEntry(time.time(), ARMED, "Ada", "test", detail).of(name))
     audit.close()
+    load_or_make_key(config.audit_key)
     runner, kept, elsewhere = CliRunner(), tmp_path / "backup", tmp_path / "elsewhere"
     backed = runner.invoke(main, ["backup", str(kept), "--config", str(home / "plant.toml")])
     assert backed.exit_code == 0, backed.output

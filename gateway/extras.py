@@ -1,0 +1,20 @@
+"""What not every installation has, and by which package it comes: the one owner of the sentence that says so."""
+
+from collections.abc import Mapping
+
+DEBIAN_PACKAGES: Mapping[str, str] = {
+    "mqtt": "decanter-gateway",
+    "opcua": "decanter-gateway",
+    "postgres": "decanter-gateway",
+    "prometheus": "decanter-gateway",
+    "parquet": "decanter-gateway-parquet",
+}
+"""The Debian package in which an extra of this program is, by the extra's name."""
+
+
+def missing(extra: str, error: ImportError) -> str:
+    """What is missing of an extra, and what would be right, as the end of a sentence."""
+    return (
+        f"needs {error.name or error}, which is not installed; pip install 'decanter-gateway[{extra}]', or on Debian "
+        f"install the package {DEBIAN_PACKAGES[extra]}"
+    )
