@@ -273,8 +273,11 @@ def least_told(readings: Array, sensor: float, rules: DecisionRules) -> float:
     return max(rules.floor_blind_from_share * float(np.std(readings)), rules.material_sigmas * sensor)
 
 
-def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | None) -> tuple[str, ...]:
-    """What speaks for a gap to which no name was given, the strongest first; nothing where nothing does."""
+def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | None, *, covered: bool) -> tuple[str, ...]:
+    """What speaks for a gap to which no name was given, the strongest first; nothing where nothing does.
+
+    `covered`: the held-out error is about what noise makes, so that the model's own noise says nothing against it.
+    """
     step, refusal = path.steps[0]
     rules = step.rules
     if refusal and not insignificant(step):
@@ -282,7 +285,7 @@ def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | Non
     # No candidate stands for it: then the free learner's word alone, or the model's own noise (decision 0031).
     if systematic(before, rules) and before is not None and before.p <= rules.ceiling_alone_most_p:
         return ("a free learner predicts heat on cycles that it has not seen",)
-    return (beyond.words(),) if beyond is not None and beyond.wide(rules) else ()
+    return (beyond.words(),) if beyond is not None and beyond.wide(rules) and not covered else ()
 
 
 def untested(

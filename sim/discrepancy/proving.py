@@ -150,7 +150,8 @@ def prove(
     since = with_all_cycles(told.after, layout)
     began = acting_since(since, entries, layout.present, rules.material_sigmas * sensor, rules)
     began = began or beginning(trials, rules.material_sigmas * sensor, rules)
-    evidence = evidence_of(path, search.ceiling, proof.before)
+    covered = told.held.rmse_before <= rules.covered_most_times * floor.error
+    evidence = evidence_of(path, search.ceiling, proof.before, covered=covered)
     material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))
     # What has no name need not act while the last cycles run: a greasing fades, a neighbour comes and goes.
     material = material or bool(description(judged.path))

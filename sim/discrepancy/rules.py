@@ -87,7 +87,7 @@ class DecisionRules:
     beyond_doubt_nats: float = 60.0
     """From which a name need not bring the error within the model's own noise."""
     covered_most_times: float = 1.2
-    """The model's own spread up to which an error counts as covered by it."""
+    """The model's own spread, or the floor, up to which an error counts as covered by it."""
     ceiling_most_p: float = 0.01
     """Of the heat that trees predict, up to which it is systematic."""
     ceiling_least_share: float = 0.08

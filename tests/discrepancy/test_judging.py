@@ -10,9 +10,10 @@ from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit
 from sim.discrepancy.fitting.record import record_of
+from sim.discrepancy.gap import Excess
 from sim.discrepancy.heat import REACH, implied_heat
 from sim.discrepancy.held_out import let_run
-from sim.discrepancy.judging import NamingResult, doubts
+from sim.discrepancy.judging import NamingResult, doubts, evidence_of
 from sim.discrepancy.naming import NamingStep, confirm, step
 from sim.discrepancy.rules import RULES
 from sim.discrepancy.story import sentence_of
@@ -50,6 +51,15 @@ def test_a_name_under_which_the_held_out_error_grows_is_never_given(
     )
     assert [reason for reason in reasons if "further off" in reason] == list(reasons)
     assert bool(reasons) is withheld
+
+
+def test_an_error_that_the_floor_covers_is_no_gap_however_little_the_model_states(
+    base: Fitted, pumped: NamingStep
+) -> None:
+    chance = NamingResult(base, base, ((replace(pumped, evidence=(replace(pumped.evidence[0], gain=1.0),)), "chance"),))
+    rougher = Excess(median=2.0, low=1.5)
+    assert evidence_of(chance, None, rougher, covered=False) == (rougher.words(),)
+    assert evidence_of(chance, None, rougher, covered=True) == ()
 
 
 def test_heat_is_not_judged_where_a_change_is_on_its_way_through_a_dead_time() -> None:
