@@ -51,6 +51,10 @@ class RowsRefused(Exception):
 class Sink(Protocol):
     """Used from one thread; `close` may be called at any time there, and several times."""
 
+    @property
+    def dropped(self) -> int:
+        """The messages to this gateway that were left out, since too many came at a time."""
+
     def open(self, present: Present) -> None:
         """Begin a session; `present` is what stands now. Raises SinkUnreachable."""
 
