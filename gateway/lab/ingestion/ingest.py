@@ -235,7 +235,8 @@ def watch_folder(
         said = f"{source}: is still being read; watch for longer, or ingest it by itself"
         waiting.setdefault(source, IngestOutcome(source, "refused", said))
     for source, outcome in waiting.items():
-        if source in here and all(map(os.path.lexists, here[source])):  # else it has gone, and nothing of it is left to be taken
+        # Else it has gone, and nothing of it is left to be taken.
+        if source in here and all(map(os.path.lexists, here[source])):
             keep(outcome)
 
 

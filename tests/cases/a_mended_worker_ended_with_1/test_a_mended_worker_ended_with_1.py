@@ -1,4 +1,4 @@
-"""A gateway one of whose processes had been ended and begun anew ended with 1 when it was stopped in order, weeks later.
+"""A gateway one of whose processes had been begun anew ended with 1 when it was stopped in order, weeks later.
 
 The service manager took the stop for a failure. What is mended is none; what still lacks its process is.
 """
