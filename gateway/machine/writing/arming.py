@@ -319,7 +319,8 @@ async def arm(
     if audit is None or not isinstance(driver, Writes):
         raise ArmingError("this driver cannot write")
     if any(writer.ending for writer in writers):
-        raise ArmingError("it is being disarmed at this moment; arm again once that is done")
+        doubt = f", which the audit log does not take ({audit.failure})" if audit.failure else ""
+        raise ArmingError(f"it is being disarmed at this moment{doubt}; arm again once that is done")
     now, generations = clock.now(), [writer.generation for writer in writers]
     arming = signed(by, reason, minutes, now)
     entry = entry_of(arming, now, "command", clock.speed).of(writers[0].subject)
