@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from threading import Event
 from typing import Protocol
 
+from drivers.errors import OneLineError
 from drivers.tag import Tag
 from gateway.store import FollowedRow
 
@@ -36,11 +37,11 @@ class SinkContext:
     acknowledge: Acknowledge
 
 
-class SinkUnreachable(Exception):
+class SinkUnreachable(OneLineError):
     """The sink cannot be reached, or does not answer: the rows are handed on again later. The message says why."""
 
 
-class RowsRefused(Exception):
+class RowsRefused(OneLineError):
     """The sink will not have the next `count` rows, whenever they come. The message says why."""
 
     def __init__(self, count: int, reason: str) -> None:

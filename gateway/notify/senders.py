@@ -15,6 +15,7 @@ from http.client import HTTPException
 from time import monotonic
 from urllib.parse import urlsplit
 
+from drivers.errors import OneLineError
 from gateway.notify.messages import AlarmMessage, identity, plain_of, subject_of, text_of
 from gateway.settings import FROM_SECRETS, NotifySecrets, NotifySection, RecipientRow, SmtpSection
 from gateway.timed_socket import TimedSocket, answer_by, connect
@@ -28,11 +29,11 @@ _TRY_AGAIN = frozenset({408, 425, 429})
 """HTTP's 4xx that say "later" (RFC 9110, RFC 6585, RFC 8470)."""
 
 
-class UndeliveredError(Exception):
+class UndeliveredError(OneLineError):
     """It was not delivered and may be the next time; the message is one sentence."""
 
 
-class RefusedError(Exception):
+class RefusedError(OneLineError):
     """It was refused for good: trying again would not help."""
 
 

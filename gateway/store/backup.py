@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import OneLineError
 from gateway.store import audit as audit_log
 from gateway.store import schema
 from gateway.store.audit import verify
@@ -32,7 +33,7 @@ _CHUNK = 1 << 20
 _LONGEST = 16 << 20
 
 
-class BackupError(ValueError):
+class BackupError(OneLineError, ValueError):
     """No backup, or none that can be used; the message is one sentence that says why and what would be right."""
 
 

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from drivers.driver import Driver, Writes
+from drivers.errors import OneLineError
 from drivers.settings import ConfigError
 from gateway.machine.reading import Clock
 from gateway.machine.writing.writeback import Arming, Pace, Writer
@@ -55,7 +56,7 @@ CONFIRMED_SECONDS = 2.0
 """The longest wait for the disk to take the row that confirms an arming in force; then nobody waits for it."""
 
 
-class ArmingError(ValueError):
+class ArmingError(OneLineError, ValueError):
     """It is not armed; the message says why and what would be right."""
 
 
