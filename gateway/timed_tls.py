@@ -29,13 +29,12 @@ class TimedTls(ssl.SSLContext):
 
     sslsocket_class = TimedTlsSocket
 
-    def wrap_socket(self, sock: socket.socket, *given: Any, **keys: Any) -> TimedTlsSocket:
+    def wrap_socket(self, sock: socket.socket, *given: Any, **keys: Any) -> ssl.SSLSocket:
         """As a context's, within the time of the socket."""
-        timed = isinstance(sock, TimedSocket)
-        if timed:
+        if isinstance(sock, TimedSocket):
             sock.limit()  # the handshake has its time-out, as a whole
         wrapped = super().wrap_socket(sock, *given, **keys)
-        if timed:
+        if isinstance(sock, TimedSocket) and isinstance(wrapped, TimedTlsSocket):
             wrapped.end, wrapped.room = sock.end, sock.room
         return wrapped
 

@@ -10,7 +10,7 @@ import math
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
@@ -117,7 +117,7 @@ class _CheckedBlf(can.BLFReader):
         super().__init__(file)
         self._room = room
 
-    def __iter__(self) -> Iterator[can.Message]:
+    def __iter__(self) -> Generator[can.Message, None, None]:
         # As python-can's own, but that gives what a container unpacks to no bound.
         while head := self.file.read(OBJ_HEADER_BASE_STRUCT.size):
             signature, _, _, length, kind = OBJ_HEADER_BASE_STRUCT.unpack(head)

@@ -145,7 +145,7 @@ class BrokerConnection:
         client.will_set(will_topic, will, qos=1, retain=retain)
         properties: Properties | None = None
         if five:
-            properties = Properties(PacketTypes.CONNECT)
+            properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
             properties.MaximumPacketSize = MOST_PACKET_BYTES
             properties.ReceiveMaximum = MOST_RECEIVED
         try:

@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from drivers.errors import OneLineError
 from gateway.notify.messages import AlarmMessage, identity, plain_of, subject_of, text_of
 from gateway.settings import FROM_SECRETS, NotifySecrets, NotifySection, RecipientRow, SmtpSection
-from gateway.timed_socket import TimedSocket, answer_by, connect
+from gateway.timed_socket import answer_by, connect
 from gateway.timed_tls import TimedHttp, TimedTls, make_tls
 
 DELIVERY_SECONDS = 30.0
@@ -62,7 +62,7 @@ class _TimedSmtp(smtplib.SMTP):
         # smtplib would ask for this computer's name by itself, and wait for the answer as long as it takes.
         super().__init__(host, port, local_hostname=answer_by(end, _own_name))
 
-    def _get_socket(self, host: str, port: int, _timeout: float) -> TimedSocket:
+    def _get_socket(self, host: str, port: int, _timeout: float) -> socket.socket:
         line = connect(host, port, self._end)
         line.room = MOST_ANSWER_BYTES
         return line if self._tls is None else self._tls.wrap_socket(line, server_hostname=host)
