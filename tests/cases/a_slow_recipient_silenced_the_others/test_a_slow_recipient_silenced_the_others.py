@@ -207,9 +207,7 @@ def test_a_brokers_handshake_that_dribbles_is_given_up_at_the_deadline() -> None
         assert isinstance(error, SinkUnreachable) and "cannot be reached" in str(error)
 
 
-def test_a_system_that_takes_nothing_is_complained_of(
-    plant: Plant, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_system_that_takes_nothing_is_complained_of(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each new connection took the complaint away before the alarm was raised."""
 
     class Deaf:
