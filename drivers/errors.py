@@ -43,6 +43,15 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
+def one_sentence(text: str) -> str:
+    """The text as one line that somebody reads to its end: of a quotation without end the middle is left out.
+
+    What is wrong stands before it, what would be right behind.
+    """
+    line = one_line(text)
+    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """The question after a name that is not known: the one that looks most like it, whatever its case; "" if none."""
     by_folded = {name.casefold(): name for name in known}
@@ -51,16 +60,10 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 class OneLineError(Exception):
-    """An error whose sentence is one line and steers no terminal, whatever it quotes of a file, a peer or a request.
-
-    Of a quotation without end the middle is left out: what is wrong stands before it, what would be right behind.
-    """
+    """An error whose sentence is one line and steers no terminal, whatever it quotes (`one_sentence`)."""
 
     def __init__(self, sentence: str = "") -> None:
-        line = one_line(sentence)
-        if len(line) > LONGEST:
-            line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
-        super().__init__(line)
+        super().__init__(one_sentence(sentence))
 
 
 class DriverError(OneLineError):

@@ -12,16 +12,28 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from drivers.errors import DriverError, did_you_mean, one_line
+from drivers.errors import DriverError, did_you_mean, one_sentence
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
+
+MOST_CHARACTERS = 2500
+"""Characters of all problems of a configuration that are said at a time."""
 
 
 class ConfigError(ValueError):
-    """The configuration cannot be used. `problems` has one sentence each: file, key, reason, what would be right."""
+    """The configuration cannot be used. `problems` has one sentence each: file, key, reason, what would be right.
+
+    Of more than somebody reads the first are there, and how many more there are.
+    """
 
     def __init__(self, problems: Sequence[str]) -> None:
         # Each is one line, whatever a key in the file is called.
-        self.problems = tuple(map(one_line, problems))
+        kept = list[str]()
+        for line in map(one_sentence, problems):
+            if kept and sum(map(len, kept)) + len(line) > MOST_CHARACTERS:
+                kept.append(f"and {len(problems) - len(kept)} more; mend these first")
+                break
+            kept.append(line)
+        self.problems = tuple(kept)
         super().__init__("\n".join(self.problems))
 
 

@@ -36,13 +36,15 @@ class EndedUnasked(RuntimeError):
 class Worker:
     """One thread or task: how often it failed, why it last did ("" never) and when (monotonic s).
 
-    `running` is false while it pauses after a failure and once it has ended for good.
+    `running` is false while it pauses after a failure and once it has ended for good, `is_mended` from a failure until
+    it is begun anew.
     """
 
     name: str
     restarts: int = 0
     failure: str = ""
     running: bool = True
+    is_mended: bool = True
     failed_at: float = 0.0
     carrier: "threading.Thread | asyncio.Task[Any] | None" = None
 
@@ -83,7 +85,7 @@ class Supervisor:
                 if stopping:
                     return
                 stop.wait(pause)
-                worker.running = True
+                worker.running = worker.is_mended = True
 
         thread = threading.Thread(target=keep, name=name, daemon=True)
         worker = self._known(name, thread)
@@ -114,7 +116,7 @@ class Supervisor:
                     if task.cancelling():
                         return
                     await asyncio.sleep(pause)
-                    worker.running = True
+                    worker.running = worker.is_mended = True
             finally:
                 worker.running = False
 
@@ -146,7 +148,7 @@ class Supervisor:
         """Count a failure of a part that its owner begins anew."""
         worker = self._workers.get(name) or self._known(name, None)
         self._failed(worker, error)
-        worker.running = True
+        worker.running = worker.is_mended = True
 
     @contextmanager
     def hearing_all(self) -> Iterator[None]:
@@ -220,7 +222,12 @@ class Supervisor:
     def report(self) -> dict[str, dict[str, str | int | bool]]:
         """Every thread and task by name, as plain values."""
         return {
-            name: {"running": part.running, "restarts": part.restarts, "failure": part.failure}
+            name: {
+                "running": part.running,
+                "restarts": part.restarts,
+                "failure": part.failure,
+                "mended": part.is_mended,
+            }
             for name, part in self.parts().items()
         }
 
@@ -249,7 +256,7 @@ class Supervisor:
         """Note a failure; False if the part had been well for a while."""
         reason, well, self._has_failed = repr(error), worker.well, True
         same = reason == worker.failure and not well
-        worker.running, worker.restarts = False, worker.restarts + 1
+        worker.running, worker.is_mended, worker.restarts = False, False, worker.restarts + 1
         worker.failure, worker.failed_at = reason, monotonic()
         # Said by change: what fails in the same way every ten seconds is counted, and does not fill the log.
         if not same:

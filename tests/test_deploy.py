@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 from configparser import RawConfigParser
+from ipaddress import ip_address, ip_network
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,22 @@ def test_the_unit_may_do_little_by_systemds_own_measure() -> None:
         pytest.skip(f"this systemd cannot look at a file: {done.stderr.strip()[:200]}")
     (figure,) = re.findall(r"Overall exposure level for .*: ([\d.]+)", done.stdout)
     assert float(figure) <= MOST_EXPOSED
+
+
+def test_the_unit_takes_no_more_than_its_share_and_reaches_the_plants_networks_alone() -> None:
+    lines = UNIT.read_text(encoding="utf-8").splitlines()
+    service = dict(line.split("=", 1) for line in lines if "=" in line and not line.startswith("#"))
+    high, most = (int(service[key].removesuffix("%")) for key in ("MemoryHigh", "MemoryMax"))
+    assert 50 <= high < most <= 90 and service["OOMPolicy"] == "continue"
+    # Every recipient, sink and machine has threads of its own.
+    assert 500 <= int(service["TasksMax"]) <= 2048 and service["IPAddressDeny"] == "any"
+    allowed = [word for line in lines if line.startswith("IPAddressAllow=") for word in line.split("=")[1].split()]
+    networks = [ip_network(word) for word in allowed if word[0].isdigit() or ":" in word]
+    for place in ("10.1.2.3", "172.31.0.1", "192.168.200.10", "fd00::1"):
+        assert any(ip_address(place) in network for network in networks), place
+    for place in ("8.8.8.8", "172.32.0.1", "2001:4860:4860::8888"):
+        assert not any(ip_address(place) in network for network in networks), place
+    assert {"localhost", "link-local"} <= set(allowed)
 
 
 def test_the_unit_is_told_when_it_is_ready_and_watches_and_never_gives_up() -> None:

@@ -10,7 +10,7 @@ import math
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
@@ -18,13 +18,23 @@ from pathlib import Path
 from typing import BinaryIO, TextIO, cast
 
 import can
-from can.io.blf import OBJ_HEADER_BASE_STRUCT, BLFParseError
+from can.io.blf import (
+    LOG_CONTAINER,
+    LOG_CONTAINER_STRUCT,
+    NO_COMPRESSION,
+    OBJ_HEADER_BASE_STRUCT,
+    ZLIB_DEFLATE,
+    BLFParseError,
+)
 
 from drivers.can import CanFrame
 from drivers.errors import RecordingError
 from drivers.named_files import regular
 
 _LONGEST_LINE = 4096
+UNPACKED_FREE_BYTES, UNPACKED_PER_PACKED = 1 << 25, 64
+"""Bytes that a compressed log may unpack to whatever its size, and how many more for each byte of it: a log of a bus
+has 5 to 30, and zlib makes a thousand of what says nothing."""
 _PARSE_ERRORS = (
     ValueError, IndexError, KeyError, TypeError, AttributeError, OverflowError, AssertionError, EOFError, OSError,
     struct.error, zlib.error, BLFParseError,
@@ -65,8 +75,67 @@ def _candump_line(line: str) -> str:
     return "error_frames" if len(match["id"]) == 8 and int(match["id"], 16) & 0x20000000 else ""
 
 
+class _Room:
+    """How many bytes may still be unpacked of a file of `size` bytes."""
+
+    def __init__(self, size: int) -> None:
+        self._most = self.left = UNPACKED_FREE_BYTES + UNPACKED_PER_PACKED * size
+
+    def take(self, count: int) -> None:
+        """Take so many. Raises OSError where there are not so many left."""
+        self.left -= count
+        if self.left < 0:
+            raise OSError(f"it unpacks to more than {self._most >> 20} MiB; if it is a log, unpack it before")
+
+
+class _BoundedGzip(gzip.GzipFile):
+    """What a gzip file unpacks to, as far as there is room."""
+
+    def __init__(self, raw: BinaryIO, room: _Room) -> None:
+        super().__init__(fileobj=raw, mode="rb")
+        self._room = room
+
+    def read(self, size: int | None = -1) -> bytes:
+        """As a file's. Raises OSError where there is no room."""
+        most = self._room.left + 1
+        data = super().read(most if size is None or size < 0 else min(size, most))
+        self._room.take(len(data))
+        return data
+
+    def readline(self, size: int | None = -1) -> bytes:
+        """As a file's. Raises OSError where there is no room."""
+        most = self._room.left + 1
+        data = super().readline(most if size is None or size < 0 else min(size, most))
+        self._room.take(len(data))
+        return data
+
+
 class _CheckedBlf(can.BLFReader):
-    """A BLF reader that stops at an object which would keep it in place for ever."""
+    """A BLF reader that stops at an object which would keep it in place for ever, or unpacks to more than is taken."""
+
+    def __init__(self, file: BinaryIO, room: _Room) -> None:
+        super().__init__(file)
+        self._room = room
+
+    def __iter__(self) -> Generator[can.Message, None, None]:
+        # As python-can's own, but that gives what a container unpacks to no bound.
+        while head := self.file.read(OBJ_HEADER_BASE_STRUCT.size):
+            signature, _, _, length, kind = OBJ_HEADER_BASE_STRUCT.unpack(head)
+            if signature != b"LOBJ":
+                raise BLFParseError
+            content = self.file.read(length - OBJ_HEADER_BASE_STRUCT.size)
+            self.file.read(length % 4)
+            if kind != LOG_CONTAINER:
+                continue
+            method, _ = LOG_CONTAINER_STRUCT.unpack_from(content)
+            data = content[LOG_CONTAINER_STRUCT.size :]
+            if method == ZLIB_DEFLATE:
+                data = zlib.decompressobj().decompress(data, self._room.left + 1)
+                self._room.take(len(data))
+            elif method != NO_COMPRESSION:
+                continue
+            yield from self._parse_container(data)
+        self.stop()
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:
         before = len(self._tail)
@@ -182,8 +251,12 @@ class Log:
             return
         with raw:
             self._raw = raw
-            stream = gzip.GzipFile(fileobj=raw) if self.path.suffix.lower() == ".gz" else raw
-            messages = self._from_text(kind, cast(BinaryIO, stream)) if kind.text else self._from_binary(kind, stream)
+            room = _Room(self.size)
+            stream = _BoundedGzip(raw, room) if self.path.suffix.lower() == ".gz" else raw
+            if kind.text:
+                messages = self._from_text(kind, cast(BinaryIO, stream))
+            else:
+                messages = self._from_binary(kind, stream, room)
             for message in messages:
                 frame = self._frame(message)
                 if frame is not None:
@@ -203,7 +276,7 @@ class Log:
             else:
                 return
 
-    def _from_binary(self, kind: Format, stream: "BinaryIO | gzip.GzipFile") -> Iterator[can.Message]:
+    def _from_binary(self, kind: Format, stream: "BinaryIO | _BoundedGzip", room: _Room) -> Iterator[can.Message]:
         errors: tuple[type[Exception], ...] = _PARSE_ERRORS
         if self.format == "mf4":
             # asammdf and its decompressors raise errors of their own; they are there if an MF4 is read.
@@ -213,8 +286,8 @@ class Log:
             self.note("broken", "after 0 frames: a list of its blocks comes back to itself")
             return
         try:
-            # asammdf maps a file of its own; the other readers take the open one.
-            yield from kind.reader(str(self.path) if self.format == "mf4" else stream)
+            # asammdf maps a file of its own; the other reader takes the open one.
+            yield from kind.reader(str(self.path)) if self.format == "mf4" else kind.reader(stream, room)
         except errors as error:
             self.note("broken", f"after {self.counts['frames']} frames: {str(error) or type(error).__name__}")
 
@@ -306,7 +379,7 @@ class _Lines:
         self._kind = kind
         self._log = log
         self.number = 0
-        self.ended = False
+        self.ended = self._broken = False
         self.first: str | None = None
 
     def __iter__(self) -> "_Lines":
@@ -351,8 +424,11 @@ class _Lines:
             self._log.note("refused", f"line {self.number} is not text")
 
     def _read(self) -> bytes:
+        if self._broken:
+            return b""
         try:
             return self._stream.readline(_LONGEST_LINE + 1)
         except (OSError, EOFError, zlib.error) as error:
+            self._broken = True
             self._log.note("broken", f"after line {self.number}: {error}")
             return b""

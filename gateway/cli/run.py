@@ -82,10 +82,14 @@ def run(
         fail(f"records could not be stored: {records['failure']}", Exit.CHECK_FAILED)
     if lost := records["dropped"] + records["refused"]:
         fail(f"{lost} rows could not be stored: see the log for the reason of each kind", Exit.CHECK_FAILED)
-    parts = {
-        f"{name} {part}".strip(): how for name, status in machines.items() for part, how in status["parts"].items()
+    failed = {
+        f"{name} {part}".strip(): how
+        for name, status in machines.items()
+        for part, how in status["parts"].items()
+        # A process that was ended from outside and begun anew is mended; any other part that failed is a defect.
+        if how["restarts"] and not (part == "process" and how.get("mended", False))
     }
-    if failed := {name: part for name, part in parts.items() if part["restarts"]}:
+    if failed:
         reasons = "; ".join(f"{name} ({part['restarts']}): {part['failure']}" for name, part in failed.items())
         fail(f"parts of the gateway failed and were begun anew: {reasons}", Exit.CHECK_FAILED)
 

@@ -19,6 +19,7 @@ from urllib.parse import parse_qsl, urlsplit
 import click
 import tomlkit
 
+from drivers.errors import OneLineError
 from drivers.settings import ConfigError
 from gateway.cli.plant_file import config_option
 from gateway.clock_sync import clock_error
@@ -55,7 +56,7 @@ Never in it: keys, certificates, accounts, the files of secrets, readings, model
 """
 
 
-class LeakError(ValueError):
+class LeakError(OneLineError, ValueError):
     """A secret is in the bundle; nothing is written."""
 
 

@@ -6,8 +6,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import OneLineError
 
-class DemoError(RuntimeError):
+
+class DemoError(OneLineError, RuntimeError):
     """A process of the demonstration did not do what it had to; the message says which, and where its words are."""
 
 

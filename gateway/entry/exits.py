@@ -25,6 +25,7 @@ from drivers.errors import (
     ReplyTimeout,
     WriteForbidden,
     one_line,
+    one_sentence,
 )
 from gateway.entry.plain import write_plainly
 from sim.strict_json import json_text
@@ -66,8 +67,10 @@ def print_json(data: Mapping[str, Any]) -> None:
 def fail(sentence: str, code: int = Exit.USAGE, *, answer: CallAnswer | None = None) -> NoReturn:
     """Say one sentence on standard error, with --json also as the object that was not printed yet; leave with the code.
 
-    `answer` is that of click's context, where there is one.
+    `answer` is that of click's context, where there is one. What the sentence quotes steers no terminal; only the
+    problems of a configuration have a line each.
     """
+    sentence = "\n".join(map(one_sentence, sentence.split("\n")))
     context = click.get_current_context(silent=True)
     if answer is None and context is not None:
         answer = context.find_object(CallAnswer)
@@ -168,12 +171,13 @@ def sentence(error: Exception) -> str:
     if is_fault(error):
         return fault_sentence(error)
     if not isinstance(error, OSError) or error.strerror is None:
-        return str(error)
+        # The problems of a configuration have a line each, and are sentences already.
+        return str(error) if hasattr(error, "problems") else one_sentence(str(error))
     reason = error.strerror[0].lower() + error.strerror[1:]
     file = f"{error.filename}: " if error.filename else ""
     if error.errno in (ENOSPC, EDQUOT):
-        return f"{file}{reason}; make room there, or give a path on another disk"
-    return f"{file}{reason}; give a path that is there and that this user may read or write"
+        return one_sentence(f"{file}{reason}; make room there, or give a path on another disk")
+    return one_sentence(f"{file}{reason}; give a path that is there and that this user may read or write")
 
 
 _CODES: tuple[tuple[type[Exception], Exit], ...] = (

@@ -348,10 +348,15 @@ class Machine:
 
     async def _disarm_without_records(self, now: float) -> None:
         """Disarm once it has been too long that a write would not be on record."""
-        most = self.config.historian.disarm_after
-        if most is not None and self.records_watch.stuck_for(now) >= most:
-            reason = f"nothing has been on record for {most:g} s: {self.historian.stuck}"
+        if self.writing is not None and self.writing.armed and (reason := self._unrecorded(now)):
             await self.disarm("the gateway", reason[:200])
+
+    def _unrecorded(self, now: float) -> str:
+        """Why nothing may be written, since it has not been on record for too long; "" if it may."""
+        most = self.config.historian.disarm_after
+        if most is None or self.records_watch.stuck_for(now) < most:
+            return ""
+        return f"nothing has been on record for {most:g} s: {self.historian.stuck}"
 
     def _begin_with_promoted(self, one: FollowedTemperature, now: float) -> None:
         """Another model runs from this scan on: its inputs are watched, and the historian knows whose rows follow."""
@@ -398,6 +403,8 @@ class Machine:
             raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
         if why := self.common.log_failure():
             raise ArmingError(f"not armed: {why}")
+        if why := self._unrecorded(self.clock.now()):
+            raise ArmingError(f"not armed, as it would disarm itself: {why}")
         return await self.writing.arm(
             by, reason, minutes, unverified=self.unverified, acknowledged=acknowledged, process=process
         )

@@ -51,6 +51,8 @@ FIRST_RETRY, LONGEST_RETRY = 1.0, 30.0
 SAVE_SECONDS = 1.0
 """How often it is put on record how far the sink has got."""
 CLOSE_SECONDS = 5.0
+COMPLAIN_SECONDS = 60.0
+"""Rows that wait while none is taken for so long are a cause for complaint, whatever keeps them."""
 
 
 class SinkFeed:
@@ -89,7 +91,8 @@ class SinkFeed:
         self._pending: deque[FollowedRow] = deque()
         self._turn = 0
         self._unsaved: set[str] = set()
-        self._saved_at = monotonic()
+        self._saved_at = self._taken_at = monotonic()
+        self._told_dropped = 0
         self._stop = threading.Event()
         self._thread = supervisor.thread(f"northbound {name}", self._work, stop=self._stop)
 
@@ -101,6 +104,18 @@ class SinkFeed:
             for stream, newest in list(self._newest.items())
             if (at := self._positions.get(stream)) is not None and stream.table != "alarms"
         )
+
+    @property
+    def complaint(self) -> str:
+        """Why the sink is not told what is on record; "" while it is."""
+        if not self.reason and self._pending and monotonic() - self._taken_at >= COMPLAIN_SECONDS:
+            return f"nothing was taken for {COMPLAIN_SECONDS:g} s"
+        return self.reason
+
+    @property
+    def dropped(self) -> int:
+        """The messages to this gateway that the sink has left out."""
+        return self._sink.dropped
 
     def stop(self) -> None:
         """Have the session ended; what was not handed on is, after the next start."""
@@ -137,6 +152,7 @@ class SinkFeed:
         if not self.connected:
             self._begin_session()
         if not self._pending:
+            self._taken_at = monotonic()
             self._fill()
         if self._pending:
             begun = monotonic()
@@ -145,6 +161,10 @@ class SinkFeed:
             self._stop.wait(min(monotonic() - begun, 1.0))
         else:
             self._sink.idle(POLL_SECONDS, self._stop)
+            self._note_success()
+        if self.dropped > 2 * self._told_dropped:
+            self._told_dropped = self.dropped
+            self._log.warning("messages to this gateway are left out: too many at a time", count=self.dropped)
         if self._unsaved and monotonic() - self._saved_at >= SAVE_SECONDS:
             self._save()
 
@@ -169,13 +189,15 @@ class SinkFeed:
         # What lies before the session's beginning is history to whoever has been told what stands now.
         self._old_until = until
         self.connected = True
-        if self.reason:
-            self._log.info("a system is told again what is on record")
-            self.reason = ""
 
     def _end_session(self) -> None:
         self.connected = False
         self._sink.close()
+
+    def _note_success(self) -> None:
+        if self.reason:
+            self._log.info("a system is told again what is on record")
+            self.reason = ""
 
     def _note_failure(self, reason: str) -> None:
         if reason != self.reason:
@@ -234,6 +256,7 @@ class SinkFeed:
             for count in self._sink.deliver(piece):
                 self._done_with(count)
                 self.delivered += count
+                self._note_success()
                 if self._stop.is_set():
                     return
         except RowsRefused as error:
@@ -242,6 +265,7 @@ class SinkFeed:
             self._done_with(error.count)
 
     def _done_with(self, count: int) -> None:
+        self._taken_at = monotonic()
         for _ in range(count):
             row = self._pending.popleft()
             if row.position is not None:

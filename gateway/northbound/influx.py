@@ -3,10 +3,10 @@
 A point is what it is by its measurement, tags and time: one that comes again replaces itself.
 """
 
-import ssl
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
-from http.client import HTTPConnection, HTTPException, HTTPSConnection
+from contextlib import ExitStack
+from http.client import HTTPException
 from itertools import pairwise
 from math import isfinite
 from threading import Event
@@ -16,8 +16,12 @@ from urllib.parse import urlencode, urlsplit
 from gateway.northbound.sink import OutgoingRow, Present, RowsRefused, Sink, SinkContext, SinkUnreachable
 from gateway.settings import InfluxRow, NorthboundSecrets
 from gateway.store import TABLE_COLUMNS, FollowedRow, cells_of
+from gateway.timed_tls import TimedHttp, make_tls
 
 ANSWER_SECONDS = 10.0
+"""Seconds that a connection, and a batch of rows with its answer, may take in all."""
+MOST_ANSWER_BYTES = 1 << 20
+"""Bytes of an answer that are received."""
 TAGS: Mapping[str, Sequence[str]] = {
     "samples": ("machine", "tag"),
     "predictions": ("machine", "temperature"),
@@ -38,9 +42,11 @@ def make_sink(row: InfluxRow, secrets: NorthboundSecrets, _: SinkContext) -> Sin
 class InfluxSink:
     """Writes points in the order in which their rows come."""
 
+    dropped = 0
+
     def __init__(self, row: InfluxRow, password: str | None, token: str | None) -> None:
         self._row = row
-        self._connection: HTTPConnection | None = None
+        self._connection: TimedHttp | None = None
         keys = {"bucket": row.bucket, "org": row.organization, "precision": "us"}
         self._path = f"/api/v2/write?{urlencode(keys)}"
         self._headers = {"Content-Type": "text/plain; charset=utf-8"}
@@ -57,16 +63,16 @@ class InfluxSink:
         self.close()
         parts = urlsplit(self._row.url)
         host, port = parts.hostname or "", parts.port or 8086
-        if parts.scheme == "https":
-            context = ssl.create_default_context(cafile=None if self._row.ca is None else str(self._row.ca))
-            self._connection = HTTPSConnection(host, port, timeout=ANSWER_SECONDS, context=context)
-        else:
-            self._connection = HTTPConnection(host, port, timeout=ANSWER_SECONDS)
         try:
+            tls = make_tls(self._row.ca) if parts.scheme == "https" else None
+            self._connection = TimedHttp(host, port, tls)
+            self._connection.allow(ANSWER_SECONDS, MOST_ANSWER_BYTES)
             self._connection.connect()
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             self.close()
-            raise SinkUnreachable(f"{self._row.url} cannot be reached: {error.strerror or error}") from None
+            raise SinkUnreachable(
+                f"{self._row.url} cannot be reached: {getattr(error, 'strerror', None) or error}"
+            ) from None
 
     def deliver(self, rows: Sequence[OutgoingRow]) -> Iterator[int]:
         """Write all at once; where the server will not have some, halves, down to the row that it will not have."""
@@ -85,10 +91,15 @@ class InfluxSink:
         """The server's status, and its words."""
         if self._connection is None:
             raise SinkUnreachable("there is no connection")
+        self._connection.allow(ANSWER_SECONDS, MOST_ANSWER_BYTES)
         try:
             self._connection.request("POST", self._path, lines, self._headers)
-            response = self._connection.getresponse()
-            said = response.read(10_000).decode(errors="replace")
+            with ExitStack() as unread:
+                response = unread.enter_context(self._connection.getresponse())
+                said = response.read(10_000).decode(errors="replace")
+                unread.pop_all()  # what is left of it belongs to no other answer
+        except TimeoutError:
+            raise SinkUnreachable(f"{self._row.url} does not answer: no answer in time") from None
         except (OSError, HTTPException) as error:
             raise SinkUnreachable(f"{self._row.url} does not answer: {error!r}") from None
         return response.status, " ".join(said.split())[:300]

@@ -37,6 +37,9 @@ class FeedFigures(Protocol):
     connected: bool
 
     @property
+    def dropped(self) -> int: ...
+
+    @property
     def waiting(self) -> int: ...
 
 
@@ -255,6 +258,7 @@ class GatewayCollector(Collector):
             ("decanter_northbound_rows_waiting", "gauge", "Rows that wait for a sink.", lambda feed: feed.waiting),
             ("decanter_northbound_rows_lost_total", "counter", "Rows too old for a sink.", lambda feed: feed.lost),
             ("decanter_northbound_rows_refused_total", "counter", "Rows a sink refused.", lambda feed: feed.refused),
+            ("decanter_northbound_dropped_total", "counter", "Messages left out, too many.", lambda feed: feed.dropped),
         )
         for name, kind, meaning, read in rows:
             family = _family(kind, name, meaning, ("sink",))

@@ -7,7 +7,9 @@ import socket
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from ipaddress import ip_address
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 import uvicorn
 from prometheus_client import CollectorRegistry, ProcessCollector
@@ -38,7 +40,22 @@ class MetricsServer:
         self.port = section.port or 0
         self.stop = threading.Event()
 
+    def _is_meant(self, host: str) -> bool:
+        """Whether a request's Host is this server: another site's name that leads here is that site's trick."""
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
+        try:
+            ip_address(name)
+        except ValueError:
+            return name in {each.lower() for each in ("localhost", self._section.host, *self._section.names)}
+        return True  # no name, and so nobody's to lead here
+
     async def _metrics(self, request: Request) -> Response:
+        if not self._is_meant(request.headers.get("host", "")):
+            said = "this name is not among [northbound.metrics] names\n"
+            return Response(said, status_code=421, media_type="text/plain")
         try:
             statuses = await ask_statuses(self._pictures, self._gateway_loop)
         except (TimeoutError, RuntimeError):

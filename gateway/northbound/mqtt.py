@@ -8,11 +8,10 @@ paho gets no thread of its own: all is done in the feed's.
 """
 
 import json
-import ssl
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
-from math import isfinite
+from math import inf, isfinite
 from threading import Event
 from time import monotonic
 from typing import Any
@@ -22,8 +21,10 @@ from paho.mqtt.client import (
     ConnectFlags,
     DisconnectFlags,
     MQTTMessage,
+    topic_matches_sub,
 )
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
@@ -45,9 +46,11 @@ from gateway.northbound.sparkplug import (
 )
 from gateway.settings import MqttRow, NorthboundSecrets
 from gateway.store import FollowedRow
+from gateway.timed_socket import TimedSocket, connect, seconds_left
+from gateway.timed_tls import make_tls
 
-CONNECT_SECONDS, ANSWER_SECONDS = 5.0, 10.0
-"""How long a connection, and an answer of the broker, may take."""
+OPEN_SECONDS, ANSWER_SECONDS = 15.0, 10.0
+"""How long it may take in all until the broker has let in and subscribed what is heard, and how long an answer may."""
 KEEPALIVE_SECONDS = 20
 WINDOW = 100
 """JSON messages that wait for their acknowledgement at a time; fewer where the broker says so (MQTT 5)."""
@@ -57,6 +60,16 @@ HOST_SECONDS = 2.0
 """How long the word of a primary host may take that the broker has kept."""
 TOGETHER = 10
 """Sparkplug messages that are confirmed together."""
+MOST_PACKET_BYTES = 1 << 16
+"""Bytes of one packet from the broker: many times what any command or answer has. One that is larger ends the
+connection, which MQTT 5 tells the broker beforehand."""
+MOST_RECEIVED = 100
+"""Messages from the broker that wait to be looked at; what comes while so many wait is left out and counted."""
+MOST_UNSENT = 1_000
+"""Packets that paho holds for a broker that does not take them, and half of an exchange of QoS 2 from one that never
+ends it: nobody may subscribe by that here."""
+BIRTH_SECONDS = 5.0
+"""From a birth that was commanded to the next such birth at least."""
 ACKNOWLEDGE = "Alarm Control/Acknowledge"
 """The metric by which a device is told to acknowledge an alarm, by the alarm's name."""
 
@@ -69,23 +82,48 @@ def make_sink(row: MqttRow, secrets: NorthboundSecrets, context: SinkContext) ->
     return SparkplugSink(row, password, tags=context.tags, now=context.now, acknowledge=context.acknowledge)
 
 
+class _BoundedClient(Client):
+    """paho's client, which connects until `end` (monotonic s) and receives packets of MOST_PACKET_BYTES at most.
+
+    paho has no bound of either. What is overridden is its own, and held to by tests.
+    """
+
+    end = inf
+
+    def _create_socket_connection(self) -> TimedSocket:
+        return connect(self._host, self._port, self.end)
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        # It asks for all that a packet has yet, before any of it is there.
+        if bufsize > MOST_PACKET_BYTES:
+            raise ConnectionAbortedError("a packet is larger than any that is taken")
+        return bytes(super()._sock_recv(bufsize))
+
+    @property
+    def is_overfull(self) -> bool:
+        """Whether more is held for the broker, or of what it has begun, than any exchange needs."""
+        return len(self._out_packet) > MOST_UNSENT or len(self._in_messages) > MOST_RECEIVED
+
+
 class BrokerConnection:
     """A connection to the broker of a row of the plant file. Raises SinkUnreachable wherever it ends or is refused."""
 
     def __init__(self, row: MqttRow, password: str | None) -> None:
         self._row, self._password = row, password
-        self._client: Client | None = None
+        self._client: _BoundedClient | None = None
         self._ended = ""
         self._accepted = False
         self._answered: set[int] = set()
         self.window = WINDOW
         self.received: deque[MQTTMessage] = deque()
+        self._subscribed: Sequence[str] = ()
+        self.dropped = 0
 
     def open(self, will_topic: str, will: bytes, *, retain: bool, subscribed: Sequence[str]) -> None:
-        """Connect with a will (QoS 1), and subscribe."""
-        row = self._row
+        """Connect with a will (QoS 1), and subscribe, in OPEN_SECONDS in all."""
+        row, end = self._row, monotonic() + OPEN_SECONDS
         five = row.version == "5"
-        client = Client(
+        client = _BoundedClient(
             CallbackAPIVersion.VERSION2,
             client_id=f"{row.group}-{row.node}-{row.name}",
             protocol=MQTTProtocolVersion.MQTTv5 if five else MQTTProtocolVersion.MQTTv311,
@@ -95,30 +133,39 @@ class BrokerConnection:
         self._ended, self._accepted = "", False
         self._answered.clear()
         self.received.clear()
+        self._subscribed = subscribed
         self._client = client
-        client.connect_timeout = CONNECT_SECONDS
+        client.end, client.connect_timeout = end, OPEN_SECONDS
         client.max_inflight_messages = WINDOW
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_publish = lambda _client, _data, number, reason, _: self._note_answer(number, [reason])
         client.on_subscribe = lambda _client, _data, number, reasons, _: self._note_answer(number, reasons)
         client.on_unsubscribe = lambda _client, _data, number, reasons, _: self._note_answer(number, reasons)
-        client.on_message = lambda _client, _data, message: self.received.append(message)
+        client.on_message = lambda _client, _data, message: self._take(message)
         client.will_set(will_topic, will, qos=1, retain=retain)
+        properties: Properties | None = None
+        if five:
+            properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+            properties.MaximumPacketSize = MOST_PACKET_BYTES
+            properties.ReceiveMaximum = MOST_RECEIVED
         try:
             if row.tls:
-                context = ssl.create_default_context(cafile=None if row.ca is None else str(row.ca))
+                context = make_tls(row.ca)
                 if row.certificate is not None:
                     context.load_cert_chain(row.certificate, row.key)
                 client.tls_set_context(context)
             if row.user is not None:
                 client.username_pw_set(row.user, self._password)
-            client.connect(row.host, row.port, KEEPALIVE_SECONDS)
+            client.connect(row.host, row.port, KEEPALIVE_SECONDS, properties=properties)
+            line = client.socket()
+            if isinstance(line, TimedSocket):
+                line.end = inf  # from here on paho waits for nothing by itself
+            self.until(lambda: self._accepted, seconds_left(end))
+            for topic in subscribed:
+                self._answer(client.subscribe(topic, qos=1), seconds_left(end))
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise SinkUnreachable(f"{row.host}:{row.port} cannot be reached: {reason}") from None
-        self.until(lambda: self._accepted, CONNECT_SECONDS)
-        for topic in subscribed:
-            self._answer(client.subscribe(topic, qos=1))
 
     def _on_connect(
         self, _client: Client, _data: Any, _flags: ConnectFlags, reason: ReasonCode, properties: Properties | None
@@ -134,13 +181,23 @@ class BrokerConnection:
     ) -> None:
         self._ended = self._ended or f"the connection has ended: {reason}"
 
+    def _take(self, message: MQTTMessage) -> None:
+        try:
+            asked_for = any(topic_matches_sub(topic, message.topic) for topic in self._subscribed)
+        except UnicodeDecodeError:
+            asked_for = False
+        if asked_for and len(self.received) < MOST_RECEIVED:
+            self.received.append(message)
+        else:
+            self.dropped += 1
+
     def _note_answer(self, number: int, reasons: Sequence[ReasonCode]) -> None:
         self._answered.add(number)
         if (refused := next((reason for reason in reasons if reason.is_failure), None)) is not None:
             self._ended = f"it refuses a message or a subscription: {refused}"
 
     @property
-    def client(self) -> Client:
+    def client(self) -> _BoundedClient:
         """paho's client."""
         if self._client is None:
             raise SinkUnreachable("there is no connection")
@@ -148,7 +205,10 @@ class BrokerConnection:
 
     def turn(self, seconds: float) -> None:
         """Receive and send what there is, or wait for it so long."""
-        code = self.client.loop(seconds)
+        client = self.client
+        code = client.loop(seconds)
+        if client.is_overfull:
+            raise SinkUnreachable(f"{self._row.host}:{self._row.port}: it sends, and takes no answers")
         if code != MQTTErrorCode.MQTT_ERR_SUCCESS or self._ended:
             reason = self._ended or f"the connection has ended: {code.name}"
             raise SinkUnreachable(f"{self._row.host}:{self._row.port}: {reason}")
@@ -180,11 +240,11 @@ class BrokerConnection:
         self._answer(self.client.unsubscribe(f"{self._row.group}/{self._row.node}/none"))
         self._answered.clear()
 
-    def _answer(self, asked: tuple[MQTTErrorCode, int | None]) -> None:
+    def _answer(self, asked: tuple[MQTTErrorCode, int | None], seconds: float = ANSWER_SECONDS) -> None:
         code, number = asked
         if code != MQTTErrorCode.MQTT_ERR_SUCCESS or number is None:
             raise SinkUnreachable(f"{self._row.host}:{self._row.port}: the connection has ended: {code.name}")
-        self.until(lambda: self.is_answered(number))
+        self.until(lambda: self.is_answered(number), seconds)
 
     def close(self) -> None:
         """Disconnect, so that the broker does not tell the will."""
@@ -212,8 +272,14 @@ class SparkplugSink:
         self._aliases: dict[tuple[str, str], int] = {}
         self._present: dict[str, dict[str, SparkplugMetric]] = {}
         self._is_born = False
+        self._rebirth_wanted, self._reborn_at = False, -inf
         self._host: HostState | None = None
         self._born_tags: dict[str, Mapping[str, Tag]] = {}
+
+    @property
+    def dropped(self) -> int:
+        """The messages from the broker that were left out, since too many came at a time."""
+        return self._broker.dropped
 
     def _topic(self, kind: str, device: str = "") -> str:
         return "/".join(filter(None, ("spBv1.0", self._row.group, kind, self._row.node, device)))
@@ -222,6 +288,7 @@ class SparkplugSink:
         """Connect, wait for the primary host where there is one, and be born."""
         self._births = (self._births + 1) % 256
         self._host = None
+        self._rebirth_wanted = False
         # The devices' commands only where somebody may give them: else nothing that is sent there is even received.
         commands = [self._topic("NCMD"), *([self._topic("DCMD", "+")] if self._row.commands else [])]
         state = [] if self._row.primary_host is None else [f"spBv1.0/STATE/{self._row.primary_host}"]
@@ -357,7 +424,11 @@ class SparkplugSink:
             self._obey()
 
     def _obey(self) -> None:
-        """Do what was commanded; what makes no sense is passed over, as the specification wants it."""
+        """Do what was commanded; what makes no sense is passed over, as the specification wants it.
+
+        However often a birth is commanded, one waits, and none comes within BIRTH_SECONDS of the one before.
+        """
+        alarms: dict[str, dict[str, None]] = {}
         while self._broker.received:
             message = self._broker.received.popleft()
             if message.topic.startswith("spBv1.0/STATE/"):
@@ -365,11 +436,16 @@ class SparkplugSink:
                 continue
             kind, *device = message.topic.split("/")[2:3] + message.topic.split("/")[4:]
             for command in commands_in(bytes(message.payload)):
-                rebirth = kind == "NCMD" and command.name == "Node Control/Rebirth" and command.is_true
-                if rebirth and self._is_born:
-                    self._give_birth()
+                if kind == "NCMD" and command.name == "Node Control/Rebirth" and command.is_true:
+                    self._rebirth_wanted = self._is_born
                 elif kind == "DCMD" and device and command.name == ACKNOWLEDGE and command.text:
-                    self._acknowledge(device[0], [command.text], f"mqtt {self._row.name}")
+                    alarms.setdefault(device[0], {})[command.text] = None
+        for machine, names in alarms.items():
+            for name in names:
+                self._acknowledge(machine, [name], f"mqtt {self._row.name}")
+        if self._rebirth_wanted and monotonic() - self._reborn_at >= BIRTH_SECONDS:
+            self._rebirth_wanted, self._reborn_at = False, monotonic()
+            self._give_birth()
 
     def close(self) -> None:
         """Die in order: a broker tells the will only of who is gone without a word."""
@@ -394,6 +470,11 @@ class JsonSink:
         self._broker = BrokerConnection(row, password)
         self._base = f"{row.group}/{row.node}"
         self._is_online = False
+
+    @property
+    def dropped(self) -> int:
+        """The messages from the broker that were left out, since too many came at a time."""
+        return self._broker.dropped
 
     def open(self, present: Present) -> None:
         """Connect, and say so."""
@@ -428,11 +509,15 @@ class JsonSink:
             self._obey()
 
     def _obey(self) -> None:
+        alarms: dict[str, dict[str, None]] = {}
         while self._broker.received:
             message = self._broker.received.popleft()
             alarm = message.payload.decode(errors="replace").strip()
             if 0 < len(alarm) <= LONGEST_NAME and alarm.isprintable() and not message.retain:
-                self._acknowledge(message.topic.split("/")[2], [alarm], f"mqtt {self._row.name}")
+                alarms.setdefault(message.topic.split("/")[2], {})[alarm] = None
+        for machine, names in alarms.items():
+            for name in names:
+                self._acknowledge(machine, [name], f"mqtt {self._row.name}")
 
     def close(self) -> None:
         """Say that it is offline, and disconnect."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,6 +21,8 @@ from gateway.settings import Config, NorthboundSecrets, load_northbound_secrets
 from gateway.store import Historian
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from structlog.typing import FilteringBoundLogger
 
     from gateway.northbound.metrics_server import MetricsServer
@@ -30,6 +33,8 @@ Answer = Callable[[bytes], Awaitable[Mapping[str, Any]]]
 """Gives the reply to one request of the control socket, in the gateway's loop."""
 JOIN_SECONDS = 2.0
 LOAD_SECONDS = 60.0
+MOST_ASKED = 16
+"""Acknowledgements from sinks that wait for their answer at a time; what comes beyond is left out, and logged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +108,7 @@ class Northbound:
         section = config.northbound
         self._machines, self._answer, self._log = machines, answer, log
         self._loop = asyncio.get_running_loop()
+        self._asked: deque[Future[None]] = deque(maxlen=MOST_ASKED)
         context = SinkContext(tags=self._tags, now=now, acknowledge=self._acknowledge)
         self.feeds: Sequence[SinkFeed] = [
             SinkFeed(
@@ -136,14 +142,17 @@ class Northbound:
 
     @property
     def unreached(self) -> str:
-        """Which sinks are out of reach, and why; "" while none is."""
-        return "; ".join(f"{feed.name}: {feed.reason}" for feed in self.feeds if feed.reason)
+        """Which sinks are out of reach or take nothing, and why; "" while none is."""
+        return "; ".join(f"{feed.name}: {complaint}" for feed in self.feeds if (complaint := feed.complaint))
 
     def _tags(self) -> Mapping[str, Mapping[str, Any]]:
         return {name: config.map.by_name for name, config in self._machines().items()}
 
     def _acknowledge(self, machine: str, alarms: Sequence[str], by: str) -> None:
         """Acknowledge alarms by the words of the control socket; what comes of it is in the journal and in the log."""
+        if sum(not each.done() for each in self._asked) >= MOST_ASKED:
+            self._log.warning("a command is left out, since too many wait", by=by, machine=machine)
+            return
         line = packed({"command": "acknowledge", "machine": machine, "alarms": list(alarms), "by": by})
 
         async def ask() -> None:
@@ -152,7 +161,7 @@ class Northbound:
                 self._log.warning("a command is refused", by=by, machine=machine, reason=str(reply["reason"]))
 
         with suppress(RuntimeError):  # the gateway's loop has ended
-            asyncio.run_coroutine_threadsafe(ask(), self._loop)
+            self._asked.append(asyncio.run_coroutine_threadsafe(ask(), self._loop))
 
     def wait_loaded(self) -> None:
         """Wait until all that is large is there. Call it in a thread."""

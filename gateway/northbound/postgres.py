@@ -1,10 +1,12 @@
 """PostgreSQL as a sink: the historian's tables, each row once, however often it is sent."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import groupby
+from math import inf
 from threading import Event
-from typing import Any
+from time import monotonic
+from typing import Any, TypeVar
 
 import psycopg
 from psycopg import sql
@@ -12,13 +14,42 @@ from psycopg import sql
 from gateway.northbound.sink import OutgoingRow, Present, RowsRefused, Sink, SinkContext, SinkUnreachable
 from gateway.settings import NorthboundSecrets, PostgresRow
 from gateway.store import TABLE_COLUMNS, cells_of
+from gateway.timed_socket import addresses_of, seconds_left
+
+R = TypeVar("R")
 
 TYPES: Mapping[str, str] = {
     "text": "text", "real": "double precision", "whole": "bigint", "flag": "boolean", "moment": "timestamptz",
     "reals": "double precision[]",
 }  # fmt: skip
 """PostgreSQL's types of the kinds of columns."""
-CONNECT_SECONDS, ANSWER_MS = 5, 10_000
+ANSWER_SECONDS = 10.0
+"""Seconds that a session's beginning, and a batch of rows, may take in all."""
+
+
+class TimedConnection(psycopg.Connection[Any]):
+    """A connection that waits for nothing beyond `end` (monotonic s): then TimeoutError is raised.
+
+    The server's own time-outs, which it is asked for too, are kept by a server that is well.
+    """
+
+    end = inf
+
+    def wait(self, gen: Any, *given: Any, **keys: Any) -> Any:
+        """As a connection's, within the time: psycopg looks again several times a second."""
+        return super().wait(self.limited(gen), *given, **keys)
+
+    def limited(self, gen: Generator[Any, Any, R]) -> Generator[Any, Any, R]:
+        """What a generator of psycopg's asks for and gives, for as long as there is time."""
+        try:
+            wanted = next(gen)
+            while True:
+                ready = yield wanted
+                seconds_left(self.end)
+                wanted = gen.send(ready)
+        except StopIteration as finished:
+            found: R = finished.value
+            return found
 
 
 def make_sink(row: PostgresRow, secrets: NorthboundSecrets, _: SinkContext) -> Sink:
@@ -33,37 +64,56 @@ class PostgresSink:
     passed over.
     """
 
+    dropped = 0
+
     def __init__(self, row: PostgresRow, password: str | None) -> None:
         self._row, self._password = row, password
-        self._connection: psycopg.Connection[Any] | None = None
+        self._connection: TimedConnection | None = None
         self._inserts: dict[str, sql.Composed] = {}
 
     def open(self, present: Present) -> None:
         """Connect, and make the tables that are not there."""
         self.close()
-        row = self._row
+        row, end = self._row, monotonic() + ANSWER_SECONDS
         try:
-            self._connection = connection = psycopg.connect(
-                host=row.host,
-                port=row.port,
-                dbname=row.database,
-                user=row.user,
-                password=self._password,
-                connect_timeout=CONNECT_SECONDS,
-                application_name=f"decanter {row.node}",
-                options=f"-c statement_timeout={ANSWER_MS} -c lock_timeout={ANSWER_MS}",
-                # A server that is gone without a word is noticed by the kernel.
-                tcp_user_timeout=ANSWER_MS,
-                sslmode="prefer" if row.local else "verify-full",
-                sslrootcert=None if row.local else str(row.ca or "system"),
-            )
+            self._connection = connection = self._connect(end)
+            connection.end = end
             with connection.transaction():
                 connection.execute(sql.SQL("CREATE SCHEMA IF NOT EXISTS {}").format(sql.Identifier(row.table_schema)))
                 for table in row.tables:
                     connection.execute(self._definition(table))
-        except (psycopg.Error, OSError) as error:
+        except (psycopg.Error, OSError, UnicodeError) as error:
             self.close()
             raise SinkUnreachable(self._sentence(error)) from None
+
+    def _connect(self, end: float) -> TimedConnection:
+        """A connection by the first address that takes it until `end` (monotonic s). Raises as psycopg, or OSError."""
+        row, answer_ms = self._row, round(1e3 * ANSWER_SECONDS)
+        # libpq would look for the name as long as the resolver takes, and have the whole time for each address.
+        places: Sequence[str | None] = [None]
+        if not row.host.startswith("/"):
+            places = list(dict.fromkeys(str(found[4][0]) for found in addresses_of(row.host, row.port, end)))
+        failure: Exception = OSError("it has no address")
+        for place in places:
+            try:
+                return TimedConnection.connect(
+                    host=row.host,
+                    hostaddr=place,
+                    port=row.port,
+                    dbname=row.database,
+                    user=row.user,
+                    password=self._password,
+                    connect_timeout=max(int(seconds_left(end)), 1),
+                    application_name=f"decanter {row.node}",
+                    options=f"-c statement_timeout={answer_ms} -c lock_timeout={answer_ms}",
+                    # A server that is gone without a word is noticed by the kernel.
+                    tcp_user_timeout=answer_ms,
+                    sslmode="prefer" if row.local else "verify-full",
+                    sslrootcert=None if row.local else str(row.ca or "system"),
+                )
+            except (psycopg.Error, OSError) as error:
+                failure = error
+        raise failure
 
     def _name(self, table: str) -> sql.Identifier:
         return sql.Identifier(self._row.table_schema, table)
@@ -88,6 +138,7 @@ class PostgresSink:
         """Insert all in one transaction; where the server will not have one, each by itself."""
         if self._connection is None:
             raise SinkUnreachable("there is no connection")
+        self._connection.end = monotonic() + ANSWER_SECONDS
         try:
             self._insert(rows)
         except (psycopg.DataError, psycopg.IntegrityError) as error:

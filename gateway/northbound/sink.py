@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from threading import Event
 from typing import Protocol
 
+from drivers.errors import OneLineError
 from drivers.tag import Tag
 from gateway.store import FollowedRow
 
@@ -36,11 +37,11 @@ class SinkContext:
     acknowledge: Acknowledge
 
 
-class SinkUnreachable(Exception):
+class SinkUnreachable(OneLineError):
     """The sink cannot be reached, or does not answer: the rows are handed on again later. The message says why."""
 
 
-class RowsRefused(Exception):
+class RowsRefused(OneLineError):
     """The sink will not have the next `count` rows, whenever they come. The message says why."""
 
     def __init__(self, count: int, reason: str) -> None:
@@ -50,6 +51,10 @@ class RowsRefused(Exception):
 
 class Sink(Protocol):
     """Used from one thread; `close` may be called at any time there, and several times."""
+
+    @property
+    def dropped(self) -> int:
+        """The messages to this gateway that were left out, since too many came at a time."""
 
     def open(self, present: Present) -> None:
         """Begin a session; `present` is what stands now. Raises SinkUnreachable."""

@@ -1,9 +1,9 @@
 """Who is told of which alarm, and when: at once, again until it is delivered, the next one if nobody acknowledges.
 
-A scan only leaves a note (`take`): one thread does the talking. What is not delivered yet, and who knows already of an
-alarm that still waits, is kept in the historian, so that a restart neither forgets a message nor sends it anew. A
-message is delivered at least once: a gateway that is killed between a server's answer and the next commit of its
-records sends that one again, under the same Message-ID or Idempotency-Key.
+A scan only leaves a note (`take`): a thread for each recipient does the talking, so that none waits for another. What
+is not delivered yet, and who knows already of an alarm that still waits, is kept in the historian, so that a restart
+neither forgets a message nor sends it anew. A message is delivered at least once: a gateway that is killed between a
+server's answer and the next commit of its records sends that one again, under the same Message-ID or Idempotency-Key.
 
 Policy of the queue: MOST deliveries wait at most. Beyond that the oldest of the least urgent is given up, counted and
 logged, and so is one that is older than a day.
@@ -14,6 +14,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +38,7 @@ FIRST_RETRY, LONGEST_RETRY = 1.0, 300.0
 BETWEEN = 5.0
 """Seconds between two messages to one recipient: an alarm that chatters fills no mailbox."""
 COMPLAIN_SECONDS = 60.0
-"""A recipient that cannot be reached for longer is a cause for complaint."""
+"""What was asked for and is not delivered for so long is a cause for complaint, whatever keeps it."""
 OLDEST_SECONDS = 86_400.0
 CLOSE_SECONDS = 2.0
 
@@ -96,16 +97,20 @@ class Notifier:
         self._stop = threading.Event()
         self._changed: set[str] = set()
         self.delivered = self.given_up = 0
-        self._thread = supervisor.thread("notification", self._work, stop=self._stop)
+        self._threads = [
+            supervisor.thread(f"notification {name}", partial(self._work, line), stop=self._stop)
+            for name, line in self._lines.items()
+        ]
 
     @property
     def complaint(self) -> str:
-        """Which recipient has not been reached for a while, and why; "" none."""
-        now = self._clock()
+        """Which recipient lacks what it was to be told a while ago, or cannot be reached, and why; "" none."""
+        since = self._clock() - COMPLAIN_SECONDS
+        overdue = {each.recipient for each in tuple(self._waiting.values()) if each.due <= since}
         return "; ".join(
-            f"{name}: {line.reason}"
+            f"{name}: {line.reason or 'no answer yet'}"
             for name, line in self._lines.items()
-            if line.failing_since is not None and now - line.failing_since >= COMPLAIN_SECONDS
+            if name in overdue or (line.failing_since is not None and line.failing_since <= since)
         )
 
     @property
@@ -205,42 +210,35 @@ class Notifier:
                 given_up=self.given_up,
             )
 
-    # ---------------------------------------------------------------- the thread
+    # ---------------------------------------------------------------- the threads, one a recipient
 
-    def _work(self) -> None:
+    def _work(self, line: RecipientLine) -> None:
         while True:
             with self._wake:
-                pause = self._pause()
+                pause = self._pause(line)
                 if pause > 0 and not self._stop.is_set() and not self._changed:
                     self._wake.wait(pause)
                 self._bound()
                 changed, self._changed = self._changed, set()
                 self._save(changed)
-                batch = self._next()
+                batch = self._next(line)
             if self._stop.is_set():
                 return
-            if batch is not None:
-                self._deliver(*batch)
+            if batch:
+                self._deliver(line, batch)
 
-    def _pause(self) -> float:
-        """Seconds until there is something to do."""
-        dues = [max(each.due, self._lines[each.recipient].again) for each in self._waiting.values()]
+    def _pause(self, line: RecipientLine) -> float:
+        """Seconds until there is something to do for a recipient."""
+        dues = [max(each.due, line.again) for each in self._waiting.values() if each.recipient == line.row.name]
         return min(max(min(dues, default=float("inf")) - self._clock(), 0.0), 60.0)
 
-    def _next(self) -> tuple[RecipientLine, list[Delivery]] | None:
-        """The recipient that has waited longest of those whose time has come, and what it is told, urgent first."""
+    def _next(self, line: RecipientLine) -> list[Delivery]:
+        """What a recipient is told now, urgent first."""
         now = self._clock()
-        ready = [
-            each for each in self._waiting.values() if each.due <= now and self._lines[each.recipient].again <= now
-        ]
-        if not ready:
-            return None
-        line = self._lines[min(ready, key=lambda each: max(each.due, self._lines[each.recipient].again)).recipient]
-        own = sorted(
-            (each for each in ready if each.recipient == line.row.name),
-            key=lambda each: (each.message.priority, each.message.raised),
-        )
-        return line, own[:TOGETHER]
+        if line.again > now:
+            return []
+        ready = [each for each in self._waiting.values() if each.recipient == line.row.name and each.due <= now]
+        return sorted(ready, key=lambda each: (each.message.priority, each.message.raised))[:TOGETHER]
 
     def _deliver(self, line: RecipientLine, batch: list[Delivery]) -> None:
         name = line.row.name
@@ -318,7 +316,9 @@ class Notifier:
             self._stop.set()
             self._save(self._historians)
             self._wake.notify_all()
-        self._thread.join(CLOSE_SECONDS)
+        end = monotonic() + CLOSE_SECONDS
+        for thread in self._threads:
+            thread.join(max(end - monotonic(), 0.0))
 
 
 def attach_machine(notifier: Notifier, machine: Machine) -> None:

@@ -5,28 +5,35 @@ No sentence here holds a password, a token or the address of a web hook, which m
 
 import json
 import smtplib
+import socket
 import ssl
 from collections.abc import Callable, Mapping, Sequence
 from email.message import EmailMessage
 from email.utils import formatdate
 from functools import partial
-from http.client import HTTPConnection, HTTPException, HTTPSConnection
+from http.client import HTTPException
+from time import monotonic
 from urllib.parse import urlsplit
 
+from drivers.errors import OneLineError
 from gateway.notify.messages import AlarmMessage, identity, plain_of, subject_of, text_of
 from gateway.settings import FROM_SECRETS, NotifySecrets, NotifySection, RecipientRow, SmtpSection
+from gateway.timed_socket import answer_by, connect
+from gateway.timed_tls import TimedHttp, TimedTls, make_tls
 
-TIMEOUT = 10.0
-"""Seconds for each step of a delivery."""
+DELIVERY_SECONDS = 30.0
+"""Seconds for a delivery in all, from the server's name to its last word: half of what is complained of."""
+MOST_ANSWER_BYTES = 1 << 20
+"""Bytes of all that a server says during a delivery."""
 _TRY_AGAIN = frozenset({408, 425, 429})
 """HTTP's 4xx that say "later" (RFC 9110, RFC 6585, RFC 8470)."""
 
 
-class UndeliveredError(Exception):
+class UndeliveredError(OneLineError):
     """It was not delivered and may be the next time; the message is one sentence."""
 
 
-class RefusedError(Exception):
+class RefusedError(OneLineError):
     """It was refused for good: trying again would not help."""
 
 
@@ -40,19 +47,38 @@ def make_senders(section: NotifySection, secrets: NotifySecrets) -> dict[str, Se
     for row in section.to:
         if row.email is not None and section.smtp is not None:
             smtp = section.smtp
-            trusted = ssl.create_default_context(cafile=None if smtp.ca is None else str(smtp.ca))
-            senders[row.name] = partial(_mail, row, smtp, secrets.smtp_password, trusted)
+            senders[row.name] = partial(_mail, row, smtp, secrets.smtp_password, make_tls(smtp.ca))
         else:
             address = secrets.webhooks[row.name] if row.webhook == FROM_SECRETS else str(row.webhook)
             senders[row.name] = partial(_post, row, address, secrets.tokens.get(row.name, ""))
     return senders
 
 
+class _TimedSmtp(smtplib.SMTP):
+    """A mail server, talked to until `end` (monotonic s); encrypted from the first byte with a context."""
+
+    def __init__(self, host: str, port: int, *, end: float, tls: TimedTls | None) -> None:
+        self._end, self._tls = end, tls
+        # smtplib would ask for this computer's name by itself, and wait for the answer as long as it takes.
+        super().__init__(host, port, local_hostname=answer_by(end, _own_name))
+
+    def _get_socket(self, host: str, port: int, _timeout: float) -> socket.socket:
+        line = connect(host, port, self._end)
+        line.room = MOST_ANSWER_BYTES
+        return line if self._tls is None else self._tls.wrap_socket(line, server_hostname=host)
+
+
+def _own_name() -> str:
+    """What this computer calls itself to a mail server (RFC 5321, 4.1.4): its full name, or else an address."""
+    name = socket.getfqdn()
+    return name if "." in name else "[127.0.0.1]"
+
+
 def _mail(
     row: RecipientRow,
     smtp: SmtpSection,
     password: str,
-    trusted: ssl.SSLContext,
+    trusted: TimedTls,
     messages: Sequence[AlarmMessage],
     now: float,
 ) -> None:
@@ -62,12 +88,9 @@ def _mail(
     mail["Message-ID"] = f"<{identity(messages, row.name)}@decanter.invalid>"
     mail["Auto-Submitted"] = "auto-generated"  # RFC 3834: nobody's holiday answers it
     mail.set_content(text_of(messages, escalated_after=row.after))
+    end = monotonic() + DELIVERY_SECONDS
     try:
-        if smtp.security == "tls":
-            server: smtplib.SMTP = smtplib.SMTP_SSL(smtp.host, smtp.port, timeout=TIMEOUT, context=trusted)
-        else:
-            server = smtplib.SMTP(smtp.host, smtp.port, timeout=TIMEOUT)
-        with server:
+        with _TimedSmtp(smtp.host, smtp.port, end=end, tls=trusted if smtp.security == "tls" else None) as server:
             if smtp.security == "starttls":
                 server.starttls(context=trusted)
             if smtp.user is not None:
@@ -84,7 +107,7 @@ def _mail(
     except smtplib.SMTPNotSupportedError:
         raise UndeliveredError("the mail server offers no such encryption or login") from None
     except (OSError, smtplib.SMTPException) as error:
-        raise UndeliveredError(f"the mail server cannot be used ({_reason(error)})") from None
+        raise UndeliveredError(f"the mail server cannot be used ({_reason(error, end)})") from None
     except ValueError:  # a name or an address that no header holds; of TLS it would be an OSError too
         raise RefusedError("it cannot be written as a mail") from None
 
@@ -97,10 +120,9 @@ def _refusal(code: int, sentence: str) -> Exception:
 def _post(row: RecipientRow, address: str, token: str, messages: Sequence[AlarmMessage], _: float) -> None:
     parts = urlsplit(address)
     host, path = str(parts.hostname), (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-    if parts.scheme == "https":
-        line: HTTPConnection = HTTPSConnection(host, parts.port, timeout=TIMEOUT, context=ssl.create_default_context())
-    else:
-        line = HTTPConnection(host, parts.port, timeout=TIMEOUT)
+    end = monotonic() + DELIVERY_SECONDS
+    line = TimedHttp(host, parts.port, make_tls(None) if parts.scheme == "https" else None)
+    line.allow(DELIVERY_SECONDS, MOST_ANSWER_BYTES)
     plain = plain_of(messages, recipient=row.name, escalated_after=row.after)
     headers: Mapping[str, str] = {"Content-Type": "application/json", "Idempotency-Key": str(plain["id"])}
     headers = {**headers, **({"Authorization": f"Bearer {token}"} if token else {})}
@@ -108,7 +130,7 @@ def _post(row: RecipientRow, address: str, token: str, messages: Sequence[AlarmM
         line.request("POST", path, body=json.dumps(plain).encode(), headers=headers)
         status = line.getresponse().status
     except (OSError, HTTPException) as error:
-        raise UndeliveredError(f"the web hook cannot be reached ({_reason(error)})") from None
+        raise UndeliveredError(f"the web hook cannot be reached ({_reason(error, end)})") from None
     except ValueError:  # what it says quotes the token
         raise RefusedError("its token or address cannot be sent") from None
     finally:
@@ -121,9 +143,9 @@ def _post(row: RecipientRow, address: str, token: str, messages: Sequence[AlarmM
     raise RefusedError(sentence)
 
 
-def _reason(error: Exception) -> str:
-    """What an error says without quoting what was sent or asked for."""
-    if isinstance(error, TimeoutError):
+def _reason(error: Exception, end: float) -> str:
+    """What an error says without quoting what was sent or asked for; after `end` (monotonic s) it was too late."""
+    if isinstance(error, TimeoutError) or monotonic() >= end:
         return "no answer in time"
     if isinstance(error, ssl.SSLError):
         return f"TLS: {error.reason or 'failed'}"

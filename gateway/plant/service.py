@@ -16,6 +16,8 @@ LOOKS = 20
 """Looks at the scans within the watchdog's time."""
 PERIODS = 5.0
 """Scans that a machine may miss before it counts as hanging, where that is longer than the unit's WatchdogSec."""
+PATIENCE_SECONDS = 0.5
+"""How long a service manager whose queue is full is waited for: no scan is done meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +58,7 @@ class ServiceManager:
         """Tell it one or more lines NAME=VALUE. It is no reason for a gateway to stop that nobody listens."""
         if self._address:
             with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+                line.settimeout(PATIENCE_SECONDS)
                 line.sendto(state.encode(), self._address)
 
     def feed(self, machines: ScannedMachines) -> bool:

@@ -10,12 +10,13 @@ from itertools import count
 from time import monotonic
 from typing import Any
 
+from drivers.errors import OneLineError
 from drivers.settings import ConfigError
 from gateway.plant.channel import Message, packed_line
 from gateway.plant.service import ScanProgress
 
 
-class WorkerEnded(RuntimeError):
+class WorkerEnded(OneLineError, RuntimeError):
     """A worker process that has ended though nobody told it to; the message is a sentence."""
 
     def __repr__(self) -> str:

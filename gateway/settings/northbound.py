@@ -17,6 +17,7 @@ TABLES: tuple[_Table, ...] = ("samples", "predictions", "forecasts", "events", "
 
 _Tables = Annotated[tuple[_Table, ...], Field(strict=False)]
 _Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,59}$")]
+_HostName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,252}$")]
 NAME = "letters, digits, '_', '-' and '.', 60 at most"
 
 
@@ -125,6 +126,9 @@ class MetricsSection(Section):
     port: int | None = Field(None, ge=0, le=65535, description="a TCP port, 0 for a free one, no key for no server")
     host: str = Field(
         "127.0.0.1", min_length=1, description="the address to listen on: this machine only, if not given"
+    )
+    names: Annotated[tuple[_HostName, ...], Field(strict=False)] = Field(
+        (), max_length=20, description="the names by which it may be asked, beside addresses, 'localhost' and host"
     )
 
 

@@ -5,10 +5,12 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from drivers import json_lines
 from drivers.errors import OneLineError
+from gateway.timed_socket import TimedSocket
 
 
 class ControlError(OneLineError, ValueError):
@@ -38,8 +40,8 @@ class GatewayLine:
     def __init__(self, path: Path, timeout: float = 5.0, *, machine: str | None = None) -> None:
         self.timeout, self._machine = timeout, machine
         self._received = b""
-        self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._sock.settimeout(timeout)
+        self._sock = TimedSocket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._sock.end = monotonic() + timeout
         try:
             with short(path) as name:
                 self._sock.connect(name)
@@ -54,7 +56,7 @@ class GatewayLine:
 
     def send(self, command: str, **keys: Any) -> None:
         """One request without waiting. Raises OSError."""
-        self._sock.settimeout(self.timeout)
+        self._sock.end = monotonic() + self.timeout
         whose = {} if self._machine is None else {"machine": self._machine}
         self._sock.sendall(json_lines.packed({"command": command, **whose, **keys}))
 
@@ -63,7 +65,7 @@ class GatewayLine:
 
         After a TimeoutError it may be called again: what has come until then is kept.
         """
-        self._sock.settimeout(seconds)
+        self._sock.end = monotonic() + seconds
         while b"\n" not in self._received:
             part = self._sock.recv(1 << 16)
             if not part:

@@ -10,12 +10,13 @@ from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
+from drivers.errors import OneLineError
 from sim.strict_json import escaped
 
 Phase = Literal["starting", "running", "stopping", "stopped"]
 
 
-class StatusError(ValueError):
+class StatusError(OneLineError, ValueError):
     """A status that this program cannot read; the message says why and what to do."""
 
 

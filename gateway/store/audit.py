@@ -32,6 +32,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import OneLineError
 from drivers.supervision import Supervisor
 from gateway.chain import BEGIN, digest
 from gateway.store.durable import make_private
@@ -79,7 +80,7 @@ CREATE TRIGGER audit_in_order BEFORE INSERT ON audit WHEN NEW.id IS NOT (SELECT 
 """
 
 
-class AuditError(OSError):
+class AuditError(OneLineError, OSError):
     """The audit log cannot be used; the message is one sentence that says why and what would be right."""
 
 

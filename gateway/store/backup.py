@@ -21,6 +21,7 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from drivers.errors import OneLineError
 from drivers.named_files import contents, place_of
 from gateway.store import audit as audit_log
 from gateway.store import schema
@@ -46,7 +47,7 @@ _FARTHEST_NS = 8e18
 _LONGEST = 16 << 20
 
 
-class BackupError(ValueError):
+class BackupError(OneLineError, ValueError):
     """No backup, or none that can be used; the message is one sentence that says why and what would be right."""
 
 

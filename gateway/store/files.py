@@ -18,6 +18,7 @@ from math import inf
 from pathlib import Path
 from shutil import disk_usage
 
+from drivers.errors import OneLineError
 from gateway.store.durable import BESIDE, make_private, set_aside
 from gateway.store.schema import (
     APPLICATION_ID,
@@ -43,7 +44,7 @@ RECOVERY_SECONDS = 20.0
 _RESERVE = 16_000_000
 
 
-class HistorianError(OSError):
+class HistorianError(OneLineError, OSError):
     """The historian's file cannot be used; the message is one sentence that says why and what would be right."""
 
 

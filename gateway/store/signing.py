@@ -19,12 +19,13 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_public_key,
 )
 
+from drivers.errors import OneLineError
 from gateway.store.durable import write_durably
 
 KEY_MODE, PUBLIC_MODE = 0o600, 0o644
 
 
-class SigningKeyError(OSError):
+class SigningKeyError(OneLineError, OSError):
     """A key file cannot be used; the message is one sentence that says why and what would be right."""
 
 

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import OneLineError
 from gateway.settings import Config
 from gateway.web.box import box_facts
 from gateway.web.program import ProgramRefused, run_program
@@ -15,7 +16,7 @@ FOLDER = "backups"
 PATIENCE_S = 3600.0
 
 
-class BackupRefused(Exception):
+class BackupRefused(OneLineError):
     """No backup was made; the message is one sentence."""
 
 

@@ -4,12 +4,13 @@ import asyncio
 import os
 import sys
 
+from drivers.errors import OneLineError
 from gateway.web.reader_process import NICENESS
 
 PROGRAM = "gateway.cli.main"
 
 
-class ProgramRefused(Exception):
+class ProgramRefused(OneLineError):
     """What was asked for is not done; the message is one sentence ("": the program said none)."""
 
 

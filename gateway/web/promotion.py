@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
+from drivers.errors import OneLineError
 from gateway.web.program import ProgramRefused, run_program
 
 PATIENCE_S = 300.0
 
 
-class PromotionRefused(Exception):
+class PromotionRefused(OneLineError):
     """A version that is not made current; the message is one sentence."""
 
 

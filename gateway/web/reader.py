@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import OneLineError
+
 QUICK_S, SLOW_S = 30.0, 300.0
 """How long an answer may take: of what people look at, and of scores over weeks. Then the process is ended."""
 IDLE_S = 300.0
@@ -14,7 +16,7 @@ MOST_WAITING = 32
 LONGEST_ANSWER = 1 << 26
 
 
-class ReaderError(OSError):
+class ReaderError(OneLineError, OSError):
     """The historian's rows cannot be had; the message is one sentence."""
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivers.errors import OneLineError
 from gateway.settings import PAGE_SUBJECT, Config
 from gateway.status import GatewayStatus
 from gateway.store import Audit, AuditEntry
@@ -17,7 +18,7 @@ from gateway.web.reader import HistorianReader
 from gateway.web.views import machine_view
 
 
-class Unaccountable(RuntimeError):
+class Unaccountable(OneLineError, RuntimeError):
     """What a person asked for is not done, as it cannot be put on record."""
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.errors import OneLineError
 from sim.effects import check_sha, in_sensor_scale, signals_of
 from sim.engine import Policy, Start, open_loop
 from sim.files import refused, replace_durably
@@ -47,7 +48,7 @@ class Exported:
     replay: ReplayedTrace = field(repr=False)
 
 
-class ExportError(ValueError):
+class ExportError(OneLineError, ValueError):
     """A model cannot be exported, or its text breaks a rule of UPPAAL's parser."""
 
 

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.errors import OneLineError
 from sim.uppaal.output import Output, failure, parse_output
 
 VARIABLE = "DECANTER_VERIFYTA"
@@ -18,7 +19,7 @@ GRACE = 5.0
 """Seconds to wait for the rest of the output of an engine that was stopped."""
 
 
-class EngineError(ValueError):
+class EngineError(OneLineError, ValueError):
     """The engine is not there, or gave no usable answer: what happened and what would help."""
 
 

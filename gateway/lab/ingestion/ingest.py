@@ -1,9 +1,11 @@
 """`decanter trace ingest`: a folder of files from elsewhere into an archive, once or as long as it is watched."""
 
 import os
+import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
 from errno import EDQUOT, ENOSPC, EROFS
@@ -24,14 +26,50 @@ from gateway.lab.ingestion.archive import (
     opened_archive,
     refuse_open,
 )
-from gateway.lab.ingestion.recognising import FileStamps, IngestUnit, recognised, units_in
+from gateway.lab.ingestion.recognising import FileStamps, IngestUnit, RecognisedUnit, recognised, units_in
 from sim.files import at, check_utf8, resolved
 from sim.traces import ColumnMap, load_map
 
 MOST_TOLD = 10_000
 """Outcomes that a watch keeps for its summary: it may run for months."""
+TURN_SECONDS = 10.0
+"""How long those behind it wait for the reading of a unit."""
+MOST_BESIDE = 2
+"""Units that are read beside the others: each takes memory, and its share of the processor."""
 NO_ARCHIVE = (ENOSPC, EDQUOT, EROFS)
 """What a system says of a disk that takes no file at all; anything else is about the one file."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingUnit:
+    """A unit that a thread of its own reads: `known` gives what it is once that is done, or raises as `recognised`.
+
+    It was as `stamp` says when that was begun.
+    """
+
+    unit: IngestUnit
+    stamp: FileStamps
+    known: "Future[RecognisedUnit]"
+
+
+Beside = dict[Path, ReadingUnit]
+"""What is read beside the others, since it takes longer than they wait for it; by the units' sources."""
+
+
+def _begin_reading(unit: IngestUnit, maps: dict[str, ColumnMap]) -> ReadingUnit:
+    """Raises OSError where the unit is not there."""
+    known: Future[RecognisedUnit] = Future()
+
+    def read() -> None:
+        try:
+            known.set_result(recognised(unit, maps))
+        except BaseException as error:  # noqa: BLE001 - it is raised where the result is asked for
+            known.set_exception(error)
+
+    reading = ReadingUnit(unit, unit.stamp(), known)
+    # Of a command that is stopped nobody waits for what it was reading.
+    threading.Thread(target=read, name=f"reading {unit.source.name}", daemon=True).start()
+    return reading
 
 
 def ingested(
@@ -41,23 +79,59 @@ def ingested(
     *,
     move: bool,
     clock: Callable[[], float],
+    beside: Beside | None = None,
 ) -> Iterator[IngestOutcome]:
-    """What becomes of each unit, as it comes; `clock` gives s UTC. Raises OSError where the disk takes no file."""
-    for unit in units:
+    """What becomes of each unit, as it comes; `clock` gives s UTC. Raises OSError where the disk takes no file.
+
+    A unit whose reading takes longer than TURN_SECONDS goes on beside those behind it. With `beside`, which has such
+    ones of before, what is not done at the end is left there; without it all are waited for.
+    """
+    waiting = {} if beside is None else beside
+
+    def outcome_of(unit: IngestUnit, reading: ReadingUnit | None) -> IngestOutcome | None:
+        """What becomes of a unit, or of one that was read; None where it is read beside the others from now on."""
         try:
-            if not unit.refusal:
-                refuse_open(unit)
-            outcome = archive.again(unit, move=move)
-            if outcome is None:
-                outcome = archive.take(unit, recognised(unit, maps), move=move, when=clock())
+            if reading is None:
+                if not unit.refusal:
+                    refuse_open(unit)
+                if (there := archive.again(unit, move=move)) is not None:
+                    return there
+                reading = _begin_reading(unit, maps)
+                wait((reading.known,), TURN_SECONDS)
+                if not reading.known.done():
+                    waiting[unit.source] = reading
+                    return None
+            known = reading.known.result()
+            if unit.stamp() != reading.stamp:
+                raise PassingError(f"{unit.source}: changed while it was read; it is read again when it is at rest")
+            return archive.take(unit, known, move=move, when=clock())
         except (DriverError, ValueError, OSError) as error:
             if isinstance(error, OSError) and error.errno in NO_ARCHIVE:
                 raise
             gone = not all(map(os.path.lexists, unit.files))
             said = f"{unit.source}: has gone meanwhile; nothing is to be done" if gone else sentence(error)
-            passes = gone or isinstance(error, PassingError)
-            outcome = IngestOutcome(unit.source, "refused", said, passes=passes)
-        yield outcome
+            return IngestOutcome(unit.source, "refused", said, passes=gone or isinstance(error, PassingError))
+
+    def finished(most: int) -> Iterator[IngestOutcome]:
+        """What becomes of those beside that are done, and of more, until so many at most are left."""
+        while waiting:
+            patience = None if len(waiting) > most else 0.0
+            done, _ = wait([each.known for each in waiting.values()], patience, FIRST_COMPLETED)
+            if not done:
+                return
+            for source, reading in list(waiting.items()):
+                if reading.known in done:
+                    del waiting[source]
+                    if (outcome := outcome_of(reading.unit, reading)) is not None:
+                        yield outcome
+
+    for unit in units:
+        if unit.source in waiting:
+            continue
+        if (outcome := outcome_of(unit, None)) is not None:
+            yield outcome
+        yield from finished(MOST_BESIDE)
+    yield from finished(0 if beside is None else MOST_BESIDE)
 
 
 @dataclass(slots=True)
@@ -120,6 +194,7 @@ def watch_folder(
     seen = FolderWatch(rest)
     waiting: dict[Path, IngestOutcome] = {}
     here: dict[Path, tuple[Path, ...]] = {}
+    beside: Beside = {}
     # Ctrl-C is how a watch ends: what was taken is told, and no file is half there. It is caught here, so that the exit
     # code is that of what was refused and not that of a command that was stopped.
     with suppress(KeyboardInterrupt), interruptible(lambda what, share: None):
@@ -128,9 +203,9 @@ def watch_folder(
             try:
                 units = units_in(folder, archive)
                 due = seen.due(units, time.monotonic())
-                if due:
+                if due or any(reading.known.done() for reading in beside.values()):
                     with opened_archive(archive) as opened:
-                        for outcome in ingested(due, opened, maps, move=move, clock=time.time):
+                        for outcome in ingested(due, opened, maps, move=move, clock=time.time, beside=beside):
                             if outcome.passes:
                                 passing.append(outcome)
                             else:
@@ -156,8 +231,12 @@ def watch_folder(
             if time.monotonic() + every > end:
                 break
             time.sleep(every)
+    for source in beside:
+        said = f"{source}: is still being read; watch for longer, or ingest it by itself"
+        waiting.setdefault(source, IngestOutcome(source, "refused", said))
     for source, outcome in waiting.items():
-        if all(map(os.path.lexists, here[source])):  # else it has gone, and nothing of it is left to be taken
+        # Else it has gone, and nothing of it is left to be taken.
+        if source in here and all(map(os.path.lexists, here[source])):
             keep(outcome)
 
 

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from drivers.driver import Driver, Writes
+from drivers.errors import OneLineError
 from drivers.settings import ConfigError
 from gateway.machine.reading import Clock
 from gateway.machine.writing.writeback import Arming, Pace, Writer
@@ -57,7 +58,7 @@ CONFIRMED_SECONDS = 2.0
 """The longest wait for the disk to take the row that confirms an arming in force; then nobody waits for it."""
 
 
-class ArmingError(ValueError):
+class ArmingError(OneLineError, ValueError):
     """It is not armed; the message says why and what would be right."""
 
 
@@ -341,7 +342,8 @@ async def arm(
     if audit is None or not isinstance(driver, Writes):
         raise ArmingError("this driver cannot write")
     if any(writer.ending for writer in writers):
-        raise ArmingError("it is being disarmed at this moment; arm again once that is done")
+        doubt = f", which the audit log does not take ({audit.failure})" if audit.failure else ""
+        raise ArmingError(f"it is being disarmed at this moment{doubt}; arm again once that is done")
     now, generations = clock.now(), [writer.generation for writer in writers]
     arming = signed(by, reason, minutes, now)
     entry = entry_of(arming, now, "command", clock.speed, **process).of(writers[0].subject)
