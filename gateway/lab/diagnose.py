@@ -140,8 +140,7 @@ def run(
         experiments=experiments,
         progress=progress,
     )
-    # Where model and data agree there are no rivals.
-    if request.experiment and outcome.path is not None and outcome.diagnosis.verdict != "agree":
+    if request.experiment and outcome.path is not None:
         progress("the experiment that tells rivals apart", 0.97)
         proposed = propose_experiment(outcome.path, traces, roles)
         outcome = replace(outcome, diagnosis=replace(outcome.diagnosis, experiment=proposed))

@@ -9,7 +9,6 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli.main import main
-from gateway.lab import diagnose as lab
 from sim.artefacts.formats import write_model_directory
 from sim.discrepancy import proving
 from sim.discrepancy.advice import experiment_lines
@@ -223,19 +222,3 @@ def test_the_command_proposes_and_writes_the_experiment(tmp_path: Path) -> None:
     assert "experiment: " in result.output
     assert document["experiment"]["steps"][0].keys() == {"signal", "value", "seconds"}
     assert (tmp_path / "rows.csv").read_text().count("\n") > 100
-
-
-def test_where_model_and_data_agree_no_experiment_is_looked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(lab, "propose_experiment", lambda *_: pytest.fail("there are no rivals"))
-    clean = plant(1)
-    named = {("TCuscinettiRiduttore" if name == "T" else name): column for name, column in clean.signals.items()}
-    write_trace(replace(clean, signals=named, events=()), tmp_path / "days.csv")
-    write_model_directory(tmp_path / "model", replace(model(), temperature="TCuscinettiRiduttore"))
-    arguments = ["diagnose", "--model", str(tmp_path / "model"), "--traces", str(tmp_path / "days.csv")]
-    result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path / "out"), "--experiment", "--no-report"])
-    assert result.exit_code == 0, result.output
-    document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    assert (document["verdict"], document.get("experiment")) == ("agree", None)
-    assert "experiment: none" in result.output
