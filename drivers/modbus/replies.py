@@ -1,0 +1,125 @@
+"""What keeps replies apart on TCP and TLS: ids that go on over connections, and frames that are whole by themselves.
+
+No byte of a reading may come from a reply to another request, of this connection or a former one. An id says which
+request a frame answers as long as no other request has had it: a device server that brings on a new connection what
+the former one was to have must not meet the same numbers there. Where a frame ends its length says, and a peer that
+cuts one short makes the beginning of the next its end: so nothing is asked behind a part of a frame, and what ends as
+another frame may begin is believed once nothing follows it.
+"""
+
+import asyncio
+import random
+from collections.abc import Callable, Collection
+
+from drivers.errors import LinkDown, ReplyMismatch
+from drivers.modbus.verify import HEADER, split_frames
+
+KEPT_S = 600.0
+"""So long an id is not used again after a question without an answer."""
+SETTLE_S = 0.05
+"""The rest of a frame whose first bytes have come follows within so long: a system's delayed acknowledgement is 0.04 s
+(RFC 9293, 3.8.6.3), for which a peer that writes a frame in two pieces waits with the second."""
+_LAST_ID = 0xFFFF
+
+
+class TransactionIds:
+    """The ids of all requests to one place, over all connections to it; they begin at random, and 0 is none of them.
+
+    0 is left out since devices are met that answer everything with it.
+    """
+
+    def __init__(self, rng: random.Random) -> None:
+        self._last = rng.randint(1, _LAST_ID)
+        # Of requests without an answer, with the loop's time of asking, oldest first.
+        self._unanswered: dict[int, float] = {}
+
+    def take(self, now: float) -> int:
+        """The next id that no request without an answer has. Raises LinkDown where all are taken."""
+        while self._unanswered and next(iter(self._unanswered.values())) < now - KEPT_S:
+            del self._unanswered[next(iter(self._unanswered))]
+        if len(self._unanswered) >= _LAST_ID:
+            raise LinkDown("every transaction id waits for an answer")
+        self._last = self._last % _LAST_ID + 1
+        while self._last in self._unanswered:
+            self._last = self._last % _LAST_ID + 1
+        self._unanswered[self._last] = now
+        return self._last
+
+    def answered(self, number: int) -> None:
+        """A reply with this id has come."""
+        self._unanswered.pop(number, None)
+
+
+class ReplyStream:
+    """The bytes of one connection as frames, each given to `give` once it is whole by itself.
+
+    `cut` hears, in words, that something was cut short, where that shows by waiting alone.
+    """
+
+    def __init__(self, give: Callable[[bytes], None], cut: Callable[[str], None]) -> None:
+        self._give, self._cut = give, cut
+        self._rest = b""
+        self._held = b""
+        # Where in the rest, or the frame held, something begins that came by itself.
+        self._starts: list[int] = []
+        self._settling: asyncio.TimerHandle | None = None
+
+    @property
+    def unfinished(self) -> bytes:
+        """What has come of a frame that is not whole, or of one that is not believed yet; empty if there is none."""
+        return self._held or self._rest
+
+    def take(self, data: bytes, expected: Collection[int]) -> None:
+        """Take in what has come; `expected` are the ids of the requests on this connection without an answer.
+
+        Raises ReplyMismatch where it cannot be cut into frames, or shows that the reply before it was cut short; then
+        nothing of it is given.
+        """
+        starts = [*self._starts, len(self._rest)] if self._rest else []
+        received = len(self._rest) + len(data)
+        frames, self._rest = split_frames(self._rest + data)
+        begins = received - len(self._rest)
+        self._starts = [start - begins for start in starts if start > begins]
+        if self._held:
+            frames.insert(0, self._held)
+            self._release()
+        answers = [number for number in map(_number, frames) if number in expected]
+        if answers and self._rest:
+            others = [number.to_bytes(2, "big") for number in expected if number not in answers]
+            if not any(number.startswith(self._rest[:2]) for number in others):
+                raise ReplyMismatch("what follows a reply is no other one: one of them was cut short")
+        last = frames[-1] if frames and _number(frames[-1]) in expected else b""
+        pieces = [last[start - begins + len(last) :] for start in starts if begins - len(last) < start < begins]
+        if last and (0 < len(self._rest) < HEADER or (not self._rest and any(map(_may_begin_a_frame, pieces)))):
+            self._held = frames.pop()
+            self._settling = asyncio.get_running_loop().call_later(SETTLE_S, self._settle)
+        for frame in frames:
+            self._give(frame)
+
+    def close(self) -> None:
+        """Nothing is given any more."""
+        self._release()
+        self._rest = b""
+
+    def _release(self) -> bytes:
+        held, self._held = self._held, b""
+        if self._settling is not None:
+            self._settling.cancel()
+            self._settling = None
+        return held
+
+    def _settle(self) -> None:
+        held = self._release()
+        if self._rest:
+            self._cut("what follows a reply is not whole")
+        elif held:
+            self._give(held)
+
+
+def _number(frame: bytes) -> int:
+    return int.from_bytes(frame[:2], "big")
+
+
+def _may_begin_a_frame(piece: bytes) -> bool:
+    """Whether these bytes may be the first ones of a frame, as far as they go: an id, twice 0, and the length."""
+    return not any(piece[2:5])
