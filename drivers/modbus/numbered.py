@@ -71,7 +71,7 @@ class NumberedWire(asyncio.Protocol):
         self._questions: dict[int, _Question] = {}
         # By unit, the id under which what it was asked last was asked first.
         self._readings: dict[int, int] = {}
-        self._stream = ReplyStream(self._take, self._break_cut)
+        self._stream = ReplyStream(ids, self._take, self._break_cut)
         self._unasked = 0
         # Questions by unit since anything was answered.
         self._since_answer: Counter[int] = Counter()

@@ -11,7 +11,7 @@ import asyncio
 import random
 from collections.abc import Callable, Collection
 
-from drivers.errors import LinkDown, ReplyMismatch
+from drivers.errors import LinkDown
 from drivers.modbus.verify import HEADER, split_frames
 
 KEPT_S = 600.0
@@ -19,6 +19,8 @@ KEPT_S = 600.0
 SETTLE_S = 0.05
 """The rest of a frame whose first bytes have come follows within so long: a system's delayed acknowledgement is 0.04 s
 (RFC 9293, 3.8.6.3), for which a peer that writes a frame in two pieces waits with the second."""
+LATEST = 1024
+"""Replies to so many requests, the latest, are reckoned with."""
 _LAST_ID = 0xFFFF
 
 
@@ -49,17 +51,27 @@ class TransactionIds:
         """A reply with this id has come."""
         self._unanswered.pop(number, None)
 
+    def may_begin(self, piece: bytes, own: int) -> bool:
+        """Whether a reply to another request than `own` may begin so, by its id: one of the latest; where that is cut
+        to a byte, one without an answer, or every 256th register would look so.
+        """
+        if len(piece) > 1:
+            return (self._last - _number(piece)) % _LAST_ID < LATEST
+        return any(number >> 8 == piece[0] for number in self._unanswered if number != own)
+
 
 class ReplyStream:
     """The bytes of one connection as frames, each given to `give` once it is whole by itself.
 
-    `cut` hears, in words, that something was cut short, where that shows by waiting alone.
+    `cut` hears, in words, that one was cut short: then nothing that came with it is given, nor anything after it.
     """
 
-    def __init__(self, give: Callable[[bytes], None], cut: Callable[[str], None]) -> None:
-        self._give, self._cut = give, cut
+    def __init__(self, ids: TransactionIds, give: Callable[[bytes], None], cut: Callable[[str], None]) -> None:
+        self._ids, self._give, self._cut = ids, give, cut
         self._rest = b""
+        # The frame that is not believed yet, and the pieces at its end that may be another one's.
         self._held = b""
+        self._doubted: list[bytes] = []
         # Where in the rest, or the frame held, something begins that came by itself.
         self._starts: list[int] = []
         self._settling: asyncio.TimerHandle | None = None
@@ -72,8 +84,7 @@ class ReplyStream:
     def take(self, data: bytes, expected: Collection[int]) -> None:
         """Take in what has come; `expected` are the ids of the requests on this connection without an answer.
 
-        Raises ReplyMismatch where it cannot be cut into frames, or shows that the reply before it was cut short; then
-        nothing of it is given.
+        Raises ReplyMismatch, and gives nothing of it, where these are no frames.
         """
         starts = [*self._starts, len(self._rest)] if self._rest else []
         received = len(self._rest) + len(data)
@@ -87,10 +98,13 @@ class ReplyStream:
         if answers and self._rest:
             others = [number.to_bytes(2, "big") for number in expected if number not in answers]
             if not any(number.startswith(self._rest[:2]) for number in others):
-                raise ReplyMismatch("what follows a reply is no other one: one of them was cut short")
+                self._cut("what follows a reply is no other one: one of them was cut short")
+                return
         last = frames[-1] if frames and _number(frames[-1]) in expected else b""
+        # Such a piece may be the first bytes of a frame, as far as they go: an id, twice 0, and a length below 256.
         pieces = [last[start - begins + len(last) :] for start in starts if begins - len(last) < start < begins]
-        if last and (0 < len(self._rest) < HEADER or (not self._rest and any(map(_may_begin_a_frame, pieces)))):
+        self._doubted = [piece for piece in pieces if not any(piece[2:5])]
+        if last and (0 < len(self._rest) < HEADER or (not self._rest and self._doubted)):
             self._held = frames.pop()
             self._settling = asyncio.get_running_loop().call_later(SETTLE_S, self._settle)
         for frame in frames:
@@ -110,16 +124,11 @@ class ReplyStream:
 
     def _settle(self) -> None:
         held = self._release()
-        if self._rest:
-            self._cut("what follows a reply is not whole")
+        if self._rest or any(self._ids.may_begin(piece, _number(held)) for piece in self._doubted):
+            self._cut("a reply ends as another one begins: one of them was cut short")
         elif held:
             self._give(held)
 
 
 def _number(frame: bytes) -> int:
     return int.from_bytes(frame[:2], "big")
-
-
-def _may_begin_a_frame(piece: bytes) -> bool:
-    """Whether these bytes may be the first ones of a frame, as far as they go: an id, twice 0, and the length."""
-    return not any(piece[2:5])

@@ -81,6 +81,8 @@ class LineWire:
         self._port: _Port | None = None
         self._data = b""
         self._heard = 0.0
+        # What was answered last on this connection.
+        self._answered: Asked | None = None
         self._arrived = asyncio.Event()
         self._tap = current()
         self.foreign = 0
@@ -172,6 +174,7 @@ class LineWire:
             self._quiet.owed.pop(wanted.unit, None)
             raise
         self._quiet.owed.pop(wanted.unit, None)
+        self._answered = wanted
 
     # ------------------------------------------------------------ before sending
 
@@ -198,9 +201,24 @@ class LineWire:
             # not meet our request.
             self._take_out_late(wanted.unit)
             owed = self._awaited(wanted)
-            if owed is None or owed.question.unit == wanted.unit:
-                break
+            if owed is not None and owed.question.unit != wanted.unit:
+                continue
+            if owed is None and self._is_repeated() and (silent_at := self._heard + TORN_S) > _now():
+                if not await self._more(min(until, silent_at)) and silent_at > until:
+                    raise ReplyTimeout(f"{wanted}: not asked, as the answer before it is being repeated")
+                continue
+            break
         self.foreign += bool(self._data)
+
+    def _is_repeated(self) -> bool:
+        """Whether the last answer begins to come once more: it would be the next one's. Whole ones are dropped."""
+        last = self._answered
+        if last is None:
+            return False
+        while self._is_reply_to(last):
+            self._data = self._data[rtu.reply_length(last, self._data) :]
+            self.foreign += 1
+        return bool(self._data) and self._data[:2] == bytes((last.unit, last.function))[: len(self._data)]
 
     def _awaited(self, wanted: Asked) -> Owed | None:
         """The late reply that has to come, or to become impossible, before `wanted` may be asked: of its own unit, or

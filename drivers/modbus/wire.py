@@ -115,7 +115,7 @@ class Wire:
         self._any_answer = asyncio.Event()
         self._outcome: asyncio.Future[WireReply] | None = None
         self._sent = self._received = 0.0
-        self._stream = ReplyStream(self._take_frame, self._break_cut)
+        self._stream = ReplyStream(ids, self._take_frame, self._break_cut)
         self._unasked = 0
         self.foreign = 0
         self.last = b""

@@ -55,6 +55,11 @@ class Reassembler:
         self.counts["flow_control" if kind == FLOW_CONTROL else "malformed"] += 1
         return None
 
+    def restart(self) -> None:
+        """Let go of a message that is not whole: what comes is another connection's."""
+        if self._open is not None:
+            self._drop("lost")
+
     def _single(self, data: bytes) -> bytes | None:
         length = data[0]
         if not 1 <= length <= 7 or len(data) < length + 1:
