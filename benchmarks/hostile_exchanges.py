@@ -1,15 +1,17 @@
 """Hostile exchanges in virtual time: peers that split, cut, delay, repeat, swap and leave over, and what is GOOD.
 
-`python -m benchmarks.hostile_exchanges [--exchanges N] [--link NAME]... [--seed S] [--json]`. The drivers as they run,
-a peer in memory (`benchmarks.hostile_modbus`) and a clock that no time passes on. A reading is wrong
-if it is GOOD and the device said no such thing to a request of that very reading.
+`python -m benchmarks.hostile_exchanges [--exchanges N] [--link NAME]... [--seed S] [--json]`. What matches answers to
+requests, as it runs (the Modbus drivers whole, of CAN the reception, the SDO client and the ISO-TP receiver), peers in
+memory (`benchmarks.hostile_modbus`, `benchmarks.hostile_can`) and a clock on which no time passes by itself. A reading
+is wrong if it is GOOD and the device said no such thing to a request of that very reading.
 """
 
 import asyncio
+import datetime as dt
 import random
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import ssl
+from collections.abc import Callable, Coroutine, Mapping
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 from unittest.mock import patch
@@ -17,10 +19,12 @@ from unittest.mock import patch
 import click
 
 from benchmarks.figures import Figure, give
+from benchmarks.hostile_can import can_frames, isotp_messages, sdo_readings
 from benchmarks.hostile_modbus import HABITS, LATER_THAN_A_LINE_CAN_TELL, HostileDevice
+from benchmarks.hostile_tally import Tally
 from benchmarks.memory_net import MemoryLoop, MemoryTransport
 from drivers.connections import Connections
-from drivers.modbus import serial_line
+from drivers.modbus import serial_line, tls
 from drivers.modbus.driver import ModbusDriver, open_modbus
 from drivers.modbus.serial_line import LineWire
 from drivers.modbus.settings import ModbusSettings
@@ -47,24 +51,6 @@ BLOCKS = (
 )
 _FUNCTIONS = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}
 _PLACE = {"host": "peer", "port": 502}
-
-
-@dataclass
-class Tally:
-    """What became of the exchanges (requests on the wire) of a link."""
-
-    exchanges: int = 0
-    good: int = 0
-    wrong: int = 0
-    escapes: int = 0
-    habits: Counter[str] = field(default_factory=Counter)
-    good_by_habit: Counter[str] = field(default_factory=Counter)
-    examples: list[str] = field(default_factory=list)
-
-    def escaped(self, error: object) -> None:
-        """An exception where none may be."""
-        self.escapes += 1
-        self.examples.append(f"escaped: {error!r}")
 
 
 # ---------------------------------------------------------------- Modbus
@@ -108,6 +94,8 @@ def _settings(link: str, rng: random.Random) -> dict[str, Any]:
         return {"transport": "rtu", "serial": "/dev/null", "baud": 115200, **common}
     if link == "rtu-tcp":
         return {"transport": "rtu-tcp", **_PLACE, **common}
+    if link == "tls":
+        return {"transport": "tls", **_PLACE, "certificates": "none", **common}
     return {"transport": "tcp", **_PLACE, **common}
 
 
@@ -165,23 +153,28 @@ async def _read(unit: int, driver: ModbusDriver, device: HostileDevice, tally: T
             if said is None:
                 wrong = f"{tag.address} of unit {unit} read as {sample.value} at {sample.time:.3f}"
             habits.update(said or ())
-        tally.good += bool(good)
-        tally.good_by_habit.update(habits)
-        if wrong:
-            tally.wrong += 1
-            tally.examples.append(f"wrong: {wrong}")
+        if good:
+            tally.judge(wrong, habits, good=not wrong)
         await asyncio.sleep(rng.choice((0.0, 0.01, 0.1, 0.5)))
 
 
 # ---------------------------------------------------------------- the command
 
-LINKS: Mapping[str, Any] = dict.fromkeys(("tcp", "rtu", "rtu-tcp"), modbus_readings)
+_Episode = Callable[[str, random.Random, Tally], Coroutine[Any, Any, None]]
+LINKS: Mapping[str, _Episode] = {
+    **dict.fromkeys(("tcp", "tls", "rtu", "rtu-tcp"), modbus_readings),
+    "can": can_frames,
+    "canopen": sdo_readings,
+    "iso-tp": isotp_messages,
+}
+# Whose certificates do not matter: on this network nothing is encrypted.
+_NOBODY = tls.Identity(Path(), ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), "", dt.datetime.max.replace(tzinfo=dt.UTC))
 
 
 def suffer(link: str, exchanges: int, seed: int) -> Tally:
     """So many exchanges, or a few more, over the link."""
     tally, episode = Tally(), 0
-    with patch.object(serial_line, "_SerialPort", _MemoryPort):
+    with patch.object(serial_line, "_SerialPort", _MemoryPort), patch.object(tls, "load_identity", lambda _: _NOBODY):
         while tally.exchanges < exchanges:
             rng = random.Random(f"{seed} {link} {episode}")
             episode += 1
@@ -211,7 +204,7 @@ def main(*, exchanges: int, links: tuple[str, ...], seed: int, as_json: bool) ->
             Figure(f"{link}: exceptions that escaped", tally.escapes, ""),
         ]
         for name, count in sorted(tally.habits.items()):
-            figures.append(Figure(f"{link}: replies {name}", count, "", "good readings", tally.good_by_habit[name]))
+            figures.append(Figure(f"{link}: {name}", count, "", "good readings of those", tally.good_by_habit[name]))
         for line in tally.examples[:10]:
             click.echo(line, err=True)
     give("hostile exchanges in virtual time", figures, as_json=as_json)
