@@ -201,7 +201,7 @@ async def isotp_messages(_link: str, rng: random.Random, tally: Tally) -> None:
         rest = [payload[at : at + 7] for at in range(6, length, 7)]
         frames = [(0x1000 | length).to_bytes(2, "big") + payload[:6]]
         frames += [bytes([0x20 | number % 16]) + part for number, part in enumerate(rest, start=1)]
-        at, lost_in_a_row = 0, 0
+        at, lost_in_a_row, swapped_at = 0, 0, -1
         while at < len(frames):
             now += 0.01
             habit = rng.choice(habits) if rng.random() < share else ""
@@ -215,8 +215,8 @@ async def isotp_messages(_link: str, rng: random.Random, tally: Tally) -> None:
                 arriving = [frames[at][: rng.randrange(len(frames[at]))]]
             elif habit == "sent again":
                 arriving = [frames[at]] * 2
-            elif habit == "swapped with the next" and at + 1 < len(frames):
-                frames[at], frames[at + 1] = frames[at + 1], frames[at]
+            elif habit == "swapped with the next" and swapped_at < at < len(frames) - 1:
+                frames[at], frames[at + 1], swapped_at = frames[at + 1], frames[at], at + 1
                 arriving = [frames[at]]
             elif habit == "new connection":
                 receiver.restart()

@@ -93,8 +93,11 @@ def _noise(device: "HostileDevice", reply: Reply, rng: random.Random) -> None:
         # A burst of up to 16 bits, which a CRC of 16 bits always tells.
         start, mask = rng.randint(0, 8 * len(reply.frame) - 16), rng.randint(1, 0xFFFF)
         reply.frame = (int.from_bytes(reply.frame, "big") ^ mask << start).to_bytes(len(reply.frame), "big")
-    else:
+    elif device.is_line:
         reply.before = rng.randbytes(rng.randint(1, 8))
+    else:
+        # More than is missing of any reply: what is none and fills the gap in one to a byte, nothing tells.
+        reply.before = rng.randbytes(rng.randint(64, 80))
 
 
 def _hang_up(_: "HostileDevice", reply: Reply, rng: random.Random) -> None:
@@ -112,7 +115,8 @@ def _busy(device: "HostileDevice", reply: Reply, rng: random.Random) -> None:
 
 def _other_unit(device: "HostileDevice", reply: Reply, rng: random.Random) -> None:
     pdu = reply.honest[device.head : len(reply.honest) - (2 if device.is_line else 0)]
-    reply.frame = device.framed(reply.honest[:2], bytes(((pdu[0] + rng.randint(1, 3)) % 256,)) + pdu[1:])
+    # Of one that is not asked: on a line its number is all that a unit's late reply is known by.
+    reply.frame = device.framed(reply.honest[:2], bytes((pdu[0] + rng.randint(10, 13),)) + pdu[1:])
 
 
 HABITS: Mapping[str, Habit] = {

@@ -52,12 +52,14 @@ class TransactionIds:
         self._unanswered.pop(number, None)
 
     def may_begin(self, piece: bytes, own: int) -> bool:
-        """Whether a reply to another request than `own` may begin so, by its id: one of the latest; where that is cut
-        to a byte, one without an answer, or every 256th register would look so.
+        """Whether a reply to another request than `own` may begin so: one of the latest, or, where so little of it has
+        come that registers look like that, one without an answer.
         """
-        if len(piece) > 1:
+        if not _is_head(piece):
+            return False
+        if len(piece) > HEADER + 1:
             return (self._last - _number(piece)) % _LAST_ID < LATEST
-        return any(number >> 8 == piece[0] for number in self._unanswered if number != own)
+        return any(number.to_bytes(2, "big").startswith(piece[:2]) for number in self._unanswered if number != own)
 
 
 class ReplyStream:
@@ -69,10 +71,9 @@ class ReplyStream:
     def __init__(self, ids: TransactionIds, give: Callable[[bytes], None], cut: Callable[[str], None]) -> None:
         self._ids, self._give, self._cut = ids, give, cut
         self._rest = b""
-        # The frame that is not believed yet, and the pieces at its end that may be another one's.
+        # The frame that is not believed yet.
         self._held = b""
-        self._doubted: list[bytes] = []
-        # Where in the rest, or the frame held, something begins that came by itself.
+        # Where in the rest something begins that came by itself.
         self._starts: list[int] = []
         self._settling: asyncio.TimerHandle | None = None
 
@@ -87,10 +88,13 @@ class ReplyStream:
         Raises ReplyMismatch, and gives nothing of it, where these are no frames.
         """
         starts = [*self._starts, len(self._rest)] if self._rest else []
-        received = len(self._rest) + len(data)
         frames, self._rest = split_frames(self._rest + data)
-        begins = received - len(self._rest)
-        self._starts = [start - begins for start in starts if start > begins]
+        # Only the first frame can have come in pieces; the rest has come with its end.
+        self._starts = [] if frames else starts
+        pieces = [frames[0][start:] for start in starts] if frames and _number(frames[0]) in expected else []
+        if any(self._ids.may_begin(piece, _number(frames[0])) for piece in pieces):
+            self._cut("a reply ends as another one begins: one of them was cut short")
+            return
         if self._held:
             frames.insert(0, self._held)
             self._release()
@@ -100,11 +104,8 @@ class ReplyStream:
             if not any(number.startswith(self._rest[:2]) for number in others):
                 self._cut("what follows a reply is no other one: one of them was cut short")
                 return
-        last = frames[-1] if frames and _number(frames[-1]) in expected else b""
-        # Such a piece may be the first bytes of a frame, as far as they go: an id, twice 0, and a length below 256.
-        pieces = [last[start - begins + len(last) :] for start in starts if begins - len(last) < start < begins]
-        self._doubted = [piece for piece in pieces if not any(piece[2:5])]
-        if last and (0 < len(self._rest) < HEADER or (not self._rest and self._doubted)):
+        doubted = len(frames) == 1 and not self._rest and any(map(_is_head, pieces))
+        if answers and answers[-1] == _number(frames[-1]) and (doubted or 0 < len(self._rest) < HEADER):
             self._held = frames.pop()
             self._settling = asyncio.get_running_loop().call_later(SETTLE_S, self._settle)
         for frame in frames:
@@ -124,11 +125,16 @@ class ReplyStream:
 
     def _settle(self) -> None:
         held = self._release()
-        if self._rest or any(self._ids.may_begin(piece, _number(held)) for piece in self._doubted):
-            self._cut("a reply ends as another one begins: one of them was cut short")
+        if self._rest:
+            self._cut("what follows a reply is not whole: one of them was cut short")
         elif held:
             self._give(held)
 
 
 def _number(frame: bytes) -> int:
     return int.from_bytes(frame[:2], "big")
+
+
+def _is_head(piece: bytes) -> bool:
+    """Whether a frame may begin so, as far as it goes: an id, twice 0, and a length below 256."""
+    return not any(piece[2:5])
