@@ -136,7 +136,7 @@ async def modbus_readings(link: str, rng: random.Random, tally: Tally) -> None:
 async def _read(unit: int, driver: ModbusDriver, device: HostileDevice, tally: Tally, readings: int) -> None:
     rng = device.rng
     for _ in range(readings):
-        tags = rng.choice(BLOCKS)
+        tags, begin = rng.choice(BLOCKS), asyncio.get_running_loop().time()
         try:
             samples = await driver.read(tags)
         except Exception as error:  # noqa: BLE001 - whatever it is, it has escaped
@@ -149,7 +149,7 @@ async def _read(unit: int, driver: ModbusDriver, device: HostileDevice, tally: T
             area, _, address = tag.address.partition(":")
             place = (unit, _FUNCTIONS[area], int(address))
             assert sample.value is not None and sample.sent is not None
-            said = device.habits_of(place, int(sample.value), sample.sent, sample.time)
+            said = device.habits_of(place, int(sample.value), begin, sample.time)
             if said is None:
                 wrong = f"{tag.address} of unit {unit} read as {sample.value} at {sample.time:.3f}"
             habits.update(said or ())

@@ -165,15 +165,13 @@ class HostileDevice:
 
     # ------------------------------------------------------------ the judge
 
-    def habits_of(
-        self, place: tuple[int, int, int], value: int, sent: float, received: float
-    ) -> tuple[str, ...] | None:
-        """The habits of the reply that said so of a register to a request of that time.
+    def habits_of(self, place: Place, value: int, begin: float, received: float) -> tuple[str, ...] | None:
+        """The habits of the reply that said so of a register to a request of between these times.
 
         None: nothing of the kind was said.
         """
         for at, said, habits in reversed(self._said[place]):
-            if said == value and sent <= at <= received:
+            if said == value and begin <= at <= received:
                 return habits
         return None
 

@@ -128,6 +128,8 @@ class NumberedWire(asyncio.Protocol):
         """
         transport = self._live()
         loop = asyncio.get_running_loop()
+        if not again:
+            self._readings.pop(request.dev_id, None)
         if self._since_answer[request.dev_id] >= most_open and not again:
             began = loop.time()
             await self._any_reply(deadline)
@@ -141,13 +143,11 @@ class NumberedWire(asyncio.Protocol):
         while self._questions and (oldest := next(iter(self._questions.items())))[1].at < now - KEPT_S:
             del self._questions[oldest[0]]
         number = self._ids.take(now)
-        if not again:
-            self._readings[request.dev_id] = number
         pdu = bytes((request.dev_id, request.function_code)) + request.encode()
         frame = number.to_bytes(2, "big") + b"\0\0" + len(pdu).to_bytes(2, "big") + pdu
         reply: asyncio.Future[WireReply] = loop.create_future()
         foreign = self.foreign
-        question = _Question(asked(frame), self._clock(), now, self._readings.get(request.dev_id, number), reply)
+        question = _Question(asked(frame), self._clock(), now, self._readings.setdefault(request.dev_id, number), reply)
         self._questions[number] = question
         self._unasked = 0
         self._since_answer[request.dev_id] += 1

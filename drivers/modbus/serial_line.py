@@ -81,6 +81,8 @@ class LineWire:
         self._port: _Port | None = None
         self._data = b""
         self._heard = 0.0
+        # The units whose question without an answer is of the present reading.
+        self._asked: set[int] = set()
         # What was answered last on this connection.
         self._answered: Asked | None = None
         self._arrived = asyncio.Event()
@@ -139,9 +141,11 @@ class LineWire:
         frame = rtu.request_frame(request)
         wanted = rtu.asked(frame)
         until = _now() + deadline + self._on_line(len(frame) + rtu.reply_octets(wanted))
+        if not again:
+            self._asked.discard(wanted.unit)
         await self._settle(wanted, until)
-        owed = self._quiet.owed.get(wanted.unit)
-        if again and owed is not None and owed.question == wanted and self._is_reply_to(wanted):
+        owed = self._quiet.owed.get(wanted.unit) if wanted.unit in self._asked else None
+        if owed is not None and owed.question == wanted and self._is_reply_to(wanted):
             late, self._data = self._data, b""
             self._checked(wanted, late)
             self.last = late[:-2]
@@ -151,6 +155,7 @@ class LineWire:
         sent = self._clock()
         # Noted before it is sent, and taken back by its reply: whatever goes wrong in between, the next request waits.
         self._quiet.owed[wanted.unit] = Owed(wanted, _now() + self._settings.longest_reply, sent)
+        self._asked.add(wanted.unit)
         self._live_port().send(frame)
         self._tell(frame, sent=True)
         if self._settings.echo:

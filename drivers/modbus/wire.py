@@ -180,6 +180,8 @@ class Wire:
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
         understood any more (then `alive` is False).
         """
+        if not again:
+            self._attempts.clear()
         if len(self._open) >= most_open and not again:
             began = asyncio.get_running_loop().time()
             await self._answer_to_another(deadline)
@@ -192,8 +194,6 @@ class Wire:
             raise LinkDown("the connection is closed")
         loop = asyncio.get_running_loop()
         foreign, self._request = self.foreign, None
-        if not again:
-            self._attempts.clear()
 
         def too_late() -> None:
             others, part = self.foreign - foreign, self._stream.unfinished
