@@ -21,6 +21,8 @@ SETTLE_S = 0.05
 (RFC 9293, 3.8.6.3), for which a peer that writes a frame in two pieces waits with the second."""
 LATEST = 1024
 """Replies to so many requests, the latest, are reckoned with."""
+_AMBIGUOUS_BYTES = HEADER + 1
+"""Bytes up to which a few registers may look like the beginning of a frame."""
 _LAST_ID = 0xFFFF
 
 
@@ -57,7 +59,7 @@ class TransactionIds:
         """
         if not _is_head(piece):
             return False
-        if len(piece) > HEADER + 1:
+        if len(piece) > _AMBIGUOUS_BYTES:
             return (self._last - _number(piece)) % _LAST_ID < LATEST
         return any(number.to_bytes(2, "big").startswith(piece[:2]) for number in self._unanswered if number != own)
 
@@ -95,6 +97,9 @@ class ReplyStream:
         if any(self._ids.may_begin(piece, _number(frames[0])) for piece in pieces):
             self._cut("a reply ends as another one begins: one of them was cut short")
             return
+        # A longer piece has shown by its id what it is.
+        heads = [piece for piece in pieces if len(piece) <= _AMBIGUOUS_BYTES and _is_head(piece)]
+        doubted = len(frames) == 1 and not self._rest and bool(heads)
         if self._held:
             frames.insert(0, self._held)
             self._release()
@@ -104,7 +109,6 @@ class ReplyStream:
             if not any(number.startswith(self._rest[:2]) for number in others):
                 self._cut("what follows a reply is no other one: one of them was cut short")
                 return
-        doubted = len(frames) == 1 and not self._rest and any(map(_is_head, pieces))
         if answers and answers[-1] == _number(frames[-1]) and (doubted or 0 < len(self._rest) < HEADER):
             self._held = frames.pop()
             self._settling = asyncio.get_running_loop().call_later(SETTLE_S, self._settle)
