@@ -91,6 +91,9 @@ class ReplyStream:
         """
         starts = [*self._starts, len(self._rest)] if self._rest else []
         frames, self._rest = split_frames(self._rest + data)
+        if len(frames) == 1 and not (starts or self._rest or self._held):
+            self._give(frames[0])  # as it nearly always is: one whole frame, by itself
+            return
         # Only the first frame can have come in pieces; the rest has come with its end.
         self._starts = [] if frames else starts
         pieces = [frames[0][start:] for start in starts] if frames and _number(frames[0]) in expected else []
