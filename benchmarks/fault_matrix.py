@@ -61,6 +61,7 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
     "exception 6 (busy)": {"kind": "exception", "code": 6, "duration": 1.0},
     "illegal register": {"kind": "illegal_register", "registers": ["holding:104"], "duration": 1.5},
     "garbage": {"kind": "garbage", "duration": 1.0},
+    "reply cut short": {"kind": "cut_short", "missing": 2, "probability": 0.3, "duration": 1.0},
     "split reply": {"kind": "split", "duration": 1.0},
     "duplicate reply": {"kind": "duplicate", "duration": 1.0},
     "write ignored": {"kind": "write_ignored", "duration": 1.0},

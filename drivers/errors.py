@@ -28,6 +28,7 @@ class LinkFault(Enum):
     SILENT = "silent"  # nobody answered within the deadline
     CLOSED = "closed"  # the peer closed the connection
     FOREIGN = "foreign"  # what arrives is another protocol
+    CUT = "cut"  # a reply has come in part
     OTHER = "other"
 
 

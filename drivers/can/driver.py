@@ -140,6 +140,7 @@ class CanDriver:
     async def read(self, tags: Sequence[Tag]) -> list[Sample]:
         """What the last usable frames say, each at the time when it came; a failure is a Sample of bad quality."""
         self._counts["requests"] += 1
+        self._catch_up()
         now = time.monotonic()
         return [self._sample(self._hearing(tag), now) for tag in tags]
 
@@ -167,7 +168,9 @@ class CanDriver:
         """Yield a sample for each tag of each usable frame as it comes, until `close`; silence tells so once."""
         heard = [self._hearing(tag) for tag in tags]
         stream = Stream(
-            [listening.slot for listening in heard], lambda position: self._sample(heard[position], time.monotonic())
+            [listening.slot for listening in heard],
+            lambda position: self._sample(heard[position], time.monotonic()),
+            self._catch_up,
         )
         self._streams.add(stream)
         try:
@@ -275,6 +278,11 @@ class CanDriver:
         pumps.append(pump)
         self._messages.start(partial(put, pump))
         return pump
+
+    def _catch_up(self) -> None:
+        """Take what waits on the bus: after a pause of this process a frame in the midst of it is no news."""
+        if (pump := self._link.connection) is not None:
+            pump.catch_up()
 
     def _leave(self, pump: Pump) -> None:
         pump.close()

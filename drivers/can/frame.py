@@ -35,3 +35,7 @@ class FrameListener(Protocol):
     def counts(self) -> Mapping[str, int]:
         """What became of the frames and messages so far; all only grow."""
         ...
+
+    def restart(self) -> None:
+        """It is another connection: no message that began before it is gone on with."""
+        ...

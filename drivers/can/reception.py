@@ -72,8 +72,11 @@ class Channel:
         return problem
 
     def restart(self, now: float) -> None:
-        """Forget what was heard: it is another connection."""
-        self.count, self.refusal, self.refused = None, "", float("-inf")
+        """Forget what was heard: it is another connection. Where the counter stood is kept.
+
+        So a frame of the former one that an adapter has held back is known by its counter, and is no reading.
+        """
+        self.refusal, self.refused = "", float("-inf")
         for slot in self.slots:
             slot.frame, slot.since = None, now
 

@@ -15,14 +15,17 @@ _LOOK = 0.05
 class Stream:
     """One listener: the positions of its tags by the layout in which they come.
 
-    `now` makes the sample of the tag at a position, as `read` would. A listener that is behind by more than the queue
-    loses its oldest samples, which `dropped` counts.
+    `now` makes the sample of the tag at a position, as `read` would; `catch_up` has all heard that has come. A listener
+    that is behind by more than the queue loses its oldest samples, which `dropped` counts.
     """
 
-    def __init__(self, slots: Sequence[Slot | None], now: Callable[[int], Sample]) -> None:
+    def __init__(
+        self, slots: Sequence[Slot | None], now: Callable[[int], Sample], catch_up: Callable[[], None]
+    ) -> None:
         self.dropped = 0
         self._slots = slots
         self._now = now
+        self._catch_up = catch_up
         self._positions: dict[int, list[int]] = {}
         for position, slot in enumerate(slots):
             if slot is not None:
@@ -50,6 +53,7 @@ class Stream:
             if clock() >= next_look:
                 self._look()
                 next_look = clock() + _LOOK
+            self._catch_up()
             while self._queue:
                 yield self._queue.popleft()
             self._wake.clear()

@@ -1,8 +1,10 @@
 """The Modbus driver (TCP, TLS, RTU): blocks read under deadlines, refused addresses kept apart, one verified write."""
 
 import asyncio
+import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -88,6 +90,7 @@ def open_modbus(
     write_map: Sequence[Tag] = (),
     seed: int = 0,
     connections: Connections | None = None,
+    rng: random.Random | None = None,
 ) -> "ModbusDriver":
     """Make a Modbus driver, not yet opened.
 
@@ -108,15 +111,15 @@ def open_modbus(
     (`drivers.modbus.shared`): at most `outstanding` requests at a time, the least that any of them says; a silent unit
     is asked again after `silent_first` to `silent_cap` seconds.
 
+    `rng` draws the first transaction id, by default unlike that of any start before.
+
     Raises DriverError for an unknown key (it lists the known ones), a value out of range, certificates that cannot be
     used and settings that do not go with those of others on the connection, AddressError for a tag of the write map
     that cannot be written.
     """
     checked = read_settings(settings)
-    if connections is None:
-        shared = SharedLink(checked, clock=clock, seed=seed, alone=True)
-    else:
-        shared = connections.at(place_of(checked), lambda: SharedLink(checked, clock=clock, seed=seed, alone=False))
+    make_shared = partial(SharedLink, checked, clock=clock, seed=seed, alone=connections is None, rng=rng)
+    shared = make_shared() if connections is None else connections.at(place_of(checked), make_shared)
     return ModbusDriver(checked, clock=clock, write_map=tuple(write_map), shared=shared)
 
 

@@ -15,27 +15,33 @@ from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
-from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, asked, check_reply, split_frames, words_of
-from drivers.modbus.wire import FLOOD, Secured, WireReply, discard, keep_alive, no_connection, socket_place
+from drivers.modbus.replies import KEPT_S, ReplyStream, TransactionIds
+from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, asked, check_reply, words_of
+from drivers.modbus.wire import (
+    FLOOD,
+    NOT_BEHIND_A_PART,
+    Secured,
+    WireReply,
+    discard,
+    keep_alive,
+    no_connection,
+    socket_place,
+)
 from drivers.tap import current, moved
-
-KEPT_S = 600.0
-"""So long an id is not used again after a question without an answer."""
-_IDS = 0x10000
 
 
 @dataclass(slots=True)
 class _Question:
     """One request on the connection; `reply` is what waits for its answer, None once nobody does.
 
-    `at` is the loop's time of sending, `sent` the clock's. `again`: an answer to the same question, asked earlier, is
-    its answer too.
+    `at` is the loop's time of sending, `sent` the clock's. What is asked again has the same `reading`: an answer to an
+    earlier attempt is its answer too.
     """
 
     asked: Asked
     sent: float
     at: float
-    again: bool
+    reading: int
     reply: "asyncio.Future[WireReply] | None"
 
 
@@ -52,17 +58,20 @@ class NumberedWire(asyncio.Protocol):
         host: str,
         port: int,
         *,
+        ids: TransactionIds,
         clock: Clock,
         on_lost: Callable[[str], None],
         on_late: Callable[[int, bool], None],
         secured: Secured | None = None,
     ) -> None:
         self._host, self._port, self._secured = host, port, secured
+        self._ids = ids
         self._clock, self._on_lost, self._on_late = clock, on_lost, on_late
         self._transport: asyncio.Transport | None = None
         self._questions: dict[int, _Question] = {}
-        self._number = 0
-        self._stream = b""
+        # By unit, the id under which what it was asked last was asked first.
+        self._readings: dict[int, int] = {}
+        self._stream = ReplyStream(ids, self._take, self._break_cut)
         self._unasked = 0
         # Questions by unit since anything was answered.
         self._since_answer: Counter[int] = Counter()
@@ -92,6 +101,7 @@ class NumberedWire(asyncio.Protocol):
 
     def abandon(self) -> None:
         """Close at once. What an unanswered request left in the send buffer is discarded, not delivered late."""
+        self._stream.close()
         transport, self._transport = self._transport, None
         if transport is not None:
             discard(transport, [question.asked for question in self._questions.values()])
@@ -110,25 +120,34 @@ class NumberedWire(asyncio.Protocol):
 
         `again`: it is the very request that this unit was asked last and did not answer; a late reply to that one is
         its answer. Any other waits while nothing at all has been answered since `most_open` questions to this unit: a
-        peer that stands still shall not collect them, and a silent unit keeps no other from being asked.
+        peer that stands still shall not collect them, and a silent unit keeps no other from being asked. A connection
+        ends on which a part of a reply has come that nobody waits for, or for which the deadline is over.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
         understood any more (then `alive` is False).
         """
         transport = self._live()
         loop = asyncio.get_running_loop()
+        if not again:
+            self._readings.pop(request.dev_id, None)
         if self._since_answer[request.dev_id] >= most_open and not again:
             began = loop.time()
             await self._any_reply(deadline)
             deadline -= loop.time() - began
             transport = self._live()
+        if (part := self._stream.unfinished) and not self._is_awaited(part):
+            self._break_cut(reason := NOT_BEHIND_A_PART.format(len(part)))
+            raise LinkDown(reason, fault=LinkFault.CUT)
         before_sending()
-        number = self._free_number(loop.time())
+        now = loop.time()
+        while self._questions and (oldest := next(iter(self._questions.items())))[1].at < now - KEPT_S:
+            del self._questions[oldest[0]]
+        number = self._ids.take(now)
         pdu = bytes((request.dev_id, request.function_code)) + request.encode()
         frame = number.to_bytes(2, "big") + b"\0\0" + len(pdu).to_bytes(2, "big") + pdu
         reply: asyncio.Future[WireReply] = loop.create_future()
         foreign = self.foreign
-        question = _Question(asked(frame), self._clock(), loop.time(), again, reply)
+        question = _Question(asked(frame), self._clock(), now, self._readings.setdefault(request.dev_id, number), reply)
         self._questions[number] = question
         self._unasked = 0
         self._since_answer[request.dev_id] += 1
@@ -136,10 +155,17 @@ class NumberedWire(asyncio.Protocol):
         self._tell(frame, sent=True)
 
         def too_late() -> None:
-            others = self.foreign - foreign
-            dropped = f" ({others} with another transaction id dropped)" if others else ""
-            if not reply.done():
-                reply.set_exception(ReplyTimeout(f"{question.asked}: no reply within {deadline:.3g} s{dropped}"))
+            if reply.done():
+                return
+            others, part = self.foreign - foreign, self._stream.unfinished
+            why = f" ({others} with another transaction id dropped)" if others else ""
+            if part[:2] != frame[:2] and self._is_awaited(part):
+                part = b""
+            why = f" ({len(part)} bytes of one came)" if part else why
+            sentence = f"{question.asked}: no reply within {deadline:.3g} s{why}"
+            reply.set_exception(ReplyTimeout(sentence))
+            if part:
+                self._break_cut(sentence)  # bytes of the next reply would make it whole
 
         timer = loop.call_later(deadline, too_late)
         try:
@@ -153,6 +179,11 @@ class NumberedWire(asyncio.Protocol):
             raise LinkDown("the connection is closed")
         return self._transport
 
+    def _is_awaited(self, part: bytes) -> bool:
+        """Whether it is of a reply that somebody waits for."""
+        question = self._questions.get(int.from_bytes(part[:2], "big")) if len(part) > 1 else None
+        return question is not None and question.reply is not None and not question.reply.done()
+
     async def _any_reply(self, deadline: float) -> None:
         """Wait until something is answered. Raises ReplyTimeout, or LinkDown where the connection ends."""
         self._any_answer.clear()
@@ -164,18 +195,6 @@ class NumberedWire(asyncio.Protocol):
                 f"{self._since_answer.total()} questions have no reply yet; nothing else is asked before one comes"
             ) from None
 
-    def _free_number(self, now: float) -> int:
-        """The next id that no question without an answer has. Raises LinkDown where all are taken."""
-        for number in [number for number, old in self._questions.items() if old.at < now - KEPT_S]:
-            del self._questions[number]
-        if len(self._questions) >= _IDS:
-            self._break("every transaction id waits for an answer")
-            raise LinkDown("every transaction id waits for an answer")
-        self._number = (self._number + 1) % _IDS
-        while self._number in self._questions:
-            self._number = (self._number + 1) % _IDS
-        return self._number
-
     # ------------------------------------------------------------ called by asyncio
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -185,19 +204,17 @@ class NumberedWire(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         self._tell(data, sent=False)
         try:
-            frames, self._stream = split_frames(self._stream + data)
+            self._stream.take(data, self._questions)
         except ReplyMismatch as error:
             self._break(str(error), LinkFault.FOREIGN)
             return
-        for frame in frames:
-            self._take(frame)
         if self._unasked > FLOOD:
             self._break("the peer floods the line with frames that nobody asked for")
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._transport is None:
             return
-        where = " in the middle of a reply" if self._stream else ""
+        where = " in the middle of a reply" if self._stream.unfinished else ""
         reason, fault = f"the peer closed the connection{where}", LinkFault.CLOSED
         if self._secured is not None and isinstance(exc, ssl.SSLError):
             reason, fault = self._secured.sentence(exc), LinkFault.OTHER
@@ -211,19 +228,23 @@ class NumberedWire(asyncio.Protocol):
 
     def _take(self, frame: bytes) -> None:
         """One whole frame: the answer to who waits for it, or counted as nobody's."""
-        question = self._questions.pop(int.from_bytes(frame[:2], "big"), None)
+        number = int.from_bytes(frame[:2], "big")
+        question = self._questions.pop(number, None)
         if question is not None:
+            self._ids.answered(number)
             self._since_answer.clear()
             self._any_answer.set()
         waiting = question
         if question is not None and question.reply is None:
-            # Late. Who has asked the same unit the same thing again takes it, and no one else.
+            # Late. Who has asked the same unit the same thing again takes it, and no one else: no later reading.
             same = replace(question.asked, transaction=0)
             waiting = next(
                 (
                     other
                     for other in self._questions.values()
-                    if other.again and other.reply is not None and replace(other.asked, transaction=0) == same
+                    if other.reading == question.reading
+                    and other.reply is not None
+                    and replace(other.asked, transaction=0) == same
                 ),
                 None,
             )
@@ -247,6 +268,9 @@ class NumberedWire(asyncio.Protocol):
         if self._tap is not None and self._transport is not None:
             ends = [socket_place(self._transport.get_extra_info(name)) for name in ("peername", "sockname")]
             self._tap(moved("tcp", ends[0], data, sent=sent, local=ends[1]))
+
+    def _break_cut(self, reason: str) -> None:
+        self._break(reason, LinkFault.CUT)
 
     def _break(self, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
         self.fault = fault

@@ -81,6 +81,10 @@ class LineWire:
         self._port: _Port | None = None
         self._data = b""
         self._heard = 0.0
+        # The units whose question without an answer is of the present reading.
+        self._asked: set[int] = set()
+        # What was answered last on this connection.
+        self._answered: Asked | None = None
         self._arrived = asyncio.Event()
         self._tap = current()
         self.foreign = 0
@@ -137,9 +141,11 @@ class LineWire:
         frame = rtu.request_frame(request)
         wanted = rtu.asked(frame)
         until = _now() + deadline + self._on_line(len(frame) + rtu.reply_octets(wanted))
+        if not again:
+            self._asked.discard(wanted.unit)
         await self._settle(wanted, until)
-        owed = self._quiet.owed.get(wanted.unit)
-        if again and owed is not None and owed.question == wanted and self._is_reply_to(wanted):
+        owed = self._quiet.owed.get(wanted.unit) if wanted.unit in self._asked else None
+        if owed is not None and owed.question == wanted and self._is_reply_to(wanted):
             late, self._data = self._data, b""
             self._checked(wanted, late)
             self.last = late[:-2]
@@ -149,6 +155,7 @@ class LineWire:
         sent = self._clock()
         # Noted before it is sent, and taken back by its reply: whatever goes wrong in between, the next request waits.
         self._quiet.owed[wanted.unit] = Owed(wanted, _now() + self._settings.longest_reply, sent)
+        self._asked.add(wanted.unit)
         self._live_port().send(frame)
         self._tell(frame, sent=True)
         if self._settings.echo:
@@ -172,6 +179,7 @@ class LineWire:
             self._quiet.owed.pop(wanted.unit, None)
             raise
         self._quiet.owed.pop(wanted.unit, None)
+        self._answered = wanted
 
     # ------------------------------------------------------------ before sending
 
@@ -198,9 +206,24 @@ class LineWire:
             # not meet our request.
             self._take_out_late(wanted.unit)
             owed = self._awaited(wanted)
-            if owed is None or owed.question.unit == wanted.unit:
-                break
+            if owed is not None and owed.question.unit != wanted.unit:
+                continue
+            if owed is None and self._is_repeated() and (silent_at := self._heard + TORN_S) > _now():
+                if not await self._more(min(until, silent_at)) and silent_at > until:
+                    raise ReplyTimeout(f"{wanted}: not asked, as the answer before it is being repeated")
+                continue
+            break
         self.foreign += bool(self._data)
+
+    def _is_repeated(self) -> bool:
+        """Whether the last answer begins to come once more: it would be the next one's. Whole ones are dropped."""
+        last = self._answered
+        if last is None:
+            return False
+        while self._is_reply_to(last):
+            self._data = self._data[rtu.reply_length(last, self._data) :]
+            self.foreign += 1
+        return bool(self._data) and self._data[:2] == bytes((last.unit, last.function))[: len(self._data)]
 
     def _awaited(self, wanted: Asked) -> Owed | None:
         """The late reply that has to come, or to become impossible, before `wanted` may be asked: of its own unit, or

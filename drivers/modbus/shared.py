@@ -14,6 +14,7 @@ pays back out of its share of the time, resting meanwhile.
 """
 
 import asyncio
+import random
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 
@@ -22,6 +23,7 @@ from pymodbus.pdu import ModbusPDU
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.link import Backoff, DeadPeer, Link
+from drivers.modbus.replies import TransactionIds
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.transport import AnyWire, make_transport
 from drivers.modbus.turns import AT_ONCE, ReplyTimes, Stall, Suspect, Turns, UnitHealth
@@ -29,8 +31,9 @@ from drivers.modbus.verify import NO_WAY_TO_UNIT
 from drivers.modbus.wire import WireReply
 from drivers.supervision import Supervisor
 
-_UNDER_A_QUESTION = frozenset({LinkFault.CLOSED, LinkFault.FOREIGN})
-"""How a connection ends under a question that is to blame for it: the peer hangs up, or what comes is not Modbus."""
+_UNDER_A_QUESTION = frozenset({LinkFault.CLOSED, LinkFault.FOREIGN, LinkFault.CUT})
+"""How a connection ends under a question that is to blame for it: the peer hangs up, what comes is not Modbus, or only
+a part of the reply."""
 _OF_THE_CONNECTION = (
     "transport", "certificates", "tls_name", "baud", "parity", "stopbits", "echo", "longest_reply", "connect_timeout",
     "one_client", "backoff_first", "backoff_cap", "max_failures", "max_silence",
@@ -43,9 +46,13 @@ class SharedLink:
     `alone`: it will only ever have one unit.
     """
 
-    def __init__(self, settings: ModbusSettings, *, clock: Clock, seed: int, alone: bool) -> None:
+    def __init__(
+        self, settings: ModbusSettings, *, clock: Clock, seed: int, alone: bool, rng: random.Random | None = None
+    ) -> None:
         """Raises DriverError for certificates that cannot be used."""
         self._clock, self._seed, self._alone = clock, seed, alone
+        # One for all connections to the place, whatever kind they are.
+        self._ids = TransactionIds(rng or random.SystemRandom())
         self.supervisor = Supervisor()
         self._adopt(settings)
         self.health: dict[int, UnitHealth] = {}
@@ -63,7 +70,7 @@ class SharedLink:
     def _adopt(self, settings: ModbusSettings) -> None:
         """Be a connection of this kind. Raises DriverError."""
         self.settings = settings
-        self.transport = make_transport(settings, self._clock, None if self._alone else self._late)
+        self.transport = make_transport(settings, self._clock, self._ids, None if self._alone else self._late)
         self.link: Link[AnyWire] = Link(
             self._connect,
             self._disconnect,
@@ -145,6 +152,8 @@ class SharedLink:
             except (ReplyTimeout, ReplyMismatch) as error:
                 line.counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
                 waited = _now() - started
+                if wire.fault is LinkFault.CUT:
+                    self._suspect = self._suspected(settings.unit, stalled=False)
                 shadowed = isinstance(error, ReplyTimeout) and self._shadowed(settings.unit, started)
                 if shadowed or not self._is_its_own(settings, health, started):
                     with self._noting_its_end(wire):

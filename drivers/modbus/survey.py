@@ -1,6 +1,7 @@
 """A Modbus device asked by hand: each request sent once, each failure raised as it is (see `drivers.survey`)."""
 
 import asyncio
+import random
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
@@ -13,6 +14,7 @@ from drivers.driver import Clock
 from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area, TagSpan, locate
 from drivers.modbus.plan import AddressBlock, fitting, plan_spans
+from drivers.modbus.replies import TransactionIds
 from drivers.modbus.settings import ModbusSettings, read_settings
 from drivers.modbus.transport import AnyWire, make_transport
 from drivers.modbus.verify import quality_of
@@ -42,7 +44,7 @@ class ModbusSurvey:
 
     def __init__(self, settings: ModbusSettings, clock: Clock) -> None:
         self._settings, self._clock = settings, clock
-        self._transport = make_transport(settings, clock)
+        self._transport = make_transport(settings, clock, TransactionIds(random.SystemRandom()))
         self._limits = settings.limits
         self._wire: AnyWire | None = None
         self._lost, self._fault = "", LinkFault.OTHER

@@ -11,6 +11,7 @@ from pymodbus.pdu import ModbusPDU
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, LinkFault
 from drivers.modbus.numbered import NumberedWire
+from drivers.modbus.replies import TransactionIds
 from drivers.modbus.serial_line import LineWire, Quiet
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.wire import Secured, Wire, WireReply
@@ -59,10 +60,11 @@ class ModbusTransport:
 
 
 def make_transport(
-    settings: ModbusSettings, clock: Clock, on_late: Callable[[int, bool], None] | None = None
+    settings: ModbusSettings, clock: Clock, ids: TransactionIds, on_late: Callable[[int, bool], None] | None = None
 ) -> ModbusTransport:
     """The transport of checked settings. Raises DriverError for certificates that cannot be used.
 
+    `ids` number the requests of all its wires.
     With `on_late` its wires carry the requests of several units; it hears of which unit a reply came too late,
     and whether the unit itself gave it.
     """
@@ -70,8 +72,8 @@ def make_transport(
 
     def headed(on_lost: Callable[[str], None], secured: Secured | None = None) -> AnyWire:
         if on_late is None:
-            return Wire(*place, clock=clock, on_lost=on_lost, secured=secured)
-        return NumberedWire(*place, clock=clock, on_lost=on_lost, on_late=on_late, secured=secured)
+            return Wire(*place, ids=ids, clock=clock, on_lost=on_lost, secured=secured)
+        return NumberedWire(*place, ids=ids, clock=clock, on_lost=on_lost, on_late=on_late, secured=secured)
 
     if settings.transport == "tcp":
         return ModbusTransport(headed, tuple)

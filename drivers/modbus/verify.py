@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from drivers.errors import DeviceException, ReplyMismatch
 from drivers.tag import Quality
 
+HEADER = 6
+"""Bytes before unit and PDU: transaction and protocol id, length."""
 _SHORTEST, _LONGEST = 3, 254  # the length field: unit, function and at least one byte; a PDU has at most 253 bytes
 IDENTIFY = 43
 """Function 43 with MEI type 14: the device says who it is (V1.1b3, 6.21)."""
@@ -61,17 +63,20 @@ def asked(request: bytes) -> Asked:
 def split_frames(stream: bytes) -> tuple[list[bytes], bytes]:
     """Cut a received stream into whole frames and the incomplete rest.
 
-    Raises ReplyMismatch if a header cannot be one (protocol id, length): from there on nothing can be told apart.
+    Raises ReplyMismatch if a header, or what has come of it, cannot be one (protocol id, length): from there on nothing
+    can be told apart.
     """
     frames: list[bytes] = []
-    while len(stream) >= 6:
-        _, protocol, length = struct.unpack(">HHH", stream[:6])
+    while len(stream) >= HEADER:
+        _, protocol, length = struct.unpack(">HHH", stream[:HEADER])
         if protocol != 0 or not _SHORTEST <= length <= _LONGEST:
             raise ReplyMismatch(f"what arrives is not Modbus TCP (protocol id {protocol}, length {length})")
-        if len(stream) < 6 + length:
+        if len(stream) < HEADER + length:
             break
-        frames.append(stream[: 6 + length])
-        stream = stream[6 + length :]
+        frames.append(stream[: HEADER + length])
+        stream = stream[HEADER + length :]
+    if any(stream[2:5]):
+        raise ReplyMismatch(f"what arrives is not Modbus TCP (it begins with {stream[:5].hex(' ')})")
     return frames, stream
 
 

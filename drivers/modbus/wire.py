@@ -31,14 +31,15 @@ from pymodbus.pdu.register_message import (
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area
-from drivers.modbus.verify import WRITES, Asked, asked, check_reply, split_frames, words_of
+from drivers.modbus.replies import ReplyStream, TransactionIds
+from drivers.modbus.verify import WRITES, Asked, asked, check_reply, words_of
 from drivers.tap import current, moved
 
 FLOOD = 65536
 """More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line."""
+NOT_BEHIND_A_PART = "of a reply that nobody waits for {} bytes have come, and nothing is asked behind them"
 # asyncio reads up to 256 KiB at once; a chunk that pymodbus finds too large it drops without a word.
 _LARGEST_CHUNK = 1 << 20
-_TRANSACTIONS = 0xFFFF
 _PROBE_S, _PROBES = 1, 2
 # pymodbus times nothing here: every exchange and every connect has a deadline of ours, and it must not fire first.
 _NEVER = 3600.0
@@ -89,8 +90,16 @@ class Wire:
     """
 
     def __init__(
-        self, host: str, port: int, *, clock: Clock, on_lost: Callable[[str], None], secured: Secured | None = None
+        self,
+        host: str,
+        port: int,
+        *,
+        ids: TransactionIds,
+        clock: Clock,
+        on_lost: Callable[[str], None],
+        secured: Secured | None = None,
     ) -> None:
+        self._ids = ids
         self._clock = clock
         self._on_lost = on_lost
         self._secured = secured
@@ -98,15 +107,15 @@ class Wire:
         self._client.ctx.callback_disconnected = self._disconnected  # type: ignore[method-assign]
         self._client.ctx.callback_data = self._take  # type: ignore[method-assign]
         self._client.ctx.max_buffer_size = _LARGEST_CHUNK
-        self._transaction = 0
         self._request: Asked | None = None
+        # The ids under which it has been sent.
+        self._attempts: set[int] = set()
         # Sent on this connection and not answered, by transaction id, with the moment of sending.
         self._open: dict[int, tuple[Asked, float]] = {}
-        self._again = False
         self._any_answer = asyncio.Event()
         self._outcome: asyncio.Future[WireReply] | None = None
         self._sent = self._received = 0.0
-        self._stream = b""
+        self._stream = ReplyStream(ids, self._take_frame, self._break_cut)
         self._unasked = 0
         self.foreign = 0
         self.last = b""
@@ -147,6 +156,7 @@ class Wire:
 
     def abandon(self) -> None:
         """Close at once. What an unanswered request left in the send buffer is discarded, not delivered late."""
+        self._stream.close()
         transport = self._client.ctx.transport
         if isinstance(transport, asyncio.Transport):
             discard(transport, [question for question, _ in self._open.values()])
@@ -165,25 +175,34 @@ class Wire:
 
         `again`: it is the very request that was asked last and not answered; a late reply to that one is its answer.
         Any other waits while `most_open` are on the connection without an answer: a PLC that stands still shall not
-        collect questions.
+        collect questions. A connection ends on which a part of a reply has come, and no more of it within the deadline.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
         understood any more (then `alive` is False).
         """
+        if not again:
+            self._attempts.clear()
         if len(self._open) >= most_open and not again:
             began = asyncio.get_running_loop().time()
             await self._answer_to_another(deadline)
             deadline -= asyncio.get_running_loop().time() - began
+        if part := self._stream.unfinished:
+            self._break_cut(reason := NOT_BEHIND_A_PART.format(len(part)))
+            raise LinkDown(reason, fault=LinkFault.CUT)
         transport = self._client.ctx.transport
         if not isinstance(transport, asyncio.Transport):
             raise LinkDown("the connection is closed")
         loop = asyncio.get_running_loop()
-        foreign, self._request, self._again = self.foreign, None, again
+        foreign, self._request = self.foreign, None
 
         def too_late() -> None:
-            others = self.foreign - foreign
-            dropped = f" ({others} with another transaction id dropped)" if others else ""
-            self._fail(ReplyTimeout(f"{self._request}: no reply within {deadline:.3g} s{dropped}"))
+            others, part = self.foreign - foreign, self._stream.unfinished
+            why = f" ({others} with another transaction id dropped)" if others else ""
+            why = f" ({len(part)} bytes of one came)" if part else why
+            sentence = f"{self._request}: no reply within {deadline:.3g} s{why}"
+            self._fail(ReplyTimeout(sentence))
+            if part:
+                self._break_cut(sentence)  # bytes of the next reply would make it whole
 
         # Between the two nothing else of the event loop can run.
         before_sending()
@@ -199,12 +218,12 @@ class Wire:
 
     def _send(self, transport: asyncio.Transport, request: ModbusPDU) -> None:
         """Give the request to the system, under a transaction id of its own."""
-        self._transaction = self._transaction % _TRANSACTIONS + 1
-        request.transaction_id = self._transaction
+        number = request.transaction_id = self._ids.take(asyncio.get_running_loop().time())
+        self._attempts.add(number)
         data = self._client.ctx.framer.buildFrame(request)
         # Read from the very bytes that go: what was asked is what the reply is held against.
         self._request, self._sent, self._unasked = asked(data), self._clock(), 0
-        self._open[self._transaction] = (self._request, self._sent)
+        self._open[number] = (self._request, self._sent)
         self._tell(data, sent=True)
         transport.write(data)
 
@@ -234,12 +253,10 @@ class Wire:
         self._tell(data, sent=False)
         self._unasked += len(data)
         try:
-            frames, self._stream = split_frames(self._stream + data)
+            self._stream.take(data, self._open)
         except ReplyMismatch as error:
             self._break(str(error), LinkFault.FOREIGN)
             return len(data)
-        for frame in frames:
-            self._take_frame(frame)
         if self._unasked > FLOOD:
             self._break("the peer floods the line with frames that nobody asked for")
         return len(data)
@@ -254,14 +271,16 @@ class Wire:
     def _take_frame(self, frame: bytes) -> None:
         """End the exchange with the frame if it answers the request, or with what is wrong in it."""
         request, outcome = self._request, self._outcome
-        question, sent = self._open.pop(int.from_bytes(frame[:2], "big"), (None, 0.0))
+        number = int.from_bytes(frame[:2], "big")
+        question, sent = self._open.pop(number, (None, 0.0))
+        if question is not None:
+            self._ids.answered(number)
         self._any_answer.set()
         if request is None or outcome is None or outcome.done() or question is None:
             self.foreign += 1
             return
-        # The same question, asked earlier, is answered as well where it was asked again.
-        same = question is request or question == request
-        if not same and not (self._again and replace(question, transaction=request.transaction) == request):
+        # An earlier attempt at this very question is answered as well; the same asked by an earlier reading is not.
+        if number not in self._attempts or replace(question, transaction=request.transaction) != request:
             self.foreign += 1
             return
         self._received, self._request = self._clock(), None
@@ -274,7 +293,7 @@ class Wire:
         outcome.set_result(WireReply(words_of(request, frame[9:]), sent, self._received))
 
     def _disconnected(self, exc: Exception | None) -> None:
-        where = " in the middle of a reply" if self._stream else ""
+        where = " in the middle of a reply" if self._stream.unfinished else ""
         reason, self.fault = f"the peer closed the connection{where}", LinkFault.CLOSED
         if self._secured is not None and isinstance(exc, ssl.SSLError):
             reason, self.fault = self._secured.sentence(exc), LinkFault.OTHER
@@ -285,6 +304,9 @@ class Wire:
             self.fault = LinkFault.OTHER
         self._fail(LinkDown(reason, fault=self.fault))
         self._on_lost(reason)
+
+    def _break_cut(self, reason: str) -> None:
+        self._break(reason, LinkFault.CUT)
 
     def _break(self, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
         self.abandon()

@@ -68,6 +68,11 @@ class Vehicle:
         """What the frame, or the message that it completes, says of the tags."""
         return [reading for listener in self._listeners for reading in listener.take(frame)]
 
+    def restart(self) -> None:
+        """It is another connection: no message that began before it is gone on with."""
+        for listener in self._listeners:
+            listener.restart()
+
     def timeout(self, tag: Tag) -> float:
         """Seconds after which the tag's last value is too old."""
         return self._timeouts.get(tag.name, float(self._settings.answer_timeout))

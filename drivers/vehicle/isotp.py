@@ -55,24 +55,30 @@ class Reassembler:
         self.counts["flow_control" if kind == FLOW_CONTROL else "malformed"] += 1
         return None
 
+    def restart(self) -> None:
+        """Let go of a message that is not whole: what comes is another connection's."""
+        if self._open is not None:
+            self._drop("lost")
+
     def _single(self, data: bytes) -> bytes | None:
+        # Whatever is wrong with it: where a message begins, the one before it has ended.
+        if self._open is not None:
+            self._drop("replaced")
         length = data[0]
         if not 1 <= length <= 7 or len(data) < length + 1:
             self.counts["malformed"] += 1
             return None
-        if self._open is not None:
-            self._drop("replaced")
         self.counts["payloads"] += 1
         return bytes(data[1 : length + 1])
 
     def _first(self, time: float, data: bytes) -> None:
+        if self._open is not None:
+            self._drop("replaced")
         total = int.from_bytes(data[:2], "big") & 0x0FFF
         # What a single frame could have carried is never sent in several.
         if len(data) != 8 or total <= 7:
             self.counts["malformed"] += 1
             return
-        if self._open is not None:
-            self._drop("replaced")
         self._open = _Message(total, bytearray(data[2:]), 1, time)
 
     def _consecutive(self, time: float, data: bytes) -> bytes | None:

@@ -126,6 +126,10 @@ class J1939Listener:
         """Every frame by what became of it: frames = single + not_j1939 + all tp_ (frames of transport sessions)."""
         return self._counts | self.transport.counts()
 
+    def restart(self) -> None:
+        """It is another connection: no message that began before it is gone on with."""
+        self.transport.restart()
+
     def _message(self, pgn: int, source: int, data: bytes) -> Sequence[TagReading]:
         parameters = self._wanted.get((pgn, source))
         if parameters is None:

@@ -106,6 +106,11 @@ class TransportSessions:
             return None
         return self._stored(key, session, number, data[1:])
 
+    def restart(self) -> None:
+        """Let go of all sessions: what comes is another connection's."""
+        for key in list(self._open):
+            self._drop(key, "lost")
+
     def _stored(self, key: Key, session: _Session, number: int, part: bytes) -> Message | None:
         session.repeat = number + 1
         if number < session.next:

@@ -82,6 +82,7 @@ class LiveVehicle:
     def start(self, send: Send) -> None:
         """Begin to ask, if the settings say so: the bus is there (anew)."""
         self.stop()
+        self._vehicle.restart()
         poller = self._poller
         if poller is None:
             return

@@ -133,6 +133,12 @@ class ObdListener:
                 total[f"isotp_{name}"] = total.get(f"isotp_{name}", 0) + count
         return total
 
+    def restart(self) -> None:
+        """It is another connection: no message that began before it is gone on with, no request is refused."""
+        for unit in self._found_units.values():
+            unit.restart()
+        self._requests.clear()
+
     def _payload(self, frame: CanFrame, payload: bytes) -> Sequence[TagReading]:
         service = payload[0] - ANSWER
         if payload[0] == REFUSAL:

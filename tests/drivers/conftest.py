@@ -1,5 +1,6 @@
 import asyncio
 import contextlib
+import random
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from typing import Any
@@ -30,7 +31,8 @@ async def opened(plc: ScriptedPlc) -> AsyncIterator[OpenModbus]:
 
     async def open_(write_map: Sequence[Tag] = (), **settings: Any) -> ModbusDriver:
         merged = {"host": "127.0.0.1", "port": plc.port, **settings}
-        driver = open_modbus(merged, clock=time.time, write_map=write_map)
+        # A drawn id may be the one that a test means as another's.
+        driver = open_modbus(merged, clock=time.time, write_map=write_map, rng=random.Random(1))
         drivers.append(driver)
         await driver.open()
         return driver

@@ -14,6 +14,7 @@ FAULTS = (
     {"kind": "late", "delay_s": 0.15, "probability": 0.4},
     {"kind": "duplicate"},
     {"kind": "split", "piece": 3},
+    {"kind": "cut_short", "probability": 0.5},
     {"kind": "garbage"},
     {"kind": "wrong_unit"},
     {"kind": "wrong_function"},

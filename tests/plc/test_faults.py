@@ -34,6 +34,8 @@ def bent(kind: str, **parameters: object) -> ModbusReply:
         ("wrong_count", {"delta": 1}, "0005 0000 0009 01 03 06 0001 0002 0000"),
         ("wrong_count", {"honest": False}, "0005 0000 0005 01 03 04 0001"),
         ("duplicate", {}, "0005 0000 0007 01 03 04 0001 0002" * 2),
+        ("cut_short", {"missing": 2}, "0005 0000 0007 01 03 04 0001"),
+        ("cut_short", {"missing": 99}, ""),
     ],
 )
 def test_a_fault_bends_the_reply_as_it_says(kind: str, parameters: dict[str, object], frame: str) -> None:

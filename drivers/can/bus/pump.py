@@ -56,13 +56,20 @@ class Pump:
             self._loop.remove_reader(self._fd)
             self.bus.shutdown()
 
-    def _readable(self) -> None:
-        for _ in range(_BURST):
+    def catch_up(self) -> None:
+        """Give all that has come by now: what is known is then as new as the bus has it, however late the loop is."""
+        if self._fd is not None:
+            self._readable(_QUEUE)
+        while self._waiting and not self._closed:
+            self._take(self._waiting.popleft())
+
+    def _readable(self, most: int = _BURST) -> None:
+        for _ in range(0 if self._closed else most):
             reason = _UNREADABLE
             try:
                 message = self.bus.recv(0.0)
                 reason = ""
-            except (can.CanError, OSError) as error:
+            except (can.CanError, OSError, ValueError) as error:
                 reason = str(error) or _UNREADABLE
                 return
             finally:

@@ -129,6 +129,17 @@ def split(_: float, *, piece: int = 1) -> FaultEffect:
     return FaultEffect(alter=lambda request, reply, rng: replace(reply, piece=max(1, piece)))
 
 
+@fault(only_at=("tcp", "tls", "serial", "rtu-tcp"))
+def cut_short(_: float, *, missing: int = 1) -> FaultEffect:
+    """The last `missing` bytes of the reply are not sent, and the connection stays open."""
+
+    def alter(_: ModbusRequest, reply: ModbusReply, __: Random) -> ModbusReply:
+        frame = reply.frame()
+        return replace(reply, raw=frame[: max(0, len(frame) - max(0, missing))], copies=1)
+
+    return FaultEffect(alter=alter)
+
+
 @fault()
 def garbage(_: float, *, length: int = 16) -> FaultEffect:
     """Drawn bytes are sent instead of the reply."""

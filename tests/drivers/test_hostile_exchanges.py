@@ -1,0 +1,48 @@
+"""No byte of a reading comes from a reply to another request, whatever habits the peer has (in virtual time)."""
+
+import pytest
+
+from benchmarks.hostile_exchanges import LINKS, suffer
+from drivers.modbus.replies import ReplyStream, TransactionIds
+from drivers.modbus.serial_line import LineWire
+from drivers.modbus.verify import split_frames
+
+EXCHANGES = 2000
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_no_reading_is_wrong_and_good_over_any_link(link: str) -> None:
+    tally = suffer(link, EXCHANGES, seed=36)
+    assert tally.examples == []
+    assert (tally.wrong, tally.escapes) == (0, 0)
+    assert tally.exchanges >= EXCHANGES
+    assert tally.good > EXCHANGES / 10
+    assert min(tally.habits.values()) > 0
+
+
+def test_the_judge_sees_ids_that_begin_at_one_with_each_connection(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = ReplyStream.__init__
+
+    def begin_anew(self: ReplyStream, ids: TransactionIds, *others: object) -> None:
+        ids._last = 0
+        ids._unanswered.clear()
+        plain(self, ids, *others)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(ReplyStream, "__init__", begin_anew)
+    assert suffer("tcp", 3000, seed=36).wrong > 0
+
+
+def test_the_judge_sees_a_reply_that_was_cut_short_and_made_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    def take(self: ReplyStream, data: bytes, _expected: object) -> None:
+        frames, self._rest = split_frames(self._rest + data)
+        for frame in frames:
+            self._give(frame)
+
+    monkeypatch.setattr(ReplyStream, "take", take)
+    monkeypatch.setattr(ReplyStream, "unfinished", b"")
+    assert suffer("tcp", 3000, seed=36).wrong > 0
+
+
+def test_the_judge_sees_a_late_reply_on_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LineWire, "_awaited", lambda *_: None)
+    assert suffer("rtu-tcp", 3000, seed=36).wrong > 0
