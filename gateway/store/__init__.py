@@ -78,6 +78,7 @@ if TYPE_CHECKING:
         to_trace,
         trend,
     )
+    from gateway.store.relied_files import FIXED, GROWS, FileRule, ReliedFiles
     from gateway.store.schema import storable
     from gateway.store.score import percentile, scorecard, warning_score
     from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
@@ -105,7 +106,9 @@ __all__ = [
     "CONFIRMED",
     "DISARMED",
     "EXPIRED",
+    "FIXED",
     "FOLLOWABLE",
+    "GROWS",
     "HEAD_EVENT",
     "HEAD_STATE",
     "TABLE_COLUMNS",
@@ -118,6 +121,7 @@ __all__ = [
     "BackupError",
     "Batch",
     "Cells",
+    "FileRule",
     "FollowedRow",
     "FollowedRows",
     "HeadSink",
@@ -126,6 +130,7 @@ __all__ = [
     "HistorianView",
     "LostRows",
     "Manifest",
+    "ReliedFiles",
     "Row",
     "RowPosition",
     "RowStream",
