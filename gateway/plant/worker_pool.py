@@ -401,7 +401,11 @@ class WorkerPool:
         for outcome in stored:
             if isinstance(outcome, BaseException):
                 return {"error": str(outcome) or "the audit log is being closed", "files": self._files}
-        return {"error": "", "files": self._files, "rows": [(row.id, row.hash) for row in stored if not isinstance(row, BaseException)]}
+        return {
+            "error": "",
+            "files": self._files,
+            "rows": [(row.id, row.hash) for row in stored if not isinstance(row, BaseException)],
+        }
 
     @property
     def _files(self) -> tuple[str, str, int]:

@@ -78,7 +78,7 @@ if TYPE_CHECKING:
         to_trace,
         trend,
     )
-    from gateway.store.relied_files import FIXED, GROWS, FileRule, ReliedFiles
+    from gateway.store.relied_files import FIXED, FileRule, ReliedFiles
     from gateway.store.schema import storable
     from gateway.store.score import percentile, scorecard, warning_score
     from gateway.store.signing import SigningKeyError, key_beside, load_key, load_or_make_key, public_path
@@ -108,7 +108,6 @@ __all__ = [
     "EXPIRED",
     "FIXED",
     "FOLLOWABLE",
-    "GROWS",
     "HEAD_EVENT",
     "HEAD_STATE",
     "TABLE_COLUMNS",

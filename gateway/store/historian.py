@@ -38,6 +38,7 @@ from gateway.store.columns import PackedError
 from gateway.store.files import MOST_WAL_BYTES, HistorianError, HistorianFile, UnusableHistorianError, opened
 from gateway.store.numbers import FileNumbers, Source, newest_of
 from gateway.store.queues import Batch, LostRows, Row, RowQueues
+from gateway.store.relied_files import STAYS, FileRule, ReliedFiles, database
 from gateway.store.retention import (
     Packer,
     deleted_before,
@@ -45,7 +46,6 @@ from gateway.store.retention import (
     make_room,
     pages,
 )
-from gateway.store.relied_files import STAYS, FileRule, ReliedFiles, database
 from gateway.store.schema import AT_ONCE, DURABLE, INDICES, INSERTS, MEASURED, PACKED, definition
 from gateway.store.sqlite_file import concerns_file, is_damage, sources_in, transaction
 

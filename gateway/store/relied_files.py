@@ -6,8 +6,10 @@ models in use) is known here, and looked at by `look`: before and after each row
 leaves after something was done to one of them, and with each batch of the historian.
 """
 
+import hashlib
 import os
 import stat
+import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,6 +18,8 @@ from pathlib import Path
 from threading import Lock
 
 _PATIENCE_SECONDS = 5.0
+_SETTLE_SECONDS = 0.05
+"""How long a file whose content is to stay may be half written, by who puts the same there again."""
 _WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -23,9 +27,10 @@ _WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 class FileRule:
     """What may become of a file without a word: it `grows`, or is `fixed`, content and all.
 
-    One that grows may be cut back to `most` bytes by its owner. `late`: it may come later, and may go with its size as it likes until then. `mapped`: SQLite has it mapped into
-    memory, and a program that looks there beyond its end is ended by the kernel. `least` gives the bytes below which
-    its size never falls. `accepts` looks at another file in its place, and says why that will not do ("": it will).
+    One that grows may be cut back to `most` bytes by its owner. One that is fixed may be replaced by a copy of itself.
+    `late`: it may come later. `mapped`: SQLite has it mapped into memory, and a program that looks there beyond its end
+    is ended by the kernel. `least` gives the bytes below which its size never falls. `accepts` looks at another file in
+    its place, and says why that will not do ("": it will).
     """
 
     grows: bool = False
@@ -55,6 +60,7 @@ class _ReliedFile:
     rule: FileRule
     seen: os.stat_result | None = None
     descriptor: int = -1
+    digest: bytes = b""
     largest: int = 0
     was_read_only: bool = False
 
@@ -68,6 +74,7 @@ class _ReliedFile:
             self.let_go()
             return "is no file"
         self.seen, self.largest, self.was_read_only = now, now.st_size, read_only
+        self.digest = _digest(self.path) if self.rule.fixed else b""
         return ""
 
     def let_go(self) -> None:
@@ -163,7 +170,8 @@ class ReliedFiles:
         try:
             return self._looked_at(file, file.path.stat(), read_only=self._on_read_only_disk(file.path))
         except FileNotFoundError:
-            return "" if file.rule.late and file.seen is None else "is gone, as it was removed or renamed while it was in use"
+            awaited = file.rule.late and file.seen is None
+            return "" if awaited else "is gone, as it was removed or renamed while it was in use"
         except OSError as error:
             return f"cannot be looked at while it is in use ({(error.strerror or str(error)).lower()})"
 
@@ -175,7 +183,14 @@ class ReliedFiles:
             return problem
         if before is None or (another and rule.accepts is not None):
             return file.hold(read_only)
-        if another:
+        if changed and rule.fixed:
+            if not self._own and _digest(file.path) != file.digest:
+                time.sleep(_SETTLE_SECONDS)  # perhaps it is being written
+            if _digest(file.path) != file.digest:
+                return "has another content than what is in use"
+            if another and not before.st_mode & ~now.st_mode & _WRITABLE:
+                return file.hold(read_only)
+        if another and not rule.fixed:
             return "is another file than the one that is in use"
         if before.st_mode & ~now.st_mode & _WRITABLE:
             return "may not be written any more, as its mode was changed while it was in use"
@@ -184,7 +199,7 @@ class ReliedFiles:
         return self._cut_or_changed(file, now)
 
     def _cut_or_changed(self, file: _ReliedFile, now: os.stat_result) -> str:
-        rule, before = file.rule, file.seen
+        rule = file.rule
         least = min(file.largest, rule.most) if rule.grows else rule.least() if rule.least is not None else 0
         if now.st_size < least:
             if rule.mapped:
@@ -192,8 +207,6 @@ class ReliedFiles:
                 with suppress(OSError):
                     os.truncate(file.path, file.largest)
             return f"was cut to {now.st_size} bytes while it was in use"
-        if rule.fixed and before is not None and (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
-            return "was changed while it was in use"
         file.seen, file.largest = now, max(file.largest, now.st_size)
         return ""
 
@@ -201,6 +214,11 @@ class ReliedFiles:
 def on_read_only_disk_of_system(path: Path) -> bool:
     """Whether the disk that has the path is mounted read-only. Raises OSError."""
     return bool(os.statvfs(path).f_flag & os.ST_RDONLY)
+
+
+def _digest(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").digest()
 
 
 def _first(problems: Iterable[str]) -> str:

@@ -16,12 +16,12 @@ from gateway.machine.writing.arming import ArmingError
 from gateway.settings import Config
 from gateway.store import (
     FIXED,
-    GROWS,
     HEAD_EVENT,
     HEAD_STATE,
     AuditEntry,
     AuditError,
     AuditRow,
+    FileRule,
     HeadSink,
     ReliedFiles,
     SignedHead,
@@ -168,10 +168,10 @@ class HeadWitnessing:
                 self._failure = str(error)
 
     def _rely_on_files(self) -> None:
-        """Both are there by now. Of another key nothing is to be signed unnoticed; heads go on in another file."""
+        """As they are now: nothing is signed with another key unnoticed; heads go on in another file."""
         if not self._files.knows("signing key"):
             self._files.watch("signing key", {self._config.audit_key: FIXED})
-        self._files.watch("signed heads", {self._config.audit_heads: GROWS})
+        self._files.watch("signed heads", {self._config.audit_heads: FileRule(grows=True, late=True)})
         self._files.look()
 
     def _to_historian(self, head: SignedHead) -> None:

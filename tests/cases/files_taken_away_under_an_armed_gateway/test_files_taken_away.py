@@ -122,8 +122,9 @@ async def tampered(config: Config, deed: Callable[[], None]) -> tuple[dict[str, 
     return status, bench
 
 
-# An accounts' file that another whole one replaces is an account that was added; a lock has nothing to be cut.
-NO_HARM = {("accounts", replaced), ("lock", emptied), ("lock", cut)}
+# An accounts' file that another whole one replaces is an account that was added; what is only read is the same in a
+# copy of it; a lock has nothing to be cut.
+NO_HARM = {("accounts", replaced), ("key", replaced), ("model", replaced), ("lock", emptied), ("lock", cut)}
 
 
 @pytest.mark.parametrize("deed", DEEDS, ids=lambda deed: deed.__name__)
@@ -159,6 +160,9 @@ async def test_nothing_is_said_where_nothing_was_done(tmp_path: Path) -> None:
         lambda: add_account(config.users, "bea", AccountRole.OPERATOR, "another long word"),
         lambda: read(config.audit),
         lambda: examine(places_beside(config.audit)),
+        lambda: replaced(config.audit_key),
+        lambda: replaced(config.path.with_name("model.json")),
+        lambda: config.path.with_name("model.json").touch(),
     ]
     status, bench = await tampered(config, lambda: [deed() for deed in deeds] and None)
     assert len(bench.written) >= LATER - 3 and status["writeback"]["mode"] == "armed"
