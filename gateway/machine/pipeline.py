@@ -48,7 +48,7 @@ from gateway.machine.trust import ClockCheck, RecordsWatch, Surroundings
 from gateway.machine.writing import Arming, ArmingError, WritebackStage, end_by_mode
 from gateway.settings import Config, WritebackLayout
 from gateway.status import Phase
-from gateway.store import NO_PROCESS, AuditError, HistorianError, saved_state, to_trace
+from gateway.store import FIXED, NO_PROCESS, AuditError, HistorianError, saved_state, to_trace
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -204,7 +204,18 @@ class Machine:
                 supervisor=self.supervisor,
                 turns=self._turns,
             )
-        return FollowedTemperature(config, store, model)
+        one = FollowedTemperature(config, store, model)
+        self._rely_on_models(one)
+        return one
+
+    def _rely_on_models(self, one: FollowedTemperature) -> None:
+        """Look at the files of the models that run now, as what is written back is theirs."""
+        files = one.model.files if one.model is not None else ()
+        self.common.files.watch(self._models_of(one.tag), dict.fromkeys(files, FIXED))
+
+    def _models_of(self, tag: str) -> str:
+        """What a temperature's models are called among the files that are relied on."""
+        return f"models of {self.config.machine} {tag}"
 
     def _end_arming(self) -> None:
         """Have an arming end with the mode 'off', on record."""
@@ -335,9 +346,7 @@ class Machine:
 
     def _look_at_itself(self, scan: Scan) -> None:
         """Whether records and clock can be relied on at this scan; what changes is logged."""
-        trail = self.common.trail
-        audit = trail.audit.complaint_of(self.config.subject) if trail else ""
-        self.records_watch.look(scan.time, audit or self.common.log_failure())
+        self.records_watch.look(scan.time, self.common.complaint_about(self.config.subject))
         clock, before = self.clock, self.clock_complaint
         offset = clock.wall_offset() if isinstance(clock, PlantClock) and clock.speed == 1.0 else 0.0
         plc = scan.good(self.config.clock.tag) if self.config.clock.tag else None
@@ -362,6 +371,7 @@ class Machine:
         """Another model runs from this scan on: its inputs are watched, and the historian knows whose rows follow."""
         complains = isinstance(self.driver, Complains)
         self.alarms.conditions = make_conditions(self.config, self.inputs, complains=complains)
+        self._rely_on_models(one)
         one.note_run(now)
 
     def note_failure(self, part: str, error: BaseException) -> None:
@@ -401,7 +411,7 @@ class Machine:
         """
         if self.writing is None:
             raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
-        if why := self.common.log_failure():
+        if why := self.common.files.complaint or self.common.log_failure():
             raise ArmingError(f"not armed: {why}")
         if why := self._unrecorded(self.clock.now()):
             raise ArmingError(f"not armed, as it would disarm itself: {why}")
@@ -449,6 +459,8 @@ class Machine:
             if one.model is not None:
                 await one.model.close()
         await self.surroundings.close()
+        for one in self.followed:
+            await asyncio.to_thread(self.common.files.forget, self._models_of(one.tag))
         self.save(self.clock.now())
 
     def close(self) -> bool:

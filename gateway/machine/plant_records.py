@@ -20,7 +20,7 @@ class PlantRecords:
     """Opened records. `trail` is None while nothing is computed for writing; `log_failure` says why the log's file
     cannot be written ("": it can), `unreached` which of the systems that are told what is on record are out of reach,
     `undelivered` which recipients of messages about alarms, and why.
-    Without a `historian` that of the configurations is opened.
+    `files` are those on which a promise rests. Without a `historian` that of the configurations is opened.
 
     Raises HistorianError.
     """
@@ -46,6 +46,7 @@ class PlantRecords:
             supervisor=supervisor,
             heir=first.machine,
         )
+        self.files = self.historian.files
         self.trail: AuditTrail | None = None
         self._clock, self._log = clock, log
         self._opening = Lock()
@@ -58,10 +59,21 @@ class PlantRecords:
         with self._opening:
             if self.trail is None:
                 historian = self.historian.of(config.machine)
-                self.trail = open_audit_trail(config, historian=historian, supervisor=self.supervisor, log=self._log)
+                self.trail = open_audit_trail(
+                    config, historian=historian, supervisor=self.supervisor, log=self._log, files=self.files
+                )
             return self.trail
+
+    def complaint_about(self, subject: str) -> str:
+        """Why the audit log, the files that are relied on or the log's own cannot be; "" if they can."""
+        audit = self.trail.audit if self.trail is not None else None
+        of_audit = () if audit is None else (audit.complaint_of(subject), audit.note)
+        said = dict.fromkeys(filter(None, (*of_audit, self.files.complaint, self.files.note)))
+        return "; ".join(said) or self.log_failure()
 
     def close(self) -> bool:
         """Store what waits and close all; False if records had to be given up."""
         accounted = self.trail is None or self.trail.close(self._clock.now())
-        return self.historian.close() and accounted
+        complete = self.historian.close()
+        self.files.close()
+        return complete and accounted

@@ -29,6 +29,7 @@ from gateway.plant.worker_pool import WorkerPool
 from gateway.serving import PeerServer
 from gateway.settings import Config, NorthboundSecrets, load_plant
 from gateway.status import SAID_BY_CHANGES, ChangeLines, ControlError, GatewayStatus, opening
+from gateway.store import FileRule
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -182,11 +183,12 @@ def _check_page(config: Config) -> None:
 @asynccontextmanager
 async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIterator[None]:
     """Serve the page meanwhile, in a thread of its own."""
-    from gateway.web import PageServer
+    from gateway.web import PageServer, accounts_problem
 
     trail = fleet.records.trail
     if trail is None:
         raise RuntimeError("the page is enabled, and the audit log was not opened")
+    fleet.records.files.watch("accounts", {configs[0].users: FileRule(late=True, accepts=accounts_problem)})
     page = PageServer(configs, answer=fleet.answer, audit=trail.audit, now=fleet.clock.now, log=fleet.log)
 
     async def witness() -> None:

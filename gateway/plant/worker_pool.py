@@ -378,8 +378,8 @@ class WorkerPool:
         try:
             trail = await self._open_trail(self._configs[message["machine"]])
         except OSError as error:
-            return {"error": str(error), "failure": ""}
-        return {"error": "", "failure": trail.audit.failure}
+            return {"error": str(error), "failure": "", "files": self._files}
+        return {"error": "", "failure": trail.audit.failure, "files": self._files}
 
     async def _open_trail(self, config: Config) -> AuditTrail:
         """The audit log, its signing key made here: once, not by several processes side by side. Raises OSError."""
@@ -392,7 +392,7 @@ class WorkerPool:
         """Commit the entries, also where the process that has sent them is gone by then."""
         trail = self.records.trail
         if trail is None:
-            return {"error": "the audit log is not open"}
+            return {"error": "the audit log is not open", "files": self._files}
         tickets = trail.audit.submit(AuditEntry(*entry) for entry in message["entries"])
         commit = asyncio.gather(*map(asyncio.wrap_future, tickets), return_exceptions=True)
         worker.audits.add(commit)
@@ -400,8 +400,18 @@ class WorkerPool:
         stored = await commit
         for outcome in stored:
             if isinstance(outcome, BaseException):
-                return {"error": str(outcome) or "the audit log is being closed"}
-        return {"error": "", "rows": [(row.id, row.hash) for row in stored if not isinstance(row, BaseException)]}
+                return {"error": str(outcome) or "the audit log is being closed", "files": self._files}
+        return {
+            "error": "",
+            "files": self._files,
+            "rows": [(row.id, row.hash) for row in stored if not isinstance(row, BaseException)],
+        }
+
+    @property
+    def _files(self) -> tuple[str, str, int]:
+        """How the files are that are relied on here (`ReliedFiles.hear`)."""
+        files = self.records.files
+        return files.complaint, files.note, files.taken
 
     def _health(self, machines: Iterable[str]) -> Message:
         """How the stores are, for a worker with these machines (`RecordsHealth`)."""
@@ -413,6 +423,8 @@ class WorkerPool:
             "stuck": historian.stuck,
             "note": historian.note or "; ".join(failed[part] for part in RECORDING if part in failed),
             "audit": trail.audit.failure if trail else "",
+            "audit_note": trail.audit.note if trail else "",
+            "files": self._files,
             "log": self._log_failure(),
             "northbound": self.records.unreached(),
             "undelivered": "; ".join(filter(None, (worker.undelivered for worker in self._workers.values()))),

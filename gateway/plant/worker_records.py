@@ -19,7 +19,7 @@ from gateway.machine.reading import Clock
 from gateway.machine.writing import AuditTrail, HeadWitnessing
 from gateway.plant.channel import SupervisorChannel
 from gateway.settings import Config
-from gateway.store import Audit, AuditEntry, AuditError, AuditRow, Historian, HistorianError
+from gateway.store import Audit, AuditEntry, AuditError, AuditRow, Historian, HistorianError, ReliedFiles
 from sim.strict_json import strict
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ class RecordsHealth:
     stuck: str = ""
     note: str = ""
     audit: str = ""
+    audit_note: str = ""
+    files: tuple[str, str, int] = ("", "", 0)
     log: str = ""
     northbound: str = ""
     undelivered: str = ""
@@ -94,6 +96,7 @@ class SentHistorian(Historian):
         return True
 
     def _attached(self) -> bool:
+        self.files.look()
         return True
 
     def _round(self, *, everything: bool) -> bool:
@@ -152,9 +155,11 @@ def _no_file() -> NoReturn:
 class SentAudit(Audit):
     """An audit log whose rows are committed by the supervisor process: one is stored once that says so."""
 
-    def __init__(self, path: Path, channel: SupervisorChannel, supervisor: Supervisor, failure: str) -> None:
+    def __init__(
+        self, path: Path, channel: SupervisorChannel, supervisor: Supervisor, failure: str, files: ReliedFiles
+    ) -> None:
         self._channel = channel
-        super().__init__(path, None, supervisor, failure=failure)
+        super().__init__(path, None, supervisor, failure=failure, files=files)
 
     def _attached(self) -> bool:
         return True
@@ -164,6 +169,7 @@ class SentAudit(Audit):
             return []
         plain = [[entry.time, entry.kind, entry.who, entry.reason, strict(entry.detail)] for entry in entries]
         reply = self._channel.ask("audit", entries=plain)
+        self.files.hear(*reply["files"])
         if reply["error"]:
             raise sqlite3.OperationalError(reply["error"])
         return [AuditRow(number, entry, digest) for entry, (number, digest) in zip(entries, reply["rows"], strict=True)]
@@ -197,8 +203,9 @@ class WorkerRecords(PlantRecords):
 
     def _on_heard(self) -> None:
         """What keeps the supervisor's audit log from being written is what keeps this one, and ends with it."""
+        self.files.hear(*self.health.files)
         if self.trail is not None:
-            self.trail.audit.failure = self.health.audit
+            self.trail.audit.failure, self.trail.audit.note = self.health.audit, self.health.audit_note
 
     def open_trail(self, config: Config) -> AuditTrail:
         """The audit log of all machines, opened with the first one that writes, or might. Raises AuditError."""
@@ -206,12 +213,15 @@ class WorkerRecords(PlantRecords):
             reply = self._channel.ask("open trail", machine=config.machine)
             if reply["error"]:
                 raise AuditError(reply["error"])
-            audit = SentAudit(config.audit, self._channel, self.supervisor, reply["failure"])
-            witnessing = HeadWitnessing(config, self.historian.of(config.machine), self._log)
+            self.files.hear(*reply["files"])
+            audit = SentAudit(config.audit, self._channel, self.supervisor, reply["failure"], self.files)
+            witnessing = HeadWitnessing(config, self.historian.of(config.machine), self._log, self.files)
             self.trail = AuditTrail(audit, witnessing)
         return self.trail
 
     def close(self) -> bool:
         """Hand over what waits; False if records had to be given up. The last head is the supervisor's to sign."""
         accounted = self.trail is None or self.trail.audit.close()
-        return self.historian.close() and accounted
+        complete = self.historian.close()
+        self.files.close()
+        return complete and accounted

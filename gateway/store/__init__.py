@@ -81,6 +81,7 @@ if TYPE_CHECKING:
         to_trace,
         trend,
     )
+    from gateway.store.relied_files import FIXED, FileRule, ReliedFiles
     from gateway.store.schema import storable
     from gateway.store.score import percentile, scorecard, warning_score
     from gateway.store.signing import (
@@ -116,6 +117,7 @@ __all__ = [
     "CONFIRMED",
     "DISARMED",
     "EXPIRED",
+    "FIXED",
     "FOLLOWABLE",
     "HEAD_EVENT",
     "HEAD_STATE",
@@ -132,6 +134,7 @@ __all__ = [
     "BackupError",
     "Batch",
     "Cells",
+    "FileRule",
     "FollowedRow",
     "FollowedRows",
     "HeadSink",
@@ -140,6 +143,7 @@ __all__ = [
     "HistorianView",
     "LostRows",
     "Manifest",
+    "ReliedFiles",
     "Row",
     "RowPosition",
     "RowStream",

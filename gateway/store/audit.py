@@ -36,6 +36,7 @@ from drivers.errors import OneLineError
 from drivers.supervision import Supervisor
 from gateway.chain import BEGIN, digest
 from gateway.store.durable import make_private
+from gateway.store.relied_files import GROWS, ReliedFiles, database
 from sim.strict_json import escaped, json_text
 
 APPLICATION_ID = 0x6465_6175
@@ -65,6 +66,8 @@ LOST = "rows lost"
 _ARMINGS = (ARMED, DISARMED, EXPIRED, CANCELLED, CONFIRMED)
 _OF_ARMINGS = "kind IN ({})".format(", ".join(f"'{kind}'" for kind in _ARMINGS))
 _RETRY_SECONDS = 1.0
+_FILES = "audit log"
+"""What its files are called among those that are relied on."""
 _COLUMNS = "id, time, kind, who, reason, detail, hash"
 
 _TABLES = """
@@ -78,6 +81,10 @@ CREATE TRIGGER audit_no_loss BEFORE DELETE ON audit
 CREATE TRIGGER audit_in_order BEFORE INSERT ON audit WHEN NEW.id IS NOT (SELECT coalesce(max(id), 0) + 1 FROM audit)
     BEGIN SELECT RAISE(ABORT, 'the audit log is only ever appended'); END
 """
+
+
+class _TakenAwayError(sqlite3.OperationalError):
+    """The path leads to the file no more that is open."""
 
 
 class AuditError(OneLineError, OSError):
@@ -168,7 +175,10 @@ class Audit:
     """An open audit log. `put` never waits for the disk, `record` and `stored` do; each may be called from any thread.
 
     All blocks of a gateway share one. `failure` says why the disk does not take what waits, "" while it does.
-    Without a `connection` entries wait, and `attach`, which raises AuditError, is tried again and again.
+    Without a `connection` entries wait, and `attach`, which raises AuditError, is tried again and again: it gives one,
+    and the sentence that what was there was damaged ("": it was not). So it is too where the file was taken away under
+    it. `note` says of both from then on. `files` are those that the gateway relies on, all
+    of which are looked at before and after each commit.
     """
 
     def __init__(
@@ -177,11 +187,15 @@ class Audit:
         connection: sqlite3.Connection | None,
         supervisor: Supervisor,
         *,
-        attach: Callable[[], sqlite3.Connection] | None = None,
+        attach: "Callable[[], tuple[sqlite3.Connection, str]] | None" = None,
         failure: str = "",
+        note: str = "",
+        files: ReliedFiles | None = None,
     ) -> None:
         self.path = path
-        self.failure = failure
+        self.failure, self.note = failure, note
+        self.files = files or ReliedFiles()
+        self._newest: tuple[int, bytes] | None = None
         self._lost: Counter[str | None] = Counter()
         self._attach = attach
         self._connection = connection
@@ -190,6 +204,7 @@ class Audit:
         self._wake = threading.Condition()
         self._pressing = self._stopping = False
         self._stop = threading.Event()
+        self._rely_on_file()
         self._thread = supervisor.thread("audit", self._work, stop=self._stop)
 
     def put(self, entry: AuditEntry) -> None:
@@ -305,8 +320,8 @@ class Audit:
 
     def complaint_of(self, subject: str | None) -> str:
         """Why nothing of a subject may be written to the PLC now, as it could not be accounted for; "" if it may."""
-        if self.failure:
-            return self.failure
+        if why := self.failure or self.files.complaint:
+            return why
         waiting = self._backlog[subject]
         return f"{self.path}: {waiting} entries wait for the disk" if waiting >= BACKLOG else ""
 
@@ -317,14 +332,14 @@ class Audit:
             self._stopping = True
             self._wake.notify_all()
         self._thread.join(timeout=10.0)
-        if not self._thread.is_alive() and self._connection is not None:
-            self._connection.close()
+        if not self._thread.is_alive():
+            self._let_go()
         return not self._waiting and not self.lost
 
     def _work(self) -> None:
-        if not self._attached():
-            return
         while True:
+            if not self._attached():
+                return
             with self._wake:
                 self._wake.wait_for(lambda: self._waiting or self._stopping)
                 # What somebody waits for is committed now, and takes along what would have waited.
@@ -354,6 +369,9 @@ class Audit:
             except sqlite3.Error as error:
                 stored = False
                 self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
+                if isinstance(error, _TakenAwayError):
+                    self.failure = self.note = str(error)
+                    self._let_go()
                 with self._wake:
                     self._pressing = False
                     if not claimed:  # the lock did not come: who waits learns it now, and what can wait does
@@ -380,15 +398,19 @@ class Audit:
             with self._wake:
                 if self._stopping and (not stored or not self._waiting):
                     return
-                if not stored:
+                if not stored and self._connection is not None:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
 
     def _attached(self) -> bool:
         """Wait until there is a file to write to; False if it is to stop before."""
         while self._connection is None:
             try:
-                self._connection = self._attach() if self._attach else None
-                self.failure = ""
+                if self._attach is None:
+                    raise UnusableAuditError(self.failure or f"{self.path}: is not open")
+                self._connection, damaged = self._attach()
+                self._rely_on_file()
+                self.note = "; ".join(filter(None, (self.note, damaged, self._missing())))
+                self.failure, self._newest = "", None
             except AuditError as error:
                 self.failure = str(error)
                 with self._wake:
@@ -396,14 +418,48 @@ class Audit:
                         return False
         return True
 
+    def _rely_on_file(self) -> None:
+        """From now on the files that are open are looked at."""
+        if self._connection is not None:
+            self.files.watch(_FILES, database(self.path, GROWS))
+            self.files.look()
+
+    def _let_go(self) -> None:
+        self.files.forget(_FILES)
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def _missing(self) -> str:
+        """What of it is not in the file that is open now, after another one was; "" where none was."""
+        if self._newest is None or self._connection is None:
+            return ""
+        row, digest = self._newest
+        found = self._connection.execute("SELECT hash FROM audit WHERE id = ?", (row,)).fetchone()
+        if found is not None and bytes(found[0]) == digest:
+            return "what is there now has all rows that were written"
+        return f"what is there now has not row {row}, which was written; it has to be acknowledged as lost"
+
     def _committed(self, claim: Callable[[], Sequence[tuple[AuditEntry, AuditColumns]]]) -> list[AuditRow]:
         """Commit what `claim` gives, which is asked once the write lock is had. Raises sqlite3.Error."""
         if (connection := self._connection) is None:
             raise sqlite3.OperationalError("the audit log is not open")
+        # Before the file is touched, as what was cut there would end the process, and after it: what is committed to a
+        # file whose name is gone is on record nowhere.
+        self._raise_if_taken_away()
         with connection:
             # The write lock comes first, and may take its time: until then an entry can be taken back.
             connection.execute("BEGIN IMMEDIATE")
-            return _insert(connection, claim())
+            _raise_if_before(connection, self._newest)
+            rows = _insert(connection, claim())
+        self._raise_if_taken_away()
+        if rows:
+            self._newest = rows[-1].id, bytes.fromhex(rows[-1].hash)
+        return rows
+
+    def _raise_if_taken_away(self) -> None:
+        if why := self.files.look(_FILES):
+            raise _TakenAwayError(why)
 
     def _claimed(self, share: int = SHARE) -> "list[_Waiting]":
         """Take what the next commit stores: of each subject the oldest entries, `share` at most (the lock is held)."""
@@ -565,6 +621,16 @@ def hashes(path: Path, rows: Iterable[int] | None = None) -> dict[int, str]:
 
 
 # ---------------------------------------------------------------- the file
+
+
+def _raise_if_before(connection: sqlite3.Connection, newest: tuple[int, bytes] | None) -> None:
+    """Raise _TakenAwayError where the row that was written last (number, hash) is not in the file any more."""
+    if newest is None:
+        return
+    found = connection.execute("SELECT hash FROM audit WHERE id = ?", newest[:1]).fetchone()
+    if found is None or bytes(found[0]) != newest[1]:
+        name = str(connection.execute("PRAGMA database_list").fetchone()[2])
+        raise _TakenAwayError(f"{name}: row {newest[0]} was written and is not in it any more, or is another one")
 
 
 def _insert(connection: sqlite3.Connection, entries: Sequence[tuple[AuditEntry, AuditColumns]]) -> list[AuditRow]:

@@ -3,29 +3,31 @@
 import sqlite3
 import time
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 from drivers.supervision import Supervisor
-from gateway.store.audit import APPLICATION_ID, Audit, UnusableAuditError, connected
+from gateway.store.audit import APPLICATION_ID, Audit, AuditError, UnusableAuditError, connected
 from gateway.store.durable import set_aside
+from gateway.store.relied_files import ReliedFiles
 
 LOOK_SECONDS = 2.0
 """The longest look for damage at a start (real time); what a longer one would find is found before an arming."""
 
 
-def open_or_set_aside(path: Path, supervisor: Supervisor | None = None) -> tuple[Audit, str]:
-    """The audit log at `path`, and the sentence that a damaged one was set aside ("" if none was).
+def open_or_set_aside(path: Path, supervisor: Supervisor | None = None, files: ReliedFiles | None = None) -> Audit:
+    """The audit log at `path`; where a damaged one was set aside its `note` says so.
 
     Nothing may be armed on the new one until the old one's head is acknowledged (`gateway.store.witness`). One that
-    cannot be made or written now keeps no gateway from running: it has a `failure`, on which nothing is armed, and is
-    tried again until it can be. Raises AuditError for a file that is something else, or of another layout.
+    cannot be made or written now, that is something else or of another layout keeps no gateway from running: it has a
+    `failure`, on which nothing is armed, is left as it is, and is tried again until it can be opened.
     """
-    supervisor = supervisor or Supervisor()
+    supervisor, attach = supervisor or Supervisor(), partial(_sound, path)
     try:
-        connection, damaged = _sound(path)
-    except UnusableAuditError as error:
-        return Audit(path, None, supervisor, attach=lambda: _sound(path)[0], failure=str(error)), ""
-    return Audit(path, connection, supervisor), damaged
+        connection, damaged = attach()
+    except AuditError as error:
+        return Audit(path, None, supervisor, attach=attach, failure=str(error), files=files)
+    return Audit(path, connection, supervisor, attach=attach, note=damaged, files=files)
 
 
 def _sound(path: Path) -> tuple[sqlite3.Connection, str]:

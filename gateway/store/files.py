@@ -41,6 +41,8 @@ CHECK_SECONDS = 2.0
 """How long a file is checked for damage before the gateway goes on with what it has seen of it."""
 RECOVERY_SECONDS = 20.0
 """How long is read from a damaged file; what is left then stays in it."""
+MOST_WAL_BYTES = 64 << 20
+"""A WAL that grew while a reader held it back is cut to this once it is checkpointed."""
 _RESERVE = 16_000_000
 
 
@@ -60,21 +62,18 @@ class UnusableHistorianError(HistorianError):
 class HistorianFile:
     """An open file: a connection that does not wait for the disk, and one that does.
 
-    `note` says what was set aside and recovered ("" nothing), `inode` which file it is.
+    `note` says what was set aside and recovered ("" nothing).
     """
 
     path: Path
     normal: sqlite3.Connection
     full: sqlite3.Connection
-    inode: int
     note: str = ""
 
-    def moved(self) -> bool:
-        """Whether the path has another file now, or none: what is written here would be lost with the last user."""
-        try:
-            return self.path.stat().st_ino != self.inode
-        except OSError:
-            return True
+    def bytes_in_use(self) -> int:
+        """The size that the file has once all is in it that is committed. Raises sqlite3.Error."""
+        pages, size = (self.normal.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size"))
+        return int(pages) * int(size)
 
     def close(self) -> None:
         """Close both connections."""
@@ -121,7 +120,7 @@ def _connected(path: Path, max_mb: float, heir: str) -> HistorianFile:
             _prepared(first, path, heir)
         connections.append(_connection(path, "NORMAL", limit - reserve))
         connections.append(_connection(path, "FULL", limit))
-        return HistorianFile(path, connections[0], connections[1], path.stat().st_ino)
+        return HistorianFile(path, connections[0], connections[1])
     except (sqlite3.Error, OSError) as error:
         for connection in connections:
             connection.close()
@@ -149,8 +148,7 @@ def _connection(path: Path, synchronous: str, most_bytes: float) -> sqlite3.Conn
         connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
         connection.execute("PRAGMA journal_mode = WAL").fetchone()
         connection.execute(f"PRAGMA synchronous = {synchronous}")
-        # 64 MiB: a WAL that grew while a reader held it back is cut to this once it is checkpointed.
-        connection.execute("PRAGMA journal_size_limit = 67108864").fetchone()
+        connection.execute(f"PRAGMA journal_size_limit = {MOST_WAL_BYTES}").fetchone()
         # The file's largest size: beyond it SQLite says that the disk is full, before the disk is.
         page = int(connection.execute("PRAGMA page_size").fetchone()[0])
         connection.execute(f"PRAGMA max_page_count = {int(most_bytes / page)}").fetchone()

@@ -25,7 +25,7 @@ import sqlite3
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 from shutil import disk_usage
@@ -36,9 +36,10 @@ from drivers.supervision import Supervisor
 from drivers.tag import Tag
 from gateway.store.columns import PackedError
 from gateway.store.durable import RECORDS_MODE
-from gateway.store.files import HistorianError, HistorianFile, UnusableHistorianError, opened
+from gateway.store.files import MOST_WAL_BYTES, HistorianError, HistorianFile, UnusableHistorianError, opened
 from gateway.store.numbers import FileNumbers, Source, newest_of
 from gateway.store.queues import Batch, LostRows, Row, RowQueues
+from gateway.store.relied_files import STAYS, FileRule, ReliedFiles, database
 from gateway.store.retention import (
     Packer,
     deleted_before,
@@ -59,6 +60,9 @@ STALL_SECONDS = 10.0
 """How long rows may wait for the disk before that is a complaint."""
 DISK_MARGIN = 1_000_000
 """Bytes: with less of them left it is the disk that is full, and not the historian that has reached its size."""
+_FILES = "historian"
+"""What its files are called among those that are relied on."""
+LOCK = "historian's lock"
 ROW_ERRORS = (sqlite3.Error, ArithmeticError, LookupError, TypeError, ValueError)
 """What a row that cannot be stored raises."""
 
@@ -79,9 +83,12 @@ class Historian:
         *,
         supervisor: Supervisor,
         failure: str = "",
+        files: ReliedFiles | None = None,
     ) -> None:
         self.path = path
         self.failure = failure
+        self.files = files or ReliedFiles()
+        self._least = 0
         self.note = file.note if file else ""
         self._attach, self._release, self._file = attach, release, file
         self._sources: list[Source] = []
@@ -97,6 +104,7 @@ class Historian:
         self._due = monotonic() + BATCH_SECONDS
         self._packer: Packer | None = None
         self._stop = threading.Event()
+        self._rely_on_file()
         self._thread = supervisor.thread("historian", self._work, stop=self._stop)
 
     def of(self, machine: str, tags: Iterable[Tag] = (), temperature: str = "") -> HistorianView:
@@ -203,8 +211,8 @@ class Historian:
         self._thread.join(timeout=10.0)
         complete = not self._rows.rows and not self._urgent.rows and not self._thread.is_alive()
         if not self._thread.is_alive():
-            if self._file is not None:
-                self._file.close()
+            self._let_go()
+            self.files.forget(LOCK)
             self._release()
         return complete
 
@@ -248,6 +256,7 @@ class Historian:
                 self._stop.wait(BATCH_SECONDS)
             elif everything:
                 self._tend(moment)
+                self._note_size()
 
     def _tend(self, moment: float | None) -> None:
         """Between two batches: pack what has grown old, and delete what is older than `moment`, if one is given."""
@@ -261,6 +270,7 @@ class Historian:
                 for table in (*MEASURED, "writes"):
                     self._tended(table, partial(deleted_before, self._normal, table, source, moment))
             self._forgotten(moment)
+            self._least = 0  # it may become smaller now
             self._tended("", partial(gave_back, self._normal))
 
     def _forgotten(self, moment: float) -> None:
@@ -270,20 +280,43 @@ class Historian:
 
     def _attached(self) -> bool:
         """Whether there is a file to write to: the one that is open, or, where it has gone, another one."""
-        if self._file is not None and not self._file.moved():
+        # All files that the gateway relies on: each second, also where nothing is written.
+        gone = self.files.look(_FILES)
+        if self._file is not None and not gone:
             return True
-        before, self._file, self._numbers = self._file, None, None
-        if before is not None:
-            before.close()
+        before = self._file is not None
+        self._let_go()
         try:
             self._file = self._attach()
         except HistorianError as error:
             self.failure = str(error)
             return False
+        self._rely_on_file()
         self.failure = ""
-        gone = f"{self.path}: was taken away while it was written; a new one was begun" if before else ""
-        self.note = self._file.note or gone or self.note
+        taken = f"{self.path}: was taken away while it was written ({gone}); a new one was begun" if before else ""
+        self.note = "; ".join(filter(None, (taken, self._file.note))) or self.note
         return True
+
+    def _rely_on_file(self) -> None:
+        """From now on the files that are open are looked at."""
+        self._least = 0
+        if self._file is not None:
+            self._note_size()
+            rule = FileRule(least=lambda: self._least)
+            self.files.watch(_FILES, database(self.path, rule, FileRule(grows=True, late=True, most=MOST_WAL_BYTES)))
+            self.files.look()
+
+    def _let_go(self) -> None:
+        self.files.forget(_FILES)
+        if self._file is not None:
+            self._file.close()
+        self._file = self._numbers = None
+
+    def _note_size(self) -> None:
+        """Have the file never fall below the size that it has now, but for the pages that were given back since."""
+        with suppress(OSError, sqlite3.Error):  # then as before: whoever writes next says what is wrong
+            if self._file is not None:
+                self._least = min(self.path.stat().st_size, self._file.bytes_in_use())
 
     def _round(self, *, everything: bool) -> bool:
         """Commit what waits now, of the measurements only if `everything`; False if the disk refused some of it."""
@@ -325,8 +358,7 @@ class Historian:
             self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
             if is_damage(error) and self._file is not None:
                 # Nothing of it can be written any more: it is opened again, which sets it aside.
-                self._file.close()
-                self._file = None
+                self._let_go()
         finally:
             with self._wake:
                 if not stored:
@@ -541,7 +573,13 @@ def _beyond_the_row(error: Exception) -> bool:
 
 
 def open_historian(
-    path: Path, *, max_mb: float = 4096.0, mend: bool = False, supervisor: Supervisor | None = None, heir: str = ""
+    path: Path,
+    *,
+    max_mb: float = 4096.0,
+    mend: bool = False,
+    supervisor: Supervisor | None = None,
+    heir: str = "",
+    files: ReliedFiles | None = None,
 ) -> Historian:
     """Open or make the historian at `path` for one gateway.
 
@@ -553,10 +591,12 @@ def open_historian(
     Raises HistorianError, in one sentence: another gateway holds it, it is a database of something else or of a newer
     layout; without `mend` also where it is damaged or cannot be written.
     """
-    locked = _FileLock(path)
+    locked, files = _FileLock(path), files or ReliedFiles()
 
     def attach() -> HistorianFile:
         locked.take()
+        if not files.knows(LOCK):
+            files.watch(LOCK, {locked.place: STAYS})
         return opened(path, max_mb=max_mb, mend=mend, heir=heir)
 
     file, failure = None, ""
@@ -570,7 +610,8 @@ def open_historian(
     except HistorianError:
         locked.free()
         raise
-    return Historian(path, file, attach, locked.free, supervisor=supervisor or Supervisor(), failure=failure)
+    supervisor = supervisor or Supervisor()
+    return Historian(path, file, attach, locked.free, supervisor=supervisor, failure=failure, files=files)
 
 
 class _FileLock:
@@ -580,7 +621,7 @@ class _FileLock:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._place = path, path.with_name(path.name + ".lock")
+        self._path, self.place = path, path.with_name(path.name + ".lock")
         self._descriptor: int | None = None
 
     def take(self) -> None:
@@ -588,8 +629,8 @@ class _FileLock:
         if self._descriptor is not None:
             return
         try:
-            self._place.parent.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self._place, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, RECORDS_MODE)
+            self.place.parent.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self.place, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, RECORDS_MODE)
         except OSError as error:
             raise UnusableHistorianError(
                 f"{self._path}: cannot be made ({error.strerror}); give a path that this user may write"
@@ -599,7 +640,7 @@ class _FileLock:
         except BlockingIOError:
             os.close(descriptor)
             raise HistorianError(
-                f"{self._place}: another gateway is running on this historian; stop it, or give this one a historian "
+                f"{self.place}: another gateway is running on this historian; stop it, or give this one a historian "
                 "of its own"
             ) from None
         self._descriptor = descriptor

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from gateway.web.access import AccountsError, read_accounts
+    from gateway.web.access import AccountsError, accounts_problem, read_accounts
     from gateway.web.box import box_facts
     from gateway.web.server import PageServer, check_page
     from gateway.web.views import machine_view
@@ -19,6 +19,7 @@ else:
 __all__ = [
     "AccountsError",
     "PageServer",
+    "accounts_problem",
     "box_facts",
     "check_page",
     "machine_view",

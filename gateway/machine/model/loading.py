@@ -27,7 +27,8 @@ from sim.sha import Model
 class LoadedModel:
     """A model, the SHA-256 of its content, and a sentence where it runs although it does not verify.
 
-    `version` is the store's that it was, "" for a model that comes from no store; `written` when its file was (s UTC).
+    `version` is the store's that it was, "" for a model that comes from no store; `file` holds it, `written` when that
+    was (s UTC).
     `familiarity` is what its training was like, None where that is not known.
     """
 
@@ -37,6 +38,7 @@ class LoadedModel:
     version: str = ""
     written: float | None = None
     familiarity: Familiarity | None = None
+    file: Path | None = None
 
 
 def load_model(config: Config) -> LoadedModel | None:
@@ -80,7 +82,8 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
         version = current(path) if is_store(path) else ""
         model = _own(config, load(path, version) if version else read_model(path))
         home = version_directory(path, version) if version else path
-        written = (home / MODEL_FILE if home.is_dir() else home).stat().st_mtime
+        file = home / MODEL_FILE if home.is_dir() else home
+        written = file.stat().st_mtime
         familiarity = read_familiarity(home) if home.is_dir() else None
         predictor = Predictor(model, config.model.temperature)
         problem, warning = _unverified(config, model, path, key, version)
@@ -99,7 +102,15 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
     ]
     if problems:
         raise ConfigError([f"{config.path}: {problem}" for problem in problems])
-    return LoadedModel(model, model_hash(model), warning, version=version, written=written, familiarity=familiarity)
+    return LoadedModel(
+        model,
+        model_hash(model),
+        warning,
+        version=version,
+        written=written,
+        familiarity=familiarity,
+        file=file,
+    )
 
 
 def _own(config: Config, model: Model) -> Model:

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.supervision import Supervisor
@@ -102,6 +103,11 @@ class ModelUnit:
     def unverified(self) -> str:
         """Why nothing of these models may be written: one of them runs although it does not verify; "" if none does."""
         return next((model.warning for model in (self.loaded, *self.members) if model.warning), "")
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files of the models that run."""
+        return tuple(model.file for model in (self.loaded, *self.members) if model.file is not None)
 
     # ---------------------------------------------------------------- the stages of a scan
 

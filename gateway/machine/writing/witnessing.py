@@ -15,12 +15,15 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from gateway.machine.writing.arming import ArmingError
 from gateway.settings import Config
 from gateway.store import (
+    FIXED,
     HEAD_EVENT,
     HEAD_STATE,
     AuditEntry,
     AuditError,
     AuditRow,
+    FileRule,
     HeadSink,
+    ReliedFiles,
     SignedHead,
     SigningKeyError,
     WitnessPlaces,
@@ -121,8 +124,11 @@ def countersign(places: WitnessPlaces, now: float, sinks: Sequence[HeadSink] = (
 class HeadWitnessing:
     """Signs the heads of a running gateway's audit log, into its historian and its log too."""
 
-    def __init__(self, config: Config, historian: HistorianView, log: FilteringBoundLogger) -> None:
+    def __init__(
+        self, config: Config, historian: HistorianView, log: FilteringBoundLogger, files: ReliedFiles | None = None
+    ) -> None:
         self._config, self._historian, self._log = config, historian, log
+        self._files = files or ReliedFiles()
         self._failure = ""
         self._one_at_a_time, self._turns, self._signed = Lock(), count(1), 0
 
@@ -151,13 +157,22 @@ class HeadWitnessing:
         with self._one_at_a_time:
             if turn < self._signed:
                 return
+            self._files.look()
             try:
                 countersign(self.places, now, self.sinks)
+                self._rely_on_files()
                 self._failure, self._signed = "", turn
             except ArmingError as error:
                 if str(error) != self._failure:
                     self._log.error("the audit log's end is not witnessed", reason=str(error))
                 self._failure = str(error)
+
+    def _rely_on_files(self) -> None:
+        """As they are now: nothing is signed with another key unnoticed; heads go on in another file."""
+        if not self._files.knows("signing key"):
+            self._files.watch("signing key", {self._config.audit_key: FIXED})
+        self._files.watch("signed heads", {self._config.audit_heads: FileRule(grows=True, late=True)})
+        self._files.look()
 
     def _to_historian(self, head: SignedHead) -> None:
         self._historian.save(HEAD_STATE, head.time, asdict(head))

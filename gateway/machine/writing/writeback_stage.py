@@ -17,12 +17,14 @@ from gateway.machine.writing.block_stage import BlockStage
 from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
 from gateway.machine.writing.writeback import Arming, disarm_together
 from gateway.settings import Config, WritebackLayout
-from gateway.store import NO_PROCESS, Audit, HistorianView, open_or_set_aside, saved_state
+from gateway.store import NO_PROCESS, Audit, HistorianView, ReliedFiles, open_or_set_aside, saved_state
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
 
+LONGEST_REASON = 300
+"""Characters of why the gateway disarms itself."""
 STARTS_KEPT = 8
 """So many of the gateway's numbers are kept: one that is killed and killed again knows its own by them."""
 
@@ -43,13 +45,18 @@ class AuditTrail:
 
 
 def open_audit_trail(
-    config: Config, *, historian: HistorianView, supervisor: Supervisor, log: FilteringBoundLogger
+    config: Config,
+    *,
+    historian: HistorianView,
+    supervisor: Supervisor,
+    log: FilteringBoundLogger,
+    files: ReliedFiles | None = None,
 ) -> AuditTrail:
-    """The audit log of a plant file; a damaged one is set aside. Raises AuditError."""
-    audit, damaged = open_or_set_aside(config.audit, supervisor)
-    if damaged:
-        log.error("the audit log was damaged", reason=damaged)
-    return AuditTrail(audit, HeadWitnessing(config, historian, log))
+    """The audit log of a plant file; a damaged one is set aside. `files` are those that the gateway relies on."""
+    audit = open_or_set_aside(config.audit, supervisor, files)
+    if audit.note:
+        log.error("the audit log was damaged", reason=audit.note)
+    return AuditTrail(audit, HeadWitnessing(config, historian, log, audit.files))
 
 
 class WritebackStage:
@@ -78,6 +85,7 @@ class WritebackStage:
         self.config, self.audit, self.witnessing = config, trail.audit, trail.witnessing
         self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
         self._supervisor = supervisor
+        self._files, self._taken = trail.audit.files, trail.audit.files.taken
         self._signed = clock.now()
         self._signing: asyncio.Task[None] | None = None
         self._writers = open_writers(
@@ -89,7 +97,7 @@ class WritebackStage:
             audit=trail.audit,
             log=log,
             rng=rng,
-            obstacle=lambda: log_failure() or obstacle(self.witnessing.places)[0],
+            obstacle=lambda: self._files.look() or log_failure() or obstacle(self.witnessing.places)[0],
         )
         self.blocks = tuple(
             BlockStage(config, writer, clock=clock, historian=own, log=log)
@@ -137,6 +145,8 @@ class WritebackStage:
             return ""
         if any(writer.expired(now) for writer in self._writers):
             return "the arming is over"
+        if self._files.taken != self._taken:
+            return f"a file that it relies on was taken away: {self._files.note}"[:LONGEST_REASON]
         return f"the model that runs does not verify: {unverified}" if unverified else ""
 
     async def withdraw(self, why: str, scan: Scan, alarms: Sequence[int]) -> None:
@@ -159,6 +169,7 @@ class WritebackStage:
             raise ArmingError(f"the model that runs does not verify: {unverified}")
         signed(by, reason, minutes, self._clock.now())  # what is not even signed leaves no row
         witnessing, generations = self.witnessing, [writer.generation for writer in self._writers]
+        taken = self._files.taken
         key = await asyncio.to_thread(
             clear_for_arming,
             witnessing.places,
@@ -170,6 +181,7 @@ class WritebackStage:
         )
         if [writer.generation for writer in self._writers] != generations:
             raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
+        self._taken = taken
         arming = await arm(self._writers, self._driver, by=by, reason=reason, minutes=minutes, key=key, process=process)
         self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)

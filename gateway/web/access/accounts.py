@@ -88,6 +88,14 @@ def read_accounts(path: Path) -> dict[str, PageAccount]:
         raise AccountsError(first_sentence(_AccountFile, error, str(path))) from None
 
 
+def accounts_problem(path: Path) -> str:
+    """Why there is no usable file of accounts at the path, in a sentence without it; "" where there is one."""
+    try:
+        return "" if read_accounts(path) else "has no accounts any more"
+    except AccountsError as error:
+        return str(error).removeprefix(f"{path}: ")
+
+
 @contextmanager
 def _changing(path: Path) -> Iterator[dict[str, PageAccount]]:
     """The accounts to be changed, then written; two commands at a time take turns. Raises AccountsError, OSError."""
