@@ -156,7 +156,12 @@ class SentAudit(Audit):
     """An audit log whose rows are committed by the supervisor process: one is stored once that says so."""
 
     def __init__(
-        self, path: Path, channel: SupervisorChannel, supervisor: Supervisor, failure: str, files: ReliedFiles
+        self,
+        path: Path,
+        channel: SupervisorChannel,
+        supervisor: Supervisor,
+        failure: str,
+        files: ReliedFiles | None = None,
     ) -> None:
         self._channel = channel
         super().__init__(path, None, supervisor, failure=failure, files=files)
@@ -169,7 +174,7 @@ class SentAudit(Audit):
             return []
         plain = [[entry.time, entry.kind, entry.who, entry.reason, strict(entry.detail)] for entry in entries]
         reply = self._channel.ask("audit", entries=plain)
-        self.files.hear(*reply["files"])
+        self.files.hear(*reply.get("files", RecordsHealth.files))
         if reply["error"]:
             raise sqlite3.OperationalError(reply["error"])
         return [AuditRow(number, entry, digest) for entry, (number, digest) in zip(entries, reply["rows"], strict=True)]

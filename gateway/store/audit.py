@@ -344,6 +344,7 @@ class Audit:
                     if self._stopping:
                         return
                     continue
+            taken = False
             claimed: list[_Waiting] = []
             lost: Counter[str | None] = Counter()
 
@@ -365,7 +366,7 @@ class Audit:
             except sqlite3.Error as error:
                 stored = False
                 self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
-                if isinstance(error, _TakenAwayError):
+                if taken := isinstance(error, _TakenAwayError):
                     self.failure = self.note = str(error)
                     self._let_go()
                 with self._wake:
@@ -394,7 +395,7 @@ class Audit:
             with self._wake:
                 if self._stopping and (not stored or not self._waiting):
                     return
-                if not stored and self._connection is not None:
+                if not stored and not taken:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
 
     def _attached(self) -> bool:
