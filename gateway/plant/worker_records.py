@@ -43,6 +43,7 @@ class RecordsHealth:
     audit_note: str = ""
     files: tuple[str, str, int] = ("", "", 0)
     log: str = ""
+    without: Mapping[str, str] = field(default_factory=dict)
     northbound: str = ""
     undelivered: str = ""
     lost: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -208,6 +209,7 @@ class WorkerRecords(PlantRecords):
 
     def _on_heard(self) -> None:
         """What keeps the supervisor's audit log from being written is what keeps this one, and ends with it."""
+        self.without = self.health.without
         self.files.hear(*self.health.files)
         if self.trail is not None:
             self.trail.audit.failure, self.trail.audit.note = self.health.audit, self.health.audit_note
