@@ -53,8 +53,16 @@ def backup(path: Path, folder: Path, as_json: bool) -> None:
             folder, sources_of(load_plant(path)), now=time.time(), program=version("decanter-gateway")
         )
     size = sum(file.size for file in manifest.files)
-    data = {"folder": str(folder), "files": len(manifest.files), "bytes": size, "audit_head": manifest.audit_head}
+    data = {
+        "folder": str(folder),
+        "files": len(manifest.files),
+        "bytes": size,
+        "audit_head": manifest.audit_head,
+        "damaged": manifest.damaged,
+    }
     head = f"; audit log whole, {manifest.audit_rows} rows, head {manifest.audit_head}" if manifest.audit_head else ""
+    if manifest.damaged:
+        head = f"; THE AUDIT LOG IS DAMAGED, and in the backup as it is: {manifest.damaged}"
     sentence = f"{folder}: {len(manifest.files)} files, {size / 1e6:.1f} MB{head}"
     emit({"ok": True, **data}, lambda: click.echo(sentence), as_json_line=as_json)
 

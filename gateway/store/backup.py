@@ -21,12 +21,15 @@ from typing import Any
 from gateway.store import audit as audit_log
 from gateway.store import schema
 from gateway.store.audit import verify
+from gateway.store.audit_damage import damage
 from gateway.store.durable import BESIDE, set_aside, sync_folder, write_durably
 
 FORMAT = 1
 MANIFEST = "manifest.json"
 LAYOUTS: Mapping[str, int] = {"historian": schema.VERSION, "audit": audit_log.VERSION}
 """The newest layouts of the databases that this program reads, by role."""
+DAMAGED_AUDIT = "damaged audit"
+"""The role of an audit log that is no database any more."""
 _STORED = re.compile(r"files/\d{4}-[^/\0]{1,200}")
 _CHUNK = 1 << 20
 _LONGEST = 16 << 20
@@ -52,7 +55,7 @@ class Backed:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
     """What a backup holds. `audit_head` is the newest hash of the audit log in it ("" without one); `note` is of who
-    made it ("" for none)."""
+    made it ("" for none), `damaged` says what is wrong with the audit log ("" nothing)."""
 
     made: float
     program: str
@@ -61,6 +64,7 @@ class Manifest:
     audit_head: str
     files: tuple[Backed, ...]
     note: str = ""
+    damaged: str = ""
 
 
 def make_backup(
@@ -68,7 +72,8 @@ def make_backup(
 ) -> Manifest:
     """Copy the sources (role, file), in their order, into a new folder; the audit log has to be the last.
 
-    Raises BackupError, also for an audit log whose chain is broken, and OSError; nothing is left at `folder` then.
+    An audit log whose chain is broken is copied too, and one that cannot be read as the file that it is, under another
+    name: `damaged` says so. Raises BackupError and OSError; nothing is left at `folder` then.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise BackupError(f"{folder}: is there already; give the name of a new folder")
@@ -78,26 +83,28 @@ def make_backup(
     try:
         (draft / "files").mkdir(parents=True)
         draft.chmod(0o700)  # it holds the key
-        files, layouts, rows, head = [], {}, 0, ""
-        for number, (role, source) in enumerate(sources):
+        files, layouts, rows, head, damaged = [], {}, 0, "", ""
+        for number, (given, source) in enumerate(sources):
+            role, original = given, source.absolute()
             stored = f"files/{number:04d}-{source.name}"
             target = draft / stored
             status = source.stat()
+            if role == "audit" and (damaged := damage(source)):
+                # Under another name: a start on what is restored begins a new log, and this one is evidence.
+                role, original = DAMAGED_AUDIT, original.with_name(f"{original.name}.damaged")
             if role in LAYOUTS:
                 layouts[role] = _copy_database(source, target)
             else:
                 _copy(source, target)
             if role == "audit":
                 verdict = verify(target)
-                if verdict.problem:
-                    raise BackupError(f"{source}: {verdict.problem}; no backup is made of a broken audit log")
-                rows, head = verdict.rows, verdict.head
+                rows, head, damaged = verdict.rows, verdict.head, verdict.problem
             target.chmod(stat.S_IMODE(status.st_mode))
             files.append(
                 Backed(
                     role=role,
                     stored=stored,
-                    original=str(source.absolute()),
+                    original=str(original),
                     sha256=_digest(target),
                     size=target.stat().st_size,
                     mode=stat.S_IMODE(status.st_mode),
@@ -106,11 +113,19 @@ def make_backup(
             )
         sync_folder(draft / "files")
         manifest = Manifest(
-            made=now, program=program, layouts=layouts, audit_rows=rows, audit_head=head, files=tuple(files), note=note
+            made=now,
+            program=program,
+            layouts=layouts,
+            audit_rows=rows,
+            audit_head=head,
+            files=tuple(files),
+            note=note,
+            damaged=damaged,
         )
         content = {"format": FORMAT, **asdict(manifest)}
-        if not note:  # a key that former programs do not know
-            del content["note"]
+        for key in ("note", "damaged"):  # which former programs do not know
+            if not content[key]:
+                del content[key]
         write_durably(draft / MANIFEST, json.dumps({**content, "seal": _seal(content)}, indent=1).encode())
         if folder.exists():
             folder.rmdir()
@@ -138,7 +153,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise BackupError(f"{folder}: has no {MANIFEST}, so it is no backup or only a part of one") from None
     except OSError as error:
         raise BackupError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError, AttributeError):
+    except (ValueError, RecursionError, AttributeError, TypeError):
         raise BackupError(f"{path}: is damaged; take another backup") from None
     form = content.get("format")
     if isinstance(form, int) and form > FORMAT:
@@ -150,7 +165,7 @@ def read_manifest(folder: Path) -> Manifest:
         manifest = Manifest(**{**content, "files": tuple(Backed(**file) for file in content["files"])})
         numbers = [manifest.made, *manifest.layouts.values()]
         numbers += [number for file in manifest.files for number in (file.size, file.mode, file.time)]
-        texts = [manifest.note]
+        texts = [manifest.note, manifest.damaged]
         texts += [text for file in manifest.files for text in (file.role, file.stored, file.original, file.sha256)]
         if not (all(isinstance(n, int | float) for n in numbers) and all(isinstance(text, str) for text in texts)):
             raise TypeError

@@ -30,6 +30,7 @@ from gateway.store import (
     EXPIRED,
     Audit,
     AuditEntry,
+    AuditError,
     AuditRow,
     SigningKeyError,
     Uptime,
@@ -41,6 +42,7 @@ from gateway.store import (
     key_beside,
     load_or_make_key,
     open_audit,
+    open_or_set_aside,
     over,
 )
 
@@ -115,16 +117,29 @@ def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = Non
 
 
 def disarm_in_log(
-    path: Path, by: str, reason: str, now: float, stamp: float | None = None, *, subject: str = ""
+    path: Path,
+    by: str,
+    reason: str,
+    now: float,
+    stamp: float | None = None,
+    *,
+    subject: str = "",
+    say: Callable[[str], None] = lambda damage: None,
 ) -> AuditRow | None:
     """Take back what is in force of a subject, and what a plant file saved at `stamp` would arm at the next start.
 
-    Gives the arming that was in force, None where there was none; the row is written all the same. Raises ArmingError
-    or AuditError.
+    Gives the arming that was in force, None where there was none; the row is written all the same. So it is where the
+    log is damaged, which is set aside where it takes no row: `say` is told what is damaged. Raises ArmingError.
     """
-    row = _standing(path, now, subject)
-    audit = open_audit(path)
+    row = None
     try:
+        row = _standing(path, now, subject)
+    except AuditError as error:
+        say(f"whether it was armed is not known: {error}")
+    audit = open_or_set_aside(path)
+    try:
+        if audit.note:
+            say(audit.note)
         entry = AuditEntry(now, DISARMED, by, reason, {} if stamp is None else {"stamp": stamp})
         if not audit.record(entry.of(subject)):
             why = audit.failure or "the disk does not answer"
@@ -279,7 +294,11 @@ def open_writers(
     if audit.failure:
         log.error("not armed", reason=audit.failure)
         return writers
-    start = next_start(config, audit.path, now, uptime())
+    try:
+        start = next_start(config, audit.path, now, uptime())
+    except AuditError as error:  # damaged in its middle: what it takes goes on being written, and nothing is armed
+        log.error("not armed", reason=str(error))
+        return writers
     arming = start.arming
     if start.ended is not None:
         # Its end is a row of its own: what is over stays over, whatever the clock does after this.

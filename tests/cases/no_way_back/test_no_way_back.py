@@ -251,8 +251,9 @@ def test_an_audit_log_of_a_newer_layout_is_refused_and_not_touched(tmp_path: Pat
     for use in (open_audit, verify):
         with pytest.raises(AuditError, match=f"has layout {layout}, this program reads 1"):
             use(config.audit)
-    with pytest.raises(AuditError, match=f"has layout {layout}"):
-        asyncio.run(go(config, JumpClock(), 5))
+    status, _ = asyncio.run(go(config, JumpClock(), 5))
+    assert status["alarms"]["records"] == "unacknowledged" and status["writeback"]["mode"] == "shadow"
+    assert f"has layout {layout}" in status["writeback"]["audit"]["complaint"]
     assert not list(tmp_path.glob("*damaged*")) and config.audit.stat().st_size == len(before)
     with pytest.raises(BackupError):
         read_manifest(tmp_path)
