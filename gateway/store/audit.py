@@ -546,8 +546,9 @@ def arming_rows(path: Path) -> list[AuditRow]:
         with suppress(ValueError, TypeError, KeyError, AttributeError, ArithmeticError):
             row = _row(plain)
             detail = dict(row.entry.detail)
-            numbers = [float(detail[key]) for key in ("until", "uptime", "speed") if key in detail or key == "until"]
-            if row.entry.kind != ARMED or all(map(isfinite, numbers)):
+            # Of an arming its end has to be there, and what else it is counted by has to be numbers.
+            wanted = {"until"} | ({"uptime", "speed"} & detail.keys())
+            if row.entry.kind != ARMED or all(isfinite(float(detail[key])) for key in wanted):
                 found.append(row)
     return found
 

@@ -280,7 +280,7 @@ async def test_a_broken_model_file_is_one_sentence(tmp_path: Path) -> None:
     (problem,) = caught.value.problems
     assert "model.path" in problem and "model.json" in problem and "\n" not in problem
     bench = Bench(config, JumpClock())
-    bench.plan[2] = {TEMPERATURE: 95.0}
+    bench.plan[0] = {TEMPERATURE: 95.0}
     status = await go(config, bench, 10)
     assert status["model"] is None and status["parts"]["model"]["failure"] == problem
     assert {status["alarms"][name] for name in ("parts", f"over limit {TEMPERATURE}")} == {"unacknowledged"}
