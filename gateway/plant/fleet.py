@@ -292,10 +292,12 @@ class Fleet:
         Raises ConfigError or OSError, and it has no part in a connection then.
         """
         # In threads: to read and verify models takes longer than the other machines' scans may wait.
-        loaded, without = models, ""
-        if loaded is None and patient:
+        without = ""
+        if models is not None:
+            loaded = models
+        elif patient:
             loaded, without = await asyncio.to_thread(models_at_start, config)
-        elif loaded is None:
+        else:
             loaded = await asyncio.to_thread(load_models, config)
         driver = self._driver(config)
         try:
