@@ -21,14 +21,14 @@ from gateway.settings import load_plant
 from gateway.status import connect
 from gateway.store.audit import DISARMED, arming_rows
 from tests.rig.broken_starts import Damage, drawn, files_of, seed, started, tried
+from tests.rig.memory import folder_in_memory
 
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    folder = tmp_path_factory.mktemp("plant") / "plant"
-    seed(folder)
-    yield folder
-    shutil.rmtree(folder)
+    with folder_in_memory(tmp_path_factory.mktemp("plant")) as home:
+        seed(home / "plant")
+        yield home / "plant"
 
 
 def all_files() -> list[str]:
@@ -42,10 +42,12 @@ def all_files() -> list[str]:
 
 
 @pytest.mark.parametrize("file", all_files())
-def test_both_machines_are_watched_whatever_is_damaged(plant: Path, tmp_path: Path, file: str) -> None:
+def test_both_machines_are_watched_whatever_is_damaged(plant: Path, file: str) -> None:
     assert file in files_of(plant)
     found = Random(file).sample(drawn(plant, 3, Random(file), [file]), 2)
-    assert {str(damage): problems for damage in found if (problems := tried(plant, tmp_path / "it", damage))} == {}
+    assert {
+        str(damage): problems for damage in found if (problems := tried(plant, plant.with_name("it"), damage))
+    } == {}
 
 
 def at_text(path: Path, text: bytes) -> int:
