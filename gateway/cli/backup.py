@@ -68,8 +68,11 @@ def backup(path: Path, folder: Path, as_json: bool) -> None:
         "audit_head": manifest.audit_head,
         "seal": manifest.seal,
         "signed": key is not None,
+        "damaged": manifest.damaged,
     }
     head = f"; audit log whole, {manifest.audit_rows} rows, head {manifest.audit_head}" if manifest.audit_head else ""
+    if manifest.damaged:
+        head = f"; THE AUDIT LOG IS DAMAGED, and in the backup as it is: {manifest.damaged}"
     signed = "signed by the gateway's key" if key is not None else f"not signed ({unsigned})"
 
     def show() -> None:

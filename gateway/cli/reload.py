@@ -23,7 +23,7 @@ def reload(path: Path, dry_run: bool, socket: Path | None, as_json: bool) -> Non
     """Let the running gateway read its plant file anew; machines that it does not touch lose no scan.
 
     A file that cannot be used is refused, and so is a change of what all machines have in common; the former
-    configuration goes on then.
+    configuration goes on then. What the next start would go without, as a file that it reads is damaged, is said too.
     """
     with sentences():
         # A file that cannot be used is refused here and now: nobody has to run for that.
@@ -42,6 +42,7 @@ def reload(path: Path, dry_run: bool, socket: Path | None, as_json: bool) -> Non
         finally:
             line.close()
     changes: dict[str, list[str]] = answer["changes"]
+    next_start: list[str] = answer["next_start"]
 
     def show() -> None:
         for name, sentences_of in changes.items():
@@ -51,5 +52,8 @@ def reload(path: Path, dry_run: bool, socket: Path | None, as_json: bool) -> Non
             click.echo("nothing has changed")
         else:
             click.echo("dry run: nothing was taken over" if dry_run else "taken over")
+        for sentence in next_start:
+            click.secho(sentence, fg="yellow")
 
-    emit({"ok": True, "changes": changes, "applied": answer["applied"]}, show, as_json_line=as_json)
+    data = {"ok": True, "changes": changes, "applied": answer["applied"], "next_start": next_start}
+    emit(data, show, as_json_line=as_json)

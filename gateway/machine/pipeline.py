@@ -90,7 +90,8 @@ class Machine:
 
     `followed` are its temperatures, `model` that of the first one; `writing` is None for a machine to which nothing is
     computed for writing. `rng` draws the number that tells this start's blocks from another gateway's. `models` are
-    those of its temperatures, where they have been read already. `records` and `supervisor` are those of the whole
+    those of its temperatures, where they have been read already, and `without` says which it has to go without, and why
+    ("": none), which is an alarm. `records` and `supervisor` are those of the whole
     gateway, and so are the `turns` of its forecasts; without them the machine has its own. `log_failure` says why the
     log's file cannot be written ("": it can).
 
@@ -109,9 +110,10 @@ class Machine:
         records: PlantRecords | None = None,
         supervisor: Supervisor | None = None,
         turns: asyncio.Semaphore | None = None,
+        without: str = "",
         log_failure: Callable[[], str] = lambda: "",
     ) -> None:
-        self._turns = turns
+        self._turns, self.without = turns, without
         self.config, self.driver, self.clock, self.log = config, driver, clock, log
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
         models = load_models(config) if models is None else models
@@ -313,7 +315,7 @@ class Machine:
             if OTHER_WRITER in self.alarms.conditions and self.writing is not None:
                 findings[OTHER_WRITER] = float(bool(self.writing.rival(scan.time)))
             findings[RECORDS] = float(bool(self.records_watch.complaint))
-            findings[PARTS] = float(bool(self.records_watch.failed_parts))
+            findings[PARTS] = float(bool(self.records_watch.failed_parts or self.missing_parts))
             findings[CLOCK] = float(bool(self.clock_complaint))
             findings[NOTIFICATION] = float(bool(self.common.undelivered()))
             findings[NORTHBOUND] = float(bool(self.common.unreached()))
@@ -343,6 +345,12 @@ class Machine:
             one.foresee(believed)
         if scan.time - self._saved >= SAVE_SECONDS:
             self.save(scan.time)
+
+    @property
+    def missing_parts(self) -> Mapping[str, str]:
+        """What could not be begun, and why, by the parts' names: of the machine, and of the plant where it leads."""
+        own = {"model": self.without} if self.without else {}
+        return {**own, **self.common.without} if self.config.leads else own
 
     def _look_at_itself(self, scan: Scan) -> None:
         """Whether records and clock can be relied on at this scan; what changes is logged."""

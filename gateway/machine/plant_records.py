@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from threading import Lock
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 class PlantRecords:
     """Opened records. `trail` is None while nothing is computed for writing; `log_failure` says why the log's file
     cannot be written ("": it can), `unreached` which of the systems that are told what is on record are out of reach,
-    `undelivered` which recipients of messages about alarms, and why.
+    `undelivered` which recipients of messages about alarms, and why; `without` which parts of the whole gateway could
+    not be begun, and why, by their names.
     `files` are those on which a promise rests. Without a `historian` that of the configurations is opened.
 
     Raises HistorianError.
@@ -39,10 +40,12 @@ class PlantRecords:
         self.supervisor, self.log_failure = supervisor, log_failure
         self.unreached: Callable[[], str] = lambda: ""
         self.undelivered: Callable[[], str] = lambda: ""
+        self.without: Mapping[str, str] = {}
         self.historian = historian or open_historian(
             first.historian.path,
             max_mb=first.historian.max_mb,
             mend=True,
+            patient=True,
             supervisor=supervisor,
             heir=first.machine,
         )

@@ -6,7 +6,7 @@ import asyncio
 import gc
 import signal
 import sys
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import ExitStack, asynccontextmanager, nullcontext
 from dataclasses import asdict
 from functools import partial
@@ -24,6 +24,7 @@ from gateway.plant.fleet import SWITCH_SECONDS, Fleet
 from gateway.plant.log import log_file, open_log
 from gateway.plant.log_file import LogFile
 from gateway.plant.service import ServiceManager, service_manager
+from gateway.plant.shortfalls import MESSAGES, NORTHBOUND, PAGE, checked_northbound, of_plant
 from gateway.plant.status import write_status
 from gateway.plant.worker_pool import WorkerPool
 from gateway.serving import PeerServer
@@ -76,9 +77,8 @@ async def run(
         if log is None:
             file = _log_file(configs[0])
             log = opened.enter_context(open_log(file, configs[0].log.level))
-        if configs[0].page.enabled:
-            _check_page(configs[0])
-        secrets = _checked_northbound(configs[0])
+        without = of_plant(configs[0])
+        secrets = None if NORTHBOUND in without else checked_northbound(configs[0])
         log_failure: Callable[[], str] = (lambda: "") if file is None else file.complaint
         fleet: Fleet | WorkerPool
         watched = status_path is not None or say is not None or configs[0].page.enabled
@@ -111,6 +111,8 @@ async def run(
             )
             fleet.start(stop)
         fleet.on_taken_over = partial(_kept, fleet, "reload")
+        without.pop(MESSAGES, None)  # whose alarm is another one
+        _go_without(fleet, without)
         reporter = fleet.supervisor.task("status", lambda: _report(fleet, status_path, say))
         opened.enter_context(fleet.supervisor.hearing_all())
         control = Control(fleet, configs[0].control_socket, log)
@@ -124,7 +126,7 @@ async def run(
         try:
             await asyncio.to_thread(_kept, fleet, "start", configs)
             async with (
-                _page(configs, fleet) if configs[0].page.enabled else nullcontext(),
+                _page(configs, fleet) if configs[0].page.enabled and PAGE not in without else nullcontext(),
                 nullcontext() if secrets is None else _northbound(configs[0], secrets, fleet),
             ):
                 if own_process:
@@ -172,17 +174,17 @@ def _kept(fleet: Fleet | WorkerPool, note: str, configs: Sequence[Config]) -> No
         fleet.log.warning("the configuration could not be kept for the history", reason=str(error))
 
 
-def _check_page(config: Config) -> None:
-    """Raises ConfigError, before anything runs, where the page may not be served as it is configured."""
-    # Here and below: a gateway without the page loads nothing of it.
-    from gateway.web import check_page
-
-    check_page(config)
+def _go_without(fleet: Fleet | WorkerPool, without: Mapping[str, str]) -> None:
+    """Say, once and in an alarm that stands, what could not be begun."""
+    fleet.records.without = {**fleet.records.without, **without}
+    for part, reason in without.items():
+        fleet.log.error("a part of the gateway could not be begun, and it goes on without", part=part, reason=reason)
 
 
 @asynccontextmanager
 async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIterator[None]:
     """Serve the page meanwhile, in a thread of its own."""
+    # Here and below: a gateway without the page, or that tells nobody, loads nothing of it.
     from gateway.web import PageServer, accounts_problem
 
     trail = fleet.records.trail
@@ -208,16 +210,6 @@ async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIt
         signing.cancel()
         page.close()
         await asyncio.to_thread(thread.join, PAGE_STOP_SECONDS)
-
-
-def _checked_northbound(config: Config) -> NorthboundSecrets | None:
-    """The secrets for those who are told what is on record; None where nobody is. Raises ConfigError."""
-    if not config.northbound.enabled:
-        return None
-    # Here and below: a gateway that tells nobody loads nothing of it.
-    from gateway.northbound import check_northbound
-
-    return check_northbound(config)
 
 
 @asynccontextmanager

@@ -18,7 +18,7 @@ from typing import Any
 
 from drivers.driver import capabilities
 from gateway.settings import Config, named_files
-from gateway.store import ROLES, BackupError, Manifest, make_backup, read_manifest
+from gateway.store import DAMAGED_AUDIT, ROLES, BackupError, Manifest, damaged_audit, make_backup, read_manifest
 
 FOLDER = "configurations"
 MOST_KEPT = 200
@@ -101,6 +101,7 @@ def require_named_places(
     `contents` has at least its plant file and device files by their places.
     """
     named = named_files(plant, contents)
+    named = {**named, DAMAGED_AUDIT: frozenset(map(damaged_audit, named["audit"]))}
     for file in manifest.files:
         place, known = Path(file.original), named.get(file.role, frozenset[Path]())
         # A store of models is a folder.

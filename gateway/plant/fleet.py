@@ -19,15 +19,16 @@ from drivers.errors import DriverError
 from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
 from gateway.machine import Machine, PlantRecords
-from gateway.machine.model import LoadedModels, load_models
+from gateway.machine.model import LoadedModels, load_models, models_at_start
 from gateway.machine.reading import Clock, QualityRules, Scan, scans
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
 from gateway.plant.service import ScanProgress
+from gateway.plant.shortfalls import MESSAGES, MODEL, checked_notify, of_machines, of_plant
 from gateway.plant.split import on_one_connection
 from gateway.plant.status import snapshot
 from gateway.serving import DeviceImage
-from gateway.settings import Config, changed_machines, load_plant, load_secrets
+from gateway.settings import Config, changed_machines, load_plant
 from gateway.status import ControlError, GatewayStatus
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ SWITCH_SECONDS = 0.0005
 """How often a process with machines changes threads, a tenth of Python's own 5 ms (`sys.setswitchinterval`)."""
 RESTART_SECONDS = 1.0
 LAST_WORD_SECONDS = 0.1
+MENDED = "its model can be read again"
+"""What a reload says of a machine that went without."""
 FORECASTS_AT_ONCE = 2
 """Each takes some ten megabytes while it is made, and they would share one interpreter; two, so that a slow one does
 not keep all others waiting."""
@@ -91,8 +94,8 @@ class Fleet:
         if driver is not None:
             drivers[configs[0].machine] = driver
         # What can be refused is read first: a model that does not suit its machine leaves no records behind.
-        models = {config.machine: load_models(config) for config in configs}
-        make_notifier = _checked_notify(configs[0])
+        models = {config.machine: models_at_start(config) for config in configs}
+        make_notifier, untold = _notifier_at_start(configs[0])
         self.records = (
             PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
             if open_records is None
@@ -102,6 +105,9 @@ class Fleet:
         if (notifier := self.notifier) is not None:
             elsewhere = self.records.undelivered  # what a worker process hears of the others' recipients
             self.records.undelivered = lambda: notifier.complaint or elsewhere()
+        elif untold:
+            self._go_without(MESSAGES, untold)
+            self.records.undelivered = lambda: untold
         alone = len(configs) == 1 and open_records is None
         opened = False
         try:
@@ -109,7 +115,8 @@ class Fleet:
                 self.records.open_trail(configs[0])  # what people do at the page is on record, whatever is written
             for config in configs:
                 name = config.machine
-                self.machines[name] = self._opened(config, drivers[name], models[name], alone=alone)
+                loaded, without = models[name]
+                self.machines[name] = self._opened(config, drivers[name], loaded, alone=alone, without=without)
             opened = True
         finally:
             if not opened:
@@ -121,8 +128,15 @@ class Fleet:
         """A machine's driver: units behind one gateway take turns on its connection, the only device has its own."""
         return make_driver(config, self.clock, self._connections if config.several else None)
 
-    def _opened(self, config: Config, driver: Driver, models: Sequence[LoadedModels], *, alone: bool) -> Machine:
+    def _go_without(self, part: str, reason: str) -> None:
+        self.log.error("a part of the gateway could not be begun, and it goes on without", part=part, reason=reason)
+
+    def _opened(
+        self, config: Config, driver: Driver, models: Sequence[LoadedModels], *, alone: bool, without: str = ""
+    ) -> Machine:
         """A machine on the common records. A gateway's only one needs no name in front of what is said of its parts."""
+        if without:
+            self._go_without(f"{config.machine}: {MODEL}", without)
         log = self.log if alone else self.log.bind(machine=config.machine)
         supervisor = self.supervisor if alone else Supervisor()
         if not alone:
@@ -137,6 +151,7 @@ class Fleet:
             records=self.records,
             supervisor=supervisor,
             turns=self._turns,
+            without=without,
         )
         if self.notifier is not None:
             from gateway.notify import attach_machine
@@ -166,7 +181,8 @@ class Fleet:
     async def reload(self, *, apply: bool = True) -> dict[str, Any]:
         """Read the plant file anew and take over what it changes; a machine that it does not touch loses no scan.
 
-        Gives the changes as sentences by machine, and whether they were taken over. Raises ControlError, and everything
+        Gives the changes as sentences by machine, whether they were taken over, and what the next start would go
+        without. Raises ControlError, and everything
         goes on as it was, for a file that cannot be used and for a change of what all machines have in common.
         """
         async with self._reloading:
@@ -174,6 +190,12 @@ class Fleet:
                 configs = {config.machine: config for config in await asyncio.to_thread(self._read_anew)}
                 changes = changed_machines({name: one.config for name, one in self.machines.items()}, configs)
                 changes |= self._newly_shared(changes, configs)
+                shortfalls = await asyncio.to_thread(of_machines, list(configs.values()))
+                changes |= {
+                    name: (MENDED,)
+                    for name, one in self.machines.items()
+                    if one.without and name in configs and name not in changes and name not in shortfalls
+                }
                 models = await self.examine([configs[name] for name in changes if name in configs], list(changes))
             except ConfigError as error:
                 raise ControlError(f"the file is refused and everything goes on as it was: {error}") from None
@@ -184,7 +206,12 @@ class Fleet:
                     self.log.warning("the plant file was read anew", machines=", ".join(changes))
                     await asyncio.to_thread(self.on_taken_over, list(configs.values()))
             raise_failures(failed)
-            return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}
+            shortfalls |= await asyncio.to_thread(of_plant, next(iter(configs.values())))
+            return {
+                "changes": {name: list(sentences) for name, sentences in changes.items()},
+                "applied": apply,
+                "next_start": next_start_sentences(shortfalls),
+            }
 
     def _newly_shared(self, changes: Collection[str], configs: Mapping[str, Config]) -> dict[str, tuple[str, ...]]:
         """Machines that have a connection to themselves, as the only one of their file, and are to share it now."""
@@ -247,7 +274,7 @@ class Fleet:
                     failed[name] = str(error)
         for former in [before[name] for name in failed if name in before]:
             try:
-                await self._begin(former, None)
+                await self._begin(former, None, patient=True)
             except (ConfigError, OSError) as error:
                 self.log.error("a machine cannot go on as it was", machine=former.machine, reason=str(error))
         # In the order of the file from now on.
@@ -270,16 +297,22 @@ class Fleet:
             del self.machines[name]
             self.images.pop(machine.config.serve.unit, None)
 
-    async def _begin(self, config: Config, models: Sequence[LoadedModels] | None) -> None:
-        """Begin a machine while others run, with its models or those that it names.
+    async def _begin(self, config: Config, models: Sequence[LoadedModels] | None, *, patient: bool = False) -> None:
+        """Begin a machine while others run, with its models or those that it names; `patient`: as at a start.
 
         Raises ConfigError or OSError, and it has no part in a connection then.
         """
         # In threads: to read and verify models takes longer than the other machines' scans may wait.
-        loaded = await asyncio.to_thread(load_models, config) if models is None else models
+        without = ""
+        if models is not None:
+            loaded = models
+        elif patient:
+            loaded, without = await asyncio.to_thread(models_at_start, config)
+        else:
+            loaded = await asyncio.to_thread(load_models, config)
         driver = self._driver(config)
         try:
-            machine = await asyncio.to_thread(self._opened, config, driver, loaded, alone=False)
+            machine = await asyncio.to_thread(self._opened, config, driver, loaded, alone=False, without=without)
         except BaseException:
             await driver.close()
             raise
@@ -458,18 +491,17 @@ async def _paused(stop: asyncio.Event, seconds: float) -> None:
         await asyncio.wait_for(stop.wait(), seconds)
 
 
-def _checked_notify(config: Config) -> Callable[..., Notifier] | None:
-    """What makes the notifier, with all that can be refused read; None where nobody is told. Raises ConfigError."""
-    secrets = load_secrets(config.notify)
-    if not config.notify.to:
-        return None
-    # Here: a gateway that tells nobody loads neither mail nor HTTP.
-    from gateway.notify import Notifier, make_senders
-
+def _notifier_at_start(config: Config) -> tuple[Callable[..., Notifier] | None, str]:
+    """What makes the notifier (None: nobody is told), and why nobody can be ("": all can)."""
     try:
-        return partial(Notifier, config.notify.to, make_senders(config.notify, secrets))
-    except OSError as error:
-        raise ConfigError([f"{config.path}: notify.smtp.ca: cannot be used ({error.strerror})"]) from None
+        return checked_notify(config), ""
+    except ConfigError as error:
+        return None, "; ".join(error.problems)
+
+
+def next_start_sentences(shortfalls: Mapping[str, str]) -> list[str]:
+    """What the next start would go without, a sentence each, of a machine or of a part of the whole gateway."""
+    return [f"{name}: the next start would go without: {problem}" for name, problem in shortfalls.items()]
 
 
 class _Stop(asyncio.Event):

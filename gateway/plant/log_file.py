@@ -13,6 +13,7 @@ from gateway.store import RECORDS_MODE
 
 RETRY_SECONDS = 5.0
 _DAY = 86_400.0
+_DATABASE = b"SQLite format 3\0"
 _LONGEST = 1 << 16
 """Bytes of the first line that are looked at for its time."""
 
@@ -105,7 +106,16 @@ class LogFile:
         # Not blocking: a named pipe that nobody reads is refused and not waited for.
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK
         self._file = os.open(self.path, flags, RECORDS_MODE)
+        if self._is_database():
+            self.close()
+            raise OSError("it is a database, and no log")
         self._size, self._begun = os.fstat(self._file).st_size, self._first_line_time()
+
+    def _is_database(self) -> bool:
+        """Whether there is a SQLite database at the path: lines in it, and its rotation, would be its end."""
+        with suppress(OSError), self.path.open("rb") as file:
+            return file.read(len(_DATABASE)) == _DATABASE
+        return False
 
     def _append(self, data: bytes) -> None:
         written = os.write(self._file, data)
@@ -143,6 +153,7 @@ class LogFile:
 
     def _first_line_time(self) -> float:
         """When the file's first line was written (s, wall clock); now for an empty file or another kind of line."""
-        with suppress(OSError, ValueError, KeyError, TypeError), self.path.open("rb") as file:
+        faults = (OSError, ValueError, LookupError, TypeError, ArithmeticError, RecursionError)
+        with suppress(*faults), self.path.open("rb") as file:
             return datetime.fromisoformat(json.loads(file.readline(_LONGEST))["timestamp"]).timestamp()
         return self._wall()

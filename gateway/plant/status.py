@@ -96,7 +96,10 @@ def snapshot(machine: Machine) -> GatewayStatus:
             failure=historian.failure,
             complaint=historian.complaint,
         ),
-        parts=machine.supervisor.report(),
+        parts=machine.supervisor.report()
+        | {
+            part: {"running": False, "restarts": 0, "failure": reason} for part, reason in machine.missing_parts.items()
+        },
         clock={
             "believed": not machine.clock_complaint,
             "complaint": machine.clock_complaint,

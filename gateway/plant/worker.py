@@ -27,6 +27,7 @@ from gateway.plant.channel import Message, SupervisorChannel, scan_message
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.fleet import SWITCH_SECONDS, Fleet
 from gateway.plant.log import handed_logger
+from gateway.plant.shortfalls import of_machines
 from gateway.plant.status import snapshot
 from gateway.plant.worker_records import WorkerRecords
 from gateway.settings import Config, configs_from_json
@@ -106,6 +107,7 @@ class _Requests:
             "answer": self._answer,
             "statuses": self._statuses,
             "examine": self._examine,
+            "shortfalls": self._shortfalls,
             "take over": self._take_over,
         }
         while True:
@@ -150,6 +152,10 @@ class _Requests:
         except ConfigError as error:
             return {"problems": list(error.problems)}
         return {"problems": []}
+
+    async def _shortfalls(self, message: Message) -> Message:
+        """The models that the machines of these configurations would go without if they started now."""
+        return {"shortfalls": await asyncio.to_thread(of_machines, configs_from_json(message["configs"]))}
 
     async def _take_over(self, message: Message) -> Message:
         """The machines of these names as they are in the configurations of all of this worker's, in their order."""

@@ -33,9 +33,10 @@ from gateway.machine.reading import PlantClock, unread
 from gateway.machine.writing import ArmingError, AuditTrail, disarm_in_log
 from gateway.plant.channel import Message, plain_rows, scan_from
 from gateway.plant.control import COMMANDS, ControlScope, answer, disarm_words, meant_machine
-from gateway.plant.fleet import raise_failures
+from gateway.plant.fleet import MENDED, next_start_sentences, raise_failures
 from gateway.plant.log import log_again
 from gateway.plant.service import ScanProgress
+from gateway.plant.shortfalls import MODEL, of_plant
 from gateway.plant.split import split_over
 from gateway.plant.status import snapshot
 from gateway.plant.worker_line import PlantWorker, WorkerEnded, WorkerLine
@@ -426,6 +427,7 @@ class WorkerPool:
             "audit_note": trail.audit.note if trail else "",
             "files": self._files,
             "log": self._log_failure(),
+            "without": dict(self.records.without),
             "northbound": self.records.unreached(),
             "undelivered": "; ".join(filter(None, (worker.undelivered for worker in self._workers.values()))),
             "lost": {
@@ -609,6 +611,12 @@ class WorkerPool:
             try:
                 configs = {config.machine: config for config in await asyncio.to_thread(self._read_anew)}
                 changes = changed_machines(self._configs, configs)
+                shortfalls = await self._shortfalls(configs)
+                changes |= {
+                    name: (MENDED,)
+                    for name, picture in self._pictures().items()
+                    if MODEL in picture["parts"] and name in configs and name not in (*changes, *shortfalls)
+                }
                 stay = {name: place for name, place in self._places.items() if name in configs and name not in changes}
                 places = split_over(list(configs.values()), self._most, stay)
                 new = [configs[name] for name in changes if name in configs]
@@ -633,7 +641,19 @@ class WorkerPool:
                 self.log.warning("the plant file was read anew", machines=", ".join(changes))
                 await asyncio.to_thread(self.on_taken_over, list(configs.values()))
                 raise_failures(failed)
-            return {"changes": {name: list(sentences) for name, sentences in changes.items()}, "applied": apply}
+            shortfalls |= await asyncio.to_thread(of_plant, next(iter(configs.values())))
+            return {
+                "changes": {name: list(sentences) for name, sentences in changes.items()},
+                "applied": apply,
+                "next_start": next_start_sentences(shortfalls),
+            }
+
+    async def _shortfalls(self, configs: Mapping[str, Config]) -> dict[str, str]:
+        """What the machines would go without if they started now, as a worker finds: models are no matter of ours."""
+        worker = next(iter(self._workers.values()))
+        reply = await worker.ask("shortfalls", configs=configs_to_json(list(configs.values())))
+        found: dict[str, str] = reply["shortfalls"]
+        return found
 
     async def _take_over(
         self, names: Sequence[str], configs: Mapping[str, Config], places: Mapping[str, int]

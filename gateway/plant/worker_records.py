@@ -43,6 +43,7 @@ class RecordsHealth:
     audit_note: str = ""
     files: tuple[str, str, int] = ("", "", 0)
     log: str = ""
+    without: Mapping[str, str] = field(default_factory=dict)
     northbound: str = ""
     undelivered: str = ""
     lost: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -156,7 +157,12 @@ class SentAudit(Audit):
     """An audit log whose rows are committed by the supervisor process: one is stored once that says so."""
 
     def __init__(
-        self, path: Path, channel: SupervisorChannel, supervisor: Supervisor, failure: str, files: ReliedFiles
+        self,
+        path: Path,
+        channel: SupervisorChannel,
+        supervisor: Supervisor,
+        failure: str,
+        files: ReliedFiles | None = None,
     ) -> None:
         self._channel = channel
         super().__init__(path, None, supervisor, failure=failure, files=files)
@@ -169,7 +175,7 @@ class SentAudit(Audit):
             return []
         plain = [[entry.time, entry.kind, entry.who, entry.reason, strict(entry.detail)] for entry in entries]
         reply = self._channel.ask("audit", entries=plain)
-        self.files.hear(*reply["files"])
+        self.files.hear(*reply.get("files", RecordsHealth.files))
         if reply["error"]:
             raise sqlite3.OperationalError(reply["error"])
         return [AuditRow(number, entry, digest) for entry, (number, digest) in zip(entries, reply["rows"], strict=True)]
@@ -203,6 +209,7 @@ class WorkerRecords(PlantRecords):
 
     def _on_heard(self) -> None:
         """What keeps the supervisor's audit log from being written is what keeps this one, and ends with it."""
+        self.without = self.health.without
         self.files.hear(*self.health.files)
         if self.trail is not None:
             self.trail.audit.failure, self.trail.audit.note = self.health.audit, self.health.audit_note

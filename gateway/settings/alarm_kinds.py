@@ -145,8 +145,10 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     ),
     "parts": AlarmKind(
         subject="machine", bit=7,
-        watches="parts of the gateway that failed and were begun anew",
-        response="a part of the gateway failed and was begun anew: see parts in the status and the log, and report it",
+        watches="parts of the gateway that failed and were begun anew, or could not be begun, as a model whose file is "
+        "damaged",
+        response="a part of the gateway failed or could not be begun: see parts in the status and the log, and report "
+        "it",
         consequence="what that part does is late or missing",
     ),
     "clock": AlarmKind(

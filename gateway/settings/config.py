@@ -707,7 +707,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
     members = tuple(home / member for member in content.ensemble.members)
     temperatures = tuple(row.model_copy(update={"model": row.model and home / row.model}) for row in rows)
     first = temperatures[0]
-    return Config(
+    config = Config(
         path=path,
         stamp=path.stat().st_mtime,
         machine=name or links[0].map.name,
@@ -741,6 +741,28 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
         ),
         links=links,
     )
+    if shared := _one_file_for_two(config):
+        raise ConfigError([f"{place}: {problem}" for problem in shared])
+    return config
+
+
+def _one_file_for_two(config: Config) -> list[str]:
+    """Which files of the gateway would be one and the same: each writes as if it were the only one."""
+    named = {
+        "historian.path": config.historian.path,
+        "writeback.audit": config.audit,
+        "writeback.audit_key": config.audit_key,
+        "writeback.audit_heads": config.audit_heads,
+        "page.users": config.users,
+        "log.path": config.log.path,
+        "control.path": config.control_socket,
+    }
+    problems, known = [], dict[Path, str]()
+    for key, path in named.items():
+        other = key if path is None else known.setdefault(path.resolve(), key)
+        if other != key:
+            problems.append(f"{key}: {path} is the file of {other} too; give each a path of its own")
+    return problems
 
 
 def _only(model: ModelSection) -> TemperatureSection:

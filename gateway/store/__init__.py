@@ -35,10 +35,12 @@ if TYPE_CHECKING:
     )
     from gateway.store.audit_damage import open_or_set_aside
     from gateway.store.backup import (
+        DAMAGED_AUDIT,
         ROLES,
         BackupError,
         Manifest,
         as_one_file,
+        damaged_audit,
         discard,
         make_backup,
         put_in_place,
@@ -115,6 +117,7 @@ __all__ = [
     "ARMED",
     "CANCELLED",
     "CONFIRMED",
+    "DAMAGED_AUDIT",
     "DISARMED",
     "EXPIRED",
     "FIXED",
@@ -160,6 +163,7 @@ __all__ = [
     "cancelling",
     "cells_of",
     "confirmation",
+    "damaged_audit",
     "detail_about",
     "discard",
     "end_of",

@@ -106,5 +106,5 @@ def end_of(row: AuditRow, now: float, uptime: Uptime | None = None) -> float:
     entry, until = row.entry, float(row.entry.detail["until"])
     if uptime is None or not uptime.boot or entry.detail.get("boot") != uptime.boot:
         return until
-    spent = (uptime.seconds - float(entry.detail["uptime"])) * float(entry.detail.get("speed", 1.0))
+    spent = (uptime.seconds - float(entry.detail.get("uptime", uptime.seconds))) * float(entry.detail.get("speed", 1.0))
     return min(until, now + until - entry.time - spent)

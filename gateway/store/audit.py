@@ -26,7 +26,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
@@ -348,6 +348,7 @@ class Audit:
                     if self._stopping:
                         return
                     continue
+            taken = False
             claimed: list[_Waiting] = []
             lost: Counter[str | None] = Counter()
 
@@ -369,7 +370,7 @@ class Audit:
             except sqlite3.Error as error:
                 stored = False
                 self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
-                if isinstance(error, _TakenAwayError):
+                if taken := isinstance(error, _TakenAwayError):
                     self.failure = self.note = str(error)
                     self._let_go()
                 with self._wake:
@@ -398,7 +399,7 @@ class Audit:
             with self._wake:
                 if self._stopping and (not stored or not self._waiting):
                     return
-                if not stored and self._connection is not None:
+                if not stored and not taken:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
 
     def _attached(self) -> bool:
@@ -532,11 +533,8 @@ def connected(path: Path) -> sqlite3.Connection:
 
 def read(path: Path, kinds: Sequence[str] = ()) -> list[AuditRow]:
     """The rows in their order, all or those of some kinds. Raises AuditError."""
-    with closing(_reader(path)) as connection:
-        try:
-            return [_row(row) for row in _rows(connection, path, kinds)]
-        except (ValueError, TypeError) as error:
-            raise AuditError(f"{path}: cannot be read ({error}); it was changed by something else") from None
+    with _reading(path) as connection:
+        return [_row(row) for row in _rows(connection, kinds)]
 
 
 def arming_rows(path: Path) -> list[AuditRow]:
@@ -546,24 +544,23 @@ def arming_rows(path: Path) -> list[AuditRow]:
     """
     if not path.exists():
         return []
-    with closing(_reader(path)) as connection:
-        try:
-            rows = connection.execute(f"SELECT {_COLUMNS} FROM audit WHERE {_OF_ARMINGS} ORDER BY id").fetchall()  # noqa: S608
-        except sqlite3.Error as error:
-            raise AuditError(f"{path}: cannot be read ({error}); it was changed by something else") from None
+    with _reading(path) as connection:
+        rows = connection.execute(f"SELECT {_COLUMNS} FROM audit WHERE {_OF_ARMINGS} ORDER BY id").fetchall()  # noqa: S608
     found = []
     for plain in rows:
-        with suppress(ValueError, TypeError, KeyError, AttributeError):
+        with suppress(ValueError, TypeError, KeyError, AttributeError, ArithmeticError):
             row = _row(plain)
             detail = dict(row.entry.detail)
-            if row.entry.kind != ARMED or isfinite(float(detail["until"])):
+            # Of an arming its end has to be there, and what else it is counted by has to be numbers.
+            wanted = {"until"} | ({"uptime", "speed"} & detail.keys())
+            if row.entry.kind != ARMED or all(isfinite(float(detail[key])) for key in wanted):
                 found.append(row)
     return found
 
 
 def newest_time(path: Path, since: int) -> float | None:
     """The latest time (s UTC) in the rows from number `since` on. Raises AuditError."""
-    with closing(_reader(path)) as connection:
+    with _reading(path) as connection:
         newest = connection.execute("SELECT max(time) FROM audit WHERE id >= ?", (since,)).fetchone()[0]
     return None if newest is None else float(newest)
 
@@ -571,9 +568,9 @@ def newest_time(path: Path, since: int) -> float | None:
 def verify(path: Path, head: str = "") -> ChainVerdict:
     """Recompute the chain; with `head`, a hash kept from before must be in it. Raises AuditError for no audit log."""
     count, before, seen = 0, BEGIN, not head
-    with closing(_reader(path)) as connection:
+    with _reading(path) as connection:
         # The columns as they are stored: what a row means is no matter here, and every arming waits for this.
-        for number, *stored, kept in _rows(connection, path):
+        for number, *stored, kept in _readable(_rows(connection)):
             # A gap in the numbers is told before the hash: it says what has happened, the hash only that something has.
             if number != count + 1:
                 return ChainVerdict(count, before.hex(), f"row {count + 1} is missing")
@@ -586,12 +583,14 @@ def verify(path: Path, head: str = "") -> ChainVerdict:
                     number, before.hex(), f"row {number} was changed, or one before it was put in or taken out"
                 )
             seen = seen or before.hex() == head
+        if reason := _damage_behind(connection, count):
+            return ChainVerdict(count, before.hex(), f"nothing behind row {count} can be read: {reason}")
     return ChainVerdict(count, before.hex(), "" if seen else f"no row has the hash {head[:16]}...: the end is missing")
 
 
 def head(path: Path) -> str:
     """The newest hash; that of an empty log is zeros. Raises AuditError."""
-    with closing(_reader(path)) as connection:
+    with _reading(path) as connection:
         row = connection.execute("SELECT hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
     return bytes(row[0]).hex() if row else BEGIN.hex()
 
@@ -599,7 +598,7 @@ def head(path: Path) -> str:
 def recomputed(path: Path, rows: Iterable[int]) -> dict[int, str]:
     """The hashes at these rows as they follow from what stands there and from the hash before. Raises AuditError."""
     found = {}
-    with closing(_reader(path)) as connection:
+    with _reading(path) as connection:
         for row in rows:
             before = connection.execute("SELECT hash FROM audit WHERE id = ?", (row - 1,)).fetchone()
             plain = connection.execute(f"SELECT {_COLUMNS} FROM audit WHERE id = ?", (row,)).fetchone()  # noqa: S608
@@ -615,7 +614,7 @@ def hashes(path: Path, rows: Iterable[int] | None = None) -> dict[int, str]:
     wanted: list[tuple[int, ...]] = [(row,) for row in rows or ()]
     if rows is None:
         query, wanted = "SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1", [()]
-    with closing(_reader(path)) as connection:
+    with _reading(path) as connection:
         found = [row for each in wanted for row in connection.execute(query, each)]
     return {int(number): bytes(digest).hex() for number, digest in found}
 
@@ -668,24 +667,45 @@ def _row(row: Sequence[Any]) -> AuditRow:
     return AuditRow(int(number), AuditEntry(float(time), kind, who, reason, json.loads(detail)), bytes(digest).hex())
 
 
-def _rows(connection: sqlite3.Connection, path: Path, kinds: Sequence[str] = ()) -> Iterator[tuple[Any, ...]]:
-    """The rows as they are stored, in their order: all, or those of some kinds. Raises AuditError."""
+def _rows(connection: sqlite3.Connection, kinds: Sequence[str] = ()) -> sqlite3.Cursor:
+    """The rows as they are stored, in their order: all, or those of some kinds. Raises sqlite3.Error."""
     where = f"WHERE kind IN ({', '.join('?' * len(kinds))})" if kinds else ""
+    return connection.execute(f"SELECT {_COLUMNS} FROM audit {where} ORDER BY id", tuple(kinds))  # noqa: S608
+
+
+def _readable(rows: sqlite3.Cursor) -> Iterator[tuple[Any, ...]]:
+    """The rows up to the first damage (`_damage_behind`)."""
+    with suppress(sqlite3.DatabaseError):
+        while (row := rows.fetchone()) is not None:
+            yield row
+
+
+def _damage_behind(connection: sqlite3.Connection, row: int) -> str:
+    """Why there is nothing to be read behind a row; "" where it is the last one."""
     try:
-        yield from connection.execute(f"SELECT {_COLUMNS} FROM audit {where} ORDER BY id", tuple(kinds))  # noqa: S608
-    except sqlite3.Error as error:
-        raise AuditError(f"{path}: cannot be read ({error}); it was changed by something else") from None
+        for _ in connection.execute(f"SELECT {_COLUMNS} FROM audit WHERE id > ? ORDER BY id", (row,)):  # noqa: S608
+            pass
+    except sqlite3.DatabaseError as error:
+        return str(error)
+    return ""
 
 
-def _reader(path: Path) -> sqlite3.Connection:
+@contextmanager
+def _reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """A connection that only reads. Raises AuditError, also for what goes wrong while it is used.
+
+    Bytes that are no text are read with escapes in their places: their row is changed, and all others are what they
+    are.
+    """
     if not path.is_file():
         raise AuditError(f"{path}: there is no audit log; nothing was armed or written with it")
     try:
-        connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=10.0)
-        _check(connection, path)
-    except sqlite3.Error as error:
-        raise AuditError(f"{path}: cannot be read ({error}); give the path of an audit log") from None
-    return connection
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=10.0)) as connection:
+            connection.text_factory = lambda data: data.decode("utf-8", "backslashreplace")
+            _check(connection, path)
+            yield connection
+    except (sqlite3.Error, ValueError, TypeError) as error:
+        raise AuditError(f"{path}: cannot be read ({error}); it is damaged, or was changed by something else") from None
 
 
 def _check(connection: sqlite3.Connection, path: Path) -> None:

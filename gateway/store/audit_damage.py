@@ -33,11 +33,12 @@ def open_or_set_aside(path: Path, supervisor: Supervisor | None = None, files: R
 def _sound(path: Path) -> tuple[sqlite3.Connection, str]:
     """A connection to a log that is whole, and the sentence that a damaged one was set aside. Raises AuditError."""
     try:
+        emptied = path.is_file() and not path.stat().st_size
         reason = damage(path)
     except OSError as error:  # not even looked at: a folder that this user may not enter
         raise UnusableAuditError(f"{path}: cannot be read ({error.strerror}); give a path that is yours") from None
     if not reason:
-        return connected(path), ""
+        return connected(path), f"{path}: was empty, its rows are gone; a new one is begun" if emptied else ""
     try:
         aside = set_aside(path)
     except OSError as error:

@@ -26,13 +26,16 @@ from drivers.named_files import contents, place_of
 from gateway.store import audit as audit_log
 from gateway.store import schema
 from gateway.store.audit import verify
+from gateway.store.audit_damage import damage
 from gateway.store.durable import BESIDE, set_aside, sync_folder, write_durably
 from gateway.store.signing import is_signed, public_digits
 
 FORMAT = 1
 MANIFEST = "manifest.json"
 SIGNATURE = "manifest.sig"
-ROLES_ONCE = frozenset({"plant", "accounts", "key", "public key", "heads", "historian", "audit"})
+DAMAGED_AUDIT = "damaged audit"
+"""The role of an audit log that is no database any more."""
+ROLES_ONCE = frozenset({"plant", "accounts", "key", "public key", "heads", "historian", "audit", DAMAGED_AUDIT})
 """What at most one file of a backup is."""
 ROLES = ROLES_ONCE | {"device", "model"}
 """What a file of a backup may be to the gateway."""
@@ -67,7 +70,8 @@ class Backed:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
     """What a backup holds. `audit_head` is the newest hash of the audit log in it ("" without one); `note` is of who
-    made it ("" for none); `seal` is the hash over all the others."""
+    made it ("" for none), `damaged` says what is wrong with the audit log ("" nothing); `seal` is the hash over all
+    the others."""
 
     made: float
     program: str
@@ -76,7 +80,13 @@ class Manifest:
     audit_head: str
     files: tuple[Backed, ...]
     note: str = ""
+    damaged: str = ""
     seal: str = ""
+
+
+def damaged_audit(audit: Path) -> Path:
+    """Where an audit log that is no database any more is restored to."""
+    return audit.with_name(f"{audit.name}.damaged")
 
 
 def make_backup(
@@ -90,9 +100,9 @@ def make_backup(
 ) -> Manifest:
     """Copy the sources (role, file), in their order, into a new folder; the audit log has to be the last.
 
-    With `key`, the gateway's, the manifest is signed.
-
-    Raises BackupError, also for an audit log whose chain is broken, and OSError; nothing is left at `folder` then.
+    An audit log whose chain is broken is copied too, and one that cannot be read as the file that it is, under another
+    name: `damaged` says so. With `key`, the gateway's, the manifest is signed. Raises BackupError and OSError; nothing
+    is left at `folder` then.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise BackupError(f"{folder}: is there already; give the name of a new folder")
@@ -102,26 +112,27 @@ def make_backup(
     try:
         (draft / "files").mkdir(parents=True)
         draft.chmod(0o700)  # it holds the key
-        files, layouts, rows, head = list[Backed](), dict[str, int](), 0, ""
-        for number, (role, source) in enumerate(sources):
+        files, layouts, rows, head, damaged = list[Backed](), dict[str, int](), 0, "", ""
+        for number, (given, source) in enumerate(sources):
+            role, original = given, place_of(source)
             stored = f"files/{number:04d}-{source.name}"
             target = draft / stored
             status = source.stat()
             mode = stat.S_IMODE(status.st_mode) & PERMISSIONS
-            original = place_of(source)
             if any((file.role, file.original) == (role, str(original)) for file in files):
                 continue
             if not original.samefile(source):
                 raise BackupError(f"{source}: leads by '..' out of a link; name it in the plant file without '..'")
+            if role == "audit" and (damaged := damage(source)):
+                # Under another name: a start on what is restored begins a new log, and this one is evidence.
+                role, original = DAMAGED_AUDIT, damaged_audit(original)
             if role in LAYOUTS:
                 layouts[role] = _copy_database(source, target)
             else:
                 _copy(source, target)
             if role == "audit":
                 verdict = verify(target)
-                if verdict.problem:
-                    raise BackupError(f"{source}: {verdict.problem}; no backup is made of a broken audit log")
-                rows, head = verdict.rows, verdict.head
+                rows, head, damaged = verdict.rows, verdict.head, verdict.problem
             target.chmod(mode)
             files.append(
                 Backed(
@@ -136,12 +147,20 @@ def make_backup(
             )
         sync_folder(draft / "files")
         manifest = Manifest(
-            made=now, program=program, layouts=layouts, audit_rows=rows, audit_head=head, files=tuple(files), note=note
+            made=now,
+            program=program,
+            layouts=layouts,
+            audit_rows=rows,
+            audit_head=head,
+            files=tuple(files),
+            note=note,
+            damaged=damaged,
         )
         content = {"format": FORMAT, **asdict(manifest)}
         del content["seal"]
-        if not note:  # a key that former programs do not know
-            del content["note"]
+        for name in ("note", "damaged"):  # which former programs do not know
+            if not content[name]:
+                del content[name]
         manifest = replace(manifest, seal=_seal(content))
         write_durably(draft / MANIFEST, json.dumps({**content, "seal": manifest.seal}, indent=1).encode())
         if key is not None:  # in a file of its own: former programs read the manifest
@@ -176,7 +195,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise BackupError(f"{folder}: has no {MANIFEST}, so it is no backup or only a part of one") from None
     except OSError as error:
         raise BackupError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError, AttributeError):
+    except (ValueError, RecursionError, AttributeError, TypeError):
         raise BackupError(f"{path}: is damaged; take another backup") from None
     form = content.get("format")
     if isinstance(form, int) and form > FORMAT:
@@ -191,7 +210,7 @@ def read_manifest(folder: Path) -> Manifest:
         numbers += [number for file in manifest.files for number in (file.size, file.mode, file.time)]
         if not all(isinstance(file.time, int) for file in manifest.files):
             raise TypeError
-        texts = [manifest.note]
+        texts = [manifest.note, manifest.damaged]
         texts += [text for file in manifest.files for text in (file.role, file.stored, file.original, file.sha256)]
         if not (all(isinstance(n, int | float) for n in numbers) and all(isinstance(text, str) for text in texts)):
             raise TypeError

@@ -86,9 +86,13 @@ def opened(path: Path, *, max_mb: float, mend: bool = False, heir: str = "") -> 
 
     Raises HistorianError: DamagedHistorianError only without `mend`, UnusableHistorianError for what may pass.
     """
+    emptied = path.is_file() and not path.stat().st_size
     try:
         _examined(path, whole=mend)
-        return _connected(path, max_mb, heir)
+        file = _connected(path, max_mb, heir)
+        # A file is there with its first page or not at all: that it is empty is somebody's doing, or a disk's.
+        note = f"{path}: was empty, so that what was in it is gone; a new one was begun"
+        return replace(file, note=note) if emptied else file
     except DamagedHistorianError as error:
         if not mend:
             raise

@@ -577,6 +577,7 @@ def open_historian(
     *,
     max_mb: float = 4096.0,
     mend: bool = False,
+    patient: bool = False,
     supervisor: Supervisor | None = None,
     heir: str = "",
     files: ReliedFiles | None = None,
@@ -586,10 +587,11 @@ def open_historian(
     `heir` is the machine to which the rows of a former file belong, whose gateway had one machine and no name for it.
 
     With `mend`, which the gateway asks for, nothing that has befallen the file or its folder keeps it from running: a
-    damaged file is set aside and a new one begun, and where nothing can be written the rows wait (`complaint`).
+    damaged file is set aside and a new one begun, and where nothing can be written the rows wait (`complaint`). So they
+    do, with `patient`, where there is a database of something else or of a newer layout, which is left as it is.
 
-    Raises HistorianError, in one sentence: another gateway holds it, it is a database of something else or of a newer
-    layout; without `mend` also where it is damaged or cannot be written.
+    Raises HistorianError, in one sentence: another gateway holds it; without `patient` it is a database of something
+    else or of a newer layout; without `mend` also where it is damaged or cannot be written.
     """
     locked, files = _FileLock(path), files or ReliedFiles()
 
@@ -602,14 +604,11 @@ def open_historian(
     file, failure = None, ""
     try:
         file = attach()
-    except UnusableHistorianError as error:
-        if not mend:
+    except HistorianError as error:
+        if not (mend and isinstance(error, UnusableHistorianError)) and not (patient and locked.taken):
             locked.free()
             raise
         failure = str(error)
-    except HistorianError:
-        locked.free()
-        raise
     supervisor = supervisor or Supervisor()
     return Historian(path, file, attach, locked.free, supervisor=supervisor, failure=failure, files=files)
 
@@ -644,6 +643,11 @@ class _FileLock:
                 "of its own"
             ) from None
         self._descriptor = descriptor
+
+    @property
+    def taken(self) -> bool:
+        """Whether this process has it."""
+        return self._descriptor is not None
 
     def free(self) -> None:
         """Give it back, if it was taken."""

@@ -18,7 +18,8 @@ from typing import Any, Protocol
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from gateway.store.audit import CONFIRMED, AuditEntry, ChainVerdict, hashes, read, verify
+from gateway.store.audit import CONFIRMED, AuditEntry, AuditError, ChainVerdict, hashes, read, verify
+from gateway.store.audit_damage import damage
 from gateway.store.confirming import is_confirmed
 from gateway.store.durable import RECORDS_MODE
 from gateway.store.files import HistorianError
@@ -175,7 +176,7 @@ def examine(places: WitnessPlaces, *, head: str = "", public: str | None = None)
         row = max(signed.row for signed in heads)
         chain = ChainVerdict(0, "", f"there is no audit log, and row {row} of one was signed")
     else:
-        chain = verify(places.audit, head)
+        chain = _verified(places.audit, head)
     notes: list[str] = []
     strange = [signed for signed in heads if public is not None and signed.key != public]
     if strange:
@@ -217,6 +218,16 @@ def examine(places: WitnessPlaces, *, head: str = "", public: str | None = None)
         witnessed=witnessed,
         notes=tuple(notes),
     )
+
+
+def _verified(audit: Path, head: str) -> ChainVerdict:
+    """The verdict on the chain, of a damaged file too. Raises AuditError for what is no audit log at all."""
+    try:
+        return verify(audit, head)
+    except AuditError:
+        if not (reason := damage(audit)):
+            raise
+        return ChainVerdict(0, "", f"is damaged ({reason}), and no row of it can be read")
 
 
 def acknowledgement(lost: SignedHead, by: str, now: float) -> AuditEntry:

@@ -14,6 +14,7 @@ from drivers.driver import BeforeSending
 from drivers.errors import ReplyTimeout
 from drivers.settings import ConfigError
 from drivers.tag import Value
+from gateway.machine.model.loading import load_models
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading.scan import Scan
 from gateway.plant.app import run
@@ -261,20 +262,28 @@ async def test_a_saved_state_that_cannot_be_read_is_logged_and_not_used(tmp_path
     assert any("cannot be read" in row["event"] for row in logged(tmp_path))
 
 
-async def test_a_model_that_does_not_fit_the_plant_is_refused_before_anything_starts(tmp_path: Path) -> None:
+async def test_a_model_that_does_not_fit_the_plant_is_not_run_and_the_plant_is_watched(tmp_path: Path) -> None:
     wrong = replace(two_modes(), temperature="TCuscinettiAlimentazione")
+    config = config_in(tmp_path, model=wrong)
     with pytest.raises(ConfigError, match=r"model\.temperature: is 'TCuscinettiRiduttore', and the model at"):
-        await run(config_in(tmp_path, model=wrong), clock=JumpClock())
-    assert not (tmp_path / "history.sqlite").exists()
+        load_models(config)
+    status = await go(config, Bench(config, JumpClock()), 10)
+    assert status["model"] is None and status["alarms"]["parts"] == "unacknowledged"
+    assert "model.temperature: is 'TCuscinettiRiduttore'" in status["parts"]["model"]["failure"]
 
 
 async def test_a_broken_model_file_is_one_sentence(tmp_path: Path) -> None:
     config = config_in(tmp_path, model=two_modes())
     (tmp_path / "model.json").write_text('{"format"')
     with pytest.raises(ConfigError) as caught:
-        await run(config, clock=JumpClock())
+        load_models(config)
     (problem,) = caught.value.problems
     assert "model.path" in problem and "model.json" in problem and "\n" not in problem
+    bench = Bench(config, JumpClock())
+    bench.plan[0] = {TEMPERATURE: 95.0}
+    status = await go(config, bench, 10)
+    assert status["model"] is None and status["parts"]["model"]["failure"] == problem
+    assert {status["alarms"][name] for name in ("parts", f"over limit {TEMPERATURE}")} == {"unacknowledged"}
 
 
 async def test_a_second_gateway_on_the_same_historian_does_not_start(tmp_path: Path) -> None:

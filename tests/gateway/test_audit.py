@@ -22,6 +22,7 @@ from gateway.store.audit import (
     read,
     verify,
 )
+from gateway.store.audit_damage import open_or_set_aside
 from gateway.store.confirming import confirmation
 from gateway.store.signing import key_beside, load_or_make_key
 
@@ -179,3 +180,13 @@ def test_a_batch_is_stored_whole_or_not_at_all(tmp_path: Path) -> None:
         _insert(audit._connection, [(entry, _columns(entry)) for entry in entries])
     assert audit.close() and verify(tmp_path / "a.sqlite").rows == 0
     assert json.dumps(head(tmp_path / "a.sqlite")) == f'"{"00" * 32}"'
+
+
+def test_a_log_of_no_bytes_is_not_begun_anew_without_a_word(tmp_path: Path) -> None:
+    path = tmp_path / "audit.sqlite"
+    path.touch()
+    audit = open_or_set_aside(path)
+    assert audit.note == f"{path}: was empty, its rows are gone; a new one is begun"
+    assert audit.record(AuditEntry(1.0, "write")) and audit.close()
+    again = open_or_set_aside(path)
+    assert again.note == "" and again.close()

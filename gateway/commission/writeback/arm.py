@@ -36,7 +36,7 @@ from gateway.machine.writing import (
     signed,
     uptime,
 )
-from gateway.store import head, open_audit
+from gateway.store import AuditError, head, open_audit
 
 
 async def start_arming(
@@ -88,7 +88,7 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
         plant = config is not None or site.target.places is not None
         stamp = site.target.files[0].stat().st_mtime if plant and site.target.files[0].exists() else None
         rows = [
-            disarm_in_log(audit_path, by, reason, time.time(), stamp, subject=subject)
+            disarm_in_log(audit_path, by, reason, time.time(), stamp, subject=subject, say=site.notes.append)
             for subject in _subjects(site.target, audit_path)
         ]
         row = next(filter(None, rows), None)
@@ -107,10 +107,15 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
             except (DriverError, ValueError) as error:
                 sentence = f"validity 0 was not written ({error}); the PLC's own timer covers it"
     data = {"by": by, "reason": reason, "was_armed": was, "said": sentence if was else "nothing was armed"}
-    if site.target.config is not None and audit_path.exists():
-        start = next_start(site.target.config, audit_path, time.time(), uptime())
-        data["next_start"] = {"armed": start.arming is not None, "sentence": start.sentence}
-    return CommandResult({**data, "audit": str(audit_path), "head": head(audit_path) if audit_path.exists() else ""})
+    newest = ""
+    try:
+        newest = head(audit_path) if audit_path.exists() else ""
+        if site.target.config is not None and audit_path.exists():
+            start = next_start(site.target.config, audit_path, time.time(), uptime())
+            data["next_start"] = {"armed": start.arming is not None, "sentence": start.sentence}
+    except AuditError as error:
+        site.notes.append(f"{error}; a start of the gateway arms nothing on it")
+    return CommandResult({**data, "audit": str(audit_path), "head": newest})
 
 
 def _subjects(target: Target, audit_path: Path) -> list[str]:

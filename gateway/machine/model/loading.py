@@ -76,6 +76,23 @@ def load_models(config: Config) -> tuple[LoadedModels, ...]:
     return tuple((model, load_members(one, model)) for one, model in loaded)
 
 
+def models_at_start(config: Config) -> tuple[tuple[LoadedModels, ...], str]:
+    """The models of each of a machine's temperatures as far as they can be run, and why others cannot ("": all can).
+
+    What has befallen a model's files keeps no machine from being watched: it runs without that model.
+    """
+    found, problems = list[LoadedModels](), list[str]()
+    for one in config.followed:
+        model, members = None, tuple[LoadedModel, ...]()
+        try:
+            model = load_model(one)
+            members = load_members(one, model)
+        except ConfigError as error:
+            problems += error.problems
+        found.append((model, members))
+    return tuple(found), "; ".join(dict.fromkeys(problems))
+
+
 def _load(config: Config, path: Path, key: str) -> LoadedModel:
     """The model at `path`, which the configuration gives under `key`."""
     try:

@@ -33,6 +33,7 @@ from gateway.store import (
     NO_PROCESS,
     Audit,
     AuditEntry,
+    AuditError,
     AuditRow,
     SigningKeyError,
     Uptime,
@@ -44,6 +45,7 @@ from gateway.store import (
     key_beside,
     load_or_make_key,
     open_audit,
+    open_or_set_aside,
     over,
 )
 
@@ -131,15 +133,22 @@ def disarm_in_log(
     *,
     subject: str = "",
     process: Mapping[str, int] | None = None,
+    say: Callable[[str], None] = lambda damage: None,
 ) -> AuditRow | None:
     """Take back what is in force of a subject, and what a plant file saved at `stamp` would arm at the next start.
 
-    Gives the arming that was in force, None where there was none; the row is written all the same. Raises ArmingError
-    or AuditError.
+    Gives the arming that was in force, None where there was none; the row is written all the same. So it is where the
+    log is damaged, which is set aside where it takes no row: `say` is told what is damaged. Raises ArmingError.
     """
-    row = _standing(path, now, subject)
-    audit = open_audit(path)
+    row = None
     try:
+        row = _standing(path, now, subject)
+    except AuditError as error:
+        say(f"whether it was armed is not known: {error}")
+    audit = open_or_set_aside(path)
+    try:
+        if audit.note:
+            say(audit.note)
         detail = {**(own_process() if process is None else process), **({} if stamp is None else {"stamp": stamp})}
         entry = AuditEntry(now, DISARMED, by, reason, detail)
         if not audit.record(entry.of(subject)):
@@ -295,7 +304,11 @@ def open_writers(
     if audit.failure:
         log.error("not armed", reason=audit.failure)
         return writers
-    start = next_start(config, audit.path, now, uptime())
+    try:
+        start = next_start(config, audit.path, now, uptime())
+    except AuditError as error:  # damaged in its middle: what it takes goes on being written, and nothing is armed
+        log.error("not armed", reason=str(error))
+        return writers
     arming = start.arming
     if start.ended is not None:
         # Its end is a row of its own: what is over stays over, whatever the clock does after this.

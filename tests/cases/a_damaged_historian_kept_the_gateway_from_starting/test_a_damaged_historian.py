@@ -123,9 +123,12 @@ async def test_the_gateway_starts_raises_the_threshold_alarm_and_stores_it(
     assert table(path, query) == [(1,)]
     assert table(path, "PRAGMA integrity_check") == [("ok",)]
     aside = [place for place in tmp_path.iterdir() if ".damaged-" in place.name and not place.name.endswith("-wal")]
-    harmless = (empty, wal_of_garbage)  # a new file, and a WAL that SQLite passes over: nothing is lost
-    if damage in harmless:
+    if damage is wal_of_garbage:  # SQLite passes over it: nothing is lost
         assert not aside and status["alarms"]["records"] == "normal"
+        return
+    if damage is empty:  # nothing is left that could be set aside, and that is said
+        assert not aside and status["alarms"]["records"] == "unacknowledged"
+        assert "history.sqlite: was empty" in status["historian"]["complaint"]
         return
     assert status["alarms"]["records"] == "unacknowledged", "it stands until the next start"
     assert aside and any(place.name in status["historian"]["complaint"] for place in aside)

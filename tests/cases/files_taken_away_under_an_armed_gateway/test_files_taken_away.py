@@ -6,7 +6,7 @@ So it is with each file that a promise rests on: whatever is done to it, not one
 import asyncio
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from gateway.store.audit import DISARMED, read
 from gateway.web.access import AccountRole
 from gateway.web.access.accounts import add_account
 from tests.gateway.support import Bench, JumpClock, config_in, logged, two_modes
+from tests.rig.memory import folder_in_memory
 
 ARMED: dict[str, Any] = {
     "writeback__mode": "armed",
@@ -91,12 +92,16 @@ class Tampered(Bench):
     """A device in whose reading before the scan SOONER something is done to files."""
 
     deed: Callable[[], None] = lambda: None
-    before: int = 0
+    before: int = -1
+    failure: Exception | None = None
 
     async def read(self, tags: Any) -> Any:
-        if self.reads == SOONER:
+        if self.reads == SOONER and self.before < 0:
             self.before = len(self.written)
-            self.deed()
+            try:
+                self.deed()
+            except Exception as error:  # noqa: BLE001 - it is the test's, and is raised there
+                self.failure = error
         return await super().read(tags)
 
 
@@ -119,6 +124,8 @@ def armed_config(folder: Path, **more: Any) -> Config:
 async def tampered(config: Config, deed: Callable[[], None]) -> tuple[dict[str, Any], Tampered]:
     bench = Tampered(config, Turns(), armed=True, stop_after=LATER, deed=deed)
     status = await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
+    if bench.failure is not None:
+        raise bench.failure
     return status, bench
 
 
@@ -127,14 +134,20 @@ async def tampered(config: Config, deed: Callable[[], None]) -> tuple[dict[str, 
 NO_HARM = {("accounts", replaced), ("key", replaced), ("model", replaced), ("lock", emptied), ("lock", cut)}
 
 
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    with folder_in_memory(tmp_path) as place:
+        yield place
+
+
 @pytest.mark.parametrize("deed", DEEDS, ids=lambda deed: deed.__name__)
 @pytest.mark.parametrize("files", FILES)
 async def test_no_usable_block_follows_and_an_alarm_stands(
-    tmp_path: Path, files: str, deed: Callable[[Path], None]
+    folder: Path, files: str, deed: Callable[[Path], None]
 ) -> None:
     if (files, deed) in NO_HARM:
         return
-    config = armed_config(tmp_path, page=files == "accounts")
+    config = armed_config(folder, page=files == "accounts")
 
     def tamper() -> None:
         for path in FILES[files](config):
@@ -146,16 +159,16 @@ async def test_no_usable_block_follows_and_an_alarm_stands(
     assert [block["validity"] for block in after] in ([0], []), "nothing but what takes everything back"
     assert status["alarms"]["records"] == "unacknowledged"
     assert status["writeback"]["mode"] == "shadow", "a person looks, and arms again"
-    said = [row["reason"] for row in logged(tmp_path) if row["event"] == "the records cannot be relied on"]
+    said = [row["reason"] for row in logged(folder) if row["event"] == "the records cannot be relied on"]
     if deed is not to_a_folder:
         assert DISARMED in [row.entry.kind for row in read(config.audit)], "also in a log that was begun anew"
     names = {path.name for path in FILES[files](config)}
     assert said and any(name in said[0] for name in names) and "\n" not in said[0]
 
 
-async def test_nothing_is_said_where_nothing_was_done(tmp_path: Path) -> None:
+async def test_nothing_is_said_where_nothing_was_done(folder: Path) -> None:
     """What the gateway and its commands do to these files themselves is no tampering."""
-    config = armed_config(tmp_path, page=True, historian__max_mb=1.0)
+    config = armed_config(folder, page=True, historian__max_mb=1.0)
     deeds: list[Callable[[], Any]] = [
         lambda: add_account(config.users, "bea", AccountRole.OPERATOR, "another long word"),
         lambda: read(config.audit),
