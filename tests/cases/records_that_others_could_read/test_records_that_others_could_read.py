@@ -2,7 +2,9 @@
 
 import asyncio
 import os
+import stat
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -28,13 +30,24 @@ def open_umask() -> Iterator[None]:
     os.umask(before)
 
 
+def modes(folder: Path) -> dict[Path, int]:
+    """The modes of all files and folders below one; drafts come and go meanwhile."""
+    found = dict[Path, int]()
+    for root, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            with suppress(FileNotFoundError):
+                found[Path(root, name)] = Path(root, name).stat().st_mode
+    return found
+
+
 def too_open(folder: Path) -> list[str]:
     """The files that others may read, or the group may write."""
-    files = [path for path in folder.rglob("*") if path.is_file() and path.name not in OF_THE_PLANT | PUBLIC]
+    found = modes(folder)
     # In a folder that is closed to others no file needs to be.
-    closed = {path for path in folder.rglob("*") if path.is_dir() and not path.stat().st_mode & 0o077}
-    found = [path for path in files if closed.isdisjoint(path.parents)]
-    return sorted(f"{path.name}: {path.stat().st_mode:o}" for path in found if path.stat().st_mode & 0o027)
+    closed = {path for path, mode in found.items() if stat.S_ISDIR(mode) and not mode & 0o077}
+    files = {path: mode for path, mode in found.items() if stat.S_ISREG(mode) and closed.isdisjoint(path.parents)}
+    known = OF_THE_PLANT | PUBLIC
+    return sorted(f"{path.name}: {mode:o}" for path, mode in files.items() if path.name not in known and mode & 0o027)
 
 
 async def test_what_a_gateway_keeps_is_for_its_owner_and_its_group(tmp_path: Path) -> None:
