@@ -214,9 +214,8 @@ def removed_sentence(held: HeldOutProof, effects: Sequence[NamedEffect]) -> str:
     if held.excess_removed is None or held.ci95 is None:
         return "no excess over the floor that could have been removed: the shrinking is not shown"
     low, high = held.ci95
-    gone = f"{held.excess_removed:.0%} of the excess removed"
-    if held.excess_removed >= 1.0:
-        gone = "all of the excess removed, to within the floor"
+    share = f"{held.excess_removed:.0%}"
+    gone = "all of the excess removed, to within the floor" if share == "100%" else f"{share} of the excess removed"
     shown = "" if all(each.shrinking_shown for each in effects) else ": the shrinking is not shown"
     return f"{gone} (95 % interval {low:.0%} to {high:.0%}){shown}"
 
