@@ -140,12 +140,14 @@ class CanopenDriver:
         answers: dict[ObjectPlace, SdoAnswer] = {}
         silent: SdoAnswer | None = None
         samples = []
+        self._catch_up()
         for tag in tags:
             sample = self._held(tag)
             if sample is None:
                 place = self._where(tag).place
                 if place not in answers:
                     answers[place] = silent or await self._ask(tag, place)
+                    self._catch_up()
                     silent = answers[place] if answers[place].quality is Quality.TIMEOUT else None
                 sample = self._answered(tag, answers[place])
             samples.append(sample)
@@ -183,6 +185,7 @@ class CanopenDriver:
         self._listeners.add(listener)
         try:
             while self._open:
+                self._catch_up()
                 for tag in tags:
                     listener.look(self._held(tag))
                 for sample in listener.taken():
@@ -330,6 +333,11 @@ class CanopenDriver:
             self._past[name] = self._past.get(name, 0) + value
         connection.node.close(self._link.reason)
         connection.port.close()
+
+    def _catch_up(self) -> None:
+        """Take what waits on the bus: after a pause of this process a frame in the midst of it is no news."""
+        if (connection := self._link.connection) is not None:
+            connection.port.catch_up()
 
     def _gone(self, port: Port, reason: str) -> None:
         connection = self._link.connection
