@@ -99,8 +99,10 @@ def judge(
             changed = None
         elif age.beat and count != age.beat:
             changed, alive = now, age.beat_read
-        # A device that speaks by itself may stamp its readings by a clock of its own: they were there by now.
-        read_at = now if beat.sent is None else beat.sent
+        # What a device says by itself may have waited on its way since the count before it came, however often that
+        # was read meanwhile. It may be stamped by a clock of its own, too: it was there by now.
+        said_before = count == age.beat and age.beat_changed is not None
+        read_at = beat.sent if beat.sent is not None else age.beat_read if said_before else now
         age = DeviceAge(age.tags, age.garbled, count, beat_read=read_at, beat_changed=changed, alive=alive)
     image = _image(age, now, rules) if rules.heartbeat else None
     histories, garbled = dict(age.tags), dict(age.garbled)
