@@ -173,6 +173,17 @@ class CanopenDriver:
             lines.append(PlanLine(f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(asked)}"))
         return tuple(lines)
 
+    def heard_for(self, tags: Sequence[Tag]) -> Mapping[str, float]:
+        """Seconds for which the last TPDO of each tag is good, as its EDS and the settings say."""
+        options = self._options
+        limits = {
+            mapped.place: pdo.timeout(options.pdo_timeout, options.sync_period)
+            for pdo in self._tpdos()
+            for mapped in pdo.objects
+        }
+        places = {tag.name: self._where(tag).place for tag in tags if not self._where(tag).misplaced}
+        return {name: limits[place] for name, place in places.items() if place in limits}
+
     # ------------------------------------------------------------ Streams
 
     async def stream(self, tags: Sequence[Tag]) -> AsyncIterator[Sample]:
