@@ -10,9 +10,9 @@ thus:
   good. Otherwise a scan's readings are good while its memory is known to have lived within STALE_PERIODS, LAST_USABLE
   after that. It lived after the last reading of the former count, and no later moment is known: it may have frozen
   right after that one, however late the next scan came. Of a device that speaks by itself it is the first reading of
-  the former count: the new one may have waited on its way ever since. DEAD_PERIODS after the last seen change they are bad. Until a
-  change from one living count to another is seen they are UNCERTAIN: the first cycle after a restart may still show
-  what the memory was cleared to.
+  the former count: the new one may have waited on its way ever since. DEAD_PERIODS after the last seen change they
+  are bad. Until a change from one living count to another is seen they are UNCERTAIN: the first cycle after a restart
+  may still show what the memory was cleared to.
 - The other limits are drawn half a period early, so that the jitter of a scan cannot add a scan to them.
 - A change faster than the tag's `max_rate` since its last good reading (over one period at least) is
   SENSOR_NOT_ACCURATE; a lasting step is believed once the time that passed makes its rate believable.
