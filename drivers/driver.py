@@ -142,6 +142,15 @@ class Cautions(Protocol):
 
 
 @runtime_checkable
+class Hears(Protocol):
+    """A driver of a device that speaks by itself."""
+
+    def heard_for(self, tags: Sequence[Tag]) -> Mapping[str, float]:
+        """Seconds for which what was heard last is good, by tag; without the tags that are asked for."""
+        ...
+
+
+@runtime_checkable
 class Complains(Protocol):
     """A driver that hears from the device, or from its bus, what is wrong with it."""
 

@@ -162,6 +162,11 @@ class CanDriver:
         plain = [PlanLine(line, PlanKind.HEARD) for line in describe(places)]
         return (*left_out, *plain, *self._messages.describe(), *map(PlanLine, sent))
 
+    def heard_for(self, tags: Sequence[Tag]) -> Mapping[str, float]:
+        """Seconds for which the last frame of each tag is good; without the tags that lie in no frame."""
+        places = [(tag.name, self._hearing(tag).place) for tag in tags]
+        return {name: place.timeout for name, place in places if place is not None}
+
     # ------------------------------------------------------------ Streams
 
     async def stream(self, tags: Sequence[Tag]) -> AsyncIterator[Sample]:

@@ -140,12 +140,14 @@ class CanopenDriver:
         answers: dict[ObjectPlace, SdoAnswer] = {}
         silent: SdoAnswer | None = None
         samples = []
+        self._catch_up()
         for tag in tags:
             sample = self._held(tag)
             if sample is None:
                 place = self._where(tag).place
                 if place not in answers:
                     answers[place] = silent or await self._ask(tag, place)
+                    self._catch_up()
                     silent = answers[place] if answers[place].quality is Quality.TIMEOUT else None
                 sample = self._answered(tag, answers[place])
             samples.append(sample)
@@ -171,6 +173,17 @@ class CanopenDriver:
             lines.append(PlanLine(f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(asked)}"))
         return tuple(lines)
 
+    def heard_for(self, tags: Sequence[Tag]) -> Mapping[str, float]:
+        """Seconds for which the last TPDO of each tag is good, as its EDS and the settings say."""
+        options = self._options
+        limits = {
+            mapped.place: pdo.timeout(options.pdo_timeout, options.sync_period)
+            for pdo in self._tpdos()
+            for mapped in pdo.objects
+        }
+        places = {tag.name: self._where(tag).place for tag in tags if not self._where(tag).misplaced}
+        return {name: limits[place] for name, place in places.items() if place in limits}
+
     # ------------------------------------------------------------ Streams
 
     async def stream(self, tags: Sequence[Tag]) -> AsyncIterator[Sample]:
@@ -183,6 +196,7 @@ class CanopenDriver:
         self._listeners.add(listener)
         try:
             while self._open:
+                self._catch_up()
                 for tag in tags:
                     listener.look(self._held(tag))
                 for sample in listener.taken():
@@ -330,6 +344,11 @@ class CanopenDriver:
             self._past[name] = self._past.get(name, 0) + value
         connection.node.close(self._link.reason)
         connection.port.close()
+
+    def _catch_up(self) -> None:
+        """Take what waits on the bus: after a pause of this process a frame in the midst of it is no news."""
+        if (connection := self._link.connection) is not None:
+            connection.port.catch_up()
 
     def _gone(self, port: Port, reason: str) -> None:
         connection = self._link.connection

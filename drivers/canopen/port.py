@@ -1,25 +1,17 @@
-"""A CAN bus read by a thread of its own: frames reach the event loop in order, stamped when they came off the bus.
-
-The thread is there for the stamps: the loop may be busy for some milliseconds, and a frame must not look younger than
-it is. It only waits, stamps and hands over; everything else happens in the loop.
-"""
+"""A CAN bus as CANopen has it: its data frames, in order and stamped, and how many others there were."""
 
 import asyncio
-import threading
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import can
 
+from drivers.can.bus import Pump
 from drivers.driver import Clock
 from drivers.errors import LinkDown
 from drivers.supervision import Supervisor
 
-POLL = 0.05
-"""Seconds after which the thread looks whether it is to end."""
-WAITING = 8192
-"""Frames kept for a loop that is behind; then the oldest are dropped and counted."""
+_SEND_TIMEOUT = 0.05
 _BUS_OFF = 0x40  # linux/can/error.h: error class "bus-off"
 
 
@@ -48,13 +40,16 @@ class Port:
         *,
         supervisor: Supervisor,
     ) -> None:
-        self._bus, self._clock, self._take, self._lost = bus, clock, take, lost
+        self._clock, self._take, self._lost = clock, take, lost
         self._loop = asyncio.get_running_loop()
-        self._frames: deque[StampedFrame] = deque()
-        self._scheduled = self._closing = False
-        self._ended = threading.Event()
-        self.counts = dict.fromkeys(("frames", "foreign_frames", "dropped_frames", "error_frames"), 0)
-        self._thread = supervisor.thread("bus receiver", self._read, stop=self._ended)
+        self._closing = False
+        self._counts = dict.fromkeys(("frames", "foreign_frames", "error_frames"), 0)
+        self._pump = Pump(bus, self._heard, lost, supervisor)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Frames that have come, those that are not CANopen's, error frames, and those that were too many."""
+        return {**self._counts, "dropped_frames": self._pump.dropped}
 
     def send(self, identifier: int, data: bytes) -> None:
         """Put one frame on the bus. Raises LinkDown."""
@@ -62,65 +57,34 @@ class Port:
             raise LinkDown("the bus is closed")
         message = can.Message(arbitration_id=identifier, data=data, is_extended_id=identifier > 0x7FF)
         try:
-            self._bus.send(message, timeout=POLL)
-        except (can.CanError, OSError) as error:
+            self._pump.bus.send(message, timeout=_SEND_TIMEOUT)
+        except (can.CanError, OSError, ValueError) as error:
             reason = f"the bus takes no frame: {error}"
             self._loop.call_soon(self._lost, reason)
             raise LinkDown(reason) from None
 
     def close(self) -> None:
-        """Let the bus go, at once for the caller; the thread closes it within POLL seconds."""
+        """Let the bus go. Nothing is given after that."""
         self._closing = True
-        self._ended.set()
+        self._pump.close()
 
     async def closed(self) -> None:
         """Wait until the bus is closed."""
-        await asyncio.to_thread(self._thread.join, 2.0)
+        await self._pump.closed()
 
-    def _read(self) -> None:
-        reason, known = "", False
-        try:
-            while not self._ended.is_set() and not reason:
-                reason = self._heard(self._bus.recv(POLL))
-            known = True
-        except (can.CanError, OSError, ValueError) as error:
-            reason, known = str(error) or type(error).__name__, True
-        finally:
-            # Whatever has ended it, also what the supervisor hears of: the bus is opened anew.
-            if not self._closing:
-                self._in_loop(self._lost, reason or "the bus cannot be read any more")
-            if known:
-                self._ended.set()
-                self._bus.shutdown()
+    def catch_up(self) -> None:
+        """Give all that has come by now, so that after a pause no frame in the midst of it is the newest."""
+        self._pump.catch_up()
 
-    def _heard(self, message: can.Message | None) -> str:
-        """Hand a frame over; the reason if the controller says that it is off the bus."""
-        if message is None:
-            return ""
+    def _heard(self, message: can.Message) -> None:
         if message.is_error_frame:
-            self.counts["error_frames"] += 1
-            return "the controller is bus-off" if message.arbitration_id & _BUS_OFF else ""
-        self.counts["frames"] += 1
+            self._counts["error_frames"] += 1
+            if message.arbitration_id & _BUS_OFF:
+                self._lost("the controller is bus-off")
+            return
+        self._counts["frames"] += 1
         if message.is_extended_id or message.is_remote_frame or message.is_fd:
-            self.counts["foreign_frames"] += 1
-            return ""
-        if len(self._frames) >= WAITING:
-            self._frames.popleft()
-            self.counts["dropped_frames"] += 1
+            self._counts["foreign_frames"] += 1
+            return
         frame = StampedFrame(message.arbitration_id, bytes(message.data), self._clock(), self._loop.time())
-        self._frames.append(frame)
-        if not self._scheduled:
-            self._scheduled = True
-            self._in_loop(self._drain)
-        return ""
-
-    def _drain(self) -> None:
-        self._scheduled = False
-        while self._frames:
-            self._take(self._frames.popleft())
-
-    def _in_loop(self, function: Callable[..., None], *arguments: object) -> None:
-        try:
-            self._loop.call_soon_threadsafe(function, *arguments)
-        except RuntimeError:  # the loop has ended, and with it everybody who would listen
-            self.close()
+        self._take(frame)

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import inf
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.driver import Hears, open_driver
 from drivers.tag import Quality
 from gateway.demo.child import DemoError
 from gateway.demo.folder import FURTHER_PICTURE
@@ -61,24 +63,38 @@ def fitness(setting: DemoRun, model: Model) -> dict[str, str]:
 def judge(setting: DemoRun, recording: Path, historian: Path) -> dict[str, Any]:
     """The verdict of the PLC's recording on every reading that the gateway held for good. Raises DemoError.
 
-    A good value may be as old as the gateway's rule allows (three periods), and no older.
+    A good value may be as old as the gateway's rule allows (three periods), and no older: of a device that speaks by
+    itself, since what it said last may still have been what it is, by its device file.
     """
+    held = {name: seconds * setting.speed for name, seconds in heard_for(setting).items()}
     path = setting.folder / "samples.jsonl"
     with path.open("w", encoding="utf-8") as lines:
-        lines.writelines(json.dumps(row) + "\n" for row in good_readings(historian))
+        lines.writelines(json.dumps(row) + "\n" for row in good_readings(historian, held))
     return verdict(recording, path, tolerance=(STALE_PERIODS + 1) * setting.period)
 
 
-def good_readings(historian: Path) -> Iterator[dict[str, Any]]:
+def heard_for(setting: DemoRun) -> Mapping[str, float]:
+    """Real seconds for which the driver of this run holds what was said last, by tag; without the tags that are asked.
+
+    Raises DriverError."""
+    device = load_device(setting.addresses or setting.device)
+    (link,) = tomllib.loads(setting.plant.read_text(encoding="utf-8"))["device"]["links"]
+    settings = {key: value for key, value in link.items() if key not in ("name", "file")}
+    driver = open_driver(device.driver, {**device.settings, **settings}, clock=lambda: 0.0)
+    return driver.heard_for(device.tags) if isinstance(driver, Hears) else {}
+
+
+def good_readings(historian: Path, held: Mapping[str, float]) -> Iterator[dict[str, Any]]:
     """Every reading that was held for good, one a tag and scan; texts as they were stored, once a change.
 
-    What the historian did not store because it equalled the reading before is there again.
+    What the historian did not store because it equalled the reading before is there again. What the device says by
+    itself is true of some moment in the time that its driver holds it: `held`, plant seconds by tag.
     """
     trace = to_trace(historian)
     for name, column in trace.signals.items():
-        good = np.isfinite(column)
+        good, late = np.isfinite(column), held.get(name, 0.0)
         for time, value in zip(trace.times[good].tolist(), column[good].tolist(), strict=True):
-            yield {"tag": name, "value": value, "quality": int(Quality.GOOD), "time": time, "sent": time}
+            yield {"tag": name, "value": value, "quality": int(Quality.GOOD), "time": time, "sent": time - late}
     for sample in samples(historian):
         if isinstance(sample.value, str) and sample.quality.is_good:
             yield {"tag": sample.tag, "value": sample.value, "quality": int(Quality.GOOD), "time": sample.time}

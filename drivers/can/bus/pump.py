@@ -1,10 +1,13 @@
 """Frames from a bus into the event loop: by the bus's file descriptor where it has one, else by a thread."""
 
 import asyncio
+import select
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from math import inf
 
 import can
 
@@ -12,6 +15,8 @@ from drivers.supervision import Supervisor
 
 _BURST = 256
 _LOOK = 0.1
+_OVERDUE = 1.5 * _LOOK  # since the thread has last found the bus empty; after that it was held up
+_PATIENCE = 0.2  # seconds that a reading waits for a thread that is behind: some thousand frames
 _UNREADABLE = "the bus cannot be read any more"
 _QUEUE = 10_000  # frames kept for a loop that is behind a thread; a bus with a descriptor keeps them itself
 
@@ -34,16 +39,21 @@ class Pump:
         self._take = take
         self._lost = lost
         self._loop = asyncio.get_running_loop()
-        self._waiting: deque[can.Message] = deque()
+        self._waiting: deque[can.Message] = deque(maxlen=_QUEUE)
         self._closed = False
         self._ended = threading.Event()
+        self._looked = threading.Condition()
+        self._empty, self._behind = time.monotonic(), False
+        self._thread: threading.Thread | None = None
         self._fd: int | None = None
         # An interface without a descriptor raises; that of a socket which is closed already is below 0.
         with suppress(NotImplementedError):
             self._fd = number if (number := bus.fileno()) >= 0 else None
         if self._fd is None:
-            (supervisor or Supervisor()).thread("bus receiver", self._listen, stop=self._ended)
+            self._thread = (supervisor or Supervisor()).thread("bus receiver", self._listen, stop=self._ended)
         else:
+            self._readiness = select.poll()
+            self._readiness.register(self._fd, select.POLLIN)
             self._loop.add_reader(self._fd, self._readable)
 
     def close(self) -> None:
@@ -56,10 +66,19 @@ class Pump:
             self._loop.remove_reader(self._fd)
             self.bus.shutdown()
 
+    async def closed(self) -> None:
+        """Wait until the bus is shut down, two seconds at most."""
+        if self._thread is not None:
+            await asyncio.to_thread(self._thread.join, 2.0)
+
     def catch_up(self) -> None:
         """Give all that has come by now: what is known is then as new as the bus has it, however late the loop is."""
         if self._fd is not None:
             self._readable(_QUEUE)
+        else:
+            asked = time.monotonic()
+            with self._looked:
+                self._looked.wait_for(lambda: not self._behind and asked - self._empty <= _OVERDUE, _PATIENCE)
         while self._waiting and not self._closed:
             self._take(self._waiting.popleft())
 
@@ -77,7 +96,10 @@ class Pump:
                 if reason:
                     self._lost(reason)
             if message is None:
-                return
+                # A filter of this process answers None for a frame that it leaves out, and others wait behind it.
+                if not self._readiness.poll(0):
+                    return
+                continue
             self._take(message)
             if self._closed:
                 return
@@ -89,23 +111,33 @@ class Pump:
         reason = _UNREADABLE
         try:
             while not self._ended.is_set():
-                message = self.bus.recv(_LOOK)
+                begun = time.monotonic()
+                message = self.bus.recv(0.0)
+                if message is None:
+                    self._caught_up(begun)
+                    message = self.bus.recv(_LOOK)
                 if message is None:
                     continue
-                if len(self._waiting) >= _QUEUE:
-                    self.dropped += 1
-                    continue
+                self._behind = True
+                self.dropped += len(self._waiting) == _QUEUE  # the oldest: what is newest is what is
                 self._waiting.append(message)
                 if len(self._waiting) == 1:
                     self._call_in_loop(self._drain)
-        except (can.CanError, OSError) as error:
-            reason = str(error)
+        except (can.CanError, OSError, ValueError) as error:
+            reason = str(error) or _UNREADABLE
             self._ended.set()
         finally:
+            self._caught_up(inf)
             # Whatever has ended it, also what the supervisor hears of: the bus is opened anew.
             self._call_in_loop(self._gone, reason)
             if self._ended.is_set():
                 self.bus.shutdown()
+
+    def _caught_up(self, moment: float) -> None:
+        """Say that nothing waited on the bus at a moment (monotonic)."""
+        with self._looked:
+            self._empty, self._behind = moment, False
+            self._looked.notify_all()
 
     def _call_in_loop(self, function: Callable[..., None], *arguments: str) -> None:
         # The loop may have ended before the thread has noticed that it is to end.

@@ -9,9 +9,10 @@ thus:
 - A device with a heartbeat must prove that its memory lives. Heartbeat 0: its program does not run, and nothing is
   good. Otherwise a scan's readings are good while its memory is known to have lived within STALE_PERIODS, LAST_USABLE
   after that. It lived after the last reading of the former count, and no later moment is known: it may have frozen
-  right after that one, however late the next scan came. DEAD_PERIODS after the last seen change they are bad. Until a
-  change from one living count to another is seen they are UNCERTAIN: the first cycle after a restart may still show
-  what the memory was cleared to.
+  right after that one, however late the next scan came. Of a device that speaks by itself it is the first reading of
+  the former count: the new one may have waited on its way ever since. DEAD_PERIODS after the last seen change they
+  are bad. Until a change from one living count to another is seen they are UNCERTAIN: the first cycle after a restart
+  may still show what the memory was cleared to.
 - The other limits are drawn half a period early, so that the jitter of a scan cannot add a scan to them.
 - A change faster than the tag's `max_rate` since its last good reading (over one period at least) is
   SENSOR_NOT_ACCURATE; a lasting step is believed once the time that passed makes its rate believable.
@@ -99,8 +100,10 @@ def judge(
             changed = None
         elif age.beat and count != age.beat:
             changed, alive = now, age.beat_read
-        # A device that speaks by itself may stamp its readings by a clock of its own: they were there by now.
-        read_at = now if beat.sent is None else beat.sent
+        # What a device says by itself may have waited on its way since the count before it came, however often that
+        # was read meanwhile. It may be stamped by a clock of its own, too: it was there by now.
+        said_before = count == age.beat and age.beat_changed is not None
+        read_at = beat.sent if beat.sent is not None else age.beat_read if said_before else now
         age = DeviceAge(age.tags, age.garbled, count, beat_read=read_at, beat_changed=changed, alive=alive)
     image = _image(age, now, rules) if rules.heartbeat else None
     histories, garbled = dict(age.tags), dict(age.garbled)
