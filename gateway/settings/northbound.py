@@ -9,7 +9,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from drivers.settings import ConfigError, Line, Section
 from gateway.settings.links import FilePath
-from gateway.settings.secrets import read_secrets
+from gateway.settings.secrets import HeaderText, read_secrets
 
 _Table = Literal["samples", "predictions", "forecasts", "events", "alarms"]
 TABLES: tuple[_Table, ...] = ("samples", "predictions", "forecasts", "events", "alarms")
@@ -105,7 +105,13 @@ class InfluxRow(_SinkRow):
             port = parts.port
         except ValueError:
             raise ValueError(f"the port of {url[:60]!r} is none; {wrong}") from None
-        if parts.scheme not in ("http", "https") or not parts.hostname or port == 0 or not url.isascii():
+        if (
+            parts.scheme not in ("http", "https")
+            or not parts.hostname
+            or port == 0
+            or not url.isascii()
+            or not _is_plain(url)
+        ):
             raise ValueError(f"{url[:60]!r} is no address of a server; {wrong}")
         if parts.username or parts.password or parts.path.strip("/") or parts.query:
             raise ValueError(f"the address is the server's alone, without log-in and path; {wrong}")
@@ -202,7 +208,7 @@ class NorthboundSecrets(Section):
     """The file of secrets: by the sinks' names passwords, and tokens of InfluxDB."""
 
     passwords: Mapping[str, str] = Field({}, description="a table of passwords by the names of sinks", repr=False)
-    tokens: Mapping[str, str] = Field({}, description="a table of tokens by the names of sinks", repr=False)
+    tokens: Mapping[str, HeaderText] = Field({}, description="a table of tokens by the names of sinks", repr=False)
 
 
 def load_northbound_secrets(section: NorthboundSection) -> NorthboundSecrets:
@@ -229,6 +235,10 @@ def load_northbound_secrets(section: NorthboundSection) -> NorthboundSecrets:
     if problems:
         raise ConfigError(problems)
     return found
+
+
+def _is_plain(url: str) -> bool:
+    return url.isprintable() and " " not in url
 
 
 def is_loopback(host: str) -> bool:

@@ -1,5 +1,6 @@
 """`[notify]`: who is told of alarms, by mail or web hook, after which time and of which urgency."""
 
+import re
 from collections.abc import Mapping
 from ipaddress import ip_address
 from typing import Annotated, Literal
@@ -10,8 +11,10 @@ from pydantic import Field, field_validator, model_validator
 from drivers.settings import ConfigError, Line, Section
 from gateway.settings.alarm_kinds import LEAST_URGENT, Priority
 from gateway.settings.links import FilePath
-from gateway.settings.secrets import read_secrets
+from gateway.settings.secrets import HeaderText, read_secrets
 
+_ADDRESS = re.compile(r"[\w.!#$%&'*+/=^`{|}~-]{1,64}@(?:[\w-][\w.-]{0,250}|\[[0-9A-Fa-f.:]{2,40}\])")
+"""A mail address: an atom with dots at a name, or at an address in brackets."""
 LONGEST_ESCALATION = 1440.0
 FROM_SECRETS = "secret"
 """The `webhook` of a recipient whose address is in the file of secrets."""
@@ -105,7 +108,7 @@ class NotifySecrets(Section):
 
     smtp_password: str = Field("", description="the password of smtp.user", repr=False)
     webhooks: Mapping[str, str] = Field({}, description="a table of https:// addresses by recipient", repr=False)
-    tokens: Mapping[str, str] = Field({}, description="a table of bearer tokens by recipient", repr=False)
+    tokens: Mapping[str, HeaderText] = Field({}, description="a table of bearer tokens by recipient", repr=False)
 
 
 def load_secrets(section: NotifySection) -> NotifySecrets:
@@ -143,7 +146,8 @@ def _is_loopback(host: str) -> bool:
 
 def _mail_address(address: str) -> str:
     local, _, domain = address.rpartition("@")
-    if not local or not domain or any(character in address for character in ' ,;<>"'):
+    # Without comments, groups, quotes and escapes (RFC 5322, 3.4): what a header says is where the mail goes, then.
+    if not _ADDRESS.fullmatch(address) or ".." in address or "." in (local[0], local[-1], domain[0]):
         raise ValueError(f"{address[:60]!r} is no mail address; give one such as 'shift@example.com'")
     return address
 

@@ -2,11 +2,24 @@
 
 import stat
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
+
+from pydantic import AfterValidator
 
 from drivers.settings import ConfigError, Section, checked, read_toml
 
 Secrets = TypeVar("Secrets", bound=Section)
+
+
+def _in_a_header(text: str) -> str:
+    # A line end at the token's end is soon made in TOML, and what refuses it later quotes the token.
+    if not (text.isascii() and text.isprintable()) or text != text.strip():
+        raise ValueError("has a line end, a space at an end or a character that no header of HTTP holds; take it away")
+    return text
+
+
+HeaderText = Annotated[str, AfterValidator(_in_a_header)]
+"""A secret that goes into a header of HTTP."""
 
 
 def read_secrets(model: type[Secrets], path: Path, *, page: str) -> Secrets:
