@@ -10,7 +10,7 @@ from typing import Any
 
 from gateway.timed_socket import TimedSocket, connect
 
-_NO_TLS = frozenset({"WRONG_VERSION_NUMBER", "HTTP_REQUEST", "UNKNOWN_PROTOCOL", "PACKET_LENGTH_TOO_LONG"})
+_NO_TLS = frozenset({"WRONG_VERSION_NUMBER", "PACKET_LENGTH_TOO_LONG", "RECORD_LAYER_FAILURE"})
 """OpenSSL's reasons where the peer's first bytes are another protocol's."""
 
 
@@ -58,11 +58,9 @@ def make_tls(ca: Path | None) -> TimedTls:
 def reason_of(error: Exception) -> str:
     """Why a connection has failed, without a word of what was sent: of TLS, what is wrong with whose certificate."""
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"TLS: its certificate is not accepted: {error.verify_message.rstrip('.')}"
+        return f"TLS: {error.reason}: {error.verify_message.rstrip('.')}"
     if isinstance(error, ssl.SSLError):
-        if error.reason in _NO_TLS:
-            return "TLS: it does not speak TLS there"
-        return f"TLS: {error.reason.replace('_', ' ').lower() if error.reason else 'failed'}"
+        return f"TLS: {error.reason or 'failed'}" + (" (it speaks another protocol there)" * (error.reason in _NO_TLS))
     return (error.strerror if isinstance(error, OSError) else None) or type(error).__name__
 
 
