@@ -51,7 +51,7 @@ REFRESH_S, LEAST_S = 1.0, 0.1
 class PageLoop(asyncio.SelectorEventLoop):
     """The page's loop: who does not finish the handshake of TLS in IDLE_S is let go too, not after a minute."""
 
-    async def create_server(self, *given: Any, **keys: Any) -> asyncio.Server:
+    async def create_server(self, *given: Any, **keys: Any) -> asyncio.Server:  # type: ignore[override]
         """As a loop's."""
         timed = {"ssl_handshake_timeout": IDLE_S} if keys.get("ssl") is not None else {}
         return await super().create_server(*given, **keys, **timed)

@@ -9,6 +9,7 @@ import email
 import json
 import random
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from email import policy
 from email.message import EmailMessage
 from email.utils import getaddresses
@@ -50,8 +51,8 @@ from tests.rig.servers import until
 PIECES = (
     "T", "a", "é", "温度", "'", '"', ";", ",", "=", " ", "\\", "\\\\", "/", "+", "#", "$SYS", "..", "%s", "%25", "${x}",
     "{{x}}", "<b>", "&amp;", "--", "'; DROP TABLE samples; --", "=cmd|", "@", ":", "(x)", "[1]", "|", "`", "*",
-    "\u00a0", "\u00ad", "\u200f", "😀", "\t", "\n", "\r\n", "\0", "\x01", "\x1b[2J", "\x7f", "\x9b", "\x85", "\u2028", "\u202e",
-    "\u2066", "\ufffe", "\ufdd0", "\U0001ffff", "\ud800", "x" * 199,
+    "\u00a0", "\u00ad", "\u200f", "😀", "\t", "\n", "\r\n", "\0", "\x01", "\x1b[2J", "\x7f", "\x9b", "\x85", "\u2028",
+    "\u202e", "\u2066", "\ufffe", "\ufdd0", "\U0001ffff", "\ud800", "x" * 199,
 )  # fmt: skip
 REFUSED_BY_BROKERS = ("a\tb", "a\x01", "a\x7f", "a\x9b", "a\ufffe", "a\ufdd0", "a\U0001ffff")
 
@@ -87,10 +88,8 @@ def row(number: int, name: str, *, text: str = "on", unit: str = "") -> Outgoing
 
 
 def test_what_no_system_can_be_told_is_refused_at_check_in_one_sentence() -> None:
-    known = {"T", "'; DROP TABLE samples; --", "$SYS", "..", "\u00a0", "a\\,b", " a"} <= {
-        *NAMES,
-        "a",
-    }
+    known = {"T", "'; DROP TABLE samples; --", "$SYS", "..", "\u00a0", "a\\,b", " a"}
+    assert len(NAMES) > 300 and known <= {*NAMES}
     for name in drawn():
         said = sentence_of(name=name)
         assert name in NAMES or (said.startswith("device.toml: name: ") and said.isprintable())
@@ -257,7 +256,8 @@ def test_a_node_of_opc_ua_is_one_names() -> None:
 
 
 def test_prometheus_reads_each_name_as_a_label() -> None:
-    status = read_status(picture(values={name: {**tag(1.5), "unit": name} for name in NAMES}))
+    status = read_status(picture(values={"T": tag(1.5)}))
+    status = replace(status, values={name: replace(status.values["T"], unit=name) for name in NAMES})
     registry = CollectorRegistry()
     registry.register(GatewayCollector({"decanter": status}, []))
     plain = text_string_to_metric_families(generate_latest(registry).decode())
