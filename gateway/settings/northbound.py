@@ -9,7 +9,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from drivers.settings import ConfigError, Line, Section
 from gateway.settings.links import FilePath
-from gateway.settings.secrets import HeaderText, read_secrets
+from gateway.settings.secrets import read_secrets, token_problems
 
 _Table = Literal["samples", "predictions", "forecasts", "events", "alarms"]
 TABLES: tuple[_Table, ...] = ("samples", "predictions", "forecasts", "events", "alarms")
@@ -208,7 +208,7 @@ class NorthboundSecrets(Section):
     """The file of secrets: by the sinks' names passwords, and tokens of InfluxDB."""
 
     passwords: Mapping[str, str] = Field({}, description="a table of passwords by the names of sinks", repr=False)
-    tokens: Mapping[str, HeaderText] = Field({}, description="a table of tokens by the names of sinks", repr=False)
+    tokens: Mapping[str, str] = Field({}, description="a table of tokens by the names of sinks", repr=False)
 
 
 def load_northbound_secrets(section: NorthboundSection) -> NorthboundSecrets:
@@ -221,7 +221,8 @@ def load_northbound_secrets(section: NorthboundSection) -> NorthboundSecrets:
         return NorthboundSecrets()
     found = read_secrets(NorthboundSecrets, path, page="docs/northbound.md")
     known = {row.name for row in section.sinks}
-    problems = [
+    problems = token_problems(path, found.tokens)
+    problems += [
         f"{path}: {table}: there is no sink {name!r}; known are {', '.join(sorted(known)) or 'none'}"
         for table, names in (("passwords", found.passwords), ("tokens", found.tokens))
         for name in names

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from drivers.settings import ConfigError, Line, Section
 from gateway.settings.alarm_kinds import LEAST_URGENT, Priority
 from gateway.settings.links import FilePath
-from gateway.settings.secrets import HeaderText, read_secrets
+from gateway.settings.secrets import read_secrets, token_problems
 
 _ADDRESS = re.compile(r"[\w.!#$%&'*+/=^`{|}~-]{1,64}@(?:[\w-][\w.-]{0,250}|\[[0-9A-Fa-f.:]{2,40}\])")
 """A mail address: an atom with dots at a name, or at an address in brackets."""
@@ -108,7 +108,7 @@ class NotifySecrets(Section):
 
     smtp_password: str = Field("", description="the password of smtp.user", repr=False)
     webhooks: Mapping[str, str] = Field({}, description="a table of https:// addresses by recipient", repr=False)
-    tokens: Mapping[str, HeaderText] = Field({}, description="a table of bearer tokens by recipient", repr=False)
+    tokens: Mapping[str, str] = Field({}, description="a table of bearer tokens by recipient", repr=False)
 
 
 def load_secrets(section: NotifySection) -> NotifySecrets:
@@ -120,7 +120,7 @@ def load_secrets(section: NotifySection) -> NotifySecrets:
     if path is None:
         return NotifySecrets()
     found = read_secrets(NotifySecrets, path, page="docs/alarms.md")
-    problems = []
+    problems = token_problems(path, found.tokens)
     if section.smtp is not None and section.smtp.user is not None and not found.smtp_password:
         problems.append(f"{path}: smtp_password: is missing; add the password of {section.smtp.user!r}")
     for row in section.to:

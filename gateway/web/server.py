@@ -51,10 +51,11 @@ REFRESH_S, LEAST_S = 1.0, 0.1
 class PageLoop(asyncio.SelectorEventLoop):
     """The page's loop: who does not finish the handshake of TLS in IDLE_S is let go too, not after a minute."""
 
-    async def create_server(self, *given: Any, **keys: Any) -> asyncio.Server:  # type: ignore[override]
+    async def create_server(self, *given: Any, **keys: Any) -> Any:
         """As a loop's."""
         timed = {"ssl_handshake_timeout": IDLE_S} if keys.get("ssl") is not None else {}
-        return await super().create_server(*given, **keys, **timed)
+        make: Any = super().create_server
+        return await make(*given, **keys, **timed)
 
 
 class BoundedProtocol(H11Protocol):
