@@ -58,7 +58,7 @@ def make_tls(ca: Path | None) -> TimedTls:
 def reason_of(error: Exception) -> str:
     """Why a connection has failed, without a word of what was sent: of TLS, what is wrong with whose certificate."""
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"TLS: {error.reason}: {error.verify_message.rstrip('.')}"
+        return f"TLS: {error.reason} (certificate verify failed: {error.verify_message.rstrip('.')})"
     if isinstance(error, ssl.SSLError):
         return f"TLS: {error.reason or 'failed'}" + (" (it speaks another protocol there)" * (error.reason in _NO_TLS))
     return (error.strerror if isinstance(error, OSError) else None) or type(error).__name__
