@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from drivers.driver import DRIVERS
-from drivers.settings import ConfigError, Name, Section, checked, read_toml
+from drivers.settings import ConfigError, Label, Name, Section, checked, read_toml
 from drivers.tag import DType, Order, Tag
 
 LONGEST_TEXT = 4096
@@ -58,7 +58,7 @@ class DeviceTable(BaseModel):
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=True)
 
-    name: str = Field(min_length=1, description="a short name for the device")
+    name: Name = Field(description="a short name for the device")
     driver: str = Field(description=f"one of {', '.join(sorted(DRIVERS))}")
     heartbeat: str | None = Field(None, description="the name of the tag that counts while the program runs")
 
@@ -79,7 +79,7 @@ class TagTable(Section):
     order: Annotated[Order, Field(strict=False)] = Field(Order.ABCD, description=f"one of {', '.join(Order)}")
     scale: float = Field(1.0, description="engineering units per raw count, not 0")
     offset: float = Field(0.0, description="engineering units at raw 0")
-    unit: str = Field("", description="the unit as text")
+    unit: Label = Field("", description="the unit as text")
     low: float | None = Field(None, description="the lowest plausible value")
     high: float | None = Field(None, description="the highest plausible value")
     bit: int | None = Field(None, ge=0, le=15, description="a bit number from 0 to 15")
@@ -91,7 +91,7 @@ class TagTable(Section):
         0.0, ge=0, description="seconds without any change after which it is suspect, 0 = never"
     )
     writable: bool = Field(False, description="true or false")
-    labels: dict[str, str] = Field(default_factory=dict, description='a table such as { 0 = "none", 1 = "busy" }')
+    labels: dict[str, Label] = Field(default_factory=dict, description='a table such as { 0 = "none", 1 = "busy" }')
 
     @field_validator("scale")
     @classmethod

@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
+from unicodedata import bidirectional, category
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
@@ -54,15 +55,38 @@ def _one_line(text: str) -> str:
     return text
 
 
-def _no_steering(text: str) -> str:
-    # A recording's columns may be called as they like, but for what would break a line or steer a terminal.
-    if len(text.splitlines()) > 1 or text[-1:].splitlines() == [""] or "\x1b" in text:
-        raise ValueError(f"{text[:40]!r} is not one line without ESC; take out what is not")
+_ORDER_OF_READING = frozenset({"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"})
+_NOT_IN_TEXT = frozenset({"Cc", "Cs", "Zl", "Zp"})
+
+
+def is_in_names(character: str) -> bool:
+    """Whether a name may hold a character: none that steers, breaks a line, turns what is read around, or is no text.
+
+    A broker of MQTT ends the connection for one (MQTT 5, 1.5.4), and with it everybody's data.
+    """
+    code = ord(character)
+    return not (
+        category(character) in _NOT_IN_TEXT
+        or bidirectional(character) in _ORDER_OF_READING
+        or code & 0xFFFE == 0xFFFE
+        or 0xFDD0 <= code <= 0xFDEF
+    )
+
+
+def _a_name(text: str) -> str:
+    # A recording's columns may be called as they like, but for what other systems cannot be told.
+    if not all(map(is_in_names, text)):
+        raise ValueError(f"{text[:40]!r} is not one line without control characters; take out what is not")
+    # In InfluxDB's line protocol nothing can stand for it there.
+    if text.endswith("\\"):
+        raise ValueError(f"{text[:40]!r} ends with a backslash; take it away")
     return text
 
 
-Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_no_steering)]
-"""A tag's name: one line of 1 to 200 characters without ESC."""
+Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_a_name)]
+"""A tag's name: one line of 1 to 200 characters, none of control, not ending with a backslash."""
+Label = Annotated[str, Field(max_length=200), AfterValidator(_a_name)]
+"""What stands beside a number, as a unit: as a name is, or nothing."""
 Line = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_one_line)]
 """A person or a reason: one line of 1 to 200 printable characters."""
 

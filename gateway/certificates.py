@@ -22,6 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from drivers.named_files import writing
+from gateway.key_pair import key_problem
 
 ROLE = x509.ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
 """The extension that holds a client's role as a UTF8String (MODBUS/TCP Security v21)."""
@@ -128,7 +129,7 @@ def application_problem(folder: Path) -> str | None:
         return f"{folder / OPC_UA_KEY}: is not the RSA key of {OPC_UA_CERTIFICATE}; {advice}"
     if not names.get_values_for_type(x509.UniformResourceIdentifier):
         return f"{folder / OPC_UA_CERTIFICATE}: names no application (a URI among its alternative names); {advice}"
-    return None
+    return key_problem(folder / OPC_UA_KEY)
 
 
 def trusted_certificates(folder: Path) -> Iterator[bytes]:

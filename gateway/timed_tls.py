@@ -10,6 +10,9 @@ from typing import Any
 
 from gateway.timed_socket import TimedSocket, connect
 
+_NO_TLS = frozenset({"WRONG_VERSION_NUMBER", "PACKET_LENGTH_TOO_LONG", "RECORD_LAYER_FAILURE"})
+"""OpenSSL's reasons where the peer's first bytes are another protocol's."""
+
 
 class TimedTlsSocket(TimedSocket, ssl.SSLSocket):
     """An encrypted connection with a deadline."""
@@ -50,6 +53,15 @@ def make_tls(ca: Path | None) -> TimedTls:
     else:
         context.load_verify_locations(ca)
     return context
+
+
+def reason_of(error: Exception) -> str:
+    """Why a connection has failed, without a word of what was sent: of TLS, what is wrong with whose certificate."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"TLS: {error.reason} (certificate verify failed: {error.verify_message.rstrip('.')})"
+    if isinstance(error, ssl.SSLError):
+        return f"TLS: {error.reason or 'failed'}" + (" (it speaks another protocol there)" * (error.reason in _NO_TLS))
+    return (error.strerror if isinstance(error, OSError) else None) or type(error).__name__
 
 
 class TimedHttp(HTTPConnection):

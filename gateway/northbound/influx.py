@@ -16,7 +16,7 @@ from urllib.parse import urlencode, urlsplit
 from gateway.northbound.sink import OutgoingRow, Present, RowsRefused, Sink, SinkContext, SinkUnreachable
 from gateway.settings import InfluxRow, NorthboundSecrets
 from gateway.store import TABLE_COLUMNS, FollowedRow, cells_of
-from gateway.timed_tls import TimedHttp, make_tls
+from gateway.timed_tls import TimedHttp, make_tls, reason_of
 
 ANSWER_SECONDS = 10.0
 """Seconds that a connection, and a batch of rows with its answer, may take in all."""
@@ -70,9 +70,7 @@ class InfluxSink:
             self._connection.connect()
         except (OSError, UnicodeError) as error:
             self.close()
-            raise SinkUnreachable(
-                f"{self._row.url} cannot be reached: {getattr(error, 'strerror', None) or error}"
-            ) from None
+            raise SinkUnreachable(f"{self._row.url} cannot be reached: {reason_of(error)}") from None
 
     def deliver(self, rows: Sequence[OutgoingRow]) -> Iterator[int]:
         """Write all at once; where the server will not have some, halves, down to the row that it will not have."""
@@ -136,8 +134,8 @@ def line_of(row: FollowedRow, node: str) -> str:
 
 def _tag(value: Any) -> str:
     text = f"{value:g}" if isinstance(value, float) else str(value)
-    # A backslash at the end would take the character behind it with it.
-    return text.translate(_TAG).rstrip("\\")
+    # A backslash at the end would take the character behind it with it; without it the point would be another tag's.
+    return text.translate(_TAG) + ("\N{REPLACEMENT CHARACTER}" if text.endswith("\\") else "")
 
 
 def _field(value: Any) -> str | None:

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from math import inf, isfinite
+from ssl import SSLError
 from threading import Event
 from time import monotonic
 from typing import Any
@@ -28,7 +29,9 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
+from drivers.settings import is_in_names
 from drivers.tag import Quality, Tag
+from gateway.key_pair import load_pair
 from gateway.northbound.sink import Acknowledge, OutgoingRow, Present, Sink, SinkContext, SinkUnreachable, Tags
 from gateway.northbound.sparkplug import (
     BOOLEAN,
@@ -47,7 +50,7 @@ from gateway.northbound.sparkplug import (
 from gateway.settings import MqttRow, NorthboundSecrets
 from gateway.store import FollowedRow
 from gateway.timed_socket import TimedSocket, connect, seconds_left
-from gateway.timed_tls import make_tls
+from gateway.timed_tls import make_tls, reason_of
 
 OPEN_SECONDS, ANSWER_SECONDS = 15.0, 10.0
 """How long it may take in all until the broker has let in and subscribed what is heard, and how long an answer may."""
@@ -151,8 +154,8 @@ class BrokerConnection:
         try:
             if row.tls:
                 context = make_tls(row.ca)
-                if row.certificate is not None:
-                    context.load_cert_chain(row.certificate, row.key)
+                if row.certificate is not None and row.key is not None:
+                    load_pair(context, row.certificate, row.key)
                 client.tls_set_context(context)
             if row.user is not None:
                 client.username_pw_set(row.user, self._password)
@@ -164,7 +167,7 @@ class BrokerConnection:
             for topic in subscribed:
                 self._answer(client.subscribe(topic, qos=1), seconds_left(end))
         except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
+            reason = reason_of(error) if isinstance(error, SSLError) else getattr(error, "strerror", None) or str(error)
             raise SinkUnreachable(f"{row.host}:{row.port} cannot be reached: {reason}") from None
 
     def _on_connect(
@@ -553,8 +556,11 @@ def _signal_of(row: FollowedRow) -> str | None:
 
 
 def _level(name: str) -> str:
-    """A name as one level of a topic, whose characters for levels and wild cards no name may bring."""
-    return name.translate({ord(mark): "_" for mark in "/+#\0"})
+    """A name as one level of a topic: none of the characters for levels and wild cards, or that no name may hold.
+
+    Names of former maps come from the records.
+    """
+    return "".join(mark if mark not in "/+#" and is_in_names(mark) else "_" for mark in name)
 
 
 def _plain(value: Any) -> Any:

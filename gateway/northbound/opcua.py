@@ -45,6 +45,8 @@ LARGEST_MESSAGE = 1 << 20
 """Bytes of a request or an answer."""
 SUBSCRIPTIONS_EACH = 8
 """Subscriptions for each of the clients that there may be."""
+ACTIVATION_SECONDS = 15.0
+"""Seconds from a connection to the session that is activated on it: who does not come so far takes no place longer."""
 LONGEST_QUEUE = 1_000
 """Values that wait for one client at one monitored item."""
 MOST_WAITING = 50
@@ -213,6 +215,7 @@ class OpcUaServer:
         inner, most = server.iserver, section.most_clients
         inner.max_connections, inner.max_subscriptions = most, SUBSCRIPTIONS_EACH * most
         inner.max_pending_messages_per_connection, inner.max_monitored_item_queue_size = MOST_WAITING, LONGEST_QUEUE
+        inner.max_pending_activation_seconds = ACTIVATION_SECONDS
         inner.allow_remote_admin = False
         inner.history_manager.set_storage(HistorianHistory(self._historian, self._recorded))
         server.limits = TransportLimits(

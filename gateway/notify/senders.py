@@ -6,7 +6,6 @@ No sentence here holds a password, a token or the address of a web hook, which m
 import json
 import smtplib
 import socket
-import ssl
 from collections.abc import Callable, Mapping, Sequence
 from email.message import EmailMessage
 from email.utils import formatdate
@@ -19,7 +18,7 @@ from drivers.errors import OneLineError
 from gateway.notify.messages import AlarmMessage, identity, plain_of, subject_of, text_of
 from gateway.settings import FROM_SECRETS, NotifySecrets, NotifySection, RecipientRow, SmtpSection
 from gateway.timed_socket import answer_by, connect
-from gateway.timed_tls import TimedHttp, TimedTls, make_tls
+from gateway.timed_tls import TimedHttp, TimedTls, make_tls, reason_of
 
 DELIVERY_SECONDS = 30.0
 """Seconds for a delivery in all, from the server's name to its last word: half of what is complained of."""
@@ -82,14 +81,14 @@ def _mail(
     messages: Sequence[AlarmMessage],
     now: float,
 ) -> None:
-    mail = EmailMessage()
-    mail["From"], mail["To"], mail["Subject"] = smtp.sender, row.email, subject_of(messages)
-    mail["Date"] = formatdate(now)
-    mail["Message-ID"] = f"<{identity(messages, row.name)}@decanter.invalid>"
-    mail["Auto-Submitted"] = "auto-generated"  # RFC 3834: nobody's holiday answers it
-    mail.set_content(text_of(messages, escalated_after=row.after))
     end = monotonic() + DELIVERY_SECONDS
     try:
+        mail = EmailMessage()
+        mail["From"], mail["To"], mail["Subject"] = smtp.sender, row.email, subject_of(messages)
+        mail["Date"] = formatdate(now)
+        mail["Message-ID"] = f"<{identity(messages, row.name)}@decanter.invalid>"
+        mail["Auto-Submitted"] = "auto-generated"  # RFC 3834: nobody's holiday answers it
+        mail.set_content(text_of(messages, escalated_after=row.after))
         with _TimedSmtp(smtp.host, smtp.port, end=end, tls=trusted if smtp.security == "tls" else None) as server:
             if smtp.security == "starttls":
                 server.starttls(context=trusted)
@@ -147,6 +146,4 @@ def _reason(error: Exception, end: float) -> str:
     """What an error says without quoting what was sent or asked for; after `end` (monotonic s) it was too late."""
     if isinstance(error, TimeoutError) or monotonic() >= end:
         return "no answer in time"
-    if isinstance(error, ssl.SSLError):
-        return f"TLS: {error.reason or 'failed'}"
-    return (error.strerror if isinstance(error, OSError) else None) or type(error).__name__
+    return reason_of(error)

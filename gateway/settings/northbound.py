@@ -9,7 +9,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from drivers.settings import ConfigError, Line, Section
 from gateway.settings.links import FilePath
-from gateway.settings.secrets import read_secrets
+from gateway.settings.secrets import read_secrets, token_problems
 
 _Table = Literal["samples", "predictions", "forecasts", "events", "alarms"]
 TABLES: tuple[_Table, ...] = ("samples", "predictions", "forecasts", "events", "alarms")
@@ -105,7 +105,13 @@ class InfluxRow(_SinkRow):
             port = parts.port
         except ValueError:
             raise ValueError(f"the port of {url[:60]!r} is none; {wrong}") from None
-        if parts.scheme not in ("http", "https") or not parts.hostname or port == 0 or not url.isascii():
+        if (
+            parts.scheme not in ("http", "https")
+            or not parts.hostname
+            or port == 0
+            or not url.isascii()
+            or not _is_plain(url)
+        ):
             raise ValueError(f"{url[:60]!r} is no address of a server; {wrong}")
         if parts.username or parts.password or parts.path.strip("/") or parts.query:
             raise ValueError(f"the address is the server's alone, without log-in and path; {wrong}")
@@ -215,7 +221,8 @@ def load_northbound_secrets(section: NorthboundSection) -> NorthboundSecrets:
         return NorthboundSecrets()
     found = read_secrets(NorthboundSecrets, path, page="docs/northbound.md")
     known = {row.name for row in section.sinks}
-    problems = [
+    problems = token_problems(path, found.tokens)
+    problems += [
         f"{path}: {table}: there is no sink {name!r}; known are {', '.join(sorted(known)) or 'none'}"
         for table, names in (("passwords", found.passwords), ("tokens", found.tokens))
         for name in names
@@ -229,6 +236,10 @@ def load_northbound_secrets(section: NorthboundSection) -> NorthboundSecrets:
     if problems:
         raise ConfigError(problems)
     return found
+
+
+def _is_plain(url: str) -> bool:
+    return url.isprintable() and " " not in url
 
 
 def is_loopback(host: str) -> bool:

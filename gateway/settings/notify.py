@@ -1,5 +1,6 @@
 """`[notify]`: who is told of alarms, by mail or web hook, after which time and of which urgency."""
 
+import re
 from collections.abc import Mapping
 from ipaddress import ip_address
 from typing import Annotated, Literal
@@ -10,8 +11,10 @@ from pydantic import Field, field_validator, model_validator
 from drivers.settings import ConfigError, Line, Section
 from gateway.settings.alarm_kinds import LEAST_URGENT, Priority
 from gateway.settings.links import FilePath
-from gateway.settings.secrets import read_secrets
+from gateway.settings.secrets import read_secrets, token_problems
 
+_ADDRESS = re.compile(r"[\w.!#$%&'*+/=^`{|}~-]{1,64}@(?:[\w-][\w.-]{0,250}|\[[0-9A-Fa-f.:]{2,40}\])")
+"""A mail address: an atom with dots at a name, or at an address in brackets."""
 LONGEST_ESCALATION = 1440.0
 FROM_SECRETS = "secret"
 """The `webhook` of a recipient whose address is in the file of secrets."""
@@ -117,7 +120,7 @@ def load_secrets(section: NotifySection) -> NotifySecrets:
     if path is None:
         return NotifySecrets()
     found = read_secrets(NotifySecrets, path, page="docs/alarms.md")
-    problems = []
+    problems = token_problems(path, found.tokens)
     if section.smtp is not None and section.smtp.user is not None and not found.smtp_password:
         problems.append(f"{path}: smtp_password: is missing; add the password of {section.smtp.user!r}")
     for row in section.to:
@@ -143,7 +146,8 @@ def _is_loopback(host: str) -> bool:
 
 def _mail_address(address: str) -> str:
     local, _, domain = address.rpartition("@")
-    if not local or not domain or any(character in address for character in ' ,;<>"'):
+    # Without comments, groups, quotes and escapes (RFC 5322, 3.4): what a header says is where the mail goes, then.
+    if not _ADDRESS.fullmatch(address) or ".." in address or "." in (local[0], local[-1], domain[0]):
         raise ValueError(f"{address[:60]!r} is no mail address; give one such as 'shift@example.com'")
     return address
 

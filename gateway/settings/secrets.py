@@ -1,6 +1,7 @@
 """Files of secrets: TOML beside the plant file, readable by their owner alone, since plant files are mailed around."""
 
 import stat
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
 
@@ -28,3 +29,13 @@ def read_secrets(model: type[Secrets], path: Path, *, page: str) -> Secrets:
         # A sentence quotes the value that is wrong: of a secret only the place is said.
         places = [problem.partition(", got ")[0].partition(" (at line")[0] for problem in error.problems]
         raise ConfigError([f"{place}; see {page} for what it may hold" for place in places]) from None
+
+
+def token_problems(path: Path, tokens: Mapping[str, str]) -> list[str]:
+    """A sentence for each token that no header of HTTP holds: what refuses it later would quote it."""
+    # A line end at its end is soon made in TOML.
+    return [
+        f"{path}: tokens: that of {name!r} has a line end, a space at an end or what is no ASCII; take it away"
+        for name, token in tokens.items()
+        if not (token.isascii() and token.isprintable()) or token != token.strip()
+    ]

@@ -15,12 +15,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from drivers.settings import ConfigError
+from gateway.key_pair import load_pair
 from gateway.listener import SharingListener
 from gateway.settings import Config
 from gateway.status import GatewayStatus
@@ -41,8 +42,20 @@ IDLE_S = 15.0
 """A client that has sent no whole request for so long, or takes nothing of its answer, is let go."""
 LONGEST_HEAD = 16 * 1024
 BACKLOG = 64
+CERTIFICATE_LOOK_S = 10.0
+"""Seconds between two looks at whether the page's certificate has been replaced."""
 REFRESH_S, LEAST_S = 1.0, 0.1
 """Pictures are taken after scans, at most each tenth of a second, and once a second without any: ages grow."""
+
+
+class PageLoop(asyncio.SelectorEventLoop):
+    """The page's loop: who does not finish the handshake of TLS in IDLE_S is let go too, not after a minute."""
+
+    async def create_server(self, *given: Any, **keys: Any) -> Any:
+        """As a loop's."""
+        timed = {"ssl_handshake_timeout": IDLE_S} if keys.get("ssl") is not None else {}
+        make: Any = super().create_server
+        return await make(*given, **keys, **timed)
 
 
 class BoundedProtocol(H11Protocol):
@@ -103,16 +116,29 @@ def _tls(folder: Path, config: Config) -> ssl.SSLContext:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
-        context.load_cert_chain(folder / "server.pem", folder / "server.key")
-    except (OSError, ssl.SSLError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
+        load_pair(context, *_pair(folder))
+    except OSError as error:
         raise ConfigError(
             [
-                f"{config.path}: page.certificates: server.pem and server.key in {folder} cannot be used "
-                f"({reason.lower()}); make them with `decanter certificates FOLDER --host NAME`"
+                f"{config.path}: page.certificates: server.pem and server.key in {folder} cannot be used ({error}); "
+                "`decanter certificates FOLDER --host NAME` makes such"
             ]
         ) from None
     return context
+
+
+def _pair(folder: Path) -> tuple[Path, Path]:
+    return folder / "server.pem", folder / "server.key"
+
+
+def _stamps(folder: Path) -> list[tuple[int, int, int]]:
+    """What changes with the files of a folder; fewer where one is not there at this moment."""
+    found = list[tuple[int, int, int]]()
+    for path in _pair(folder):
+        with suppress(OSError):
+            status = path.stat()
+            found.append((status.st_ino, status.st_mtime_ns, status.st_size))
+    return found
 
 
 class PageServer:
@@ -182,8 +208,8 @@ class PageServer:
     def run(self) -> None:
         """Serve until `close`. Raises OSError, in one sentence, where the port cannot be had."""
         if not self.stop.is_set():
-            with self._listening() as listener:
-                asyncio.run(self._serve(listener))
+            with self._listening() as listener, asyncio.Runner(loop_factory=PageLoop) as runner:
+                runner.run(self._serve(listener))
 
     def _request_failed(self, path: str, error: Exception) -> None:
         self._log.error("a request to the page has failed", path=path, reason=repr(error), exc_info=error)
@@ -261,10 +287,32 @@ class PageServer:
             return
         scheme = "http" if context is None else "https"
         self._log.info("the page is served", address=f"{scheme}://{page.host}:{self.port}")
+        following = asyncio.create_task(self._follow_certificate(context))
         try:
             await server.serve(sockets=[listener])
         finally:
+            following.cancel()
             await state.reader.close()
+
+    async def _follow_certificate(self, context: ssl.SSLContext | None) -> None:
+        """Show whoever connects the certificate that is there by now; a pair that is none changes nothing."""
+        folder = self._config.page.certificates
+        if context is None or folder is None:
+            return
+        seen = _stamps(folder)
+        while True:
+            await asyncio.sleep(CERTIFICATE_LOOK_S)
+            now = _stamps(folder)
+            if now == seen:
+                continue
+            seen = now
+            try:
+                _tls(folder, self._config)  # what fails takes from a context the pair that it had
+                load_pair(context, *_pair(folder))
+            except (ConfigError, OSError) as error:
+                self._log.warning("the page keeps its former certificate", reason=str(error))
+            else:
+                self._log.info("the page has a new certificate", folder=str(folder))
 
 
 def _given(context: ssl.SSLContext, *_: object) -> ssl.SSLContext:

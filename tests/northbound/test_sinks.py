@@ -247,5 +247,5 @@ def test_lines_bear_any_name_and_any_value() -> None:
     values = {"tag": "a\\", "time": 1.5, "value": 'q"\\\n', "quality": 0, "sent": None, "unit": ""}
     row = FollowedRow(stream=stream, key=3, time=1.5, values=values, position=RowPosition(3, 1.5))
     assert line_of(row, "box") == (
-        'samples,node=box,machine=o\\ n\\,e\\=,tag=a text="q\\"\\\\ ",quality="GOOD",row=3i 1500000'
+        'samples,node=box,machine=o\\ n\\,e\\=,tag=a\\\ufffd text="q\\"\\\\ ",quality="GOOD",row=3i 1500000'
     )
