@@ -4,11 +4,13 @@ A file is that of one machine, or has a `[[machine]]` table for each of several.
 is common: a machine has it too, key for key, where its own table says nothing else.
 """
 
+import json
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
+from hashlib import sha256
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -421,6 +423,15 @@ class Config:
         return self.machine if self.several else ""
 
     @property
+    def armed_for(self) -> str:
+        """What an arming of this machine is for: the SHA-256 of all that decides what is written where, short.
+
+        Who armed, the mode, and what is common to all machines, such as the places of records, are no part of it.
+        """
+        (plain,) = _plain_configs().dump_python((self,), mode="json", include={"__all__": _WRITTEN_BY})
+        return sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:_ARMED_FOR_LETTERS]
+
+    @property
     def in_workers(self) -> bool:
         """Whether the machines run in worker processes; a file without [[machine]] tables has none to be split."""
         return self.several and self.plant.workers > 1
@@ -567,6 +578,15 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
             )
         )
     return tuple(machines)
+
+
+_ARMED_FOR_LETTERS = 16
+_WRITTEN_BY: Any = {
+    **dict.fromkeys(("device", "scan", "model", "temperatures", "alarms", "alarm", "forecast", "ensemble"), True),
+    **dict.fromkeys(("virtual_sensor", "links"), True),
+    "writeback": {"horizon", "most_per_second", "max_age"},
+}
+"""What of a configuration decides which block is written, with which content, to which device."""
 
 
 @cache
