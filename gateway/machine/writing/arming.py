@@ -25,7 +25,7 @@ from drivers.driver import Driver, Writes
 from drivers.errors import OneLineError
 from drivers.settings import ConfigError
 from gateway.machine.reading import Clock
-from gateway.machine.writing.writeback import Arming, Pace, Writer
+from gateway.machine.writing.writeback import DISARMED_SECONDS, Arming, Pace, Writer
 from gateway.settings import MAX_ARMED_MINUTES, Config, WritebackLayout
 from gateway.store import (
     ARMED,
@@ -186,6 +186,19 @@ def end_by_mode(config: Config, audit: Callable[[], Audit], now: float) -> Audit
     return row
 
 
+def newest_stamp(config: Config) -> float:
+    """When the plant file was saved that a disarming is given against: as it is now, read or not (s)."""
+    return config.path.stat().st_mtime if config.path.exists() else config.stamp
+
+
+async def keep_disarming(
+    config: Config, audit: Audit, now: float, *, by: str, reason: str, process: Mapping[str, int]
+) -> None:
+    """Put on record that a machine of mode 'off' was disarmed, against what its plant file may say later."""
+    detail = {**process, "stamp": newest_stamp(config)}
+    await audit.kept(AuditEntry(now, DISARMED, by, reason, detail).of(config.subject), DISARMED_SECONDS)
+
+
 def _standing(path: Path, now: float, subject: str) -> AuditRow | None:
     """The arming in force of a subject, confirmed or not: to take it back needs no key. Raises AuditError."""
     row = next(iter(given_words(path, subject=subject)), None)
@@ -227,17 +240,16 @@ def next_start(config: Config, path: Path, now: float, count: Uptime) -> NextSta
     # Confirmed or not, a row of the file's words uses them up.
     if section.mode == "armed" and not any(_is_of(row, words) for row in rows):
         # Times of change are compared with one another, so that no clock has a say; without one, with the row's time.
-        stamp = last.entry.detail.get("stamp") if last is not None else None
-        if (
-            last is None
-            or last.entry.kind != DISARMED
-            or config.stamp > (stamp if isinstance(stamp, int | float) else last.entry.time)
-        ):
+        # The newest disarming of all, as an arming since then is one for what ran then, and no word about this file.
+        against = next((row.entry for row in rows if row.entry.kind == DISARMED), None)
+        stamp = against.detail.get("stamp") if against is not None else None
+        if against is None or config.stamp > (stamp if isinstance(stamp, int | float) else against.time):
             arming = signed(section.armed_by, section.reason, section.minutes or 0.0, now)
             return NextStart(arming, f"{config.path} arms it for {section.minutes:g} minutes", words)
-        return NextStart(
-            None, f"{_who(last)} after {config.path} was saved; save it anew to arm again", by=last.entry.who
-        )
+        if last is not None and last.entry.kind == DISARMED:
+            return NextStart(
+                None, f"{_who(last)} after {config.path} was saved; save it anew to arm again", by=last.entry.who
+            )
     if rows and rows[0].entry.kind == ARMED and (last is None or last.entry.kind != ARMED):
         who = rows[0].entry.who
         why = f"the arming by {who} (row {rows[0].id}) is not confirmed with this gateway's key, so that it does not "

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from drivers.driver import Driver
 from drivers.supervision import Supervisor
 from gateway.machine.reading import Clock, Scan
-from gateway.machine.writing.arming import ArmingError, arm, open_writers, signed
+from gateway.machine.writing.arming import ArmingError, arm, newest_stamp, open_writers, signed
 from gateway.machine.writing.block_stage import BlockStage
 from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
 from gateway.machine.writing.writeback import Arming, disarm_together
@@ -245,7 +245,7 @@ class WritebackStage:
         self, by: str, reason: str, scan: Scan | None, alarms: Sequence[int], process: Mapping[str, int]
     ) -> bool:
         now, arming = self._clock.now(), next((writer.arming for writer in self._writers if writer.arming), None)
-        stamp = self.config.path.stat().st_mtime if self.config.path.exists() else self.config.stamp
+        stamp = newest_stamp(self.config)
         attempts = await disarm_together(
             self._writers, now, by, reason, scan=scan, alarms=alarms, audit=self.audit, stamp=stamp, process=process
         )
