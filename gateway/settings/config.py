@@ -548,6 +548,8 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     in the file are relative to the file, in overrides to the working directory. Raises ConfigError with all that is
     wrong, one sentence each: file, key, reason, what would be right.
     """
+    # Before it is read: what is saved meanwhile is later than what was read, and a disarming between them wins.
+    stamp = path.stat().st_mtime if path.is_file() else 0.0
     # Overrides come before the check, so that they are held to the same rules as the file.
     data = {key: dict(value) if isinstance(value, dict) else value for key, value in read_toml(path).items()}
     rows = data.pop("machine", None)
@@ -559,13 +561,13 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
         if isinstance(table, dict):
             table[name] = str(value.absolute()) if isinstance(value, Path) else value
     if rows is None:
-        return (_machine_config(path, data, str(path)),)
+        return (_machine_config(path, data, str(path), stamp=stamp),)
     tables = _machine_tables(rows, path)
     machines, problems = list[Config](), list[str]()
     for name, table in tables.items():
         try:
             place = f"{path}: machine {name!r}"
-            machines.append(_machine_config(path, _over_common(data, table), place, name, leads=not machines))
+            machines.append(_machine_config(path, _over_common(data, table), place, name, stamp=stamp, leads=not machines))
         except ConfigError as error:
             problems += error.problems
     problems = problems or [*_same_places(machines), *_plant_alarms(machines)]
@@ -713,7 +715,9 @@ def _keys(row: Mapping[str, Any], section: str) -> Mapping[str, Any]:
     return table if isinstance(table, dict) else {}
 
 
-def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str = "", *, leads: bool = True) -> Config:
+def _machine_config(
+    path: Path, data: Mapping[str, Any], place: str, name: str = "", *, stamp: float, leads: bool = True
+) -> Config:
     """The configuration of one machine from its whole table; `place` begins each sentence. Raises ConfigError."""
     content = checked(_PlantFile, data, place)
     home = path.parent
@@ -729,7 +733,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
     first = temperatures[0]
     config = Config(
         path=path,
-        stamp=path.stat().st_mtime,
+        stamp=stamp,
         machine=name or links[0].map.name,
         several=bool(name),
         leads=leads,
