@@ -403,7 +403,8 @@ class Audit:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
 
     def _attached(self) -> bool:
-        """Wait until there is a file to write to; False if it is to stop before."""
+        """Wait until there is a file to write to; False if it is to stop before, and a last try has failed."""
+        last = False
         while self._connection is None:
             try:
                 if self._attach is None:
@@ -414,9 +415,10 @@ class Audit:
                 self.failure, self._newest = "", None
             except AuditError as error:
                 self.failure = str(error)
+                if last:
+                    return False
                 with self._wake:
-                    if self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS):
-                        return False
+                    last = self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS)
         return True
 
     def _rely_on_file(self) -> None:
