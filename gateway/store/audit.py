@@ -373,6 +373,9 @@ class Audit:
                 if taken := isinstance(error, _TakenAwayError):
                     self.failure = self.note = str(error)
                     self._let_go()
+                elif self._attach is not None and _is_read_only(error):
+                    # Opened while the disk took nothing, it stays so when the disk does: it is opened anew.
+                    self._let_go()
                 with self._wake:
                     self._pressing = False
                     if not claimed:  # the lock did not come: who waits learns it now, and what can wait does
@@ -485,6 +488,10 @@ class Audit:
             if one.ticket is None:
                 self._waiting.appendleft(one)
                 self._backlog[one.subject] += 1
+
+
+def _is_read_only(error: sqlite3.Error) -> bool:
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_READONLY
 
 
 def _lost(subject: str | None, rows: int, now: float) -> AuditEntry:

@@ -320,11 +320,11 @@ async def test_a_disarming_that_the_disk_takes_late_wins_over_the_machine_that_i
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It has been replied to after DISARMED_SECONDS, and its row waits; the same configuration is begun anew."""
-    write, slow = Audit._committed, threading.Event()
+    write, slow, again = Audit._committed, threading.Event(), threading.Event()
 
     def late(audit: Audit, claim: Any) -> Any:
         if slow.is_set():
-            raise sqlite3.OperationalError("the disk is slow")
+            again.wait(60.0)
         return write(audit, claim)
 
     monkeypatch.setattr(Audit, "_committed", late)
@@ -335,7 +335,7 @@ async def test_a_disarming_that_the_disk_takes_late_wins_over_the_machine_that_i
         slow.set()
         await here.disarm()
         assert here.plc.disarmed
-        asyncio.get_running_loop().call_later(0.3, slow.clear)
+        asyncio.get_running_loop().call_later(0.3, again.set)
         config = here.fleet.machines["decanter"].config
         await here.fleet.take_over(["decanter"], {"decanter": config}, {})
         reads = here.plc.reads
