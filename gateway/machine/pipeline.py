@@ -444,7 +444,9 @@ class Machine:
         except (AuditError, OSError) as error:
             self.log.error("a disarming could not be kept; a file of mode 'armed' may arm", reason=str(error))
             return
-        await asyncio.shield(keep_disarming(self.config, audit, self.clock.now(), by=by, reason=reason, process=process))
+        await asyncio.shield(
+            keep_disarming(self.config, audit, self.clock.now(), by=by, reason=reason, process=process)
+        )
 
     async def withdraw(self, why: str) -> None:
         """Tell the PLC once, if armed and permitted, that nothing of ours is to be used any more."""

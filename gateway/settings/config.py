@@ -567,7 +567,9 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     for name, table in tables.items():
         try:
             place = f"{path}: machine {name!r}"
-            machines.append(_machine_config(path, _over_common(data, table), place, name, stamp=stamp, leads=not machines))
+            machines.append(
+                _machine_config(path, _over_common(data, table), place, name, stamp=stamp, leads=not machines)
+            )
         except ConfigError as error:
             problems += error.problems
     problems = problems or [*_same_places(machines), *_plant_alarms(machines)]

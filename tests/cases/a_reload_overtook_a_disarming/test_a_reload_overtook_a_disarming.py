@@ -271,7 +271,6 @@ async def test_whatever_happens_beside_it_each_block_is_of_the_newest_word(
                     reads = here.plc.reads
                     await until(lambda reads=reads: here.plc.reads > reads + 3)  # type: ignore[misc]
             await asyncio.gather(*going)
-    print(seed, here.said, here.plc.usable, here.plc.others, Counter(here.plc.wrong))
     assert not here.plc.wrong, (Counter(here.plc.wrong), here.said)
     assert here.said["disarm ok"] and here.said["arm ok"] and here.said["reload ok"]
 
