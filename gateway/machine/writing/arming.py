@@ -94,7 +94,7 @@ def entry_of(arming: Arming, now: float, via: str, speed: float = 1.0, **more: A
     return AuditEntry(now, ARMED, arming.by, arming.reason, {**detail, **more})
 
 
-def _words_for(configuration: str) -> dict[str, str]:
+def _words_for(configuration: str) -> dict[str, Any]:
     """What the row of an arming says of the configuration that it is for ("": nothing, as rows of before)."""
     return {_FOR: configuration} if configuration else {}
 
@@ -356,7 +356,7 @@ def open_writers(
         return writers
     # First on record, then armed: what cannot be accounted for is not written.
     historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
-    words = {} if start.file is None else {"file": start.file}
+    words: dict[str, Any] = {} if start.file is None else {"file": start.file}
     words |= _words_for(config.armed_for)
     entry = entry_of(arming, now, "gateway began", clock.speed, **words).of(config.subject)
     undo = cancelling(entry, "the records could not be stored when the gateway began")

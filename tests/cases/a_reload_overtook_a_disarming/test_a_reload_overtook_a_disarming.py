@@ -38,7 +38,7 @@ from tests.gateway.support import EPOCH, MAP, JumpClock, at_rest, config_in, two
 from tests.gateway.test_pickup import other, stocked
 from tests.rig.memory import folder_in_memory
 
-DEEDS, SEEDS = 60, 8
+DEEDS, SEEDS = 50, 4
 MODELS = {int(model_hash(model)[-4:], 16) for model in (two_modes(), other())}
 FILES = {
     "a": '[alarms]\nlimit = 80.0\n[writeback]\nmode = "shadow"\n',
