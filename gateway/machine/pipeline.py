@@ -45,7 +45,7 @@ from gateway.machine.plant_records import PlantRecords
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
 from gateway.machine.trust import ClockCheck, RecordsWatch, Surroundings
-from gateway.machine.writing import Arming, ArmingError, WritebackStage, end_by_mode
+from gateway.machine.writing import Arming, ArmingError, WritebackStage, end_by_mode, keep_disarming
 from gateway.settings import Config, WritebackLayout
 from gateway.status import Phase
 from gateway.store import FIXED, NO_PROCESS, AuditError, HistorianError, saved_state, to_trace
@@ -428,11 +428,25 @@ class Machine:
         )
 
     async def disarm(self, by: str, reason: str, *, process: Mapping[str, int] = NO_PROCESS) -> bool:
-        """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed."""
+        """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed.
+
+        It is on record also where nothing can be armed now: against a file of mode "armed" that is taken over later.
+        """
         if self.writing is None:
+            await self._note_disarming(by, reason, process)
             return False
         # Whoever asked may go away, or the gateway stop, before it is done: it is carried to its end all the same.
         return await asyncio.shield(self.writing.disarm(by, reason, self.last, self.alarm_words, process=process))
+
+    async def _note_disarming(self, by: str, reason: str, process: Mapping[str, int]) -> None:
+        try:
+            audit = self.common.open_trail(self.config).audit
+        except (AuditError, OSError) as error:
+            self.log.error("a disarming could not be kept; a file of mode 'armed' may arm", reason=str(error))
+            return
+        await asyncio.shield(
+            keep_disarming(self.config, audit, self.clock.now(), by=by, reason=reason, process=process)
+        )
 
     async def withdraw(self, why: str) -> None:
         """Tell the PLC once, if armed and permitted, that nothing of ours is to be used any more."""

@@ -384,10 +384,11 @@ def plain(sample: Sample) -> dict[str, Any]:
 async def _arm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """Let blocks be written from the next scan on: `by`, `reason`, `minutes`."""
     given = _checked(_Arm, request)
+    machine = scope.one(given)
+    if machine.config.machine in scope.changing:
+        raise ControlError(f"machine {machine.config.machine!r} is being taken over; ask again in a moment")
     try:
-        arming = await scope.one(given).arm(
-            given.by, given.reason, given.minutes, given.acknowledge, process=given.process
-        )
+        arming = await machine.arm(given.by, given.reason, given.minutes, given.acknowledge, process=given.process)
     except ArmingError as error:
         raise ControlError(str(error)) from None
     return {"pid": os.getpid(), "by": arming.by, "reason": arming.reason, "until": arming.until}

@@ -296,6 +296,9 @@ class Fleet:
             machine.supervisor.exclude("device")
             del self.machines[name]
             self.images.pop(machine.config.serve.unit, None)
+            if machine.writing is not None:
+                # Nobody finds it any more. What was said to it is said of the machine that is begun in its place, too.
+                await machine.writing.settled()
 
     async def _begin(self, config: Config, models: Sequence[LoadedModels] | None, *, patient: bool = False) -> None:
         """Begin a machine while others run, with its models or those that it names; `patient`: as at a start.

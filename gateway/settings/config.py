@@ -4,11 +4,13 @@ A file is that of one machine, or has a `[[machine]]` table for each of several.
 is common: a machine has it too, key for key, where its own table says nothing else.
 """
 
+import json
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
+from hashlib import sha256
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -421,6 +423,15 @@ class Config:
         return self.machine if self.several else ""
 
     @property
+    def armed_for(self) -> str:
+        """What an arming of this machine is for: the SHA-256 of all that decides what is written where, short.
+
+        Who armed, the mode, and what is common to all machines, such as the places of records, are no part of it.
+        """
+        (plain,) = _plain_configs().dump_python((self,), mode="json", include={"__all__": _WRITTEN_BY})
+        return sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:_ARMED_FOR_LETTERS]
+
+    @property
     def in_workers(self) -> bool:
         """Whether the machines run in worker processes; a file without [[machine]] tables has none to be split."""
         return self.several and self.plant.workers > 1
@@ -537,6 +548,8 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     in the file are relative to the file, in overrides to the working directory. Raises ConfigError with all that is
     wrong, one sentence each: file, key, reason, what would be right.
     """
+    # Before it is read: what is saved meanwhile is later than what was read, and a disarming between them wins.
+    stamp = path.stat().st_mtime if path.is_file() else 0.0
     # Overrides come before the check, so that they are held to the same rules as the file.
     data = {key: dict(value) if isinstance(value, dict) else value for key, value in read_toml(path).items()}
     rows = data.pop("machine", None)
@@ -548,13 +561,15 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
         if isinstance(table, dict):
             table[name] = str(value.absolute()) if isinstance(value, Path) else value
     if rows is None:
-        return (_machine_config(path, data, str(path)),)
+        return (_machine_config(path, data, str(path), stamp=stamp),)
     tables = _machine_tables(rows, path)
     machines, problems = list[Config](), list[str]()
     for name, table in tables.items():
         try:
             place = f"{path}: machine {name!r}"
-            machines.append(_machine_config(path, _over_common(data, table), place, name, leads=not machines))
+            machines.append(
+                _machine_config(path, _over_common(data, table), place, name, stamp=stamp, leads=not machines)
+            )
         except ConfigError as error:
             problems += error.problems
     problems = problems or [*_same_places(machines), *_plant_alarms(machines)]
@@ -567,6 +582,15 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
             )
         )
     return tuple(machines)
+
+
+_ARMED_FOR_LETTERS = 16
+_WRITTEN_BY: Any = {
+    **dict.fromkeys(("device", "scan", "model", "temperatures", "alarms", "alarm", "forecast", "ensemble"), True),
+    **dict.fromkeys(("virtual_sensor", "links"), True),
+    "writeback": {"horizon", "most_per_second", "max_age"},
+}
+"""What of a configuration decides which block is written, with which content, to which device."""
 
 
 @cache
@@ -693,7 +717,9 @@ def _keys(row: Mapping[str, Any], section: str) -> Mapping[str, Any]:
     return table if isinstance(table, dict) else {}
 
 
-def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str = "", *, leads: bool = True) -> Config:
+def _machine_config(
+    path: Path, data: Mapping[str, Any], place: str, name: str = "", *, stamp: float, leads: bool = True
+) -> Config:
     """The configuration of one machine from its whole table; `place` begins each sentence. Raises ConfigError."""
     content = checked(_PlantFile, data, place)
     home = path.parent
@@ -709,7 +735,7 @@ def _machine_config(path: Path, data: Mapping[str, Any], place: str, name: str =
     first = temperatures[0]
     config = Config(
         path=path,
-        stamp=path.stat().st_mtime,
+        stamp=stamp,
         machine=name or links[0].map.name,
         several=bool(name),
         leads=leads,

@@ -373,6 +373,9 @@ class Audit:
                 if taken := isinstance(error, _TakenAwayError):
                     self.failure = self.note = str(error)
                     self._let_go()
+                elif self._attach is not None and _is_read_only(error):
+                    # Opened while the disk took nothing, it stays so when the disk does: it is opened anew.
+                    self._let_go()
                 with self._wake:
                     self._pressing = False
                     if not claimed:  # the lock did not come: who waits learns it now, and what can wait does
@@ -403,7 +406,8 @@ class Audit:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
 
     def _attached(self) -> bool:
-        """Wait until there is a file to write to; False if it is to stop before."""
+        """Wait until there is a file to write to; False if it is to stop before, and a last try has failed."""
+        last = False
         while self._connection is None:
             try:
                 if self._attach is None:
@@ -414,9 +418,10 @@ class Audit:
                 self.failure, self._newest = "", None
             except AuditError as error:
                 self.failure = str(error)
+                if last:
+                    return False
                 with self._wake:
-                    if self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS):
-                        return False
+                    last = self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS)
         return True
 
     def _rely_on_file(self) -> None:
@@ -483,6 +488,10 @@ class Audit:
             if one.ticket is None:
                 self._waiting.appendleft(one)
                 self._backlog[one.subject] += 1
+
+
+def _is_read_only(error: sqlite3.Error) -> bool:
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_READONLY
 
 
 def _lost(subject: str | None, rows: int, now: float) -> AuditEntry:

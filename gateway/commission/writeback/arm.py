@@ -66,7 +66,8 @@ async def start_arming(
             clear_for_arming(places, audit.record, by=arming.by, now=now, acknowledged=acknowledged)
         finally:
             audit.close()
-        arm_in_log(audit_path, arming, now, key=places.key, subject=site.target.subject)
+        armed_for = "" if config is None else config.armed_for
+        arm_in_log(audit_path, arming, now, key=places.key, subject=site.target.subject, armed_for=armed_for)
         countersign(places, now)
     place = "the audit log" if reply is None else f"the running gateway (pid {reply['pid']})"
     until = arming.until if reply is None else float(reply["until"])

@@ -14,6 +14,7 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any
@@ -24,7 +25,7 @@ from drivers.driver import Driver, Writes
 from drivers.errors import OneLineError
 from drivers.settings import ConfigError
 from gateway.machine.reading import Clock
-from gateway.machine.writing.writeback import Arming, Pace, Writer
+from gateway.machine.writing.writeback import DISARMED_SECONDS, Arming, Pace, Writer
 from gateway.settings import MAX_ARMED_MINUTES, Config, WritebackLayout
 from gateway.store import (
     ARMED,
@@ -56,6 +57,8 @@ if TYPE_CHECKING:
 
 
 LONGEST = 200
+_FOR = "configuration"
+"""The key of an arming's detail that names the configuration that it is for (`Config.armed_for`)."""
 CONFIRMED_SECONDS = 2.0
 """The longest wait for the disk to take the row that confirms an arming in force; then nobody waits for it."""
 
@@ -91,6 +94,11 @@ def entry_of(arming: Arming, now: float, via: str, speed: float = 1.0, **more: A
     return AuditEntry(now, ARMED, arming.by, arming.reason, {**detail, **more})
 
 
+def _words_for(configuration: str) -> dict[str, Any]:
+    """What the row of an arming says of the configuration that it is for ("": nothing, as rows of before)."""
+    return {_FOR: configuration} if configuration else {}
+
+
 def arming_of(row: AuditRow) -> Arming:
     """The arming in a row of the audit log."""
     return Arming(row.entry.who, row.entry.reason, float(row.entry.detail["until"]))
@@ -101,12 +109,15 @@ def own_process() -> Mapping[str, int]:
     return {"uid": os.getuid(), "pid": os.getpid()}
 
 
-def arm_in_log(path: Path, arming: Arming, now: float, *, key: Path | None = None, subject: str = "") -> None:
+def arm_in_log(
+    path: Path, arming: Arming, now: float, *, key: Path | None = None, subject: str = "", armed_for: str = ""
+) -> None:
     """Arm a subject where no gateway runs: for the commands that write, and for a gateway that starts meanwhile.
 
-    `key` is the gateway's key file, by default the one beside the log. Raises ArmingError, AuditError, SigningKeyError.
+    `key` is the gateway's key file, by default the one beside the log; `armed_for` is the machine's configuration
+    (`Config.armed_for`, "": any). Raises ArmingError, AuditError, SigningKeyError.
     """
-    entry = entry_of(arming, now, "command", **own_process()).of(subject)
+    entry = entry_of(arming, now, "command", **own_process(), **_words_for(armed_for)).of(subject)
     late = "the disk did not take it in time"
     signing = load_or_make_key(key or key_beside(path))
     audit = open_audit(path)
@@ -175,6 +186,19 @@ def end_by_mode(config: Config, audit: Callable[[], Audit], now: float) -> Audit
     return row
 
 
+def newest_stamp(config: Config) -> float:
+    """When the plant file was saved that a disarming is given against: as it is now, read or not (s)."""
+    return config.path.stat().st_mtime if config.path.exists() else config.stamp
+
+
+async def keep_disarming(
+    config: Config, audit: Audit, now: float, *, by: str, reason: str, process: Mapping[str, int]
+) -> None:
+    """Put on record that a machine of mode 'off' was disarmed, against what its plant file may say later."""
+    detail = {**process, "stamp": newest_stamp(config)}
+    await audit.kept(AuditEntry(now, DISARMED, by, reason, detail).of(config.subject), DISARMED_SECONDS)
+
+
 def _standing(path: Path, now: float, subject: str) -> AuditRow | None:
     """The arming in force of a subject, confirmed or not: to take it back needs no key. Raises AuditError."""
     row = next(iter(given_words(path, subject=subject)), None)
@@ -216,17 +240,16 @@ def next_start(config: Config, path: Path, now: float, count: Uptime) -> NextSta
     # Confirmed or not, a row of the file's words uses them up.
     if section.mode == "armed" and not any(_is_of(row, words) for row in rows):
         # Times of change are compared with one another, so that no clock has a say; without one, with the row's time.
-        stamp = last.entry.detail.get("stamp") if last is not None else None
-        if (
-            last is None
-            or last.entry.kind != DISARMED
-            or config.stamp > (stamp if isinstance(stamp, int | float) else last.entry.time)
-        ):
+        # The newest disarming of all, as an arming since then is one for what ran then, and no word about this file.
+        against = next((row.entry for row in rows if row.entry.kind == DISARMED), None)
+        stamp = against.detail.get("stamp") if against is not None else None
+        if against is None or config.stamp > (stamp if isinstance(stamp, int | float) else against.time):
             arming = signed(section.armed_by, section.reason, section.minutes or 0.0, now)
             return NextStart(arming, f"{config.path} arms it for {section.minutes:g} minutes", words)
-        return NextStart(
-            None, f"{_who(last)} after {config.path} was saved; save it anew to arm again", by=last.entry.who
-        )
+        if last is not None and last.entry.kind == DISARMED:
+            return NextStart(
+                None, f"{_who(last)} after {config.path} was saved; save it anew to arm again", by=last.entry.who
+            )
     if rows and rows[0].entry.kind == ARMED and (last is None or last.entry.kind != ARMED):
         who = rows[0].entry.who
         why = f"the arming by {who} (row {rows[0].id}) is not confirmed with this gateway's key, so that it does not "
@@ -239,11 +262,20 @@ def next_start(config: Config, path: Path, now: float, count: Uptime) -> NextSta
         return NextStart(None, f"the arming by {last.entry.who} is over: {last.entry.reason}", by=last.entry.who)
     if why := over(path, last, now, count):
         return NextStart(None, f"the arming by {last.entry.who} is over: {why}", ended=last, by=last.entry.who)
+    if last.entry.detail.get(_FOR, config.armed_for) != config.armed_for:
+        who = last.entry.who
+        why = f"the arming by {who} is for another configuration of the machine than the one there is now"
+        return NextStart(None, f"{why}; look at it, and arm again", ended=last, by=who)
     file = last.entry.detail.get("file")
     if file is not None and not (section.mode == "armed" and _is_of(last, words)):
         return NextStart(None, f"the words of {config.path} that armed it are changed", ended=last, by=last.entry.who)
     left = Arming(last.entry.who, last.entry.reason, end_of(last, now, count))
     return NextStart(left, f"the arming by {last.entry.who} goes on", file)
+
+
+def _newest_word(path: Path, subject: str, before: float = inf) -> int:
+    """The row of the newest word about a subject that stands before row `before`; 0: none. Raises AuditError."""
+    return next((word.id for word in given_words(path, subject=subject) if word.id < before), 0)
 
 
 def _is_of(row: AuditRow, words: dict[str, Any]) -> bool:
@@ -305,6 +337,7 @@ def open_writers(
         log.error("not armed", reason=audit.failure)
         return writers
     try:
+        word = _newest_word(audit.path, config.subject)
         start = next_start(config, audit.path, now, uptime())
     except AuditError as error:  # damaged in its middle: what it takes goes on being written, and nothing is armed
         log.error("not armed", reason=str(error))
@@ -323,12 +356,24 @@ def open_writers(
         return writers
     # First on record, then armed: what cannot be accounted for is not written.
     historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
-    words = {} if start.file is None else {"file": start.file}
+    words: dict[str, Any] = {} if start.file is None else {"file": start.file}
+    words |= _words_for(config.armed_for)
     entry = entry_of(arming, now, "gateway began", clock.speed, **words).of(config.subject)
     undo = cancelling(entry, "the records could not be stored when the gateway began")
     row = audit.record(entry, undo=undo) if historian.flush() else None
     if row is None:
         log.error("not armed, as the audit record cannot be stored", reason=historian.failure or audit.failure)
+        return writers
+    try:
+        since = _newest_word(audit.path, config.subject, row.id)
+    except AuditError as error:
+        audit.put(cancelling(entry, "not armed: the audit log cannot be read"))
+        log.error("not armed", reason=str(error))
+        return writers
+    if since != word:
+        # A disarming that was given meanwhile, or that the disk had not taken when it was looked for.
+        audit.put(cancelling(entry, "not armed: something was said of it while it began"))
+        log.warning("not armed", reason="somebody armed or disarmed while it began; arm again if that is wanted")
         return writers
     for writer in writers:
         writer.arm(driver, arming)
@@ -346,8 +391,11 @@ async def arm(
     minutes: float,
     key: Ed25519PrivateKey,
     process: Mapping[str, int] = NO_PROCESS,
+    armed_for: str = "",
 ) -> Arming:
     """Arm the blocks of a gateway that runs in shadow, or sign their arming anew; `key` confirms it.
+
+    `armed_for` is the configuration that it is for (`Config.armed_for`).
 
     They share clock and audit log. Raises ArmingError.
     """
@@ -359,7 +407,8 @@ async def arm(
         raise ArmingError(f"it is being disarmed at this moment{doubt}; arm again once that is done")
     now, generations = clock.now(), [writer.generation for writer in writers]
     arming = signed(by, reason, minutes, now)
-    entry = entry_of(arming, now, "command", clock.speed, **process).of(writers[0].subject)
+    words = {**process, **_words_for(armed_for)}
+    entry = entry_of(arming, now, "command", clock.speed, **words).of(writers[0].subject)
     row = await audit.stored(entry, undo=cancelling(entry, "not armed: the disk did not take it in time"))
     if row is None:
         why = audit.failure or "the disk does not answer"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from random import Random
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 from drivers.driver import Driver
 from drivers.supervision import Supervisor
 from gateway.machine.reading import Clock, Scan
-from gateway.machine.writing.arming import ArmingError, arm, open_writers, signed
+from gateway.machine.writing.arming import ArmingError, arm, newest_stamp, open_writers, signed
 from gateway.machine.writing.block_stage import BlockStage
 from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
 from gateway.machine.writing.writeback import Arming, disarm_together
@@ -86,6 +87,8 @@ class WritebackStage:
         self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
         self._supervisor = supervisor
         self._files, self._taken = trail.audit.files, trail.audit.files.taken
+        self._asked, self._settled = 0, asyncio.Event()
+        self._settled.set()
         self._signed = clock.now()
         self._signing: asyncio.Task[None] | None = None
         self._writers = open_writers(
@@ -114,6 +117,25 @@ class WritebackStage:
     def armed(self) -> bool:
         """True while blocks are written to the PLC."""
         return any(writer.armed for writer in self._writers)
+
+    @contextmanager
+    def _being_asked(self) -> Iterator[None]:
+        """A person's word, or the gateway's own, is being carried out meanwhile."""
+        self._asked += 1
+        self._settled.clear()
+        try:
+            yield
+        finally:
+            self._asked -= 1
+            if not self._asked:
+                self._settled.set()
+
+    async def settled(self) -> None:
+        """Wait until all that was said about the arming is carried out: it is on record then, or waits to be.
+
+        Each has deadlines of its own.
+        """
+        await self._settled.wait()
 
     def rival(self, now: float) -> str:
         """The PLC's word of another writer that writes one of the blocks now; "" where there is none."""
@@ -168,6 +190,12 @@ class WritebackStage:
         if unverified:
             raise ArmingError(f"the model that runs does not verify: {unverified}")
         signed(by, reason, minutes, self._clock.now())  # what is not even signed leaves no row
+        with self._being_asked():
+            return await self._armed(by, reason, minutes, acknowledged, process)
+
+    async def _armed(
+        self, by: str, reason: str, minutes: float, acknowledged: Sequence[str], process: Mapping[str, int]
+    ) -> Arming:
         witnessing, generations = self.witnessing, [writer.generation for writer in self._writers]
         taken = self._files.taken
         key = await asyncio.to_thread(
@@ -182,7 +210,16 @@ class WritebackStage:
         if [writer.generation for writer in self._writers] != generations:
             raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
         self._taken = taken
-        arming = await arm(self._writers, self._driver, by=by, reason=reason, minutes=minutes, key=key, process=process)
+        arming = await arm(
+            self._writers,
+            self._driver,
+            by=by,
+            reason=reason,
+            minutes=minutes,
+            key=key,
+            process=process,
+            armed_for=self.config.armed_for,
+        )
         self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
         await asyncio.to_thread(witnessing.sign, self._clock.now(), witnessing.turn())
@@ -201,8 +238,14 @@ class WritebackStage:
 
         `by` is "" where the gateway disarms itself; `scan` is the newest one.
         """
+        with self._being_asked():
+            return await self._disarmed(by, reason, scan, alarms, process)
+
+    async def _disarmed(
+        self, by: str, reason: str, scan: Scan | None, alarms: Sequence[int], process: Mapping[str, int]
+    ) -> bool:
         now, arming = self._clock.now(), next((writer.arming for writer in self._writers if writer.arming), None)
-        stamp = self.config.path.stat().st_mtime if self.config.path.exists() else self.config.stamp
+        stamp = newest_stamp(self.config)
         attempts = await disarm_together(
             self._writers, now, by, reason, scan=scan, alarms=alarms, audit=self.audit, stamp=stamp, process=process
         )
