@@ -32,6 +32,7 @@ STAYS_S = 60.0
 
 _TOPIC = b"spBv1.0/decanter/gateway"
 _PUBLISH = b"\x30" + bytes([2 + len(_TOPIC) + 1 + 20]) + struct.pack(">H", len(_TOPIC)) + _TOPIC + b"\0" + b"x" * 20
+_NO_TLS, _ASKS_BYTES = b"N", 8
 _POSTGRES_IN = b"R\0\0\0\x08\0\0\0\0" + b"K\0\0\0\x0c\0\0\0\1\0\0\0\1" + b"Z\0\0\0\5I"
 SERVERS: Mapping[str, tuple[bytes, bytes]] = {
     "mqtt": (b"\x20\x03\0\0\0", _PUBLISH),
@@ -137,7 +138,11 @@ class _Peers:
             habits = list(_HABITS)
             habit = behaviour or habits[self.met[side] % len(habits)]
             self.met[side] += 1
-            with suppress(asyncio.CancelledError):  # of the end, which asyncio's streams would complain of
+            # The first is of the end, which asyncio's streams would complain of.
+            with suppress(asyncio.CancelledError, OSError):
+                # libpq asks for encryption, in 8 bytes each time, and takes nothing before the answer.
+                while side == "postgres" and habit != "silent" and len(await reader.read(FLOOD_BYTES)) == _ASKS_BYTES:
+                    writer.write(_NO_TLS)
                 await self._misbehave(habit, (reader, writer), *SERVERS[side])
 
         server = await asyncio.start_server(meet, "127.0.0.1", 0)

@@ -89,6 +89,13 @@ def test_a_mail_server_that_never_ends_its_greeting_is_given_up_at_the_deadline(
         until(lambda: peer.ended == peer.taken == 1)
 
 
+def test_what_is_no_mail_server_is_said_so() -> None:
+    """It was said to answer -1."""
+    with dribbling(b"neither code nor word\r\n", b"x") as peer:
+        error = failure_of(partial(make_senders(mail_section(peer.port), NotifySecrets())["a"], [MESSAGE], EPOCH))
+        assert isinstance(error, UndeliveredError) and str(error) == "the mail server's answer is none of SMTP's"
+
+
 @pytest.mark.usefixtures("short_deadlines")
 @pytest.mark.parametrize("security", ["tls", "starttls"])
 def test_encryption_has_no_deadline_of_its_own(security: str, tmp_path: Path) -> None:
