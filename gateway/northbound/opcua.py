@@ -137,7 +137,7 @@ class BoundedTransport:
         self._line.close()
 
 
-class BoundedProtocol(OPCUAProtocol):  # type: ignore[misc]
+class BoundedChannel(OPCUAProtocol):  # type: ignore[misc]
     """The library's protocol over such a connection."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:
@@ -147,8 +147,8 @@ class BoundedProtocol(OPCUAProtocol):  # type: ignore[misc]
 class BoundedServer(BinaryServer):  # type: ignore[misc]
     """The library's listener, whose clients have bounded connections."""
 
-    def _make_protocol(self) -> BoundedProtocol:
-        return BoundedProtocol(
+    def _make_protocol(self) -> BoundedChannel:
+        return BoundedChannel(
             iserver=self.iserver,
             policies=self._policies,
             clients=self.clients,
