@@ -179,6 +179,20 @@ def test_a_database_that_lets_in_and_never_answers_a_statement_is_given_up() -> 
         until(lambda: peer.taken and peer.ended == peer.taken)
 
 
+@pytest.mark.usefixtures("short_deadlines")
+def test_a_database_that_is_given_up_in_a_transaction_is_no_line_on_standard_error(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The library told its own log, which nobody has set up, of each rollback; the sink's sentence says it all."""
+    authenticated = b"R\0\0\0\x08\0\0\0\0" + b"K\0\0\0\x0c\0\0\0\1\0\0\0\1" + b"Z\0\0\0\5I"
+    with dribbling(b"", b"N\0\0\0\x0cSNOTICE\0\0", answers=(b"N", authenticated)) as peer:
+        sink = postgres.PostgresSink(postgres_row(peer), None)
+        error = failure_of(lambda: sink.open({}))
+        assert isinstance(error, SinkUnreachable) and "no answer in time" in str(error)
+        assert [record for record in caplog.records if record.name.startswith("psycopg")] == []
+        sink.close()
+
+
 def test_a_statement_ends_at_the_deadline_whatever_comes_meanwhile() -> None:
     """By psycopg's own machinery: what waits for the connection is resumed, and gives up."""
     connection = postgres.TimedConnection.__new__(postgres.TimedConnection)
