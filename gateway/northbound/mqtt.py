@@ -14,7 +14,7 @@ from itertools import groupby
 from math import inf, isfinite
 from ssl import SSLError
 from threading import Event
-from time import monotonic
+from time import monotonic, sleep
 from typing import Any
 
 from paho.mqtt.client import (
@@ -71,6 +71,13 @@ MOST_RECEIVED = 100
 MOST_UNSENT = 1_000
 """Packets that paho holds for a broker that does not take them, and half of an exchange of QoS 2 from one that never
 ends it: nobody may subscribe by that here."""
+MOST_AT_ONCE = 5_000
+"""Packets from the broker that are taken as fast as they come, beside those that answer the gateway's own."""
+UNASKED_SECONDS = 0.001
+"""How long is waited before each that comes beyond them: so a broker that floods waits at its own end of the line, and
+does not take the interpreter from the scans."""
+ANSWERS_EACH = 2
+"""Packets of the broker's that one of the gateway's may call for: QoS 2 has as many."""
 BIRTH_SECONDS = 5.0
 """From a birth that was commanded to the next such birth at least."""
 ACKNOWLEDGE = "Alarm Control/Acknowledge"
@@ -92,6 +99,18 @@ class _BoundedClient(Client):
     """
 
     end = inf
+    _spare = MOST_AT_ONCE
+
+    def _packet_queue(self, *given: Any, **keys: Any) -> MQTTErrorCode:
+        self._spare = min(self._spare + ANSWERS_EACH, MOST_AT_ONCE)
+        return super()._packet_queue(*given, **keys)
+
+    def _packet_handle(self) -> MQTTErrorCode:
+        if self._spare:
+            self._spare -= 1
+        else:
+            sleep(UNASKED_SECONDS)
+        return super()._packet_handle()
 
     def _create_socket_connection(self) -> TimedSocket:
         return connect(self._host, self._port, self.end)

@@ -26,6 +26,7 @@ from asyncua.crypto.security_policies import (
     SecurityPolicyNone,
 )
 from asyncua.crypto.validator import CertificateValidator
+from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
 from asyncua.server.internal_server import InternalServer
 from cryptography import x509
 
@@ -51,6 +52,8 @@ LONGEST_QUEUE = 1_000
 """Values that wait for one client at one monitored item."""
 MOST_WAITING = 50
 """Requests of one client that wait."""
+MOST_UNSENT = 4 * LARGEST_MESSAGE
+"""Bytes that wait for a client to take them; one that asks and reads nothing is left then."""
 CHANNEL_BYTES = 65_535
 _CHANGING = {ua.ObjectIds.WriteRequest_Encoding_DefaultBinary, ua.ObjectIds.CallRequest_Encoding_DefaultBinary}
 _READING = {ua.NodeId(one) for one in USER_TYPES if one not in _CHANGING}
@@ -112,12 +115,68 @@ class NoTakeover(InternalServer):  # type: ignore[misc]
         return
 
 
+class BoundedTransport:
+    """A client's connection as the library writes to it, which never looks whether anybody takes what it writes."""
+
+    def __init__(self, line: asyncio.Transport) -> None:
+        self._line = line
+
+    def get_extra_info(self, name: str) -> Any:
+        """The connection's own."""
+        return self._line.get_extra_info(name)
+
+    def write(self, data: bytes) -> None:
+        """Send, or leave the client; what is said to one that has gone is dropped without a word."""
+        if self._line.is_closing():
+            return
+        if self._line.get_write_buffer_size() > MOST_UNSENT:
+            self._line.abort()
+            return
+        self._line.write(data)
+
+    def close(self) -> None:
+        """Let the client go."""
+        self._line.close()
+
+
+class BoundedChannel(OPCUAProtocol):  # type: ignore[misc]
+    """The library's protocol over such a connection."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:
+        super().connection_made(BoundedTransport(transport))
+
+
+class BoundedServer(BinaryServer):  # type: ignore[misc]
+    """The library's listener, whose clients have bounded connections."""
+
+    def _make_protocol(self) -> BoundedChannel:
+        return BoundedChannel(
+            iserver=self.iserver,
+            policies=self._policies,
+            clients=self.clients,
+            closing_tasks=self.closing_tasks,
+            limits=self.limits,
+        )
+
+
 class GatewayServer(Server):  # type: ignore[misc]
     """The library's server with the gateway's own channels: with certificates for known clients alone."""
 
     def __init__(self, certificates: Path | None) -> None:
         super().__init__(iserver=NoTakeover(user_manager=EveryoneReads()))
         self._certificates = certificates
+
+    async def start(self) -> None:
+        """Listen, as the library does, with connections that are bounded. Raises OSError."""
+        await self._setup_server_nodes()
+        await self.iserver.start()
+        try:
+            self.bserver = BoundedServer(self.iserver, *self._get_bind_socket_info(), self.limits)
+            self.bserver.set_policies(self._policies)
+            await self.bserver.start()
+        except BaseException:
+            await self.iserver.stop()
+            raise
 
     async def _setup_server_nodes(self) -> None:
         await super()._setup_server_nodes()

@@ -1,5 +1,6 @@
 """PostgreSQL as a sink: the historian's tables, each row once, however often it is sent."""
 
+import logging
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import groupby
@@ -70,6 +71,8 @@ class PostgresSink:
         self._row, self._password = row, password
         self._connection: TimedConnection | None = None
         self._inserts: dict[str, sql.Composed] = {}
+        # The library tells of each rollback that failed a log that nobody has set up; the reason is in the sentences.
+        logging.getLogger("psycopg").setLevel(logging.CRITICAL + 1)
 
     def open(self, present: Present) -> None:
         """Connect, and make the tables that are not there."""

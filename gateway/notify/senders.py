@@ -112,7 +112,9 @@ def _mail(
 
 
 def _refusal(code: int, sentence: str) -> Exception:
-    """SMTP's 5xx are for good, its 4xx for now (RFC 5321, 4.2.1)."""
+    """SMTP's 5xx are for good, its 4xx for now (RFC 5321, 4.2.1); smtplib has -1 for what is no code."""
+    if code < 0:
+        return UndeliveredError("the mail server's answer is none of SMTP's")
     return RefusedError(sentence) if code >= 500 else UndeliveredError(sentence)
 
 

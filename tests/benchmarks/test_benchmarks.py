@@ -145,6 +145,15 @@ def test_hours_of_the_plants_go_by_in_minutes_with_blocks_that_the_plcs_take() -
     assert figures["so many of them"]["value"] > 0 and figures["so many of them"]["other"] > 0
 
 
+def test_hostile_peers_are_set_beside_a_gateway_that_has_none() -> None:
+    figures = {one["name"]: one for one in said("hostile_northbound", "--quick")["figures"]}
+    assert figures["wrong values that were good"]["value"] == 0
+    assert figures["threads at the end"]["value"] > figures["threads at the end, without peers"]["value"] > 0
+    assert {
+        f"connections, {side}" for side in ("mqtt", "postgres", "smtp", "page", "opcua", "control")
+    } < figures.keys()
+
+
 def test_peers_sets_the_gateway_against_the_loop_in_c_on_the_same_plcs() -> None:
     options = ("--count", "2", "--seconds", "1", "--only", "plant+blocks", "--only", "C loop")
     figures = by_name(said("peers.__main__", *options)["figures"])

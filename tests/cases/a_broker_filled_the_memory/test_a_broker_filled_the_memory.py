@@ -9,11 +9,12 @@ import struct
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 
 import pytest
 
-from gateway.northbound import SinkUnreachable
-from gateway.northbound.mqtt import MOST_PACKET_BYTES, MOST_RECEIVED, MOST_UNSENT, BrokerConnection
+from gateway.northbound import SinkUnreachable, mqtt
+from gateway.northbound.mqtt import MOST_PACKET_BYTES, MOST_RECEIVED, MOST_UNSENT, UNASKED_SECONDS, BrokerConnection
 from gateway.settings import MqttRow
 from tests.rig.servers import until
 
@@ -139,6 +140,46 @@ def test_a_broker_that_begins_exchanges_and_ends_none_is_left(version: str) -> N
 
     with connected(version, begin) as (peer, connection), pytest.raises(SinkUnreachable):
         receive(connection, lambda: peer.done.is_set() and False)
+
+
+def test_a_flood_is_read_no_faster_than_leaves_time_to_the_scans(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that sent as fast as it could kept half a processor, and so the interpreter, busy with what was left out."""
+    pauses = list[float]()
+    monkeypatch.setattr(mqtt, "MOST_AT_ONCE", 50, raising=False)
+    monkeypatch.setattr(mqtt, "sleep", pauses.append, raising=False)
+    monkeypatch.setattr(mqtt._BoundedClient, "_spare", 50, raising=False)
+
+    def flood(peer: Peer) -> None:
+        for number in range(200):
+            if number % 2:
+                peer.send(b"\xd0\0")  # an answer to a ping that was never sent
+            else:
+                peer.publish(TOPIC.encode(), b"alarm")
+
+    with connected("5", flood) as (peer, connection):
+        receive(connection, lambda: peer.done.is_set() and len(pauses) >= 100)
+        assert set(pauses) == {UNASKED_SECONDS} and len(pauses) <= 200
+
+
+@both
+def test_what_the_broker_answers_is_read_at_once(version: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses = list[float]()
+    monkeypatch.setattr(mqtt, "MOST_AT_ONCE", 5)
+    monkeypatch.setattr(mqtt, "sleep", pauses.append)
+    monkeypatch.setattr(mqtt._BoundedClient, "_spare", 5)
+
+    def acknowledge(peer: Peer) -> None:
+        for number in range(2, 102):
+            head = peer.line.recv(1)
+            peer.line.recv(peer.line.recv(1)[0])
+            assert head == b"\x32"
+            peer.send(b"\x40\x02" + struct.pack(">H", number))
+
+    with connected(version, acknowledge) as (_, connection):
+        for _number in range(100):
+            sent = connection.publish("x", b"row", qos=1)
+            connection.until(partial(connection.is_answered, sent), 60.0)
+    assert pauses == []
 
 
 def test_a_broker_that_takes_no_answers_is_left() -> None:

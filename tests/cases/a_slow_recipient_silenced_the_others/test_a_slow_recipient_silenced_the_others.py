@@ -89,6 +89,13 @@ def test_a_mail_server_that_never_ends_its_greeting_is_given_up_at_the_deadline(
         until(lambda: peer.ended == peer.taken == 1)
 
 
+def test_what_is_no_mail_server_is_said_so() -> None:
+    """It was said to answer -1."""
+    with dribbling(b"neither code nor word\r\n", b"x") as peer:
+        error = failure_of(partial(make_senders(mail_section(peer.port), NotifySecrets())["a"], [MESSAGE], EPOCH))
+        assert isinstance(error, UndeliveredError) and str(error) == "the mail server's answer is none of SMTP's"
+
+
 @pytest.mark.usefixtures("short_deadlines")
 @pytest.mark.parametrize("security", ["tls", "starttls"])
 def test_encryption_has_no_deadline_of_its_own(security: str, tmp_path: Path) -> None:
@@ -170,6 +177,20 @@ def test_a_database_that_lets_in_and_never_answers_a_statement_is_given_up() -> 
         assert isinstance(error, SinkUnreachable)
         sink.close()
         until(lambda: peer.taken and peer.ended == peer.taken)
+
+
+@pytest.mark.usefixtures("short_deadlines")
+def test_a_database_that_is_given_up_in_a_transaction_is_no_line_on_standard_error(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The library told its own log, which nobody has set up, of each rollback; the sink's sentence says it all."""
+    authenticated = b"R\0\0\0\x08\0\0\0\0" + b"K\0\0\0\x0c\0\0\0\1\0\0\0\1" + b"Z\0\0\0\5I"
+    with dribbling(b"", b"N\0\0\0\x0cSNOTICE\0\0", answers=(b"N", authenticated)) as peer:
+        sink = postgres.PostgresSink(postgres_row(peer), None)
+        error = failure_of(lambda: sink.open({}))
+        assert isinstance(error, SinkUnreachable) and "no answer in time" in str(error)
+        assert [record for record in caplog.records if record.name.startswith("psycopg")] == []
+        sink.close()
 
 
 def test_a_statement_ends_at_the_deadline_whatever_comes_meanwhile() -> None:
