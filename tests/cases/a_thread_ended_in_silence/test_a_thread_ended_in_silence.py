@@ -154,9 +154,7 @@ async def test_nothing_lasts_in_a_driver_that_it_does_not_say(bench: Callable[[]
         await one.open()
         assert await living.strangers(one.driver.supervisor, 0.1) == []
         report = one.driver.supervisor.report()
-        assert set(report) == (
-            {"link", "watch"} if bench is can_bench else {"link", "node", "error register"}
-        )
+        assert set(report) == ({"link", "watch"} if bench is can_bench else {"link", "node", "error register"})
         assert all(part["running"] for part in report.values())
     finally:
         await anext(made, None)
