@@ -47,7 +47,7 @@ from tests.rig.pair import (
     plc_process,
     restless_trace,
 )
-from tests.rig.servers import free_port
+from tests.rig.servers import answers, free_port
 
 PERIOD_S = 0.1
 """Real seconds between two scans."""
@@ -271,10 +271,7 @@ def _until_served(own: Mapping[str, Any]) -> None:
     """Return once every side is listened at: OPC UA's address space takes some seconds."""
     deadline = time.monotonic() + PATIENCE_S
     for side in ("page", "metrics", "opcua", "serve"):
-        while True:
-            with suppress(OSError):
-                http.client.HTTPConnection("127.0.0.1", own[side], 1.0).connect()
-                break
+        while not answers(own[side]):
             assert time.monotonic() < deadline, f"{side} is not served"
             time.sleep(0.1)
 
