@@ -4,6 +4,8 @@ import ssl
 from pathlib import Path
 from stat import S_IMODE
 
+from drivers.errors import OneLineError
+
 
 def key_problem(key: Path) -> str | None:
     """That others may read a key, in a sentence; None if they may not. Raises OSError.
@@ -40,7 +42,7 @@ def load_pair(context: ssl.SSLContext, certificate: Path, key: Path) -> None:
         raise OSError(f"{key}: asks for a password, and nobody is there to give it; give a key without") from None
 
 
-class _EncryptedError(Exception):
+class _EncryptedError(OneLineError):
     pass
 
 

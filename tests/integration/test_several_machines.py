@@ -142,9 +142,9 @@ def test_a_changed_file_is_taken_over_without_a_scan_lost_where_it_changes_nothi
     assert "no gateway runs" in decanter("reload", "--config", plant.file).stderr  # another socket, beside g.sqlite
     plant.file.write_text(text.replace("scan = { period = 0.1 }", "scan = { period = 0.05 }"), encoding="utf-8")
     changes = {"south": ["scan.period: 0.1 -> 0.05"]}
-    assert plant.told("reload", "--dry-run") == {"ok": True, "changes": changes, "applied": False}
+    assert plant.told("reload", "--dry-run") == {"ok": True, "changes": changes, "applied": False, "next_start": []}
     before = plant.status("north")
-    assert plant.told("reload") == {"ok": True, "changes": changes, "applied": True}
+    assert plant.told("reload") == {"ok": True, "changes": changes, "applied": True, "next_start": []}
     plant.wait_for("south", lambda one: one["scan"] and one["scan"]["period"] == 0.05 and one["scan"]["count"] > 10)
     after = plant.status("north")
     # The same writer in the same session: it was not begun anew, and its scans went on. On a busy computer some are
