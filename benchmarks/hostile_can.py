@@ -179,7 +179,7 @@ async def sdo_readings(_link: str, rng: random.Random, tally: Tally) -> None:
         except DriverError:
             pass
         else:
-            said = any(answer == (place, at, data) for answer in node.said if (at := answer[1]) >= begin)
+            said = any((where, what) == (place, data) and at >= begin for where, at, what in node.said)
             tally.judge(f"{place} read as {data.hex()} at {loop.time():.3f}", (), good=said)
         await asyncio.sleep(rng.choice((0.0, 0.01, 0.3, 1.0)))
 

@@ -19,7 +19,7 @@ from unittest.mock import patch
 import click
 
 from benchmarks.figures import Figure, give
-from benchmarks.hostile_can import can_frames, isotp_messages, sdo_readings
+from benchmarks.hostile_can import CAN_HABITS, ISOTP_HABITS, SDO_HABITS, can_frames, isotp_messages, sdo_readings
 from benchmarks.hostile_modbus import HABITS, LATER_THAN_A_LINE_CAN_TELL, HostileDevice
 from benchmarks.hostile_tally import Tally
 from benchmarks.memory_net import MemoryLoop, MemoryTransport
@@ -99,12 +99,18 @@ def _settings(link: str, rng: random.Random) -> dict[str, Any]:
     return {"transport": "tcp", **_PLACE, **common}
 
 
+def habits_of(link: str) -> tuple[str, ...]:
+    """What peers of a link do, each drawn some time."""
+    own = {"can": CAN_HABITS, "canopen": SDO_HABITS, "iso-tp": ISOTP_HABITS}
+    is_line = link.startswith("rtu")
+    return own.get(link) or tuple(name for name in HABITS if not (is_line and name in LATER_THAN_A_LINE_CAN_TELL))
+
+
 async def modbus_readings(link: str, rng: random.Random, tally: Tally) -> None:
     """The readings of one driver, or of three on one connection, and their device."""
     loop = asyncio.get_running_loop()
     assert isinstance(loop, MemoryLoop)
-    settings, is_line = _settings(link, rng), link.startswith("rtu")
-    names = tuple(name for name in HABITS if not (is_line and name in LATER_THAN_A_LINE_CAN_TELL))
+    settings, is_line, names = _settings(link, rng), link.startswith("rtu"), habits_of(link)
     device = HostileDevice(
         rng,
         is_line=is_line,
@@ -114,7 +120,6 @@ async def modbus_readings(link: str, rng: random.Random, tally: Tally) -> None:
     )
     loop.peer = device
     loop.connect_s = lambda: rng.random() * 0.01
-    loop.set_exception_handler(lambda _, context: tally.escaped(context.get("exception") or context["message"]))
     units = rng.choice(((1,), (1,), (1, 2, 3)))
     connections = Connections() if len(units) > 1 or rng.random() < 0.3 else None
     outstanding = rng.choice((1, 2, 4)) if connections is not None and not is_line else 1
@@ -180,6 +185,9 @@ def suffer(link: str, exchanges: int, seed: int) -> Tally:
             episode += 1
             before = len(tally.examples)
             with asyncio.Runner(loop_factory=MemoryLoop) as runner:
+                runner.get_loop().set_exception_handler(
+                    lambda _, context: tally.escaped(context.get("exception") or context["message"])
+                )
                 runner.run(LINKS[link](link, rng, tally))
             tally.examples[before:] = [f"{link}, episode {episode}: {line}" for line in tally.examples[before:]]
     return tally
@@ -204,7 +212,9 @@ def main(*, exchanges: int, links: tuple[str, ...], seed: int, as_json: bool) ->
             Figure(f"{link}: exceptions that escaped", tally.escapes, ""),
         ]
         for name, count in sorted(tally.habits.items()):
-            figures.append(Figure(f"{link}: {name}", count, "", "good readings of those", tally.good_by_habit[name]))
+            # Where a reading is not put down to habits, nothing is known of those.
+            beside = ("good readings of those", tally.good_by_habit[name]) if tally.good_by_habit else ()
+            figures.append(Figure(f"{link}: {name}", count, "", *beside))
         for line in tally.examples[:10]:
             click.echo(line, err=True)
     give("hostile exchanges in virtual time", figures, as_json=as_json)

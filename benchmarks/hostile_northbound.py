@@ -27,7 +27,7 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give, shares
-from benchmarks.isolation import ARMED_MINUTES, SETTLED_S, Stretch, arm, watched
+from benchmarks.isolation import ARMED_MINUTES, SAMPLE_SECONDS, SETTLED_S, Stretch, arm, plant_file, watched
 from benchmarks.northbound_peers import CLIENTS, SERVERS
 from benchmarks.processes import family_of, growth, resident_kilobytes
 from gateway.machine.alarms import AlarmState
@@ -40,18 +40,17 @@ from tests.rig.pair import (
     MAP,
     PATIENCE_S,
     ROOT,
-    TIMEOUT_S,
     Gateway,
     end,
     known_model,
     plc_process,
     restless_trace,
 )
-from tests.rig.servers import answers, free_port
+from tests.rig.servers import answers, free_port, until
 
-PERIOD_S = 0.1
-"""Real seconds between two scans."""
-SAMPLE_S = 0.5
+LINK = "tcp"
+SERVED = tuple(side for side in CLIENTS if side != "control")
+"""The sides that are called at a port."""
 LEAST_SAMPLES = 40
 """Below this no growth can be said."""
 PROPER_S = 5.0
@@ -73,8 +72,8 @@ class Observed:
 
     def look(self, minute: float, pid: int) -> None:
         """Take it down now."""
-        family = family_of(pid)
         with suppress(FileNotFoundError, ProcessLookupError):  # one of them has ended meanwhile
+            family = family_of(pid)
             sizes = [resident_kilobytes(each) / 1e3 for each in family]
             threads = [len(list(Path(f"/proc/{each}/task").iterdir())) for each in family]
             files = [len(list(Path(f"/proc/{each}/fd").iterdir())) for each in family]
@@ -110,8 +109,8 @@ def northbound_text(ports: Mapping[str, Mapping[str, int]], own: Mapping[str, An
     for number, (behaviour, port) in enumerate(ports["webhook"].items()):
         parts.append(f'[[notify.to]]\nname = "hook {behaviour}"\nwebhook = "http://127.0.0.1:{port}/x"\npriority = 4')
         parts.append(f'[[notify.to]]\nname = "mail {number}"\nemail = "m{number}@example.com"\npriority = 4')
-    for number, (behaviour, port) in enumerate(ports["mqtt"].items()):
-        payload = "sparkplug" if number % 2 == 0 or behaviour == "flood" else "json"
+    for number, port in enumerate(ports["mqtt"].values()):
+        payload = "sparkplug" if number % 2 == 0 else "json"
         parts.append(
             f'[[northbound.mqtt]]\nname = "broker-{number}"\nhost = "127.0.0.1"\nport = {port}\ntls = false\n'
             f'payload = "{payload}"\ncommands = true'
@@ -124,38 +123,6 @@ def northbound_text(ports: Mapping[str, Mapping[str, int]], own: Mapping[str, An
     for number, port in enumerate(ports["influx"].values()):
         parts.append(f'[[northbound.influx]]\nname = "trend-{number}"\nurl = "http://127.0.0.1:{port}"\ndatabase = "d"')
     return "\n".join(parts) + "\n"
-
-
-def plant_text(name: str, port: int, speed: float) -> str:
-    """A gateway for one machine, that tells nobody."""
-    period = PERIOD_S * speed
-    return f"""
-[device]
-file = {json.dumps(str(MAP))}
-timeout = {TIMEOUT_S:g}
-heartbeat_period = {5 * CYCLE_S:g}
-[scan]
-period = {period:g}
-on_change = false
-[model]
-path = "model.json"
-[writeback]
-mode = "shadow"
-[alarms]
-limit = {LIMIT:g}
-[historian]
-path = "historian.sqlite"
-max_interval = {period / 100:g}
-[forecast]
-horizons = [{30 * speed:g}]
-runs = 50
-period = {10 * period:g}
-[log]
-path = "gateway.jsonl"
-[[machine]]
-name = "{name}"
-device = {{ port = {port} }}
-"""
 
 
 class _Proper:
@@ -193,7 +160,7 @@ def measured(folder: Path, seconds: float, speed: float) -> Outcome:
         (folder / name / "model.json").write_text(model_text(known_model()), encoding="utf-8")
         rows.append(f'[[machine]]\nname = "{name}"\nport = 0\nrecord = "{name}/{name}.jsonl"\n')
     (folder / "machines.toml").write_text("".join(rows), encoding="utf-8")
-    own: dict[str, Any] = {side: free_port() for side in ("page", "metrics", "opcua", "serve")}
+    own: dict[str, Any] = {side: free_port() for side in SERVED}
     own["control"] = str(folder / HARMED / "historian.sock")
     (folder / "sides.json").write_text(json.dumps(own), encoding="utf-8")
     observed = {name: Observed() for name in names}
@@ -216,9 +183,11 @@ def measured(folder: Path, seconds: float, speed: float) -> Outcome:
         ports = json.loads(peers.stdout.readline())
         gateways = {}
         for name in names:
-            text = plant_text(name, plc.ready["machines"][name]["port"], speed)
-            file = folder / name / "plant.toml"
-            file.write_text(text + (northbound_text(ports, own) if name == HARMED else ""), encoding="utf-8")
+            device = {name: f"device = {{ port = {plc.ready['machines'][name]['port']} }}"}
+            file = plant_file(folder / name, LINK, device, 1, speed)
+            with file.open("a", encoding="utf-8") as text:
+                text.write(f"[alarms]\nlimit = {LIMIT:g}\n")
+                text.write(northbound_text(ports, own) if name == HARMED else "")
             command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(file), "--quiet"]
             status = folder / name / "status.json"
             # What it says fills no pipe that nobody reads.
@@ -230,7 +199,8 @@ def measured(folder: Path, seconds: float, speed: float) -> Outcome:
             gateways[name] = Gateway(process, status)
         for name, gateway in gateways.items():
             gateway.wait_for(lambda now, name=name: now["machines"][name]["link"]["alive"])  # type: ignore[misc]
-        _until_served(own)
+        # OPC UA's address space takes some seconds.
+        until(lambda: all(answers(own[side]) for side in SERVED), PATIENCE_S)
         peers.stdin.write("go\n")
         peers.stdin.flush()
         time.sleep(SETTLED_S)
@@ -251,29 +221,20 @@ def measured(folder: Path, seconds: float, speed: float) -> Outcome:
             for name, gateway in gateways.items():
                 assert gateway.process.poll() is None, (folder / name / "stderr.txt").read_text(encoding="utf-8")
                 observed[name].look(elapsed / 60.0, gateway.process.pid)
-            time.sleep(min(SAMPLE_S, seconds / 100.0))
+            time.sleep(min(SAMPLE_SECONDS, seconds / 100.0))
         over = plant_time()
-        peers.stdin.close()
-        met = json.loads(peers.stdout.readline())
+        last, _ = peers.communicate(timeout=PATIENCE_S)
+        met = json.loads(last)
         for name, gateway in gateways.items():
             code, _ = gateway.stop()
             assert code == 0, (folder / name / "stderr.txt").read_text(encoding="utf-8")
         plc.order("stop")
     stretches = {}
     for name in names:
-        record = watched(folder / name, name, "tcp", (begun, over), speed=speed, verdict="written")
+        record = watched(folder / name, name, LINK, (begun, over), speed=speed, verdict="written")
         stretches[name] = record.between(begun, over)
     alarms = {name: _alarms(folder / name) for name in names}
     return Outcome(stretches, observed, alarms, _reasons(folder / HARMED), met, proper.asked, proper.answered)
-
-
-def _until_served(own: Mapping[str, Any]) -> None:
-    """Return once every side is listened at: OPC UA's address space takes some seconds."""
-    deadline = time.monotonic() + PATIENCE_S
-    for side in ("page", "metrics", "opcua", "serve"):
-        while not answers(own[side]):
-            assert time.monotonic() < deadline, f"{side} is not served"
-            time.sleep(0.1)
 
 
 def _alarms(folder: Path) -> Counter[str]:
@@ -284,7 +245,7 @@ def _alarms(folder: Path) -> Counter[str]:
 
 
 def _reasons(folder: Path) -> Counter[str]:
-    """What its log says of peers, and how often, without the numbers in it."""
+    """The warnings and errors of its log, and how often each was said."""
     found: Counter[str] = Counter()
     for path in folder.glob("gateway*.jsonl*"):
         for line in path.read_text(encoding="utf-8", errors="replace").splitlines():

@@ -2,16 +2,15 @@
 
 `python -m benchmarks.run [--json] [--thorough]`: the short form of each; `--thorough` repeats more and goes to greater
 sizes. A benchmark's figures are shown as soon as it has them. What is no matter of speed has a command of its own:
-`python -m benchmarks.fault_matrix`, `benchmarks.canopen_rig` (the same over CANopen), `benchmarks.commissioning` (the
-engineer's hour), `benchmarks.discrepancy` (hidden effects), `benchmarks.engines` (pairs of engines),
-`benchmarks.resident` (memory over hours), `benchmarks.kills`, `benchmarks.record_kills` and
-`benchmarks.power_cuts` (what the records lose), `benchmarks.hostile_northbound` (peers that mean ill),
-`benchmarks.attack_matrix` (what was tried), `benchmarks.hostile_exchanges` (replies of other requests),
-`benchmarks.demo_seeds` (the demonstration's alarms),
+`python -m benchmarks.fault_matrix`, `benchmarks.canopen_rig` and `benchmarks.can_rig` (the same over CANopen and raw
+CAN), `benchmarks.broken_starts` (starts by damaged file), `benchmarks.commissioning` (the engineer's hour),
+`benchmarks.discrepancy` (hidden effects), `benchmarks.engines` (pairs of engines), `benchmarks.resident` (memory over
+hours), `benchmarks.kills`, `benchmarks.record_kills` and `benchmarks.power_cuts` (what the records lose),
+`benchmarks.hostile_northbound` (peers that mean ill), `benchmarks.attack_matrix` (what was tried),
+`benchmarks.hostile_exchanges` (replies of other requests), `benchmarks.demo_seeds` (the demonstration's alarms),
 `benchmarks.machine_rates` (what is not modelled of other machines), `benchmarks.hollow` (thresholds on other data),
 `benchmarks.first_hour` (from a wheel to a prediction), `benchmarks.installed` (the Debian package under systemd),
-`benchmarks.mistakes` (what they are answered) and
-`benchmarks.house` (the code itself).
+`benchmarks.mistakes` (what they are answered) and `benchmarks.house` (the code itself).
 """
 
 import json

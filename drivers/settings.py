@@ -23,19 +23,24 @@ MOST_CHARACTERS = 2500
 class ConfigError(ValueError):
     """The configuration cannot be used. `problems` has one sentence each: file, key, reason, what would be right.
 
-    Of more than somebody reads the first are there, and how many more there are.
+    As text it says the first of them, where there are more than somebody reads, and how many more there are.
     """
 
     def __init__(self, problems: Sequence[str]) -> None:
         # Each is one line, whatever a key in the file is called.
-        kept = list[str]()
-        for line in map(one_sentence, problems):
-            if kept and sum(map(len, kept)) + len(line) > MOST_CHARACTERS:
-                kept.append(f"and {len(problems) - len(kept)} more; mend these first")
+        self.problems = tuple(map(one_sentence, problems))
+        said = list[str]()
+        for line in self.problems:
+            if said and sum(map(len, said)) + len(line) > MOST_CHARACTERS:
+                said.append(f"and {len(self.problems) - len(said)} more; mend these first")
                 break
-            kept.append(line)
-        self.problems = tuple(kept)
-        super().__init__("\n".join(self.problems))
+            said.append(line)
+        super().__init__("\n".join(said))
+
+    @property
+    def in_one_line(self) -> str:
+        """The text, where one line is wanted."""
+        return "; ".join(str(self).split("\n"))
 
 
 class Section(BaseModel):

@@ -24,15 +24,18 @@ class SharingListener(socket.socket):
         self.listen(backlog)
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection that has a place. Raises BlockingIOError where none waits."""
-        while True:
-            connection, address = super().accept()
-            for other in self.places.holders:
-                if other.fileno() < 0:  # closed by whoever served it
-                    self.places.give_back(other)
-            if self.places.take(connection, str(address[0])):
-                return connection, address
-            connection.close()
+        """The next connection. Raises BlockingIOError where none waits, or where that one has no place.
+
+        So whoever connects without end keeps no event loop here: others have their turn before the next is looked at.
+        """
+        connection, address = super().accept()
+        for other in self.places.holders:
+            if other.fileno() < 0:  # closed by whoever served it
+                self.places.give_back(other)
+        if self.places.take(connection, str(address[0])):
+            return connection, address
+        connection.close()
+        raise BlockingIOError("there is no place for it")
 
 
 def _end(connection: socket.socket) -> None:

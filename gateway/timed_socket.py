@@ -70,7 +70,7 @@ class TimedSocket(socket.socket):
     def _count(self, received: int) -> None:
         self.room -= received
         if self.room < 0:
-            raise OSError("it sends more than any answer has")
+            raise OSError(0, "it sends more than any answer has")
 
 
 def answer_by(end: float, ask: Callable[[], T]) -> T:
@@ -111,7 +111,7 @@ def addresses_of(host: str, port: int, end: float) -> list[tuple[Any, ...]]:
 
 def connect(host: str, port: int, end: float) -> TimedSocket:
     """A TCP connection to the first address that takes it until `end` (monotonic s). Raises OSError, UnicodeError."""
-    failure = OSError(f"{host} has no address")
+    failure = OSError(0, f"{host} has no address")
     for family, kind, protocol, _, address in addresses_of(host, port, end):
         line = TimedSocket(family, kind, protocol)
         line.end = end

@@ -61,6 +61,8 @@ def reason_of(error: Exception) -> str:
         return f"TLS: {error.reason} (certificate verify failed: {error.verify_message.rstrip('.')})"
     if isinstance(error, ssl.SSLError):
         return f"TLS: {error.reason or 'failed'}" + (" (it speaks another protocol there)" * (error.reason in _NO_TLS))
+    if isinstance(error, TimeoutError):
+        return "no answer in time"
     return (error.strerror if isinstance(error, OSError) else None) or type(error).__name__
 
 

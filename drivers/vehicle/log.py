@@ -110,6 +110,9 @@ class _BoundedGzip(gzip.GzipFile):
         return data
 
 
+_NO_LENGTH = "an object without a length"
+
+
 class _CheckedBlf(can.BLFReader):
     """A BLF reader that stops at an object which would keep it in place for ever, or unpacks to more than is taken."""
 
@@ -123,18 +126,25 @@ class _CheckedBlf(can.BLFReader):
             signature, _, _, length, kind = OBJ_HEADER_BASE_STRUCT.unpack(head)
             if signature != b"LOBJ":
                 raise BLFParseError
+            if length < OBJ_HEADER_BASE_STRUCT.size:
+                raise BLFParseError(_NO_LENGTH)
             content = self.file.read(length - OBJ_HEADER_BASE_STRUCT.size)
             self.file.read(length % 4)
             if kind != LOG_CONTAINER:
                 continue
             method, _ = LOG_CONTAINER_STRUCT.unpack_from(content)
             data = content[LOG_CONTAINER_STRUCT.size :]
+            whole = True
             if method == ZLIB_DEFLATE:
-                data = zlib.decompressobj().decompress(data, self._room.left + 1)
+                unpacker = zlib.decompressobj()
+                data = unpacker.decompress(data, self._room.left + 1)
                 self._room.take(len(data))
+                whole = unpacker.eof
             elif method != NO_COMPRESSION:
-                continue
+                raise BLFParseError(f"a container is packed in a way that is not known ({method})")
             yield from self._parse_container(data)
+            if not whole:
+                raise BLFParseError("a container is cut short")
         self.stop()
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:
@@ -144,7 +154,7 @@ class _CheckedBlf(can.BLFReader):
             yield from super()._parse_container(data)
             return
         yield from super()._parse_container(data[: max(0, end - before)])
-        raise BLFParseError("an object without a length")
+        raise BLFParseError(_NO_LENGTH)
 
 
 def _stuck(data: bytes) -> int | None:

@@ -19,6 +19,7 @@ from gateway.machine.writing import own_process
 from gateway.plant import configuration_files, require_named_places, without_arming
 from gateway.settings import Config, load_plant
 from gateway.store import (
+    DAMAGED_AUDIT,
     DISARMED,
     AuditEntry,
     BackupError,
@@ -37,6 +38,7 @@ from gateway.store import (
     public_path,
     put_in_place,
     read_manifest,
+    set_aside,
     sign_head,
     signer,
     stage,
@@ -163,6 +165,9 @@ def restore(
             said = _disarm(manifest, {role: drafts[place] for role, place in roles.items()}, by or login())
             aside = put_in_place(drafts)
             placed = True
+            # Beside a damaged log that is restored none stays (`damaged_audit`): an arming in it would be in force.
+            if (copy := roles.get(DAMAGED_AUDIT)) is not None and copy.with_suffix("").exists():
+                aside.append(set_aside(copy.with_suffix(""), "replaced"))
         finally:
             if not placed:
                 discard(drafts)
@@ -173,7 +178,10 @@ def restore(
         for place in aside:
             click.echo(f"set aside: {place}")
         click.echo(said)
+        if manifest.damaged:
+            click.echo(f"THE AUDIT LOG IN IT IS DAMAGED: {manifest.damaged}")
 
+    data["damaged"] = manifest.damaged
     emit({"ok": True, **data, "said": said}, show, as_json_line=as_json)
     if roles.get("plant") is not None:
         try:

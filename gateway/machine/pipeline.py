@@ -440,7 +440,7 @@ class Machine:
 
     async def _note_disarming(self, by: str, reason: str, process: Mapping[str, int]) -> None:
         try:
-            audit = self.common.open_trail(self.config).audit
+            audit = (await asyncio.to_thread(self.common.open_trail, self.config)).audit
         except (AuditError, OSError) as error:
             self.log.error("a disarming could not be kept; a file of mode 'armed' may arm", reason=str(error))
             return

@@ -164,7 +164,9 @@ class SinkFeed:
             self._note_success()
         if self.dropped > 2 * self._told_dropped:
             self._told_dropped = self.dropped
-            self._log.warning("messages to this gateway are left out: too many at a time", count=self.dropped)
+            self._log.warning(
+                "messages to this gateway are left out: too many at a time, or not asked for", count=self.dropped
+            )
         if self._unsaved and monotonic() - self._saved_at >= SAVE_SECONDS:
             self._save()
 

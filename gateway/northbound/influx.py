@@ -5,7 +5,6 @@ A point is what it is by its measurement, tags and time: one that comes again re
 
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from http.client import HTTPException
 from itertools import pairwise
 from math import isfinite
@@ -92,10 +91,8 @@ class InfluxSink:
         self._connection.allow(ANSWER_SECONDS, MOST_ANSWER_BYTES)
         try:
             self._connection.request("POST", self._path, lines, self._headers)
-            with ExitStack() as unread:
-                response = unread.enter_context(self._connection.getresponse())
-                said = response.read(10_000).decode(errors="replace")
-                unread.pop_all()  # what is left of it belongs to no other answer
+            with self._connection.getresponse() as response:
+                said = response.read().decode(errors="replace")
         except TimeoutError:
             raise SinkUnreachable(f"{self._row.url} does not answer: no answer in time") from None
         except (OSError, HTTPException) as error:

@@ -258,7 +258,12 @@ class GatewayCollector(Collector):
             ("decanter_northbound_rows_waiting", "gauge", "Rows that wait for a sink.", lambda feed: feed.waiting),
             ("decanter_northbound_rows_lost_total", "counter", "Rows too old for a sink.", lambda feed: feed.lost),
             ("decanter_northbound_rows_refused_total", "counter", "Rows a sink refused.", lambda feed: feed.refused),
-            ("decanter_northbound_dropped_total", "counter", "Messages left out, too many.", lambda feed: feed.dropped),
+            (
+                "decanter_northbound_dropped_total",
+                "counter",
+                "Messages left out: too many at a time, or not asked for.",
+                lambda feed: feed.dropped,
+            ),
         )
         for name, kind, meaning, read in rows:
             family = _family(kind, name, meaning, ("sink",))

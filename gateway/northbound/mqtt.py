@@ -182,6 +182,7 @@ class BrokerConnection:
             line = client.socket()
             if isinstance(line, TimedSocket):
                 line.end = inf  # from here on paho waits for nothing by itself
+                line.setblocking(False)  # sending the CONNECT has left its time-out
             self.until(lambda: self._accepted, seconds_left(end))
             for topic in subscribed:
                 self._answer(client.subscribe(topic, qos=1), seconds_left(end))
@@ -300,7 +301,7 @@ class SparkplugSink:
 
     @property
     def dropped(self) -> int:
-        """The messages from the broker that were left out, since too many came at a time."""
+        """The messages from the broker that were left out: too many at a time, or not asked for."""
         return self._broker.dropped
 
     def _topic(self, kind: str, device: str = "") -> str:
@@ -495,7 +496,7 @@ class JsonSink:
 
     @property
     def dropped(self) -> int:
-        """The messages from the broker that were left out, since too many came at a time."""
+        """The messages from the broker that were left out: too many at a time, or not asked for."""
         return self._broker.dropped
 
     def open(self, present: Present) -> None:

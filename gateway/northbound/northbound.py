@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -33,8 +32,9 @@ Answer = Callable[[bytes], Awaitable[Mapping[str, Any]]]
 """Gives the reply to one request of the control socket, in the gateway's loop."""
 JOIN_SECONDS = 2.0
 LOAD_SECONDS = 60.0
-MOST_ASKED = 16
-"""Acknowledgements from sinks that wait for their answer at a time; what comes beyond is left out, and logged."""
+MOST_ASKED = 100
+"""Acknowledgements from sinks that wait for their answer at a time, as many as one message may name; what comes beyond
+is left out, and logged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class Northbound:
         section = config.northbound
         self._machines, self._answer, self._log = machines, answer, log
         self._loop = asyncio.get_running_loop()
-        self._asked: deque[Future[None]] = deque(maxlen=MOST_ASKED)
+        self._asked: list[Future[None]] = []
         context = SinkContext(tags=self._tags, now=now, acknowledge=self._acknowledge)
         self.feeds: Sequence[SinkFeed] = [
             SinkFeed(
@@ -150,7 +150,8 @@ class Northbound:
 
     def _acknowledge(self, machine: str, alarms: Sequence[str], by: str) -> None:
         """Acknowledge alarms by the words of the control socket; what comes of it is in the journal and in the log."""
-        if sum(not each.done() for each in self._asked) >= MOST_ASKED:
+        self._asked = [each for each in self._asked if not each.done()]
+        if len(self._asked) >= MOST_ASKED:
             self._log.warning("a command is left out, since too many wait", by=by, machine=machine)
             return
         line = packed({"command": "acknowledge", "machine": machine, "alarms": list(alarms), "by": by})

@@ -54,7 +54,7 @@ class Sink(Protocol):
 
     @property
     def dropped(self) -> int:
-        """The messages to this gateway that were left out, since too many came at a time."""
+        """The messages to this gateway that were left out: too many at a time, or not asked for."""
 
     def open(self, present: Present) -> None:
         """Begin a session; `present` is what stands now. Raises SinkUnreachable."""

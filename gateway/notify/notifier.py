@@ -108,7 +108,7 @@ class Notifier:
         since = self._clock() - COMPLAIN_SECONDS
         overdue = {each.recipient for each in tuple(self._waiting.values()) if each.due <= since}
         return "; ".join(
-            f"{name}: {line.reason or 'no answer yet'}"
+            f"{name}: {line.reason or 'not delivered yet'}"
             for name, line in self._lines.items()
             if name in overdue or (line.failing_since is not None and line.failing_since <= since)
         )

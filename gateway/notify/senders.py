@@ -22,6 +22,8 @@ from gateway.timed_tls import TimedHttp, TimedTls, make_tls, reason_of
 
 DELIVERY_SECONDS = 30.0
 """Seconds for a delivery in all, from the server's name to its last word: half of what is complained of."""
+NAME_SECONDS = 5.0
+"""Seconds that this computer's own name may take; without it the delivery goes on under an address."""
 MOST_ANSWER_BYTES = 1 << 20
 """Bytes of all that a server says during a delivery."""
 _TRY_AGAIN = frozenset({408, 425, 429})
@@ -59,7 +61,7 @@ class _TimedSmtp(smtplib.SMTP):
     def __init__(self, host: str, port: int, *, end: float, tls: TimedTls | None) -> None:
         self._end, self._tls = end, tls
         # smtplib would ask for this computer's name by itself, and wait for the answer as long as it takes.
-        super().__init__(host, port, local_hostname=answer_by(end, _own_name))
+        super().__init__(host, port, local_hostname=_own_name(end))
 
     def _get_socket(self, host: str, port: int, _timeout: float) -> socket.socket:
         line = connect(host, port, self._end)
@@ -67,9 +69,15 @@ class _TimedSmtp(smtplib.SMTP):
         return line if self._tls is None else self._tls.wrap_socket(line, server_hostname=host)
 
 
-def _own_name() -> str:
-    """What this computer calls itself to a mail server (RFC 5321, 4.1.4): its full name, or else an address."""
-    name = socket.getfqdn()
+def _own_name(end: float) -> str:
+    """What this computer calls itself to a mail server (RFC 5321, 4.1.4): its full name, or else an address.
+
+    A name server that does not answer costs a part of the time until `end` (monotonic s), and no delivery.
+    """
+    try:
+        name = answer_by(min(end, monotonic() + NAME_SECONDS), socket.getfqdn)
+    except (OSError, ValueError):
+        name = ""
     return name if "." in name else "[127.0.0.1]"
 
 
@@ -146,6 +154,4 @@ def _post(row: RecipientRow, address: str, token: str, messages: Sequence[AlarmM
 
 def _reason(error: Exception, end: float) -> str:
     """What an error says without quoting what was sent or asked for; after `end` (monotonic s) it was too late."""
-    if isinstance(error, TimeoutError) or monotonic() >= end:
-        return "no answer in time"
-    return reason_of(error)
+    return "no answer in time" if monotonic() >= end else reason_of(error)

@@ -16,6 +16,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from drivers.driver import Driver
+from drivers.settings import ConfigError
 from gateway.machine.reading import Clock, PlantClock, plant_clock
 from gateway.machine.writing import SIGN_SECONDS
 from gateway.plant.configurations import keep_configuration
@@ -78,7 +79,11 @@ async def run(
             file = _log_file(configs[0])
             log = opened.enter_context(open_log(file, configs[0].log.level))
         without = of_plant(configs[0])
-        secrets = None if NORTHBOUND in without else checked_northbound(configs[0])
+        secrets = None
+        try:
+            secrets = None if NORTHBOUND in without else checked_northbound(configs[0])
+        except ConfigError as error:  # its files may have changed since the look above
+            without[NORTHBOUND] = error.in_one_line
         log_failure: Callable[[], str] = (lambda: "") if file is None else file.complaint
         fleet: Fleet | WorkerPool
         watched = status_path is not None or say is not None or configs[0].page.enabled

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.driver import capabilities
+from drivers.named_files import place_of
 from gateway.settings import Config, named_files
 from gateway.store import DAMAGED_AUDIT, ROLES, BackupError, Manifest, damaged_audit, make_backup, read_manifest
 
@@ -52,7 +53,7 @@ def configuration_files(machines: Sequence[Config]) -> list[tuple[str, Path]]:
         rows.append(("device", link.map.path))
         named = [link.settings.get(key) for key in capabilities(link.map.driver).files]
         rows += [("device", Path(name)) for name in named if isinstance(name, str) and Path(name).is_file()]
-    return list({file.absolute(): (role, file) for role, file in rows}.values())
+    return list({place_of(file): (role, file) for role, file in rows}.values())
 
 
 def kept_configurations(folder: Path) -> list[KeptConfiguration]:
@@ -70,7 +71,7 @@ def keep_files(folder: Path, files: Sequence[tuple[str, Path]], *, now: float, n
     """Keep the files, unless they are as in the newest configuration; `note` is why. Raises BackupError or OSError."""
     numbered = _numbered(folder)
     newest = next(_whole(reversed(numbered)), None)
-    present = {file.absolute(): file.read_bytes() for _, file in files}
+    present = {place_of(file): file.read_bytes() for _, file in files}
     if newest is not None and newest.files == present:
         return None
     number = int(numbered[-1].name) + 1 if numbered else 1

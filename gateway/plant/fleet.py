@@ -491,7 +491,8 @@ class _Running:
 async def _paused(stop: asyncio.Event, seconds: float) -> None:
     """Wait so long (real s), or until the stop."""
     with suppress(TimeoutError):
-        await asyncio.wait_for(stop.wait(), seconds)
+        async with asyncio.timeout(seconds):
+            await stop.wait()
 
 
 def _notifier_at_start(config: Config) -> tuple[Callable[..., Notifier] | None, str]:
@@ -499,7 +500,7 @@ def _notifier_at_start(config: Config) -> tuple[Callable[..., Notifier] | None, 
     try:
         return checked_notify(config), ""
     except ConfigError as error:
-        return None, "; ".join(error.problems)
+        return None, error.in_one_line
 
 
 def next_start_sentences(shortfalls: Mapping[str, str]) -> list[str]:

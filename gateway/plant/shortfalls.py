@@ -67,7 +67,7 @@ def of_plant(config: Config) -> dict[str, str]:
         try:
             check(config)
         except ConfigError as error:
-            found[part] = "; ".join(error.problems)
+            found[part] = error.in_one_line
     return found
 
 

@@ -36,7 +36,8 @@ class WorkerLine:
         number, answer = next(self._numbers), asyncio.get_running_loop().create_future()
         self._open[number] = answer
         self._writer.write(packed_line({"ask": what, "id": number, **content}))
-        reply: Message = await asyncio.wait_for(answer, timeout)
+        async with asyncio.timeout(timeout):
+            reply: Message = await answer
         if "failed" in reply:
             raise WorkerEnded(f"the machine's process could not do it ({reply['failed']})")
         return reply

@@ -30,7 +30,7 @@ from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample
 from gateway.machine import RECORDING, PlantRecords
 from gateway.machine.reading import PlantClock, unread
-from gateway.machine.writing import ArmingError, AuditTrail, disarm_in_log
+from gateway.machine.writing import ArmingError, AuditTrail, disarm_in_log, newest_stamp
 from gateway.plant.channel import Message, plain_rows, scan_from
 from gateway.plant.control import COMMANDS, ControlScope, answer, disarm_words, meant_machine
 from gateway.plant.fleet import MENDED, next_start_sentences, raise_failures
@@ -43,7 +43,7 @@ from gateway.plant.worker_line import PlantWorker, WorkerEnded, WorkerLine
 from gateway.serving import DeviceImage
 from gateway.settings import Config, changed_machines, configs_to_json
 from gateway.status import ControlError, GatewayStatus, read_status
-from gateway.store import AuditEntry, HistorianError, Source
+from gateway.store import AuditEntry, AuditRow, HistorianError, Source
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -575,14 +575,19 @@ class WorkerPool:
         by, reason, process = disarm_words(request)
         async with worker.opening:
             config = self._configs[name]
-            if worker.is_opened or config.writeback.mode == "off":
+            if worker.is_opened:
                 raise ControlError(f"{worker.name} is beginning; ask again in a moment")
-            stamp = config.path.stat().st_mtime if config.path.exists() else config.stamp
-            log, now, subject = config.audit, self.clock.now(), config.subject
+            log, now = config.audit, self.clock.now()
+
+            def disarm() -> AuditRow | None:
+                subject, stamp = config.subject, newest_stamp(config)
+                return disarm_in_log(log, by, reason, now, stamp, subject=subject, process=process, say=say)
+
+            def say(damage: str) -> None:
+                self.log.error("the audit log is damaged", reason=damage)
+
             try:
-                row = await asyncio.to_thread(
-                    lambda: disarm_in_log(log, by, reason, now, stamp, subject=subject, process=process)
-                )
+                row = await asyncio.to_thread(disarm)
             except (ArmingError, OSError) as error:
                 raise ControlError(str(error)) from None
         return {"ok": True, "pid": os.getpid(), "was_armed": row is not None}
@@ -650,7 +655,8 @@ class WorkerPool:
 
     async def _shortfalls(self, configs: Mapping[str, Config]) -> dict[str, str]:
         """What the machines would go without if they started now, as a worker finds: models are no matter of ours."""
-        worker = next(iter(self._workers.values()))
+        workers = list(self._workers.values())
+        worker = next((one for one in workers if one.is_opened), workers[0])  # not one that is just begun anew
         reply = await worker.ask("shortfalls", configs=configs_to_json(list(configs.values())))
         found: dict[str, str] = reply["shortfalls"]
         return found

@@ -175,7 +175,7 @@ class SentAudit(Audit):
             return []
         plain = [[entry.time, entry.kind, entry.who, entry.reason, strict(entry.detail)] for entry in entries]
         reply = self._channel.ask("audit", entries=plain)
-        self.files.hear(*reply.get("files", RecordsHealth.files))
+        self.files.hear(*reply["files"])
         if reply["error"]:
             raise sqlite3.OperationalError(reply["error"])
         return [AuditRow(number, entry, digest) for entry, (number, digest) in zip(entries, reply["rows"], strict=True)]

@@ -19,6 +19,7 @@ from pydantic import Field, StringConstraints, TypeAdapter, field_validator, mod
 
 from drivers.driver import capabilities, load_function
 from drivers.errors import DriverError
+from drivers.named_files import place_of
 from drivers.settings import ConfigError, Line, Section, checked, read_toml
 from gateway.settings.alarm_kinds import OF_PLANT, AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
@@ -424,12 +425,15 @@ class Config:
 
     @property
     def armed_for(self) -> str:
-        """What an arming of this machine is for: the SHA-256 of all that decides what is written where, short.
+        """What an arming of this machine is for: the SHA-256 of all in the configuration that decides what is written
+        where, short.
 
-        Who armed, the mode, and what is common to all machines, such as the places of records, are no part of it.
+        Who armed, the mode, and what is common to all machines, such as the places of records, are no part of it; nor
+        is how the plant file was named.
         """
-        (plain,) = _plain_configs().dump_python((self,), mode="json", include={"__all__": _WRITTEN_BY})
-        return sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:_ARMED_FOR_LETTERS]
+        (plain,) = _plain_configs().dump_python((self,), exclude={"__all__": _NOT_WRITTEN_BY})
+        text = json.dumps(plain, sort_keys=True, default=_plain_text)
+        return sha256(text.encode()).hexdigest()[:_ARMED_FOR_LETTERS]
 
     @property
     def in_workers(self) -> bool:
@@ -585,12 +589,15 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
 
 
 _ARMED_FOR_LETTERS = 16
-_WRITTEN_BY: Any = {
-    **dict.fromkeys(("device", "scan", "model", "temperatures", "alarms", "alarm", "forecast", "ensemble"), True),
-    **dict.fromkeys(("virtual_sensor", "links"), True),
-    "writeback": {"horizon", "most_per_second", "max_age"},
+_NOT_WRITTEN_BY: Any = {
+    **dict.fromkeys((*COMMON, "path", "stamp", "machine", "several", "leads", "clock", "serve"), True),
+    "writeback": {"mode", "armed_by", "reason", "minutes", *COMMON_KEYS["writeback"]},
 }
-"""What of a configuration decides which block is written, with which content, to which device."""
+"""What of a configuration does not decide which block is written, with which content, to which device."""
+
+
+def _plain_text(value: object) -> str:
+    return str(place_of(value) if isinstance(value, Path) else value)
 
 
 @cache

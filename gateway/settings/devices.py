@@ -7,6 +7,7 @@ from typing import Any
 
 from drivers.device_file import ACKNOWLEDGE_BITS, REFUSALS, BlockField, read_device_file
 from drivers.driver import capabilities
+from drivers.named_files import place_of
 from drivers.settings import ConfigError
 from drivers.tag import Tag
 
@@ -91,7 +92,7 @@ def complete_paths(driver: str, settings: Mapping[str, Any], home: Path) -> dict
     """The driver's settings with the paths among them made complete: they are relative to the file they stand in."""
     files = capabilities(driver).files
     return {
-        key: str(home / value) if key in files and isinstance(value, str) and value else value
+        key: str(place_of(home / value)) if key in files and isinstance(value, str) and value else value
         for key, value in settings.items()
     }
 

@@ -374,7 +374,9 @@ class Audit:
                     self.failure = self.note = str(error)
                     self._let_go()
                 elif self._attach is not None and _is_read_only(error):
-                    # Opened while the disk took nothing, it stays so when the disk does: it is opened anew.
+                    # Opened while the disk took nothing, it stays so when the disk does: it is opened anew, as the
+                    # same file.
+                    self._newest = None
                     self._let_go()
                 with self._wake:
                     self._pressing = False
@@ -456,7 +458,9 @@ class Audit:
         with connection:
             # The write lock comes first, and may take its time: until then an entry can be taken back.
             connection.execute("BEGIN IMMEDIATE")
-            _raise_if_before(connection, self._newest)
+            if why := _rolled_back(connection, self._newest):
+                self.files.tell(why)
+                raise _TakenAwayError(why)
             rows = _insert(connection, claim())
         self._raise_if_taken_away()
         if rows:
@@ -631,14 +635,15 @@ def hashes(path: Path, rows: Iterable[int] | None = None) -> dict[int, str]:
 # ---------------------------------------------------------------- the file
 
 
-def _raise_if_before(connection: sqlite3.Connection, newest: tuple[int, bytes] | None) -> None:
-    """Raise _TakenAwayError where the row that was written last (number, hash) is not in the file any more."""
+def _rolled_back(connection: sqlite3.Connection, newest: tuple[int, bytes] | None) -> str:
+    """That the row which was written last (number, hash) is not in the file any more; "" if it is."""
     if newest is None:
-        return
+        return ""
     found = connection.execute("SELECT hash FROM audit WHERE id = ?", newest[:1]).fetchone()
-    if found is None or bytes(found[0]) != newest[1]:
-        name = str(connection.execute("PRAGMA database_list").fetchone()[2])
-        raise _TakenAwayError(f"{name}: row {newest[0]} was written and is not in it any more, or is another one")
+    if found is not None and bytes(found[0]) == newest[1]:
+        return ""
+    name = str(connection.execute("PRAGMA database_list").fetchone()[2])
+    return f"{name}: row {newest[0]} was written and is not in it any more, or is another one"
 
 
 def _insert(connection: sqlite3.Connection, entries: Sequence[tuple[AuditEntry, AuditColumns]]) -> list[AuditRow]:

@@ -38,7 +38,8 @@ def _sound(path: Path) -> tuple[sqlite3.Connection, str]:
     except OSError as error:  # not even looked at: a folder that this user may not enter
         raise UnusableAuditError(f"{path}: cannot be read ({error.strerror}); give a path that is yours") from None
     if not reason:
-        return connected(path), f"{path}: was empty, its rows are gone; a new one is begun" if emptied else ""
+        begun = f"{path}: was empty; a new one is begun, and its rows, if it had any, are gone"
+        return connected(path), begun if emptied else ""
     try:
         aside = set_aside(path)
     except OSError as error:

@@ -90,8 +90,7 @@ def opened(path: Path, *, max_mb: float, mend: bool = False, heir: str = "") -> 
     try:
         _examined(path, whole=mend)
         file = _connected(path, max_mb, heir)
-        # A file is there with its first page or not at all: that it is empty is somebody's doing, or a disk's.
-        note = f"{path}: was empty, so that what was in it is gone; a new one was begun"
+        note = f"{path}: was empty; a new one was begun, and what was in it, if anything was, is gone"
         return replace(file, note=note) if emptied else file
     except DamagedHistorianError as error:
         if not mend:

@@ -150,6 +150,12 @@ class ReliedFiles:
             self._own, self._own_note = wrong, self._own_note or wrong
         return found.get(what, "") if what else wrong
 
+    def tell(self, problem: str) -> None:
+        """Take what the owner of a file has found in it that no look from outside tells: it was done to it."""
+        with self._looking:
+            self._taken += 1
+            self._own_note = self._own_note or problem
+
     def _let_go(self) -> None:
         """Hold no more what is relied on no more (no look is under way)."""
         with self._changing:
@@ -184,9 +190,11 @@ class ReliedFiles:
         if before is None or (another and rule.accepts is not None):
             return file.hold(read_only)
         if changed and rule.fixed:
-            if not self._own and _digest(file.path) != file.digest:
+            same = _digest(file.path) == file.digest
+            if not same and not self._own:
                 time.sleep(_SETTLE_SECONDS)  # perhaps it is being written
-            if _digest(file.path) != file.digest:
+                same = _digest(file.path) == file.digest
+            if not same:
                 return "has another content than what is in use"
             if another and not before.st_mode & ~now.st_mode & _WRITABLE:
                 return file.hold(read_only)

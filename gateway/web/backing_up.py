@@ -43,7 +43,8 @@ class BackupMaker:
         return (self._config.historian.path.parent / FOLDER / name).absolute()
 
     async def make(self, folder: Path) -> dict[str, Any]:
-        """Make the backup; gives `folder`, and how many `files` and `bytes` are in it. Raises BackupRefused."""
+        """Make the backup; gives `folder`, how many `files` and `bytes` are in it, its `seal`, whether it is `signed`,
+        and what is `damaged` in it. Raises BackupRefused."""
         async with self._making:
             folder.parent.mkdir(mode=0o700, exist_ok=True)
             try:
@@ -55,4 +56,4 @@ class BackupMaker:
             except ProgramRefused as error:
                 raise BackupRefused(str(error) or "no backup was made") from None
         made = json.loads(said)
-        return {key: made[key] for key in ("folder", "files", "bytes")}
+        return {key: made[key] for key in ("folder", "files", "bytes", "seal", "signed", "damaged")}

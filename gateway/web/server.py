@@ -309,7 +309,7 @@ class PageServer:
             try:
                 _tls(folder, self._config)  # what fails takes from a context the pair that it had
                 load_pair(context, *_pair(folder))
-            except (ConfigError, OSError) as error:
+            except (ConfigError, OSError, ValueError) as error:
                 self._log.warning("the page keeps its former certificate", reason=str(error))
             else:
                 self._log.info("the page has a new certificate", folder=str(folder))

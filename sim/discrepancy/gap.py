@@ -118,13 +118,9 @@ def at_most(floor: NoiseFloor, left: float) -> NoiseFloor:
     if share >= 1.0:
         return floor
     low, high = floor.interval
-    return NoiseFloor(
-        left,
-        (low * share, high * share),
-        floor.cycles,
-        floor.per_cycle * share,
-        "what the names leave of the held-out cycles",
-    )
+    source = "what the names leave of the held-out cycles"
+    interval = low * share, high * share
+    return replace(floor, error=left, interval=interval, per_cycle=floor.per_cycle * share, source=source)
 
 
 def believed_size(stated: float, told: float, pieces: int, rules: DecisionRules) -> tuple[float, float]:

@@ -136,7 +136,7 @@ def compared(
     """Two fits let run over the held-out record, held against the floor, with the excess removed.
 
     Where the error before is no greater than the floor there is no excess, and none of it can have been removed; no
-    more than all of it can be. `runs` are those of `before`, where they are at hand.
+    more than all of it can be. `runs` are those of `before`, and `second` is that of `after`, where they are at hand.
     """
     runs = runs_before(before, record) if runs is None else runs
     first, given = runs.refit, runs.given

@@ -42,7 +42,8 @@ class DecisionRules:
     near_least_cosine: float = 0.6
     """From which two effects are rivals."""
     margin_nats: float = 6.0
-    """By which a name must beat every rival outside its class."""
+    """By which a name must beat every rival outside its class; and by which held-out cycles are foreseen better with
+    names whose leavings bound the floor (decision 0207)."""
     margin_share: float = 0.01
     """Of a gain, the margin for one of its class where that is more: by so little a shape that is not quite the plant's
     may win over its twin."""
@@ -79,13 +80,15 @@ class DecisionRules:
     imitate, and a gap, by what the held-out free run errs by beyond the floor. Less than half of what one reading errs
     by can be felt by nobody, however certain many readings make it."""
     gap_itself_least_share: float = 0.5
-    """Of the held-out excess that an effect too small to matter must remove to be what the gap is made of."""
+    """Of the held-out excess that an effect beyond chance which was refused on the fitted cycles, as too small, as a
+    leftover or as contradicted, must remove to be what the gap is made of."""
 
     # ---- what held-out cycles and the free learner say against a name
     removed_least_share: float = 0.1
     """Of a held-out excess that matters which names remove at least: what leaves more is not what is missing."""
     beyond_doubt_nats: float = 60.0
-    """From which a name need not bring the error within the model's own noise."""
+    """Of the fitted cycles' gain, or of what held-out ones are foreseen better by, from which names need not bring the
+    error within the model's own noise."""
     covered_most_times: float = 1.2
     """The model's own spread, or the floor, up to which an error counts as covered by it."""
     ceiling_most_p: float = 0.01

@@ -10,10 +10,12 @@ from sim.discrepancy.fitting.candidates import catalogue, rivals
 from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.naming import confirm, entries_besides, likeness, step
-from sim.discrepancy.path import name, revised
+from sim.discrepancy.naming import NamingStep, confirm, entries_besides, likeness, step
+from sim.discrepancy.path import Judged, name, revised
 from sim.discrepancy.rules import RULES
 from tests.discrepancy.plants import model, plant
+
+PUMP = {"pump": "MarciaPmpFango"}
 
 
 def test_twins_within_a_hundredth_of_the_gain_are_a_class_and_rivals_are_not() -> None:
@@ -35,41 +37,45 @@ def test_what_lies_between_what_is_done_and_the_reading_is_named_once() -> None:
         assert not left & chain if entry.name in chain else chain <= left
 
 
-def test_a_name_that_adds_nothing_beside_the_others_is_dropped_and_the_others_stay() -> None:
-    present = {"pump": "MarciaPmpFango"}
-    record = record_of(model(), [plant(3, days=2, pump=2e-4)], tuple(present.values()))
+@pytest.fixture(scope="module")
+def two_names() -> tuple[NamingStep, NamingStep]:
+    """Churning, which is not there, and beside it the pump, which is."""
+    record = record_of(model(), [plant(3, days=2, pump=2e-4)], tuple(PUMP.values()))
     base = fit(on(frame_of(record), record))
-    superfluous = step(base, [one for one in catalogue() if one.name == "startup-churning"], present, rules=RULES)
+    superfluous = step(base, [one for one in catalogue() if one.name == "startup-churning"], PUMP, rules=RULES)
     assert superfluous.best is not None
     churning = confirm(base, superfluous.best)
     assert churning.fitted is not None
-    superfluous = replace(superfluous, evidence=(churning,))
-    pump = step(churning.fitted, [one for one in catalogue() if one.name == "pump-cooling"], present, rules=RULES)
+    pump = step(churning.fitted, [one for one in catalogue() if one.name == "pump-cooling"], PUMP, rules=RULES)
+    return replace(superfluous, evidence=(churning,)), pump
+
+
+def looked_at_again(names: tuple[NamingStep, NamingStep]) -> list[Judged]:
+    """What is withdrawn when the first of the two names is looked at again; the pump stays alone."""
+    superfluous, pump = names
     assert pump.best is not None and pump.best.fitted is not None
-    judged, fitted, withdrawn = revised(pump.best.fitted, [(superfluous, ""), (pump, "")], present, 1)
+    judged, fitted, withdrawn = revised(pump.best.fitted, [(superfluous, ""), (pump, "")], PUMP, 1)
     assert [one.entry.name for one in fitted.state.named] == ["pump-cooling"]
     assert [(one.best.entry.name, refusal) for one, refusal in judged if one.best] == [("pump-cooling", "")]
-    assert (len(judged), withdrawn) == (1, [])
+    assert len(judged) == 1
+    return withdrawn
 
 
-def test_a_name_in_whose_place_goes_what_has_none_takes_no_other_down(monkeypatch: pytest.MonkeyPatch) -> None:
-    present = {"pump": "MarciaPmpFango"}
-    record = record_of(model(), [plant(3, days=2, pump=2e-4)], tuple(present.values()))
-    base = fit(on(frame_of(record), record))
-    churning = step(base, [one for one in catalogue() if one.name == "startup-churning"], present, rules=RULES)
-    assert churning.best is not None
-    confirmed = confirm(base, churning.best)
-    assert confirmed.fitted is not None
-    churning = replace(churning, evidence=(confirmed,))
-    pump = step(confirmed.fitted, [one for one in catalogue() if one.name == "pump-cooling"], present, rules=RULES)
-    assert pump.best is not None and pump.best.fitted is not None
+def test_a_name_that_adds_nothing_beside_the_others_is_dropped_and_the_others_stay(
+    two_names: tuple[NamingStep, NamingStep],
+) -> None:
+    assert looked_at_again(two_names) == []
+
+
+def test_a_name_in_whose_place_goes_what_has_none_takes_no_other_down(
+    two_names: tuple[NamingStep, NamingStep], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pump = two_names[1]
+    assert pump.best is not None
     nameless = replace(pump, evidence=(replace(pump.best, entry=rivals()[0], gain=500.0, amplitude=5.0),))
     looks = iter([nameless])
     monkeypatch.setattr(path, "step", lambda *given, **told: next(looks, None) or step(*given, **told))
-    judged, fitted, withdrawn = revised(pump.best.fitted, [(churning, ""), (pump, "")], present, 1)
-    assert [one.entry.name for one in fitted.state.named] == ["pump-cooling"]
-    assert [(one.best.entry.name, refusal) for one, refusal in judged if one.best] == [("pump-cooling", "")]
-    assert withdrawn == [(nameless, "goes best with the data, and has no name")]
+    assert looked_at_again(two_names) == [(nameless, "goes best with the data, and has no name")]
 
 
 def test_each_effect_that_is_fitted_is_told_before() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.discrepancy import evidence, judging, proving
+from sim.discrepancy import evidence, judging, path, proving
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.diagnosis import NoiseFloor
 from sim.discrepancy.fitting.baseline import frame_of
@@ -178,6 +178,14 @@ def test_what_the_held_out_gap_is_made_of_is_named_however_little_it_does_to_the
     assert found.verdict == verdict
     assert [one.name for one in found.effects] == ["pump-cooling"] * (verdict == "named")
     assert [one.name for one in found.traces] == ["pump-cooling"] * (verdict != "named")
+
+
+def test_what_the_held_out_gap_is_made_of_is_named_though_the_fitted_cycles_contradict_one_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(path, "dubious", lambda _step: "does not carry over from cycle to cycle")
+    found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0).diagnosis
+    assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])
 
 
 def test_what_names_leave_of_held_out_cycles_bounds_the_floor(monkeypatch: pytest.MonkeyPatch) -> None:

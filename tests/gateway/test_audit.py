@@ -186,7 +186,7 @@ def test_a_log_of_no_bytes_is_not_begun_anew_without_a_word(tmp_path: Path) -> N
     path = tmp_path / "audit.sqlite"
     path.touch()
     audit = open_or_set_aside(path)
-    assert audit.note == f"{path}: was empty, its rows are gone; a new one is begun"
+    assert audit.note == f"{path}: was empty; a new one is begun, and its rows, if it had any, are gone"
     assert audit.record(AuditEntry(1.0, "write")) and audit.close()
     again = open_or_set_aside(path)
     assert again.note == "" and again.close()

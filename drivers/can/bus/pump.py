@@ -16,9 +16,9 @@ from drivers.supervision import Supervisor
 _BURST = 256
 _LOOK = 0.1
 _OVERDUE = 1.5 * _LOOK  # since the thread has last found the bus empty; after that it was held up
-_PATIENCE = 0.2  # seconds that a reading waits for a thread that is behind: some thousand frames
+_PATIENCE = 0.2  # seconds that a reading waits for a thread that is behind, once until that has caught up
 _UNREADABLE = "the bus cannot be read any more"
-_QUEUE = 10_000  # frames kept for a loop that is behind a thread; a bus with a descriptor keeps them itself
+_QUEUE = 10_000  # frames kept for a loop that is behind, by us or by a bus with a descriptor; a reading takes no more
 
 
 class Pump:
@@ -44,6 +44,7 @@ class Pump:
         self._ended = threading.Event()
         self._looked = threading.Condition()
         self._empty, self._behind = time.monotonic(), False
+        self._patience = _PATIENCE
         self._thread: threading.Thread | None = None
         self._fd: int | None = None
         # An interface without a descriptor raises; that of a socket which is closed already is below 0.
@@ -72,14 +73,22 @@ class Pump:
             await asyncio.to_thread(self._thread.join, 2.0)
 
     def catch_up(self) -> None:
-        """Give all that has come by now: what is known is then as new as the bus has it, however late the loop is."""
+        """Give all that has come by now: what is known is then as new as the bus has it, however late the loop is.
+
+        A thread that does not catch up in time is not waited for again before it has: others need the loop too.
+        """
         if self._fd is not None:
             self._readable(_QUEUE)
         else:
             asked = time.monotonic()
             with self._looked:
-                self._looked.wait_for(lambda: not self._behind and asked - self._empty <= _OVERDUE, _PATIENCE)
-        while self._waiting and not self._closed:
+                caught_up = self._looked.wait_for(
+                    lambda: not self._behind and asked - self._empty <= _OVERDUE, self._patience
+                )
+            self._patience = _PATIENCE if caught_up else 0.0
+        for _ in range(len(self._waiting)):
+            if self._closed:
+                return
             self._take(self._waiting.popleft())
 
     def _readable(self, most: int = _BURST) -> None:

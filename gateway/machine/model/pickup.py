@@ -125,7 +125,7 @@ def _look(
     try:
         loaded = None if current(store) == running else load_model(config)
     except ConfigError as error:
-        return stamp, RefusedPromotion("; ".join(error.problems))
+        return stamp, RefusedPromotion(error.in_one_line)
     except ArtefactError as error:
         return stamp, RefusedPromotion(str(error))
     if loaded is None:

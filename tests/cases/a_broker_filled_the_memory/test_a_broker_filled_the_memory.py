@@ -107,6 +107,14 @@ def test_the_broker_is_told_beforehand_how_large_a_packet_may_be() -> None:
 
 
 @both
+def test_no_operation_of_an_open_connection_waits_by_itself(version: str) -> None:
+    """paho reads until nothing is there: a read that waits for a slow packet would look at no deadline."""
+    with connected(version, lambda _: None) as (_, connection):
+        line = connection.client.socket()
+        assert isinstance(line, socket.socket) and line.gettimeout() == 0.0
+
+
+@both
 def test_what_waits_to_be_looked_at_is_bounded_and_what_is_left_out_is_counted(version: str) -> None:
     def flood(peer: Peer) -> None:
         for number in range(5000):

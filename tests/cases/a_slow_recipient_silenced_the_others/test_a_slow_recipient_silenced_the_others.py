@@ -316,7 +316,7 @@ def test_recipients_do_not_wait_for_one_another_and_what_is_not_delivered_is_com
         at(hand, notifier, 159.9)
         assert not notifier.complaint
         at(hand, notifier, 160.0)
-        assert notifier.complaint == "hanging: no answer yet", "60 s after it was asked for, whatever holds it"
+        assert notifier.complaint == "hanging: not delivered yet", "60 s after it was asked for, whatever holds it"
     finally:
         over.set()
         notifier.close()

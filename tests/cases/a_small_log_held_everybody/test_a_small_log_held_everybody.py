@@ -100,6 +100,33 @@ def test_a_log_of_several_containers_is_read_as_it_was_written(tmp_path: Path) -
     assert [frame.id for frame in opened.frames()] == list(range(500)) and not opened.problem
 
 
+@pytest.mark.parametrize(
+    ("at", "with_", "words"),
+    [
+        (FILE_HEADER_SIZE + OBJ_HEADER_BASE_STRUCT.size, b"\x63\0", "packed in a way that is not known (99)"),
+        (FILE_HEADER_SIZE + 8, b"\3\0\0\0", "an object without a length"),
+    ],
+)
+def test_a_container_that_cannot_be_read_is_not_passed_over(tmp_path: Path, at: int, with_: bytes, words: str) -> None:
+    path = tmp_path / "x.blf"
+    blf_bomb(path, 1000)
+    content = bytearray(path.read_bytes())
+    content[at : at + len(with_)] = with_
+    path.write_bytes(content)
+    opened = log.open_log(path)
+    assert not list(opened.frames()) and words in opened.summary()
+
+
+def test_a_container_that_is_cut_short_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "x.blf"
+    blf_bomb(path, 100_000)
+    content = path.read_bytes()
+    packed = zlib.compress(b"\0" * 100_000)
+    path.write_bytes(content.replace(packed, packed[:-20] + b"\0" * 20))
+    opened = log.open_log(path)
+    assert not list(opened.frames()) and opened.problem
+
+
 # ---------------------------------------------------------------- turns
 
 

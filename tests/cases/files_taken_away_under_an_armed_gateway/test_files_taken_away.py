@@ -6,7 +6,9 @@ So it is with each file that a promise rests on: whatever is done to it, not one
 import asyncio
 import os
 import shutil
+import sqlite3
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -164,6 +166,22 @@ async def test_no_usable_block_follows_and_an_alarm_stands(
         assert DISARMED in [row.entry.kind for row in read(config.audit)], "also in a log that was begun anew"
     names = {path.name for path in FILES[files](config)}
     assert said and any(name in said[0] for name in names) and "\n" not in said[0]
+
+
+async def test_rows_that_are_taken_out_of_the_log_in_its_place_disarm(folder: Path) -> None:
+    """The file is the same and no shorter: only its owner knows which row was written last."""
+    config = armed_config(folder)
+
+    def take_out() -> None:
+        with closing(sqlite3.connect(config.audit)) as connection, connection:
+            for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+                connection.execute(f"DROP TRIGGER {name}")
+            connection.execute("DELETE FROM audit WHERE id > 1")
+
+    status, bench = await tampered(config, take_out)
+    assert bench.before > 3, "it was armed and wrote"
+    assert [block["validity"] for block in bench.written[bench.before :]] in ([0], [])
+    assert status["alarms"]["records"] == "unacknowledged" and status["writeback"]["mode"] == "shadow"
 
 
 async def test_nothing_is_said_where_nothing_was_done(folder: Path) -> None:

@@ -202,6 +202,14 @@ def test_a_backup_that_fails_leaves_nothing_and_none_is_made_over_another(
     assert decanter("backup", tmp_path / "third", "--config", config.path).exit_code == 0
     (aside,) = [file for file in read_manifest(tmp_path / "third").files if "audit.sqlite" in file.original]
     assert aside.original == f"{config.audit}.damaged", "what is restored begins with a new one"
+    box = tmp_path / "plant" / "box"
+    log = box / config.audit.relative_to("/")
+    log.parent.mkdir(parents=True)
+    log.write_bytes(b"of another time, perhaps with an arming")
+    restored = decanter("restore", tmp_path / "third", "--into", box)
+    assert restored.exit_code in (0, 1), restored.output
+    assert "THE AUDIT LOG IN IT IS DAMAGED" in restored.output
+    assert not log.exists() and log.with_name("audit.sqlite.replaced-1").exists()
     config.historian.path.write_bytes(config.historian.path.read_bytes()[:5000])
     assert decanter("backup", tmp_path / "fourth", "--config", config.path).exit_code == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["backup", "plant", "second", "third"]
