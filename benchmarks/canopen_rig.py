@@ -29,7 +29,15 @@ BLOCK = 0x2100
 WRITES = (1, 6)
 """Command specifiers of an SDO client's first frame that writes (download, block download)."""
 
-_ROWS: Mapping[str, Mapping[str, Any]] = {
+
+def with_every_kind(rows: Mapping[str, Mapping[str, Any]], face: str) -> Mapping[str, Mapping[str, Any]]:
+    """The rows, and each fault of a face alone that has none of them, at its defaults."""
+    named = {row["kind"] for row in rows.values()}
+    others = [kind for kind, faces in ONLY_AT.items() if kind not in named and face in faces]
+    return {**rows, **{kind: {"kind": kind, "duration": 1.0} for kind in others}}
+
+
+ROWS: Mapping[str, Mapping[str, Any]] = {
     "missing heartbeat": {"kind": "missing_heartbeat", "duration": 1.0},
     "short PDO": {"kind": "short_pdo", "duration": 1.0},
     "long PDO": {"kind": "long_pdo", "pdo": 2, "duration": 1.0},
@@ -47,16 +55,8 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
     "babbling node, our identifiers": {"kind": "babbling_node", "rate": 500.0, "known": True, "duration": 1.5},
     "write ignored": {"kind": "write_ignored", "duration": 1.0},
 }
-_NAMED = {row["kind"] for row in _ROWS.values()}
-FAULTS: Mapping[str, Mapping[str, Any]] = {
-    **_ROWS,
-    **{
-        kind: {"kind": kind, "duration": 1.0}
-        for kind, faces in ONLY_AT.items()
-        if kind not in _NAMED and "canopen" in faces
-    },
-}
-"""What is ordered from the PLC, by the row's name: also each fault of a node without a row above, at its defaults."""
+FAULTS = with_every_kind(ROWS, "canopen")
+"""What is ordered from the PLC, by the row's name."""
 TOLERATED = ("SDO abort", "SDO late", "SDO silent")
 """While the PDOs come, nothing is lost to these."""
 
@@ -69,13 +69,18 @@ def canopen_rig(folder: Path, trace: Trace, *, period: float, **settings: object
     """
     rig = make_rig(folder, trace, period=period)
     with can_hub(folder) as path:
-        own = {"name": "canopen", "file": str(DEVICE), "interface": "hub", "channel": str(path), "configure": True}
-        rows = "\n".join(f"{key} = {_toml(value)}" for key, value in {**own, **settings}.items())
-        before, _, after = rig.plant.read_text(encoding="utf-8").partition("[scan]")
-        kept = [line for line in before.splitlines() if line.startswith("heartbeat_period")]
-        head = "\n".join(["[device]", *kept, "[[device.links]]", rows])
-        rig.plant.write_text(f"{head}\n[scan]{after}", encoding="utf-8")
+        over_hub(rig, path, DEVICE, {"name": "canopen", "configure": True, **settings})
         yield rig, face(path)
+
+
+def over_hub(rig: Rig, path: Path, device: Path, settings: Mapping[str, object]) -> None:
+    """Have the rig's gateway speak over the hub at `path`, by a device file, with settings of the link."""
+    own = {"file": str(device), "interface": "hub", "channel": str(path), **settings}
+    rows = "\n".join(f"{key} = {_toml(value)}" for key, value in own.items())
+    before, _, after = rig.plant.read_text(encoding="utf-8").partition("[scan]")
+    kept = [line for line in before.splitlines() if line.startswith("heartbeat_period")]
+    head = "\n".join(["[device]", *kept, "[[device.links]]", rows])
+    rig.plant.write_text(f"{head}\n[scan]{after}", encoding="utf-8")
 
 
 def face(path: Path, device: Path = DEVICE) -> list[str]:

@@ -286,12 +286,13 @@ def test_what_ails_the_supervisors_stores_is_known_in_the_process(tmp_path: Path
 
 
 def test_an_audit_row_counts_only_when_the_supervisor_says_that_it_is_stored(tmp_path: Path) -> None:
-    line: Any = Line(audit={"error": "the disk is full"})
+    files = ("", "", 0)
+    line: Any = Line(audit={"error": "the disk is full", "files": files})
     audit = SentAudit(tmp_path / "audit.sqlite", line, Supervisor(), "")
     entry = AuditEntry(EPOCH, "write", "A").of("a")
     assert audit.record(entry, 2.0) is None
     assert "the disk is full" in audit.complaint_of("a")
-    line.answers["audit"] = {"error": "", "rows": [(7, "ab")]}
+    line.answers["audit"] = {"error": "", "rows": [(7, "ab")], "files": files}
     row = audit.record(entry, 5.0)
     assert row is not None and (row.id, row.hash, row.entry) == (7, "ab", entry)
     assert audit.complaint_of("a") == "" and audit.close()
