@@ -149,8 +149,8 @@ class Ceiling:
 class NoiseFloor:
     """degC rms by which a free run over held-out cycles is off where nothing is missing.
 
-    `interval` holds 95 % of the errors that chance makes over so many cycles, `cycles` (c,) are their numbers and
-    `per_cycle` (c,) degC the floor of each. `source` says what it was told from.
+    `interval` holds `DecisionRules.floor_interval_share` of the errors that chance makes over so many cycles, `cycles`
+    (c,) are their numbers and `per_cycle` (c,) degC the floor of each. `source` says what it was told from.
     """
 
     error: float

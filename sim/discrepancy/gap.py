@@ -36,6 +36,8 @@ LEAST_ROWS = 50
 """Rows at rest from which the sensor's noise is told by them alone."""
 DRAWS = 200
 """Draws of the noise from which a floor is told."""
+SIZES = 100
+"""Sizes of the noise that each of these is taken at for the floor's interval."""
 EQUAL_DRAWS = 60
 """Draws of the noise by which the scatter of equal cycles is judged."""
 LEAST_READING = 1e-4
@@ -103,8 +105,10 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     source = "the sensor alone" if _rms(floor) < _rms(least) else source
     floor = np.maximum(floor, least)
     error = float(np.sqrt(np.average(floor**2, weights=weights)))
-    wrong_by = np.exp(unsure * rng.standard_normal(drawn.size))
-    low, high = np.quantile(drawn / _rms(drawn) * wrong_by, [0.025, 0.975])
+    # Each draw of chance with many of the size that is not known: what is asked is far out.
+    wrong_by = np.exp(unsure * rng.standard_normal((SIZES, drawn.size)))
+    beyond_each = 0.5 * (1.0 - rules.floor_interval_share)
+    low, high = np.quantile(drawn / _rms(drawn) * wrong_by, [beyond_each, 1.0 - beyond_each])
     return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
 
 

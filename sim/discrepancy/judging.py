@@ -240,13 +240,14 @@ def left_over(path: NamingResult, foreseen: float, before: Excess | None, after:
     if not path.taken or before is None or after is None or not before.wide(path.taken[0].rules):
         return ()
     rules = path.taken[0].rules
-    if max(foreseen, _greatest_gain(path)) >= rules.beyond_doubt_nats or after.median < rules.covered_most_times:
+    if max(foreseen, _gain(path)) >= rules.beyond_doubt_nats or after.median < rules.covered_most_times:
         return ()
     return (f"with it the free run is still {after.median:.1f} times as far off as the model's own noise allows",)
 
 
-def _greatest_gain(path: NamingResult) -> float:
-    return max((step.best.gain for step in path.taken if step.best is not None), default=0.0)
+def _gain(path: NamingResult) -> float:
+    """nats of the names together."""
+    return sum(step.best.gain for step in path.taken if step.best is not None)
 
 
 def matters(held: HeldOutProof, sensor: float, rules: DecisionRules) -> bool:

@@ -87,8 +87,8 @@ class DecisionRules:
     removed_least_share: float = 0.1
     """Of a held-out excess that matters which names remove at least: what leaves more is not what is missing."""
     beyond_doubt_nats: float = 60.0
-    """Of the fitted cycles' gain, or of what held-out ones are foreseen better by, from which names need not bring the
-    error within the model's own noise."""
+    """Of the fitted cycles' gain of all names, or of what held-out ones are foreseen better by, from which names need
+    not bring the error within the model's own noise."""
     covered_most_times: float = 1.2
     """The model's own spread, or the floor, up to which an error counts as covered by it."""
     ceiling_most_p: float = 0.01
@@ -109,6 +109,8 @@ class DecisionRules:
     """Of the cycles that need not be so far off."""
 
     # ---- the floor
+    floor_interval_share: float = 0.99
+    """Of the errors that chance makes, what the floor's interval holds: of 200 clean machines one is beyond it."""
     stated_noise_log_sd: float = 0.35
     """By which the noise of a machine differs from what its model states, in logarithms: machines of one type differ
     by a factor of 1.4 in what is rough about them."""

@@ -22,6 +22,7 @@ from sim.discrepancy.diagnosis import (
 from sim.discrepancy.fitting import Fitted, Record
 from sim.discrepancy.heat import HOUR, implied_heat, since_switch
 from sim.discrepancy.held_out import HeldOutRun
+from sim.discrepancy.rules import RULES
 from sim.sha import Array, shown_unit
 
 LEAST_SHOWN_SHARE = 0.01
@@ -204,7 +205,8 @@ def held_out_count(held: HeldOutProof) -> str:
 def floor_sentence(floor: NoiseFloor, unit: str) -> str:
     """The noise floor with its interval, and what it was told from; `unit` as people read it."""
     low, high = floor.interval
-    return f"noise floor {floor.error:.3f} {unit} (95 % interval {low:.3f} to {high:.3f}), from {floor.source}"
+    share = f"{100 * RULES.floor_interval_share:.0f} % interval"
+    return f"noise floor {floor.error:.3f} {unit} ({share} {low:.3f} to {high:.3f}), from {floor.source}"
 
 
 def removed_sentence(held: HeldOutProof, effects: Sequence[NamedEffect]) -> str:

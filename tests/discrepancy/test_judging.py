@@ -13,7 +13,7 @@ from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.gap import Excess
 from sim.discrepancy.heat import REACH, implied_heat
 from sim.discrepancy.held_out import let_run
-from sim.discrepancy.judging import NamingResult, doubts, evidence_of
+from sim.discrepancy.judging import NamingResult, doubts, evidence_of, left_over
 from sim.discrepancy.naming import NamingStep, confirm, step
 from sim.discrepancy.rules import RULES
 from sim.discrepancy.story import sentence_of
@@ -60,6 +60,18 @@ def test_an_error_that_the_floor_covers_is_no_gap_however_little_the_model_state
     rougher = Excess(median=2.0, low=1.5)
     assert evidence_of(chance, None, rougher, covered=False) == (rougher.words(),)
     assert evidence_of(chance, None, rougher, covered=True) == ()
+
+
+@pytest.mark.parametrize(("gains", "withheld"), [((50.0,), True), ((40.0, 30.0), False), ((70.0,), False)])
+def test_names_that_are_beyond_doubt_together_need_not_bring_the_error_within_the_stated_noise(
+    base: Fitted, pumped: NamingStep, gains: tuple[float, ...], withheld: bool
+) -> None:
+    best = pumped.evidence[0]
+    assert best.fitted is not None
+    steps = tuple((replace(pumped, evidence=(replace(best, gain=gain),)), "") for gain in gains)
+    path = NamingResult(base, best.fitted, steps)
+    reasons = left_over(path, 10.0, Excess(median=3.4, low=2.0), Excess(median=2.4, low=1.5))
+    assert bool(reasons) is withheld
 
 
 def test_heat_is_not_judged_where_a_change_is_on_its_way_through_a_dead_time() -> None:

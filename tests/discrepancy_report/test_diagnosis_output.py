@@ -192,7 +192,7 @@ def test_both_errors_before_the_floor_and_what_is_gone_are_said_in_one_sentence(
         == said
         == (
             "4 cycles, free-run error 0.700 °C as given, 0.630 °C refitted, 0.225 °C with what was added; noise floor "
-            "0.200 °C (95 % interval 0.160 to 0.250), from what equal cycles differ by; 97% of the excess removed "
+            "0.200 °C (99 % interval 0.160 to 0.250), from what equal cycles differ by; 97% of the excess removed "
             "(95 % interval 90% to 100%)"
         )
     )
@@ -214,7 +214,7 @@ def test_no_more_than_all_of_the_excess_is_gone_and_pieces_are_told_from_cycles(
     assert "all of it is gone, to within the floor" in page and "held-out cycles, 6 independent pieces" in page
     assert "whole pieces resampled" in page and "More than 100 %" not in page
     assert "0.70 °C free-run error, the model as given 0.63 °C refitted" in page
-    assert "noise floor 0.200 °C (95 % interval 0.160 to 0.250), from what equal cycles differ by" in page
+    assert "noise floor 0.200 °C (99 % interval 0.160 to 0.250), from what equal cycles differ by" in page
 
 
 def test_a_name_whose_shrinking_is_not_shown_says_so() -> None:
