@@ -1,0 +1,172 @@
+"""A frame that waited in a socket while the event loop was busy bore the time at which the loop came to it."""
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+
+import can
+import pytest
+
+from drivers.can.bus import arrival, open_bus
+from drivers.can.bus.arrival import Arrivals, ClockBefore
+from drivers.can.bus.hub import Hub
+from drivers.can.driver import open_can
+from drivers.canopen.port import Port, StampedFrame
+from drivers.supervision import Supervisor
+from drivers.tag import Quality, Tag
+
+SPEED = Tag("speed", "0x181:0|16")
+BUSY_S = 0.5
+SAID = can.Message(arbitration_id=0x181, data=bytes((7, 0)), is_extended_id=False)
+EPOCH, TIMES = 1000.0, 60.0
+
+
+def clock() -> float:
+    """A plant's clock: sixty seconds a second."""
+    return EPOCH + TIMES * time.monotonic()
+
+
+@pytest.fixture
+def hub(tmp_path: Path) -> Iterator[Hub]:
+    with Hub(tmp_path / "bus") as made:
+        yield made
+
+
+@pytest.fixture
+async def speaker(hub: Hub, tmp_path: Path) -> AsyncIterator[can.BusABC]:
+    bus = open_bus("hub", str(tmp_path / "bus"))
+    yield bus
+    bus.shutdown()
+
+
+def busy(hub: Hub, speaker: can.BusABC, said: int = 1) -> float:
+    """Have frames come while the loop does something else; the latest moment at which they had come."""
+    before = hub.statistics()["delivered"]
+    for _ in range(said):
+        speaker.send(SAID)
+    deadline = time.monotonic() + 60.0
+    while hub.statistics()["delivered"] < before + said:
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    came = time.monotonic()
+    time.sleep(BUSY_S)
+    return came
+
+
+async def test_over_raw_can_a_frame_is_as_old_as_it_is(hub: Hub, speaker: can.BusABC, tmp_path: Path) -> None:
+    settings = {"interface": "hub", "channel": str(tmp_path / "bus"), "message_timeout": 60.0, "max_silence": 60.0}
+    driver = open_can(settings, clock=clock)
+    await driver.open()
+    await driver.read([SPEED])
+    came = busy(hub, speaker)
+    (sample,) = await driver.read([SPEED])
+    assert sample.value == 7
+    assert sample.time <= EPOCH + TIMES * came + 0.01
+    await driver.close()
+
+
+async def test_over_raw_can_it_counts_for_its_timeout_and_no_longer(
+    hub: Hub, speaker: can.BusABC, tmp_path: Path
+) -> None:
+    settings = {
+        "interface": "hub",
+        "channel": str(tmp_path / "bus"),
+        "message_timeout": BUSY_S / 2,
+        "max_silence": 60.0,
+    }
+    driver = open_can(settings, clock=clock)
+    await driver.open()
+    await driver.read([SPEED])
+    busy(hub, speaker)
+    (sample,) = await driver.read([SPEED])
+    assert sample.quality is Quality.TIMEOUT
+    await driver.close()
+
+
+async def test_over_canopen_a_frame_is_as_old_as_it_is(hub: Hub, speaker: can.BusABC, tmp_path: Path) -> None:
+    frames: list[StampedFrame] = []
+    bus = open_bus("hub", str(tmp_path / "bus"))
+    port = Port(bus, clock, frames.append, lambda reason: None, supervisor=Supervisor())
+    came = busy(hub, speaker, said=3)
+    port.catch_up()
+    assert len(frames) == 3
+    assert all(frame.moment <= came and frame.time <= EPOCH + TIMES * came + 0.01 for frame in frames)
+    assert frames == sorted(frames, key=lambda frame: frame.moment)
+    port.close()
+
+
+async def test_a_thread_stamps_what_it_takes_for_the_loop() -> None:
+    frames: list[StampedFrame] = []
+    with can.Bus("stamps", "virtual") as other:
+        port = Port(can.Bus("stamps", "virtual"), clock, frames.append, lambda reason: None, supervisor=Supervisor())
+        other.send(SAID)
+        came = time.monotonic()
+        time.sleep(BUSY_S)
+        async with asyncio.timeout(60.0):
+            while not frames:
+                port.catch_up()
+                await asyncio.sleep(0)
+        assert frames[0].moment <= came + 0.01
+        port.close()
+        await port.closed()
+
+
+class Clocks:
+    """The wall clock and the monotonic one as the test sets them."""
+
+    def __init__(self) -> None:
+        self.wall, self.now = 1e9, 500.0
+
+    def time(self) -> float:
+        return self.wall
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def go_on(self, seconds: float) -> None:
+        self.wall += seconds
+        self.now += seconds
+
+
+@pytest.fixture
+def clocks(monkeypatch: pytest.MonkeyPatch) -> Clocks:
+    made = Clocks()
+    monkeypatch.setattr(arrival, "time", made)
+    return made
+
+
+def stamped(timestamp: float) -> can.Message:
+    return can.Message(arbitration_id=1, timestamp=timestamp)
+
+
+@pytest.mark.parametrize("step", [-3600.0, -0.3, 0.0, 0.3, 3600.0])
+def test_a_clock_that_is_set_while_a_frame_waits_makes_it_no_younger(clocks: Clocks, step: float) -> None:
+    arrivals = Arrivals()
+    assert arrivals.moment(stamped(clocks.wall)) == clocks.now
+    clocks.go_on(1.0)
+    arrivals.found_empty(clocks.now)
+    empty = clocks.now
+    clocks.go_on(0.5)
+    came, stamp = clocks.now, clocks.wall
+    clocks.wall += step
+    clocks.go_on(0.8)
+    assert empty <= arrivals.moment(stamped(stamp)) <= came + 1e-6
+
+
+@pytest.mark.parametrize("own", [0.0, 17.5])
+def test_an_interface_with_a_clock_of_its_own_is_not_believed(clocks: Clocks, own: float) -> None:
+    arrivals = Arrivals()
+    for _ in range(3):
+        clocks.go_on(1.0)
+        assert arrivals.moment(stamped(own)) == clocks.now
+        arrivals.found_empty(clocks.now)
+
+
+def test_what_a_clock_showed_before_is_by_its_own_speed_and_never_later_than_now(clocks: Clocks) -> None:
+    shows: Callable[[], float] = lambda: 100.0 * clocks.now  # noqa: E731
+    before = ClockBefore(shows)
+    for _ in range(5):
+        clocks.go_on(0.7)
+        assert before.at(clocks.now - 0.5) == pytest.approx(100.0 * (clocks.now - 0.5))
+        assert before.at(clocks.now + 0.1) == pytest.approx(100.0 * clocks.now)
