@@ -1,8 +1,8 @@
 """When a frame came, whatever kept this process from taking it at once: on the monotonic clock, and on a driver's.
 
-Where the system stamps what a socket receives (SocketCAN, the hub), a frame's `timestamp` is that stamp, by the wall
-clock. No frame came before the bus was last found empty: where a stamp cannot be (the wall clock was set meanwhile),
-that moment is taken; where an interface has a clock of its own, or none, the moment at which the frame was taken.
+Over SocketCAN and a hub a frame's `timestamp` is when the system received it, by the wall clock. Where that was set
+meanwhile, the frame is no younger for it. Other interfaces have clocks of their own, or stamp what is taken from them
+when it is taken: of their frames nothing is known but that.
 """
 
 import time
@@ -10,10 +10,13 @@ from collections.abc import Callable
 
 import can
 
+from drivers.can.bus.hub_bus import HubBus
+from drivers.can.bus.tapped import TappedBus
+
 _SLACK_S = 0.001
 """A stamp may differ by so much from what the clocks read before and after it say."""
-_OPENING_S = 60.0
-"""Frames may have waited so long on a bus that is heard for the first time."""
+_OLDEST_S = 60.0
+"""So long a frame may have waited; a stamp that says more is of a wall clock that was set."""
 _BASE_S = 1.0
 """The seconds of a driver's clock, at least, by which its speed is known."""
 
@@ -21,10 +24,10 @@ _BASE_S = 1.0
 class Arrivals:
     """The moments (monotonic s) at which the frames of one bus came."""
 
-    def __init__(self) -> None:
-        self._empty = time.monotonic() - _OPENING_S
+    def __init__(self, bus: can.BusABC) -> None:
+        self._stamped = _stamps(bus)
+        self._empty = time.monotonic()
         self._ahead = time.time() - time.monotonic()
-        self._stamped = False
 
     def found_empty(self, moment: float) -> None:
         """Nothing waited on the bus at this moment (monotonic s)."""
@@ -32,15 +35,13 @@ class Arrivals:
         self._ahead = time.time() - time.monotonic()
 
     def moment(self, message: can.Message) -> float:
-        """When this frame came, which has just been taken; never before the bus was last found empty."""
+        """When this frame came, which has just been taken."""
         wall, now = time.time(), time.monotonic()
-        age = wall - message.timestamp
-        if -_SLACK_S <= age <= now - self._empty + _SLACK_S:
-            self._stamped = True
-            # By as much as the wall clock was set back meanwhile the frame is older than it says.
-            age += max(0.0, self._ahead - (wall - now))
-            return min(max(now - age, self._empty), now)
-        return self._empty if self._stamped else now
+        if not self._stamped:
+            return now
+        # By as much as the wall clock was set back since the bus was last found empty, the frame is older than it says.
+        age = wall - message.timestamp + max(0.0, self._ahead - (wall - now))
+        return now - max(age, 0.0) if -_SLACK_S <= age <= _OLDEST_S else min(self._empty, now)
 
 
 class ClockBefore:
@@ -58,3 +59,12 @@ class ClockBefore:
         then, showed = self._base
         speed = (shown - showed) / (now - then) if now > then else 0.0
         return shown - max(0.0, speed * (now - moment))
+
+
+def _stamps(bus: can.BusABC) -> bool:
+    """True if the system stamps what this bus receives."""
+    from can.interfaces.socketcan import SocketcanBus
+
+    while isinstance(bus, TappedBus):
+        bus = bus.bus
+    return isinstance(bus, HubBus | SocketcanBus)

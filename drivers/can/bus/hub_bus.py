@@ -11,11 +11,12 @@ import socket
 import struct
 import time
 from collections import deque
-from collections.abc import Sequence
 
 import can
 from can.typechecking import CanFilters
 
+STAMP = struct.Struct("@ll")
+"""Behind a frame that a hub passes on: struct timespec, seconds and nanoseconds UTC."""
 _CLASSIC = struct.Struct("=IB3x8s")
 _FD = struct.Struct("=IBB2x64s")
 _EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
@@ -23,10 +24,6 @@ _BITRATE_SWITCH, _ERROR_STATE = 0x01, 0x02
 # linux/can/error.h
 _BUS_OFF, _RESTARTED = 0x40, 0x100
 _SEND_TIMEOUT = 1.0
-_SO_TIMESTAMPNS = 35
-"""linux/socket.h: the system stamps what it receives; Python's socket module does not name it."""
-_STAMP = struct.Struct("@ll")
-_STAMP_SPACE = socket.CMSG_SPACE(_STAMP.size)
 
 
 class HubBus(can.BusABC):
@@ -51,7 +48,6 @@ class HubBus(can.BusABC):
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
         self._state = can.BusState.ACTIVE
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         try:
             self._socket.connect(str(channel))
         except OSError as error:
@@ -111,17 +107,16 @@ class HubBus(can.BusABC):
             return self._own.popleft(), False
         try:
             try:
-                # Without a look at the descriptor first: in a burst there is a frame.
-                packet, stamps, *_ = self._socket.recvmsg(128, _STAMP_SPACE)
+                packet = self._socket.recv(128)  # without a look at the descriptor first: in a burst there is a frame
             except BlockingIOError:
                 if timeout == 0.0 or not self._readable.poll(None if timeout is None else timeout * 1000.0):
                     return None, False
-                packet, stamps, *_ = self._socket.recvmsg(128, _STAMP_SPACE)
+                packet = self._socket.recv(128)
         except OSError as error:
             raise _down(error) from None
         if not packet:
             raise can.CanOperationError("the interface is down: the CAN hub is gone")
-        return self._heard(unpack(packet, _stamp(stamps))), False
+        return self._heard(unpack(packet)), False
 
     def _heard(self, message: can.Message) -> can.Message | None:
         """The frame, as far as the controller's state lets it through."""
@@ -147,28 +142,21 @@ def pack(message: can.Message) -> bytes:
     return _FD.pack(word, message.dlc, flags, bytes(message.data))
 
 
-def _stamp(stamps: Sequence[tuple[int, int, bytes]]) -> float:
-    """When the system received the packet (s UTC); now, if it has not said."""
-    for _, kind, data in stamps:
-        if kind == _SO_TIMESTAMPNS:
-            seconds, nanoseconds = _STAMP.unpack(data)
-            return float(seconds + nanoseconds * 1e-9)
-    return time.time()
-
-
-def unpack(packet: bytes, timestamp: float = 0.0) -> can.Message:
-    """Give the frame of a packet that was received at `timestamp` (s UTC). A length beyond the packet's is cut."""
-    is_fd = len(packet) == _FD.size
+def unpack(packet: bytes) -> can.Message:
+    """Give the frame of a packet, stamped (s UTC) by what stands behind it, or with now. A length beyond it is cut."""
+    is_fd = len(packet) >= _FD.size
     flags = 0
     if is_fd:
-        word, length, flags, payload = _FD.unpack(packet)
+        word, length, flags, payload = _FD.unpack_from(packet)
     else:
-        word, length, payload = _CLASSIC.unpack(packet)
+        word, length, payload = _CLASSIC.unpack_from(packet)
+    stamp = packet[_FD.size if is_fd else _CLASSIC.size :]
+    seconds, nanoseconds = STAMP.unpack(stamp) if stamp else (time.time(), 0)
     length = min(length, len(payload))
     remote, error = bool(word & _REMOTE), bool(word & _ERROR)
     extended = bool(word & _EXTENDED) or error
     return can.Message(
-        timestamp=timestamp,
+        timestamp=seconds + nanoseconds * 1e-9,
         arbitration_id=word & (0x1FFFFFFF if extended else 0x7FF),
         is_extended_id=extended,
         is_remote_frame=remote,

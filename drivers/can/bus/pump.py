@@ -25,7 +25,8 @@ _QUEUE = 10_000  # frames kept for a loop that is behind, by us or by a bus with
 class Pump:
     """Gives `take` each frame, in order, in the event loop's thread; `lost` says once that the bus is gone, and why.
 
-    A frame's `timestamp` is then the moment (monotonic s) at which it came, however late the loop takes it.
+    A frame's `timestamp` is then the moment (monotonic s) at which it came, however late the loop takes it, as far as
+    the system or the thread has stamped it (`drivers.can.bus.arrival`).
     A burst of frames leaves the loop to others in between. `close` lets the bus go; nothing is given after that.
     """
 
@@ -41,7 +42,7 @@ class Pump:
         self._take = take
         self._lost = lost
         self._loop = asyncio.get_running_loop()
-        self._arrivals = Arrivals()
+        self._arrivals = Arrivals(bus)
         self._waiting: deque[can.Message] = deque(maxlen=_QUEUE)
         self._closed = False
         self._ended = threading.Event()
