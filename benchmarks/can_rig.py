@@ -30,6 +30,7 @@ FAULTS = with_every_kind(
         **{name: ROWS[name] for name in _SHARED},
         "short frame": {"kind": "short_frame", "duration": 1.0},
         "repeated messages": {"kind": "stale_message", "duration": 1.0},
+        "repeated pages, heartbeat well": {"kind": "stale_message", "messages": ["Service"], "duration": 1.5},
         "corrupt frames": {"kind": "corrupt_frame", "duration": 1.0},
         "late echo": {"kind": "late", "delay_s": 0.9, "duration": 1.5},
         "no echo": {"kind": "silent", "duration": 1.0},

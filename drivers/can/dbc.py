@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.can.fields import Bits, Field, LayoutCondition, check_type, frame_key
-from drivers.can.protection import PROFILE, Protection
+from drivers.can.protection import CONFIRMED, PROFILE, Protection
 from drivers.errors import AddressError, DriverError
 from drivers.named_files import contents, endless_number
 from drivers.tag import DType, Tag
@@ -38,6 +38,8 @@ _LONGEST_MESSAGE = 1785
 """Bytes: what J1939 carries in several frames (SAE J1939-21, 5.10); a CAN FD frame has 64."""
 _MOST_BITS = 1 << 25
 _MOST_SELECTED = 10_000
+_MOST_CONFIRMED = 255
+"""Frames after a jump of a counter that has 256 numbers: more would not tell more."""
 # Where cantools makes something of the size of a number in the file: a message's bytes, the bits up to the end of a
 # signal, one layout for each number of a range of multiplexor values.
 _MESSAGE = re.compile(r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)")
@@ -164,7 +166,16 @@ class Dbc:
             raise DriverError(f"{where}: E2EDataID {data_id!r} must be a whole number in 0..65535")
         if not (isinstance(delta, int) and 1 <= delta <= 255):
             raise DriverError(f"{where}: E2EMaxDeltaCounter {delta!r} must be a whole number in 1..255")
-        return Protection(data_id, delta)
+        return Protection(data_id, delta, max(CONFIRMED, min(_selections(message), _MOST_CONFIRMED)))
+
+
+def _selections(message: Message) -> int:
+    """How many frames of a message may differ in their multiplexors alone, at most."""
+    numbers: dict[str, set[int]] = {}
+    for signal in message.signals:
+        if signal.multiplexer_ids and signal.multiplexer_signal:
+            numbers.setdefault(signal.multiplexer_signal, set()).update(signal.multiplexer_ids)
+    return math.prod(map(len, numbers.values()))
 
 
 def bits_of(signal: Signal) -> Bits:

@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 
-from drivers.can.bus import BusLoad, Pump, open_bus
+from drivers.can.bus import BusLoad, ClockBefore, Pump, open_bus
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.exchange import Exchange, put
 from drivers.can.fields import EXTENDED, frame_key, frame_name, layout_name, value_of
@@ -68,6 +68,7 @@ class CanDriver:
     def __init__(self, settings: CanSettings, *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
         self._settings = settings
         self._clock = clock
+        self._clock_before = ClockBefore(clock)
         self._signals = SignalMap(settings)
         self._write_map = WriteMap(write_map, self._signals, settings.echo, settings.pad)
         self._reception = Reception()
@@ -313,20 +314,20 @@ class CanDriver:
 
     def _take(self, message: can.Message) -> None:
         """One frame of the bus, in the event loop's thread."""
-        now = time.monotonic()
+        came = message.timestamp
         self._counts["frames"] += 1
         if message.is_error_frame:
             self._errors.take(message.arbitration_id, bytes(message.data))
             self._withdraw_if_bus_off()
             return
         self._off = False
-        self._load.add(len(message.data), extended=message.is_extended_id, now=now)
+        self._load.add(len(message.data), extended=message.is_extended_id, now=came)
         if message.is_remote_frame:
             return
-        data, extended = bytes(message.data), message.is_extended_id
-        frame = CanFrame(self._clock(), message.arbitration_id, extended, data, str(message.channel or ""))
+        data, extended, channel = bytes(message.data), message.is_extended_id, str(message.channel or "")
+        frame = CanFrame(self._clock_before.at(came), message.arbitration_id, extended, data, channel)
         key = frame_key(message.arbitration_id, extended=extended)
-        fresh = [*self._reception.take(key, frame, now), *self._messages.take(frame, now)]
+        fresh = [*self._reception.take(key, frame, came), *self._messages.take(frame, came)]
         if not fresh:
             return
         if (pump := self._link.connection) is not None:

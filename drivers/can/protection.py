@@ -10,15 +10,20 @@ from dataclasses import dataclass
 
 PROFILE = "P05"
 CONFIRMED = 2
+"""Frames that must follow a jump of the counter before one is believed, at least."""
 _HEADER = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Protection:
-    """`data_id` (0..65535) is known to both ends and not sent; up to `max_delta` - 1 frames in a row may be lost."""
+    """`data_id` (0..65535) is known to both ends and not sent; up to `max_delta` - 1 frames in a row may be lost.
+
+    `confirmed` frames must follow a jump of the counter: as many as the message has layouts, and CONFIRMED at least.
+    """
 
     data_id: int
     max_delta: int = 10
+    confirmed: int = CONFIRMED
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +38,8 @@ def checked(protection: Protection, last: Count | None, data: bytes) -> tuple[Co
     """What to compare the next frame with, and why this frame must not be used, "" if it may.
 
     `last` is None before the first frame of right CRC, which is believed. Later ones must follow; after a jump of the
-    counter CONFIRMED frames must, so that neither a chance hit among garbage (one in 65,536 has the right CRC) nor two
-    old frames that are repeated in turn are taken for readings.
+    counter `protection.confirmed` frames must, so that neither a chance hit among garbage (one in 65,536 has the right
+    CRC) nor old frames that are repeated in turn, one of each layout, are taken for readings.
     """
     if len(data) < _HEADER:
         return last, f"it has {len(data)} bytes, too few for its checksum and counter"
@@ -47,7 +52,7 @@ def checked(protection: Protection, last: Count | None, data: bytes) -> tuple[Co
     if delta == 0:
         return last, "its counter has not moved on"
     if delta > protection.max_delta:
-        return Count(counter, CONFIRMED), f"its counter jumped by {delta}"
+        return Count(counter, protection.confirmed), f"its counter jumped by {delta}"
     doubts = max(0, last.doubts - 1)
     return Count(counter, doubts), "its counter has jumped and must be seen to count on" if doubts else ""
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import can
 
-from drivers.can.bus import Pump
+from drivers.can.bus import ClockBefore, Pump
 from drivers.driver import Clock
 from drivers.errors import LinkDown
 from drivers.supervision import Supervisor
@@ -17,7 +17,7 @@ _BUS_OFF = 0x40  # linux/can/error.h: error class "bus-off"
 
 @dataclass(frozen=True, slots=True)
 class StampedFrame:
-    """One data frame with an 11-bit identifier; `time` by the driver's clock, `moment` by the loop's."""
+    """One data frame with an 11-bit identifier; it came at `time` by the driver's clock, `moment` by the loop's."""
 
     id: int
     data: bytes
@@ -40,7 +40,7 @@ class Port:
         *,
         supervisor: Supervisor,
     ) -> None:
-        self._clock, self._take, self._lost = clock, take, lost
+        self._clock_before, self._take, self._lost = ClockBefore(clock), take, lost
         self._loop = asyncio.get_running_loop()
         self._closing = False
         self._counts = dict.fromkeys(("frames", "foreign_frames", "error_frames"), 0)
@@ -86,5 +86,5 @@ class Port:
         if message.is_extended_id or message.is_remote_frame or message.is_fd:
             self._counts["foreign_frames"] += 1
             return
-        frame = StampedFrame(message.arbitration_id, bytes(message.data), self._clock(), self._loop.time())
-        self._take(frame)
+        came = message.timestamp
+        self._take(StampedFrame(message.arbitration_id, bytes(message.data), self._clock_before.at(came), came))

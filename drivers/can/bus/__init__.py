@@ -1,7 +1,8 @@
 """Frames on a CAN bus, whatever is in them: opened by name, pumped into the event loop, a bus between processes."""
 
 from drivers.can.bus.access import open_bus
+from drivers.can.bus.arrival import ClockBefore
 from drivers.can.bus.load import BusLoad, frame_bits
 from drivers.can.bus.pump import Pump
 
-__all__ = ["BusLoad", "Pump", "frame_bits", "open_bus"]
+__all__ = ["BusLoad", "ClockBefore", "Pump", "frame_bits", "open_bus"]

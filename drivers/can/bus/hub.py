@@ -1,10 +1,11 @@
 """A CAN bus between processes: every frame that one client of a Unix socket sends reaches all the others.
 
 For machines whose kernel has no CAN, and for tests. The frames are the kernel's own `struct can_frame` (16 bytes) and
-`struct canfd_frame` (72 bytes), one a packet, so the order of a sender is kept. A frame is kept for a client that is
-behind only as long as its queue has room; then its newest frames are dropped and counted, and it is told by an error
-frame ("receive buffer overflow", as a controller tells), while all the others go on. What a wire does and a hub does
-not: priorities, bit timing, collisions.
+`struct canfd_frame` (72 bytes), one a packet, so the order of a sender is kept. What is passed on has the moment at
+which the system took the frame from its sender behind it (`struct timespec`, 16 bytes, UTC), so that what waits here
+becomes no younger. A frame is kept for a client that is behind only as long as its queue has room; then its newest
+frames are dropped and counted, and it is told by an error frame ("receive buffer overflow", as a controller tells),
+while all the others go on. What a wire does and a hub does not: priorities, bit timing, collisions.
 
     python -m drivers.can.bus.hub PATH [--queue FRAMES] [--stdin]
 """
@@ -19,13 +20,19 @@ import socket
 import struct
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from drivers.can.bus.hub_bus import STAMP
+
 FRAME_SIZES = frozenset({16, 72})
+_SO_TIMESTAMPNS = 35
+"""linux/socket.h: the system stamps what it receives; Python's socket module does not name it."""
+_STAMP_SPACE = socket.CMSG_SPACE(STAMP.size)
 QUEUE = 4096
 # After so many frames of one sender it is the next one's turn.
 _BURST = 64
@@ -116,6 +123,7 @@ class Hub:
         except OSError:
             return  # whoever wanted to join has given up
         sock.setblocking(False)
+        sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         client = _Client(sock)
         self._clients.add(client)
         self._selector.register(sock, _READ, client)
@@ -124,11 +132,11 @@ class Hub:
         """A burst of the sender's frames, to all the others."""
         for _ in range(_BURST):
             try:
-                packet = sender.sock.recv(128)
+                packet, stamps, *_ = sender.sock.recvmsg(128, _STAMP_SPACE)
             except BlockingIOError:
                 return
             except OSError:
-                packet = b""
+                packet, stamps = b"", []
             if not packet:  # its end; an empty packet would look the same, and is no frame either
                 self._part(sender)
                 return
@@ -136,6 +144,8 @@ class Hub:
                 self._counts["malformed"] += 1
                 continue
             self._counts["frames"] += 1
+            # One that was sent before this connection was accepted has no stamp.
+            packet += stamps[0][2] if stamps else STAMP.pack(*divmod(time.time_ns(), 1_000_000_000))
             for client in tuple(self._clients):
                 if client is sender:
                     continue

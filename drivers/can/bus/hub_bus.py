@@ -15,6 +15,8 @@ from collections import deque
 import can
 from can.typechecking import CanFilters
 
+STAMP = struct.Struct("@ll")
+"""Behind a frame that a hub passes on: struct timespec, seconds and nanoseconds UTC."""
 _CLASSIC = struct.Struct("=IB3x8s")
 _FD = struct.Struct("=IBB2x64s")
 _EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
@@ -141,18 +143,20 @@ def pack(message: can.Message) -> bytes:
 
 
 def unpack(packet: bytes) -> can.Message:
-    """Give the frame of a packet, stamped with the time of now (s UTC). A length beyond the packet's is cut."""
-    is_fd = len(packet) == _FD.size
+    """Give the frame of a packet, stamped (s UTC) by what stands behind it, or with now. A length beyond it is cut."""
+    is_fd = len(packet) >= _FD.size
     flags = 0
     if is_fd:
-        word, length, flags, payload = _FD.unpack(packet)
+        word, length, flags, payload = _FD.unpack_from(packet)
     else:
-        word, length, payload = _CLASSIC.unpack(packet)
+        word, length, payload = _CLASSIC.unpack_from(packet)
+    stamp = packet[_FD.size if is_fd else _CLASSIC.size :]
+    seconds, nanoseconds = STAMP.unpack(stamp) if stamp else (time.time(), 0)
     length = min(length, len(payload))
     remote, error = bool(word & _REMOTE), bool(word & _ERROR)
     extended = bool(word & _EXTENDED) or error
     return can.Message(
-        timestamp=time.time(),
+        timestamp=seconds + nanoseconds * 1e-9,
         arbitration_id=word & (0x1FFFFFFF if extended else 0x7FF),
         is_extended_id=extended,
         is_remote_frame=remote,

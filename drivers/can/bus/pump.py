@@ -11,6 +11,7 @@ from math import inf
 
 import can
 
+from drivers.can.bus.arrival import Arrivals
 from drivers.supervision import Supervisor
 
 _BURST = 256
@@ -24,6 +25,8 @@ _QUEUE = 10_000  # frames kept for a loop that is behind, by us or by a bus with
 class Pump:
     """Gives `take` each frame, in order, in the event loop's thread; `lost` says once that the bus is gone, and why.
 
+    A frame's `timestamp` is then the moment (monotonic s) at which it came, however late the loop takes it, as far as
+    the system or the thread has stamped it (`drivers.can.bus.arrival`).
     A burst of frames leaves the loop to others in between. `close` lets the bus go; nothing is given after that.
     """
 
@@ -39,6 +42,7 @@ class Pump:
         self._take = take
         self._lost = lost
         self._loop = asyncio.get_running_loop()
+        self._arrivals = Arrivals(bus)
         self._waiting: deque[can.Message] = deque(maxlen=_QUEUE)
         self._closed = False
         self._ended = threading.Event()
@@ -95,6 +99,7 @@ class Pump:
         for _ in range(0 if self._closed else most):
             reason = _UNREADABLE
             try:
+                begun = time.monotonic()
                 message = self.bus.recv(0.0)
                 reason = ""
             except (can.CanError, OSError, ValueError) as error:
@@ -107,8 +112,10 @@ class Pump:
             if message is None:
                 # A filter of this process answers None for a frame that it leaves out, and others wait behind it.
                 if not self._readiness.poll(0):
+                    self._arrivals.found_empty(begun)
                     return
                 continue
+            message.timestamp = self._arrivals.moment(message)
             self._take(message)
             if self._closed:
                 return
@@ -123,10 +130,12 @@ class Pump:
                 begun = time.monotonic()
                 message = self.bus.recv(0.0)
                 if message is None:
+                    self._arrivals.found_empty(begun)
                     self._caught_up(begun)
                     message = self.bus.recv(_LOOK)
                 if message is None:
                     continue
+                message.timestamp = self._arrivals.moment(message)
                 self._behind = True
                 self.dropped += len(self._waiting) == _QUEUE  # the oldest: what is newest is what is
                 self._waiting.append(message)

@@ -13,19 +13,19 @@ class TappedBus(can.BusABC):
     """Hands everything through to `bus`, which it owns; `place` is what the bus is called in the evidence."""
 
     def __init__(self, bus: can.BusABC, tap: Tap, place: str) -> None:
-        self._bus, self._tap, self._place = bus, tap, place
+        self.bus, self._tap, self._place = bus, tap, place
         self._can_protocol = bus.protocol
         super().__init__(place, bus.filters)
         self.channel_info = bus.channel_info
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Put one frame on the bus."""
-        self._bus.send(msg, timeout)
+        self.bus.send(msg, timeout)
         self._report(msg, sent=True)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Take one frame, or None after `timeout` seconds."""
-        message = self._bus.recv(timeout)
+        message = self.bus.recv(timeout)
         if message is not None:
             self._report(message, sent=False)
         return message
@@ -35,25 +35,25 @@ class TappedBus(can.BusABC):
 
     def fileno(self) -> int:
         """The bus's own descriptor."""
-        return self._bus.fileno()
+        return self.bus.fileno()
 
     def set_filters(self, filters: can.typechecking.CanFilters | None = None) -> None:
         """The bus's own filters."""
-        self._bus.set_filters(filters)
+        self.bus.set_filters(filters)
 
     @property
     def state(self) -> can.BusState:
         """The controller's state."""
-        return self._bus.state
+        return self.bus.state
 
     @state.setter
     def state(self, new_state: can.BusState) -> None:
-        self._bus.state = new_state
+        self.bus.state = new_state
 
     def shutdown(self) -> None:
         """Leave the bus. May be called twice."""
         super().shutdown()
-        self._bus.shutdown()
+        self.bus.shutdown()
 
 
 def packed(message: can.Message) -> bytes:

@@ -13,6 +13,9 @@ thus:
   the former count: the new one may have waited on its way ever since. DEAD_PERIODS after the last seen change they
   are bad. Until a change from one living count to another is seen they are UNCERTAIN: the first cycle after a restart
   may still show what the memory was cleared to.
+- A count vouches for nothing that was said before it while life was not proven. What is stamped in such a silence (a
+  count of 0, or no new one for STALE_PERIODS), later than the last count before it and before the one that proves life
+  again, is UNCERTAIN until it is said anew; after a 0 the memory was cleared, and whatever is older is UNCERTAIN too.
 - The other limits are drawn half a period early, so that the jitter of a scan cannot add a scan to them.
 - A change faster than the tag's `max_rate` since its last good reading (over one period at least) is
   SENSOR_NOT_ACCURATE; a lasting step is believed once the time that passed makes its rate believable.
@@ -23,6 +26,7 @@ thus:
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import NamedTuple
 
 from drivers.tag import Quality, Sample, Tag
@@ -33,6 +37,7 @@ _TOLERANCE = 0.5
 """Periods by which the limits are drawn early: a scan that jitters would otherwise be a whole period beyond them."""
 _ROUNDING = 1e-6
 """Periods that the sum of times may be off by: on time the third scan after a reading is three periods later."""
+_UNVOUCHED = "was said while nothing proved that the device's program runs"
 
 LINK_FAULTS = frozenset(
     {
@@ -76,6 +81,10 @@ class DeviceAge:
 
     `alive` is the moment after which the device's memory is known to have lived. `garbled` are the last readings of
     which the driver said that their bytes are no measurement, by tag.
+
+    `counted` is the moment when the present living count was first read, and `said` that reading's own time. `silent`
+    is the time of a sample after which nothing is vouched for while life is not proven (None: it is), `silence` the
+    last such span that is over, and `doubted` the times of the tags' samples that fell into one.
     """
 
     tags: Mapping[str, TagHistory] = field(default_factory=dict)
@@ -84,6 +93,11 @@ class DeviceAge:
     beat_read: float = 0.0
     beat_changed: float | None = None
     alive: float = 0.0
+    counted: float | None = None
+    said: float = 0.0
+    silent: float | None = None
+    silence: tuple[float, float] = (0.0, 0.0)
+    doubted: Mapping[str, float] = field(default_factory=dict)
 
 
 def judge(
@@ -91,22 +105,15 @@ def judge(
 ) -> tuple[DeviceAge, dict[str, Sample]]:
     """What a scan's readings `read` (in the order of `tags`) are worth at `now`, and what to remember for the next."""
     by_name = {sample.tag: sample for sample in read}
-    # The heartbeat first, by which everything else is judged. Only a change from one living count to
-    # another proves life: the first cycle after a restart may still show what the memory was cleared to.
-    beat = by_name.get(rules.heartbeat or "")
-    if beat is not None and beat.quality.is_good and isinstance(beat.value, int):
-        count, changed, alive = int(beat.value), age.beat_changed, age.alive
-        if count == 0:
-            changed = None
-        elif age.beat and count != age.beat:
-            changed, alive = now, age.beat_read
-        # What a device says by itself may have waited on its way since the count before it came, however often that
-        # was read meanwhile. It may be stamped by a clock of its own, too: it was there by now.
-        said_before = count == age.beat and age.beat_changed is not None
-        read_at = beat.sent if beat.sent is not None else age.beat_read if said_before else now
-        age = DeviceAge(age.tags, age.garbled, count, beat_read=read_at, beat_changed=changed, alive=alive)
-    image = _image(age, now, rules) if rules.heartbeat else None
+    # The heartbeat first, by which everything else is judged.
+    image = None
+    if rules.heartbeat:
+        age = _counted(age, by_name.get(rules.heartbeat), now, rules)
+        image = _image(age, now, rules)
+        if image is None and age.silent is not None:
+            age = replace(age, silent=None, silence=(age.silent, age.said))
     histories, garbled = dict(age.tags), dict(age.garbled)
+    doubted: dict[str, float] = {}
     judged: dict[str, Sample] = {}
     for tag in tags:
         sample = by_name[tag.name]
@@ -118,6 +125,10 @@ def judge(
             sample = replace(sample, quality=Quality.UNCERTAIN, reason=reason)
         else:
             sample = _on_its_own(tag, sample, histories, now, rules.period)
+        if age.silence[0] < sample.time < age.silence[1] or age.doubted.get(tag.name) == sample.time:
+            doubted[tag.name] = sample.time
+            if sample.quality.is_good:
+                sample = replace(sample, quality=Quality.UNCERTAIN, reason=_UNVOUCHED)
         # The heartbeat only ever takes away: it never makes a doubtful reading better, or a bad one less bad.
         if image is not None and not sample.quality.is_bad:
             quality, reason = image
@@ -126,10 +137,31 @@ def judge(
             elif sample.quality.is_good:
                 sample = replace(sample, quality=quality, reason=reason)
         judged[tag.name] = sample
-    after = DeviceAge(
-        histories, garbled, age.beat, beat_read=age.beat_read, beat_changed=age.beat_changed, alive=age.alive
-    )
-    return after, judged
+    return replace(age, tags=histories, garbled=garbled, doubted=doubted), judged
+
+
+def _counted(age: DeviceAge, beat: Sample | None, now: float, rules: QualityRules) -> DeviceAge:
+    """What is remembered of the device after one more reading of its heartbeat, or none."""
+    if beat is not None and beat.quality.is_good and isinstance(beat.value, int):
+        count, changed, alive = int(beat.value), age.beat_changed, age.alive
+        # Only a change from one living count to another proves life: the first cycle after a restart may still show
+        # what the memory was cleared to.
+        if count == 0:
+            changed = None
+        elif age.beat and count != age.beat:
+            changed, alive = now, age.beat_read
+        first = count not in (0, age.beat)
+        # What a device says by itself may have waited on its way since the count before it came, however often that
+        # was read meanwhile. It may be stamped by a clock of its own, too: it was there by now.
+        said_before = count == age.beat and age.beat_changed is not None
+        read_at = beat.sent if beat.sent is not None else age.beat_read if said_before else now
+        age = replace(age, beat=count, beat_read=read_at, beat_changed=changed, alive=alive)
+        if first:
+            return replace(age, counted=now, said=beat.time)
+    if age.beat == 0:
+        return replace(age, silent=-inf)
+    stands = age.counted is not None and (now - age.counted) / rules.beat_period > STALE_PERIODS + _ROUNDING
+    return replace(age, silent=age.said) if stands and age.silent is None else age
 
 
 def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, str] | None:
