@@ -36,6 +36,8 @@ PORT, PAGE_PORT = 15020, 8080
 PATIENCE_S = 90.0
 MOST_COMMANDS, MOST_S = 6, 600.0
 WATCHDOG_S = 8.0
+ELSEWHERE = "203.0.113.1"
+"""Of a network for examples (RFC 5737): no plant's."""
 KEPT = ("/etc/decanter", "/var/lib/decanter", "/var/log/decanter")
 _BOOT = """
 set -e
@@ -262,6 +264,22 @@ def service(box: Box) -> None:
         f"one that hangs is started anew: after {time.monotonic() - begun:.0f} s", box.shown("MainPID") != before
     )
     box.checked("the watchdog has done it", "watchdog" in box.journal().lower())
+    plant = "/etc/decanter/plant.toml"
+    subprocess.run(
+        ["nsenter", "-t", str(box.pid), "-n", "ip", "addr", "add", f"{ELSEWHERE}/32", "dev", "lo"], check=True
+    )
+    box.run(f"cp {plant} /hand/plant.here.toml; sed -i 's/^host = .*/host = \"{ELSEWHERE}\"/' {plant}")
+    box.run("systemctl restart decanter")
+    reached = box.until("an address elsewhere is tried", lambda: _link(box).get("reason"))
+    box.checked("an address that is not the plant's is out of reach", "no connection within" in reached, reached)
+    box.run(f"cp /hand/plant.here.toml {plant}; systemctl restart decanter")
+
+
+def _link(box: Box) -> dict[str, Any]:
+    """The link of a running gateway; {} before it answers."""
+    found = json.loads(box.run("decanter status --json", check=False) or "{}")
+    link: dict[str, Any] = found.get("status", {}).get("link", {})
+    return link
 
 
 def several(box: Box) -> None:
@@ -294,7 +312,7 @@ print(line.execute("SELECT count(*) FROM runs").fetchone()[0])
 """
 
 
-def life(box: Box, package: str, newer: str) -> None:
+def life(box: Box, package: str, newer: str, broken: str) -> None:
     """Upgrade, removal, reinstallation, purge: all that is the plant's stays."""
 
     def starts() -> int:
@@ -310,9 +328,14 @@ def life(box: Box, package: str, newer: str) -> None:
         return box.shown("ActiveState") == "active" and bool(found.get("status"))
 
     before = starts()
+    box.run("systemctl disable decanter")
     box.run(f"dpkg -i {newer}")
-    box.until("it runs after the upgrade", runs)
+    box.until("it runs after the upgrade, though it is disabled at boot", runs)
     box.checked("upgraded: it runs, and goes on in the same records", starts() > before)
+    before = starts()
+    refused = box.run(f"dpkg -i {broken}; systemctl enable decanter", check=False)
+    box.until("it runs after an upgrade that failed", runs)
+    box.checked("an upgrade that fails leaves it running", starts() > before, refused)
     kept = json.loads(box.run("decanter config history --json"))["configurations"]
     box.checked(f"{len(kept)} configurations that it took over are kept", len(kept) > 1)
     box.run("decanter support /var/lib/decanter/support.zip")
@@ -331,13 +354,16 @@ def life(box: Box, package: str, newer: str) -> None:
     box.checked("purged: the plant's files and its user stay all the same", files() == stays)
 
 
-def newer_package(package: Path, folder: Path) -> Path:
-    """The same program as a package of a higher version."""
-    tree = folder / "newer"
+def newer_package(package: Path, folder: Path, name: str, preinst: str = "") -> Path:
+    """The same program as a package of a higher version, whose first script this is; gives its file, `name`.deb."""
+    tree = folder / name
     subprocess.run(["dpkg-deb", "-R", package, tree], check=True)
     control = tree / "DEBIAN/control"
     control.write_text(re.sub(r"^Version: (.*)$", r"Version: \1+1", control.read_text(), flags=re.M), encoding="utf-8")
-    file = folder / "newer.deb"
+    if preinst:
+        (tree / "DEBIAN/preinst").write_text(f"#!/bin/sh\n{preinst}\n", encoding="utf-8")
+        (tree / "DEBIAN/preinst").chmod(0o755)
+    file = folder / f"{name}.deb"
     subprocess.run(["dpkg-deb", "--root-owner-group", "-Znone", "--build", tree, file], check=True, capture_output=True)
     shutil.rmtree(tree)
     return file
@@ -365,7 +391,8 @@ def main(root: Path, package: Path | None, as_json: bool) -> None:
         make_root(root.absolute())
         file = package or build(Path("dist").absolute(), version())
         shutil.copyfile(file, hand / file.name)
-        newer_package(file, hand)
+        newer_package(file, hand, "newer")
+        newer_package(file, hand, "broken", "exit 1")
         warmest = given(hand)
         for path in hand.iterdir():
             path.chmod(0o644)
@@ -374,7 +401,7 @@ def main(root: Path, package: Path | None, as_json: bool) -> None:
             newcomer(box, f"/hand/{file.name}")
             service(box)
             several(box)
-            life(box, f"/hand/{file.name}", "/hand/newer.deb")
+            life(box, f"/hand/{file.name}", "/hand/newer.deb", "/hand/broken.deb")
             took = time.monotonic() - begun
     for line, seconds in box.typed:
         click.echo(f"{seconds:7.1f} s  {line}", err=as_json)

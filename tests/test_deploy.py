@@ -99,6 +99,58 @@ def test_the_scripts_are_scripts_and_take_nothing_away(script: Path) -> None:
     assert not re.search(r"\b(rm|rmdir|deluser|userdel|find)\b", text), "removal keeps what is the plant's"
 
 
+SYSTEM = """#!/bin/sh
+# Stands for systemd's and Debian's commands: says what it was asked for, and whether the service runs.
+echo "${0##*/} $*" >> "$ASKED"
+case "$*" in "is-active decanter.service") echo "$RUNS"; [ "$RUNS" = active ] ;; esac
+"""
+
+
+def script_after_prerm(
+    folder: Path, runs: str, *arguments: str, prerm: str | None = "upgrade", system: bool = True
+) -> list[str]:
+    """What postinst asks the system for, after prerm, in a folder that stands for /, where the service `runs`."""
+    run, commands, asked = folder / "run", folder / "commands", folder / "asked"
+    (run / "systemd/system" if system else run).mkdir(parents=True)
+    commands.mkdir()
+    for name in ("systemctl", "deb-systemd-invoke", "deb-systemd-helper", "getent", "adduser", "install"):
+        (commands / name).write_text(SYSTEM, encoding="utf-8")
+        (commands / name).chmod(0o755)
+    given = {"PATH": f"{commands}:/usr/bin:/bin", "ASKED": str(asked), "RUNS": runs}
+    for name, words in (("prerm", () if prerm is None else (prerm,)), ("postinst", arguments)):
+        if not words:
+            continue
+        text = (DEPLOY / "maintainer" / name).read_text(encoding="utf-8").replace("/run/", f"{run}/")
+        asked.write_text("", encoding="utf-8")
+        subprocess.run(["sh", "-c", text, name, *words], check=True, env=given, capture_output=True)
+    return asked.read_text(encoding="utf-8").splitlines()
+
+
+STARTED, STARTED_IF_ENABLED = "systemctl start decanter.service", "deb-systemd-invoke start decanter.service"
+
+
+@pytest.mark.parametrize("state", ["active", "activating", "reloading"])
+@pytest.mark.parametrize("words", [("configure", "0.1.0"), ("abort-upgrade", "0.2.0"), ("abort-remove",)])
+def test_what_ran_before_an_upgrade_runs_after_it_even_where_the_upgrade_failed(
+    tmp_path: Path, state: str, words: tuple[str, ...]
+) -> None:
+    # Enabled or not: it may have been started by hand.
+    assert STARTED in script_after_prerm(tmp_path, state, *words)
+
+
+@pytest.mark.parametrize(("state", "prerm"), [("inactive", "upgrade"), ("failed", "upgrade"), ("active", None)])
+def test_what_did_not_run_or_is_new_is_started_unless_somebody_has_disabled_it(
+    tmp_path: Path, state: str, prerm: str | None
+) -> None:
+    asked = script_after_prerm(tmp_path, state, "configure", prerm=prerm)
+    assert STARTED_IF_ENABLED in asked and STARTED not in asked
+
+
+def test_without_systemd_nothing_is_asked_of_it(tmp_path: Path) -> None:
+    asked = script_after_prerm(tmp_path, "active", "configure", system=False)
+    assert not [line for line in asked if line.startswith(("systemctl", "deb-systemd-invoke"))]
+
+
 def small_environment(tree: Path, _work: Path) -> None:
     """Stands for the environment, which takes minutes to make."""
     start = tree / build_deb.HOME / "bin/decanter"

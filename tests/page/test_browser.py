@@ -1,10 +1,12 @@
 """The page in a real browser (headless Chromium): what people see, and what it says when nothing is known any more."""
 
+import json
 import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 
@@ -14,7 +16,7 @@ from gateway.web.access import AccountRole
 from sim.artefacts import promote
 from sim.artefacts.formats import save
 from tests.discrepancy_report.made_diagnoses import of
-from tests.gateway.support import TEMPERATURE, two_modes
+from tests.gateway.support import MAP, TEMPERATURE, two_modes
 from tests.page.served import PAGE, PASSWORD, Served, served
 
 playwright = pytest.importorskip("playwright.sync_api")
@@ -25,6 +27,18 @@ AXE = os.environ.get("AXE_CORE")
 VIEWS = ("plant", "machine/decanter", "alarms", "trends", "scorecard", "model", "communication", "box")
 WAIT_MS = 30_000
 LONG = "Dekanterzentrifuge-Schlammentwaesserung-Halle-3-Linie-B"
+MARKUP = '<img src=x onerror="window.ran=1">"><script>window.ran=1</script>{{7*7}}'
+HOSTILE = {
+    "AllarmeVibrazioni": MARKUP,
+    "AllarmeTCuscinetti": "javascript:window.ran=1//",
+    "PresenzaAllarme": "__proto__",
+    "Coppia": "constructor",
+    "Differenziale": "toString",
+    "LivelloVibrazioni": "W" * 200,
+}
+"""Tag of the map -> the name that it is given."""
+LINKS = ("machine/__proto__", "machine/constructor", "machine/%", f"machine/{MARKUP}", "constructor/a/b", "toString")
+"""What somebody may write behind the page's address."""
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +110,10 @@ def test_an_alarm_appears_and_is_acknowledged_by_who_has_logged_in(page: Page, g
     entry.get_by_role("button", name="Acknowledge").click()
     expect(entry).to_contain_text("Acknowledged by olga at 127.0.0.1")
     expect(entry).to_contain_class("attention")
+    # On a phone what may be done stands below an alarm's text, not in its place.
+    page.set_viewport_size({"width": 320, "height": 700})
+    below = "entry => entry.querySelector('.buttons').getBoundingClientRect().top"
+    assert entry.evaluate(below) >= entry.locator(".alarmtext").evaluate("text => text.getBoundingClientRect().bottom")
     gateway.put(TEMPERATURE, 45.0)
     expect(entry).to_have_count(0)
     expect(page.locator("table")).to_contain_text("olga at 127.0.0.1")
@@ -176,6 +194,49 @@ def test_long_names_fit_a_phone_in_every_language_and_what_is_only_watched_has_a
             page.goto(f"http://127.0.0.1:{gateway.port}/?lang=en#/trends")
             page.locator(".tags summary").click()
             expect(page.locator(".tags")).to_contain_text(f"{LONG} unten (°C){other}")
+        finally:
+            page.close()
+
+
+def test_names_texts_and_links_of_anybody_are_text_and_break_no_view(browser: Browser, tmp_path: Path) -> None:
+    map_text = MAP.read_text(encoding="utf-8")
+    for old, new in HOSTILE.items():
+        map_text = map_text.replace(f'name = "{old}"', f"name = {json.dumps(new)}").replace(
+            'unit = "mm/s"', f"unit = {json.dumps(MARKUP)}"
+        )
+    text_tag = '[[tags]]\nname = "PlcText"\naddress = "holding:1000"\ndtype = "string"\nlength = 200\n\n'
+    device = tmp_path / "map.toml"
+    device.write_text(map_text.replace("[writeback]", f"{text_tag}[writeback]", 1), encoding="utf-8")
+    labels = f"labels = {{ decanter = {json.dumps(MARKUP)}, {TEMPERATURE} = {json.dumps(MARKUP)} }}"
+    text = PAGE.replace(f'labels = {{ {TEMPERATURE} = "gearbox bearing" }}', labels)
+    tags = json.dumps([TEMPERATURE, HOSTILE["LivelloVibrazioni"]])
+    text = text.replace("limit = 47.0", f"limit = 20.0\ntags = {tags}")
+    text += f'[[alarm]]\nname = "over limit"\nresponse = {json.dumps(MARKUP)}\n'
+    with served(tmp_path, text, device__file=device) as gateway:
+        gateway.put("PlcText", MARKUP * 2)
+        page, said = browser.new_page(viewport={"width": 1280, "height": 800}), list[str]()
+        page.set_default_timeout(WAIT_MS)
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
+        try:
+            for width in (1280, 320):
+                page.set_viewport_size({"width": width, "height": 800})
+                for view in (*VIEWS, *LINKS):
+                    page.goto(f"http://127.0.0.1:{gateway.port}/?lang=en#/{quote(view, safe='/%')}")
+                    expect(page.locator("main h2, main .row, main .controls, main .lead").first).to_be_visible()
+                    assert page.evaluate("document.documentElement.scrollWidth") <= width, view
+                    assert page.evaluate("window.ran ?? null") is None, view
+                    made = page.locator("main img, main script, main [onerror], main a[href^=javascript]")
+                    expect(made).to_have_count(0)
+                    expect(page.locator("main")).not_to_contain_text("native code")
+            assert said == []
+            page.set_viewport_size({"width": 1280, "height": 800})
+            page.goto(f"http://127.0.0.1:{gateway.port}/?lang=en#/machine/decanter")
+            expect(page.locator("main")).to_contain_text(MARKUP * 2)
+            # One long word must not push the values beside it out of sight.
+            for name in ("constructor", "PlcText"):
+                row = page.locator("tbody tr").filter(has=page.get_by_text(name, exact=True))
+                assert row.locator("td").nth(2).evaluate("cell => cell.getBoundingClientRect().right <= innerWidth")
         finally:
             page.close()
 

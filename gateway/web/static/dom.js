@@ -1,5 +1,10 @@
 // Elements from data, and what is on the screen changed to them node by node: focus, scroll and drawings stay.
-const start = JSON.parse(document.getElementById("start").textContent);
+const bare = (_, value) => (value && typeof value === "object" && !Array.isArray(value) ? Object.setPrototypeOf(value, null) : value);
+
+// What the gateway says, as data. Its objects have no prototype: a tag may be called "constructor", and is looked up.
+export const parse = (text) => JSON.parse(text, bare);
+
+const start = parse(document.getElementById("start").textContent);
 export const language = start.language;
 export { start };
 
@@ -106,7 +111,7 @@ export async function ask(method, path, given = null) {
   let response, answered;
   try {
     response = await fetch(url, options);
-    answered = await response.json();
+    answered = parse(await response.text());
   } catch {
     throw new Error(say("live.cut"));
   }

@@ -1,10 +1,10 @@
 // The one stream of events: the newest picture of every machine, and for how long there has been none.
-import { language, start } from "./dom.js";
+import { language, parse, start } from "./dom.js";
 
 const CUT_S = 3; // pictures come once a second at least
 const LATE_S = 2;
 
-export const state = { order: [], machines: {}, arrived: null };
+export const state = { order: [], machines: Object.create(null), arrived: null };
 let source = null, told = () => {}, offset = null, retry = 0;
 
 // A picture that waited on its way (a computer that slept, a network that stood still) is as old as it is: against the
@@ -41,7 +41,7 @@ function connect() {
   offset = null;
   source = new EventSource(`/api/live?lang=${language}`);
   source.onmessage = (event) => {
-    const picture = JSON.parse(event.data);
+    const picture = parse(event.data);
     take(picture);
     retry = 0;
     // One that stays late, though it is the newest there is: a clock was set. The next connection measures anew.

@@ -19,9 +19,18 @@ const VIEWS = {
 const view = document.getElementById("view");
 let place = "", rendered = null;
 
+// A link is anybody's text: what is no view of ours is the plant, and what is no encoding stands for itself.
+function decoded(part) {
+  try {
+    return decodeURIComponent(part);
+  } catch {
+    return part;
+  }
+}
+
 function here() {
-  const [name, ...rest] = location.hash.replace(/^#\/?/, "").split("/").map(decodeURIComponent);
-  return { name: name in VIEWS || name === "machine" ? name : "plant", rest };
+  const [name, ...rest] = location.hash.replace(/^#\/?/, "").split("/").map(decoded);
+  return { name: Object.hasOwn(VIEWS, name) || name === "machine" ? name : "plant", rest };
 }
 
 function render() {

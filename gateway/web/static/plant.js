@@ -162,6 +162,10 @@ function eventList(status) {
 // A tag in the plant's words where there are any, its own name beside them.
 const tagHead = (labels, name) => h("th", { scope: "row" }, labels[name] ? [labels[name], h("small", {}, name)] : name);
 
+// A number stays in one line; a PLC's text, or a unit of many letters, is broken: what is right of it would be out of sight.
+const MOST_IN_A_LINE = 24;
+const valueCell = (text, cut) => h("td", { class: text.length > MOST_IN_A_LINE ? null : "number" }, cut ? h("span", { class: "old" }, say("live.was", { value: text })) : text);
+
 function inputs(status, labels, extra, cut) {
   const rank = (tag) => (tag.quality === "GOOD" ? 1 : 0);
   const rows = Object.entries(status.values).sort(([, a], [, b]) => rank(a) - rank(b));
@@ -169,7 +173,7 @@ function inputs(status, labels, extra, cut) {
     h("thead", {}, h("tr", {}, ["tag", "value", "age", "quality", "reason"].map((key) => h("th", { scope: "col", class: key === "value" || key === "age" ? "number" : null }, say(`word.${key}`))))),
     h("tbody", {}, rows.map(([name, tag]) => h("tr", { class: tag.quality === "GOOD" ? "" : "bad" },
       tagHead(labels, name),
-      h("td", { class: "number" }, cut ? h("span", { class: "old" }, say("live.was", { value: `${shown(tag.value)} ${unit(tag.unit)}` })) : `${shown(tag.value)} ${unit(tag.unit)}`),
+      valueCell(`${shown(tag.value)} ${unit(tag.unit)}`, cut),
       h("td", { class: "number" }, duration(tag.age / status.speed + extra)),
       h("td", {}, cut ? say("word.unknown") : tag.quality), h("td", {}, tag.reason))))));
 }
