@@ -18,6 +18,7 @@ import subprocess
 import sys
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import astuple
 from datetime import UTC, datetime
 from functools import partial
 from time import monotonic, time
@@ -405,6 +406,7 @@ class WorkerPool:
         return {
             "error": "",
             "files": self._files,
+            "ended": {subject: astuple(ended) for subject, ended in trail.audit.ended_elsewhere.items()},
             "rows": [(row.id, row.hash) for row in stored if not isinstance(row, BaseException)],
         }
 
