@@ -7,6 +7,8 @@ from threading import get_native_id
 
 RECORDS_MODE = 0o640
 """Records are their owner's and its group's to read, whatever the umask of who starts the program."""
+SQLITE_HEADER = b"SQLite format 3\0"
+"""What each database of SQLite begins with (sqlite.org/fileformat.html)."""
 BESIDE = ("", "-wal", "-shm", "-journal")
 """What SQLite keeps beside a database belongs to it."""
 
