@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from drivers.named_files import writing
-from gateway.key_pair import key_problem
+from gateway.key_pair import NOT_A_KEY, key_problem
 
 ROLE = x509.ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
 """The extension that holds a client's role as a UTF8String (MODBUS/TCP Security v21)."""
@@ -31,6 +31,13 @@ OPC_UA_CERTIFICATE, OPC_UA_KEY, OPC_UA_TRUSTED = "opcua.pem", "opcua.key", "trus
 """The files of an OPC UA application in its folder, and the folder of the certificates that it trusts."""
 _RSA_BITS = 2048
 
+_NOT_A_CERTIFICATE = (
+    *NOT_A_KEY,
+    x509.InvalidVersion,
+    x509.ExtensionNotFound,
+    x509.DuplicateExtension,
+    x509.UnsupportedGeneralNameType,
+)
 LONGEST_ROLE = 64
 _UTF8_STRING = 0x0C
 _CLOCK_SLACK = dt.timedelta(hours=1)
@@ -121,11 +128,12 @@ def application_problem(folder: Path) -> str | None:
         certificate = x509.load_pem_x509_certificate((folder / OPC_UA_CERTIFICATE).read_bytes())
         key = serialization.load_pem_private_key((folder / OPC_UA_KEY).read_bytes(), None)
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        is_pair = isinstance(key, rsa.RSAPrivateKey) and key.public_key() == certificate.public_key()
     except OSError as error:
         return f"{error.filename}: cannot be read ({(error.strerror or str(error)).lower()}); {advice}"
-    except (ValueError, TypeError, x509.ExtensionNotFound):
+    except _NOT_A_CERTIFICATE:
         return f"{folder}: {OPC_UA_CERTIFICATE} and {OPC_UA_KEY} are no certificate and its key; {advice}"
-    if not isinstance(key, rsa.RSAPrivateKey) or key.public_key() != certificate.public_key():
+    if not is_pair:
         return f"{folder / OPC_UA_KEY}: is not the RSA key of {OPC_UA_CERTIFICATE}; {advice}"
     if not names.get_values_for_type(x509.UniformResourceIdentifier):
         return f"{folder / OPC_UA_CERTIFICATE}: names no application (a URI among its alternative names); {advice}"
@@ -138,7 +146,7 @@ def trusted_certificates(folder: Path) -> Iterator[bytes]:
     A file that holds none trusts nobody.
     """
     for path in sorted((folder / OPC_UA_TRUSTED).glob("*")):
-        with suppress(OSError, ValueError):
+        with suppress(OSError, *_NOT_A_CERTIFICATE):
             content = path.read_bytes()
             if content.startswith(b"-----"):
                 certificate = x509.load_pem_x509_certificate(content)

@@ -4,7 +4,12 @@ import ssl
 from pathlib import Path
 from stat import S_IMODE
 
+from cryptography.exceptions import InternalError, UnsupportedAlgorithm
+
 from drivers.errors import OneLineError
+
+NOT_A_KEY = (ValueError, TypeError, UnsupportedAlgorithm, InternalError)
+"""What `cryptography` raises for bytes that hold no key that it knows; InternalError where OpenSSL alone knows it."""
 
 
 def key_problem(key: Path) -> str | None:

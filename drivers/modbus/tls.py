@@ -96,10 +96,26 @@ def role_of(certificate: x509.Certificate) -> str:
     return text[2:].decode(errors="replace")  # a short UTF8String: tag, length, text
 
 
-def cautions(identity: Identity, now: dt.datetime) -> tuple[str, ...]:
-    """What works today and should not stay so: a key that others may read, a certificate about to expire, no role."""
+def refusal_hint(folder: Path) -> str:
+    """Why the PLC may refuse what it knows, by the certificate that it is shown; "" where that cannot be used now."""
+    try:
+        role = load_identity(folder).role
+    except DriverError:
+        return ""
+    return f"or {f'the role {role!r} of' if role else 'the lack of a role in'} our certificate does not allow it"
+
+
+def cautions(folder: Path, now: dt.datetime) -> tuple[str, ...]:
+    """What works today and should not stay so: a key that others may read, a certificate about to expire, no role.
+
+    Where the files cannot be used, that they cannot.
+    """
     cautions = []
-    mode = stat.S_IMODE((identity.folder / "client.key").stat().st_mode)
+    try:
+        identity = load_identity(folder)
+        mode = stat.S_IMODE((folder / "client.key").stat().st_mode)
+    except (DriverError, OSError) as error:
+        return (str(error),)
     if mode & 0o077:
         cautions.append(f"{identity.folder / 'client.key'} can be read by others (mode {mode:o}): chmod 600 it")
     left = identity.expires - now

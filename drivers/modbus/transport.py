@@ -9,7 +9,7 @@ from typing import Protocol
 from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import BeforeSending, Clock, anyhow
-from drivers.errors import DeviceException, LinkFault
+from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault
 from drivers.modbus.numbered import NumberedWire
 from drivers.modbus.replies import TransactionIds
 from drivers.modbus.serial_line import LineWire, Quiet
@@ -45,24 +45,26 @@ class AnyWire(Protocol):
 class ModbusTransport:
     """`wire` makes a wire, not yet connected; `cautions` says what should not stay as it is.
 
-    `refusal_hint` is what else exception 1 (illegal function) may mean here.
+    `refusal_hint` gives what else exception 1 (illegal function) may mean here. To make a wire raises LinkDown where
+    what it needs cannot be used now.
     """
 
     wire: Callable[[Callable[[str], None]], AnyWire]
     cautions: Callable[[], tuple[str, ...]]
-    refusal_hint: str = ""
+    refusal_hint: Callable[[], str] = str
 
     def explained(self, error: DeviceException) -> DeviceException:
         """The device's refusal with what it may mean on this transport."""
-        if error.code != _ILLEGAL_FUNCTION or not self.refusal_hint:
+        if error.code != _ILLEGAL_FUNCTION or not (hint := self.refusal_hint()):
             return error
-        return DeviceException(error.code, f"{error}; {self.refusal_hint}")
+        return DeviceException(error.code, f"{error}; {hint}")
 
 
 def make_transport(
     settings: ModbusSettings, clock: Clock, ids: TransactionIds, on_late: Callable[[int, bool], None] | None = None
 ) -> ModbusTransport:
-    """The transport of checked settings. Raises DriverError for certificates that cannot be used.
+    """The transport of checked settings. Certificates are read for each connection: what is wrong with them costs this
+    one, until they are whole, and new ones are used from the next one on.
 
     `ids` number the requests of all its wires.
     With `on_late` its wires carry the requests of several units; it hears of which unit a reply came too late,
@@ -87,11 +89,17 @@ def make_transport(
     # Certificates cost 11 MB of memory, which a gateway over plain TCP does without.
     from drivers.modbus import tls
 
-    identity = tls.load_identity(Path(settings.certificates))
-    secured = Secured(identity.context, settings.tls_name or settings.host, tls.sentence)
-    role = f"the role {identity.role!r} of" if identity.role else "the lack of a role in"
+    folder = Path(settings.certificates)
+
+    def secured(on_lost: Callable[[str], None]) -> AnyWire:
+        try:
+            identity = tls.load_identity(folder)
+        except DriverError as error:
+            raise LinkDown(str(error)) from None
+        return headed(on_lost, Secured(identity.context, settings.tls_name or settings.host, tls.sentence))
+
     return ModbusTransport(
-        lambda on_lost: headed(on_lost, secured),
-        lambda: tls.cautions(identity, dt.datetime.now(dt.UTC)),
-        f"or {role} our certificate does not allow it",
+        secured,
+        lambda: tls.cautions(folder, dt.datetime.now(dt.UTC)),
+        lambda: tls.refusal_hint(folder),
     )

@@ -17,6 +17,7 @@ from gateway.console import emit, json_option
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.writing import own_process
 from gateway.plant import configuration_files, require_named_places, without_arming
+from gateway.replacement import settle
 from gateway.settings import Config, load_plant
 from gateway.store import (
     DAMAGED_AUDIT,
@@ -38,7 +39,6 @@ from gateway.store import (
     public_path,
     put_in_place,
     read_manifest,
-    set_aside,
     sign_head,
     signer,
     stage,
@@ -153,6 +153,7 @@ def restore(
         _require_voucher(folder, manifest, into, seal, public_key)
         places = {Path(file.original): into / Path(file.original).relative_to("/") for file in manifest.files}
         roles = {file.role: places[Path(file.original)] for file in manifest.files}
+        settle(roles["plant"])
         if "historian" in roles and gateway_runs(roles["historian"]):
             raise BackupError(f"{roles['historian']}: a gateway runs on it; stop it first")
         standing = [place for place in places.values() if place.exists()]
@@ -163,11 +164,10 @@ def restore(
         placed = False
         try:
             said = _disarm(manifest, {role: drafts[place] for role, place in roles.items()}, by or login())
-            aside = put_in_place(drafts)
-            placed = True
             # Beside a damaged log that is restored none stays (`damaged_audit`): an arming in it would be in force.
-            if (copy := roles.get(DAMAGED_AUDIT)) is not None and copy.with_suffix("").exists():
-                aside.append(set_aside(copy.with_suffix(""), "replaced"))
+            away = [copy.with_suffix("")] if (copy := roles.get(DAMAGED_AUDIT)) is not None else []
+            aside = put_in_place(roles["plant"], drafts, away=away)
+            placed = True
         finally:
             if not placed:
                 discard(drafts)

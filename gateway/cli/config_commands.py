@@ -1,8 +1,9 @@
 """The commands of `decanter config`: configurations that were taken over, what differs between them, the way back."""
 
+import os
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -24,7 +25,8 @@ from gateway.plant import (
     require_named_places,
     without_arming,
 )
-from gateway.settings import load_plant
+from gateway.replacement import replaced, settle
+from gateway.settings import load_plant, read_plant
 from gateway.status import ControlError, connect
 from gateway.store import BackupError, write_durably
 
@@ -137,6 +139,7 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
     changed then; one that was armed comes back as 'shadow'.
     """
     with sentences():
+        settle(path)
         found = _kept(path, folder)
         wanted = _numbered(found, number)
         now, note = time.time(), f"before going back to {number}: {reason} ({by or login()})"
@@ -150,25 +153,19 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
         present = [(role, place) for place, role in roles.items() if place.is_file()]
         keep_files(wanted.folder.parent, present, now=now, note=note)
         content = {place: without_arming(data) if place == plant else data for place, data in kept.items()}
-        before = {place: place.read_bytes() if place.is_file() else None for place in content}
         modes = {Path(file.original): file.mode for file in wanted.manifest.files}
-        usable = False
+        former = [(place, place.with_name(f".{place.name}.former")) for place in content if place.is_file()]
+        for _, file in former:
+            file.unlink(missing_ok=True)  # of one that was killed behind its last step
         try:
-            for place, data in content.items():
-                write_durably(place, data, mode=modes[place])
-            machines = load_plant(path)
-            usable = True
+            with _drafts(content, modes) as drafts, replaced(plant, drafts, former):
+                machines = read_plant(path)
         except ConfigError as error:
             raise BackupError(
                 f"configuration {number} cannot be used any more, and nothing is changed: {error}"
             ) from None
-        finally:
-            if not usable:
-                for place, former in before.items():
-                    if former is None:
-                        place.unlink(missing_ok=True)
-                    else:
-                        write_durably(place, former, mode=modes[place])
+        for _, file in former:
+            file.unlink()  # it is kept, in the newest configuration
         taken = "no gateway runs: it is taken over at the next start"
         if (line := connect(machines[0].control_socket, PATIENCE_S)) is not None:
             try:
@@ -187,3 +184,20 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
         lambda: click.echo(f"{len(content)} files are as in configuration {number}; {taken}"),
         as_json_line=as_json,
     )
+
+
+@contextmanager
+def _drafts(content: Mapping[Path, bytes], modes: Mapping[Path, int]) -> Iterator[Mapping[Path, Path]]:
+    """Each file written beside its place, with the owner of what is there as far as this user may; none is left."""
+    drafts = {place: place.with_name(f".{place.name}.rollback") for place in content}
+    try:
+        for place, draft in drafts.items():
+            write_durably(draft, content[place], mode=modes[place])
+            if place.is_file():
+                status = place.stat()
+                with suppress(PermissionError):
+                    os.chown(draft, status.st_uid, status.st_gid)
+        yield drafts
+    finally:
+        for draft in drafts.values():
+            draft.unlink(missing_ok=True)

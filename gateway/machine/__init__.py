@@ -6,10 +6,10 @@ from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
     from gateway.machine.followed import FollowedTemperature
-    from gateway.machine.pipeline import ORDERS, Machine
+    from gateway.machine.pipeline import MODEL_PART, ORDERS, Machine
     from gateway.machine.plant_records import PlantRecords
     from gateway.machine.trust import RECORDING
 else:
     __getattr__ = opened_at_use(__name__)
 
-__all__ = ["ORDERS", "RECORDING", "FollowedTemperature", "Machine", "PlantRecords"]
+__all__ = ["MODEL_PART", "ORDERS", "RECORDING", "FollowedTemperature", "Machine", "PlantRecords"]

@@ -57,6 +57,8 @@ if TYPE_CHECKING:
 SAVE_SECONDS = 10.0
 PAST_SECONDS = 3600.0
 """What is read back from the historian at a start: as far as the points of a cycle look back (record 0174)."""
+MODEL_PART = "model"
+"""What a machine's models are called among its parts that may be missing."""
 ORDERS = ("WritePermit", ACKNOWLEDGE_BITS)
 """The tags by which the PLC gives orders to the gateway; a further block may have acknowledge bits of its own."""
 RECENT_EVENTS = 20
@@ -349,7 +351,7 @@ class Machine:
     @property
     def missing_parts(self) -> Mapping[str, str]:
         """What could not be begun, and why, by the parts' names: of the machine, and of the plant where it leads."""
-        own = {"model": self.without} if self.without else {}
+        own = {MODEL_PART: self.without} if self.without else {}
         return {**own, **self.common.without} if self.config.leads else own
 
     def _look_at_itself(self, scan: Scan) -> None:

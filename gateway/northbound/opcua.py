@@ -32,6 +32,7 @@ from cryptography import x509
 
 from drivers.tag import Quality
 from gateway.certificates import OPC_UA_CERTIFICATE, OPC_UA_KEY, trusted_certificates
+from gateway.listener import SharingListener
 from gateway.northbound.opcua_history import VARIANT_TYPES, HistorianHistory, data_value
 from gateway.northbound.opcua_points import OpcUaPoint, points_of
 from gateway.northbound.pictures import Pictures, ask_statuses
@@ -55,6 +56,7 @@ MOST_WAITING = 50
 MOST_UNSENT = 4 * LARGEST_MESSAGE
 """Bytes that wait for a client to take them; one that asks and reads nothing is left then."""
 CHANNEL_BYTES = 65_535
+_CLOSING_FACTOR = 2
 _CHANGING = {ua.ObjectIds.WriteRequest_Encoding_DefaultBinary, ua.ObjectIds.CallRequest_Encoding_DefaultBinary}
 _READING = {ua.NodeId(one) for one in USER_TYPES if one not in _CHANGING}
 
@@ -147,7 +149,25 @@ class BoundedChannel(OPCUAProtocol):  # type: ignore[misc]
 
 
 class BoundedServer(BinaryServer):  # type: ignore[misc]
-    """The library's listener, whose clients have bounded connections."""
+    """The library's listener, whose clients have bounded connections, of which no address takes another's."""
+
+    most_clients: int
+
+    async def start(self) -> None:
+        """Listen. Raises OSError."""
+        # The library's own bound counts those too that have to go and are about to: it is for what is beyond them.
+        self.iserver.max_connections = _CLOSING_FACTOR * self.most_clients
+        listener = SharingListener(socket.AF_INET, socket.SOCK_STREAM)
+        listener.bound(self.most_clients)
+        started = False
+        try:
+            listener.listen_at((self.hostname, self.port), self.most_clients)
+            self._server = await asyncio.get_running_loop().create_server(self._make_protocol, sock=listener)
+            started = True
+        finally:
+            if not started:
+                listener.close()
+        self.cleanup_task = asyncio.create_task(self._close_task_loop())
 
     def _make_protocol(self) -> BoundedChannel:
         return BoundedChannel(
@@ -162,9 +182,9 @@ class BoundedServer(BinaryServer):  # type: ignore[misc]
 class GatewayServer(Server):  # type: ignore[misc]
     """The library's server with the gateway's own channels: with certificates for known clients alone."""
 
-    def __init__(self, certificates: Path | None) -> None:
+    def __init__(self, certificates: Path | None, most_clients: int) -> None:
         super().__init__(iserver=NoTakeover(user_manager=EveryoneReads()))
-        self._certificates = certificates
+        self._certificates, self._most_clients = certificates, most_clients
 
     async def start(self) -> None:
         """Listen, as the library does, with connections that are bounded. Raises OSError."""
@@ -172,6 +192,7 @@ class GatewayServer(Server):  # type: ignore[misc]
         await self.iserver.start()
         try:
             self.bserver = BoundedServer(self.iserver, *self._get_bind_socket_info(), self.limits)
+            self.bserver.most_clients = self._most_clients
             self.bserver.set_policies(self._policies)
             await self.bserver.start()
         except BaseException:
@@ -270,9 +291,9 @@ class OpcUaServer:
 
     async def _made(self) -> GatewayServer:
         section = self._section
-        server = GatewayServer(section.certificates)
+        server = GatewayServer(section.certificates, section.most_clients)
         inner, most = server.iserver, section.most_clients
-        inner.max_connections, inner.max_subscriptions = most, SUBSCRIPTIONS_EACH * most
+        inner.max_subscriptions = SUBSCRIPTIONS_EACH * most
         inner.max_pending_messages_per_connection, inner.max_monitored_item_queue_size = MOST_WAITING, LONGEST_QUEUE
         inner.max_pending_activation_seconds = ACTIVATION_SECONDS
         inner.allow_remote_admin = False

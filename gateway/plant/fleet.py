@@ -18,13 +18,13 @@ from drivers.driver import Cautions, Driver
 from drivers.errors import DriverError
 from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
-from gateway.machine import Machine, PlantRecords
+from gateway.machine import MODEL_PART, Machine, PlantRecords
 from gateway.machine.model import LoadedModels, load_models, models_at_start
 from gateway.machine.reading import Clock, QualityRules, Scan, scans
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
 from gateway.plant.service import ScanProgress
-from gateway.plant.shortfalls import MESSAGES, MODEL, checked_notify, of_machines, of_plant
+from gateway.plant.shortfalls import MESSAGES, checked_notify, of_machines, of_plant
 from gateway.plant.split import on_one_connection
 from gateway.plant.status import snapshot
 from gateway.serving import DeviceImage
@@ -136,7 +136,7 @@ class Fleet:
     ) -> Machine:
         """A machine on the common records. A gateway's only one needs no name in front of what is said of its parts."""
         if without:
-            self._go_without(f"{config.machine}: {MODEL}", without)
+            self._go_without(f"{config.machine}: {MODEL_PART}", without)
         log = self.log if alone else self.log.bind(machine=config.machine)
         supervisor = self.supervisor if alone else Supervisor()
         if not alone:
@@ -190,7 +190,9 @@ class Fleet:
                 configs = {config.machine: config for config in await asyncio.to_thread(self._read_anew)}
                 changes = changed_machines({name: one.config for name, one in self.machines.items()}, configs)
                 changes |= self._newly_shared(changes, configs)
-                shortfalls = await asyncio.to_thread(of_machines, list(configs.values()))
+                # Those of machines that are begun anew are read when they are examined, and refuse the file.
+                stay = [config for name, config in configs.items() if name not in changes]
+                shortfalls = await asyncio.to_thread(of_machines, stay)
                 changes |= {
                     name: (MENDED,)
                     for name, one in self.machines.items()

@@ -9,11 +9,10 @@ from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
-from gateway.store import RECORDS_MODE
+from gateway.store import RECORDS_MODE, SQLITE_HEADER
 
 RETRY_SECONDS = 5.0
 _DAY = 86_400.0
-_DATABASE = b"SQLite format 3\0"
 _LONGEST = 1 << 16
 """Bytes of the first line that are looked at for its time."""
 
@@ -114,7 +113,7 @@ class LogFile:
     def _is_database(self) -> bool:
         """Whether there is a SQLite database at the path: lines in it, and its rotation, would be its end."""
         with suppress(OSError), self.path.open("rb") as file:
-            return file.read(len(_DATABASE)) == _DATABASE
+            return file.read(len(SQLITE_HEADER)) == SQLITE_HEADER
         return False
 
     def _append(self, data: bytes) -> None:

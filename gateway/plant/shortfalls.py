@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from gateway.notify import Notifier
 
 
-MODEL, PAGE, MESSAGES, NORTHBOUND = "model", "page", "messages", "northbound"
-"""What the parts are called that may be missing."""
+PAGE, MESSAGES, NORTHBOUND = "page", "messages", "northbound"
+"""What the parts of a plant are called that may be missing; that of a machine is `gateway.machine.MODEL_PART`."""
 
 
 def check_page(config: Config) -> None:

@@ -18,6 +18,7 @@ import subprocess
 import sys
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import astuple
 from datetime import UTC, datetime
 from functools import partial
 from time import monotonic, time
@@ -28,7 +29,7 @@ from drivers.json_lines import NoObject
 from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample
-from gateway.machine import RECORDING, PlantRecords
+from gateway.machine import MODEL_PART, RECORDING, PlantRecords
 from gateway.machine.reading import PlantClock, unread
 from gateway.machine.writing import ArmingError, AuditTrail, disarm_in_log, newest_stamp
 from gateway.plant.channel import Message, plain_rows, scan_from
@@ -36,7 +37,7 @@ from gateway.plant.control import COMMANDS, ControlScope, answer, disarm_words, 
 from gateway.plant.fleet import MENDED, next_start_sentences, raise_failures
 from gateway.plant.log import log_again
 from gateway.plant.service import ScanProgress
-from gateway.plant.shortfalls import MODEL, of_plant
+from gateway.plant.shortfalls import of_plant
 from gateway.plant.split import split_over
 from gateway.plant.status import snapshot
 from gateway.plant.worker_line import PlantWorker, WorkerEnded, WorkerLine
@@ -405,6 +406,7 @@ class WorkerPool:
         return {
             "error": "",
             "files": self._files,
+            "ended": {subject: astuple(ended) for subject, ended in trail.audit.ended_elsewhere.items()},
             "rows": [(row.id, row.hash) for row in stored if not isinstance(row, BaseException)],
         }
 
@@ -616,11 +618,13 @@ class WorkerPool:
             try:
                 configs = {config.machine: config for config in await asyncio.to_thread(self._read_anew)}
                 changes = changed_machines(self._configs, configs)
-                shortfalls = await self._shortfalls(configs)
+                shortfalls = await self._shortfalls(
+                    {name: config for name, config in configs.items() if name not in changes}
+                )
                 changes |= {
                     name: (MENDED,)
                     for name, picture in self._pictures().items()
-                    if MODEL in picture["parts"] and name in configs and name not in (*changes, *shortfalls)
+                    if MODEL_PART in picture["parts"] and name in configs and name not in (*changes, *shortfalls)
                 }
                 stay = {name: place for name, place in self._places.items() if name in configs and name not in changes}
                 places = split_over(list(configs.values()), self._most, stay)
@@ -655,6 +659,8 @@ class WorkerPool:
 
     async def _shortfalls(self, configs: Mapping[str, Config]) -> dict[str, str]:
         """What the machines would go without if they started now, as a worker finds: models are no matter of ours."""
+        if not configs:
+            return {}
         workers = list(self._workers.values())
         worker = next((one for one in workers if one.is_opened), workers[0])  # not one that is just begun anew
         reply = await worker.ask("shortfalls", configs=configs_to_json(list(configs.values())))

@@ -19,7 +19,16 @@ from gateway.machine.reading import Clock
 from gateway.machine.writing import AuditTrail, HeadWitnessing
 from gateway.plant.channel import SupervisorChannel
 from gateway.settings import Config
-from gateway.store import Audit, AuditEntry, AuditError, AuditRow, Historian, HistorianError, ReliedFiles
+from gateway.store import (
+    Audit,
+    AuditEntry,
+    AuditError,
+    AuditRow,
+    EndedElsewhere,
+    Historian,
+    HistorianError,
+    ReliedFiles,
+)
 from sim.strict_json import strict
 
 if TYPE_CHECKING:
@@ -178,6 +187,7 @@ class SentAudit(Audit):
         self.files.hear(*reply["files"])
         if reply["error"]:
             raise sqlite3.OperationalError(reply["error"])
+        self.ended_elsewhere = {subject: EndedElsewhere(*ended) for subject, ended in reply["ended"].items()}
         return [AuditRow(number, entry, digest) for entry, (number, digest) in zip(entries, reply["rows"], strict=True)]
 
 

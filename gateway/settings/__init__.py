@@ -30,6 +30,7 @@ from gateway.settings.config import (
     is_common,
     load_config,
     load_plant,
+    read_plant,
 )
 from gateway.settings.devices import BLOCK_FIELDS, DeviceMap, WritebackLayout, load_device
 from gateway.settings.links import DeviceLink
@@ -101,6 +102,7 @@ __all__ = [
     "load_plant",
     "load_secrets",
     "named_files",
+    "read_plant",
     "settings_of",
     "suppressing",
 ]

@@ -21,6 +21,7 @@ from drivers.driver import capabilities, load_function
 from drivers.errors import DriverError
 from drivers.named_files import place_of
 from drivers.settings import ConfigError, Line, Section, checked, read_toml
+from gateway.replacement import ReplacementError, settle
 from gateway.settings.alarm_kinds import OF_PLANT, AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
@@ -549,9 +550,19 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     """The configurations of all machines of the file in `path`, with the register maps that they name.
 
     `overrides` replaces single keys before the check, written `section.key` ({"device.port": 15020}); relative paths
-    in the file are relative to the file, in overrides to the working directory. Raises ConfigError with all that is
-    wrong, one sentence each: file, key, reason, what would be right.
+    in the file are relative to the file, in overrides to the working directory. Files that were replaced in part are
+    put back first (`gateway.replacement`). Raises ConfigError with all that is wrong, one sentence each: file, key,
+    reason, what would be right.
     """
+    try:
+        settle(path)
+    except ReplacementError as error:
+        raise ConfigError([str(error)]) from None
+    return read_plant(path, overrides)
+
+
+def read_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[Config, ...]:
+    """`load_plant` for who is replacing the files."""
     # Before it is read: what is saved meanwhile is later than what was read, and a disarming between them wins.
     stamp = path.stat().st_mtime if path.is_file() else 0.0
     # Overrides come before the check, so that they are held to the same rules as the file.

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         AuditEntry,
         AuditError,
         AuditRow,
+        EndedElsewhere,
         detail_about,
         head,
         open_audit,
@@ -49,7 +50,15 @@ if TYPE_CHECKING:
         stage,
     )
     from gateway.store.confirming import confirmation
-    from gateway.store.durable import RECORDS_MODE, make_private, numbered_files, set_aside, sync_folder, write_durably
+    from gateway.store.durable import (
+        RECORDS_MODE,
+        SQLITE_HEADER,
+        make_private,
+        numbered_files,
+        set_aside,
+        sync_folder,
+        write_durably,
+    )
     from gateway.store.files import HistorianError
     from gateway.store.follow import (
         FOLLOWABLE,
@@ -127,6 +136,7 @@ __all__ = [
     "NO_PROCESS",
     "RECORDS_MODE",
     "ROLES",
+    "SQLITE_HEADER",
     "TABLE_COLUMNS",
     "Audit",
     "AuditColumns",
@@ -137,6 +147,7 @@ __all__ = [
     "BackupError",
     "Batch",
     "Cells",
+    "EndedElsewhere",
     "FileRule",
     "FollowedRow",
     "FollowedRows",

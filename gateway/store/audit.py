@@ -163,6 +163,15 @@ class AuditRow:
 
 
 @dataclass(frozen=True, slots=True)
+class EndedElsewhere:
+    """The word of another program that takes an arming back: its row, who has said it and why."""
+
+    row: int
+    who: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class ChainVerdict:
     """What `verify` found: the number of rows, the newest hash, and what is wrong ("" if nothing)."""
 
@@ -178,7 +187,8 @@ class Audit:
     Without a `connection` entries wait, and `attach`, which raises AuditError, is tried again and again: it gives one,
     and the sentence that what was there was damaged ("": it was not). So it is too where the file was taken away under
     it. `note` says of both from then on. `files` are those that the gateway relies on, all
-    of which are looked at before and after each commit.
+    of which are looked at before and after each commit. `ended_elsewhere` has, by subject, the newest disarming that
+    another program has put into the file since it was opened: each commit takes note of those before its own rows.
     """
 
     def __init__(
@@ -195,7 +205,9 @@ class Audit:
         self.path = path
         self.failure, self.note = failure, note
         self.files = files or ReliedFiles()
+        self.ended_elsewhere: Mapping[str, EndedElsewhere] = {}
         self._newest: tuple[int, bytes] | None = None
+        self._known_rows: int | None = None
         self._lost: Counter[str | None] = Counter()
         self._attach = attach
         self._connection = connection
@@ -431,6 +443,10 @@ class Audit:
         if self._connection is not None:
             self.files.watch(_FILES, database(self.path, GROWS))
             self.files.look()
+            with suppress(sqlite3.Error):  # which the first commit meets, and says
+                last = self._connection.execute("SELECT id FROM audit ORDER BY id DESC LIMIT 1").fetchone()
+                rows = int(last[0]) if last else 0
+                self._known_rows = rows if self._known_rows is None else min(rows, self._known_rows)
 
     def _let_go(self) -> None:
         self.files.forget(_FILES)
@@ -461,9 +477,11 @@ class Audit:
             if why := _rolled_back(connection, self._newest):
                 self.files.tell(why)
                 raise _TakenAwayError(why)
+            self.ended_elsewhere = {**self.ended_elsewhere, **_ended_since(connection, self._known_rows or 0)}
             rows = _insert(connection, claim())
         self._raise_if_taken_away()
         if rows:
+            self._known_rows = rows[-1].id
             self._newest = rows[-1].id, bytes.fromhex(rows[-1].hash)
         return rows
 
@@ -644,6 +662,18 @@ def _rolled_back(connection: sqlite3.Connection, newest: tuple[int, bytes] | Non
         return ""
     name = str(connection.execute("PRAGMA database_list").fetchone()[2])
     return f"{name}: row {newest[0]} was written and is not in it any more, or is another one"
+
+
+def _ended_since(connection: sqlite3.Connection, row: int) -> dict[str, EndedElsewhere]:
+    """The newest disarming of each subject behind a row, as far as they are well formed. To take away needs no key."""
+    ended = {}
+    sql = f"SELECT {_COLUMNS} FROM audit WHERE id > ? AND kind IN (?, ?) ORDER BY id"  # noqa: S608
+    for plain in connection.execute(sql, (row, DISARMED, EXPIRED)):
+        with suppress(ValueError, TypeError, AttributeError):
+            found = _row(plain)
+            if (subject := found.entry.subject) is not None:
+                ended[subject] = EndedElsewhere(found.id, found.entry.who, found.entry.reason)
+    return ended
 
 
 def _insert(connection: sqlite3.Connection, entries: Sequence[tuple[AuditEntry, AuditColumns]]) -> list[AuditRow]:

@@ -23,11 +23,12 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from drivers.errors import OneLineError
 from drivers.named_files import contents, place_of
+from gateway.replacement import replaced
 from gateway.store import audit as audit_log
 from gateway.store import schema
 from gateway.store.audit import verify
 from gateway.store.audit_damage import damage
-from gateway.store.durable import BESIDE, set_aside, sync_folder, write_durably
+from gateway.store.durable import BESIDE, free_name, sync_folder, write_durably
 from gateway.store.signing import is_signed, public_digits
 
 FORMAT = 1
@@ -264,6 +265,7 @@ def stage(folder: Path, manifest: Manifest, root: Path) -> dict[Path, Path]:
             place = root / Path(file.original).relative_to("/")
             place.parent.mkdir(parents=True, exist_ok=True)
             draft = place.with_name(f".{place.name}.restored-{os.getpid()}")
+            draft.unlink(missing_ok=True)  # of one that was killed, and had the same number
             drafts[place] = draft
             _copy(folder / file.stored, draft)
             if _digest(draft) != file.sha256:
@@ -278,19 +280,25 @@ def stage(folder: Path, manifest: Manifest, root: Path) -> dict[Path, Path]:
     return drafts
 
 
-def put_in_place(drafts: Mapping[Path, Path]) -> list[Path]:
-    """Give every draft its place; what stands there is set aside, and its new names are given back. Raises OSError."""
-    aside = []
+def put_in_place(plant: Path, drafts: Mapping[Path, Path], *, away: Sequence[Path] = ()) -> list[Path]:
+    """Give every draft its place, in one step (`gateway.replacement`) with that of the plant file.
+
+    What stands there is set aside, and what stands at the places `away`; its new names are given back. Raises OSError.
+    """
     for draft in drafts.values():
         with draft.open("rb") as file:
             os.fsync(file.fileno())
-    for place, draft in drafts.items():
-        # A database's write-ahead log goes with it: beside another database it would be taken for that one's.
-        if place.exists() or place.with_name(f"{place.name}-wal").exists():
-            aside.append(set_aside(place, "replaced"))
-        draft.replace(place)
-        sync_folder(place.parent)
-    return aside
+    # A database's write-ahead log goes with it: beside another database it would be taken for that one's.
+    renames = [
+        (beside, aside.with_name(aside.name + suffix))
+        for place in (*drafts, *away)
+        for aside in (free_name(place, "replaced"),)
+        for suffix in BESIDE
+        if (beside := place.with_name(place.name + suffix)).exists()
+    ]
+    with replaced(plant, drafts, renames):
+        pass
+    return [aside for place, aside in renames if place in drafts or place in away]
 
 
 def as_one_file(path: Path) -> None:

@@ -3,9 +3,12 @@
 import os
 from contextlib import suppress
 from pathlib import Path
+from threading import get_native_id
 
 RECORDS_MODE = 0o640
 """Records are their owner's and its group's to read, whatever the umask of who starts the program."""
+SQLITE_HEADER = b"SQLite format 3\0"
+"""What each database of SQLite begins with (sqlite.org/fileformat.html)."""
 BESIDE = ("", "-wal", "-shm", "-journal")
 """What SQLite keeps beside a database belongs to it."""
 
@@ -15,7 +18,8 @@ def write_durably(path: Path, data: bytes, *, mode: int = RECORDS_MODE, replace:
 
     Without `replace` FileExistsError is raised where there is one already.
     """
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    draft = path.with_name(f".{path.name}.{os.getpid()}.{get_native_id()}")
+    draft.unlink(missing_ok=True)  # of one that was killed, and had the same number
     file = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     try:
         with os.fdopen(file, "wb") as stream:
@@ -49,11 +53,17 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def set_aside(path: Path, why: str = "damaged") -> Path:
-    """Give a database another name beside it, NAME.damaged-1 and so on; gives that path. Raises OSError."""
+def free_name(path: Path, why: str) -> Path:
+    """The first of NAME.WHY-1, NAME.WHY-2 and so on beside a file that is not there yet."""
     number = 1
     while (aside := path.with_name(f"{path.name}.{why}-{number}")).exists():
         number += 1
+    return aside
+
+
+def set_aside(path: Path) -> Path:
+    """Give a database another name beside it, NAME.damaged-1 and so on; gives that path. Raises OSError."""
+    aside = free_name(path, "damaged")
     for suffix in BESIDE:
         with suppress(FileNotFoundError):
             path.with_name(path.name + suffix).rename(aside.with_name(aside.name + suffix))

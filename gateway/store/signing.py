@@ -8,7 +8,7 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
-from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
@@ -20,6 +20,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from drivers.errors import OneLineError
+from gateway.key_pair import NOT_A_KEY
 from gateway.store.durable import write_durably
 
 KEY_MODE, PUBLIC_MODE = 0o600, 0o644
@@ -91,7 +92,7 @@ def load_key(path: Path) -> Ed25519PrivateKey:
         raise
     except OSError as error:
         raise SigningKeyError(f"{path}: cannot be read ({error.strerror}); give a key file of this user") from None
-    except (ValueError, TypeError, UnsupportedAlgorithm):
+    except NOT_A_KEY:
         raise SigningKeyError(f"{path}: holds no private key; restore it from a backup, or move it away") from None
     if not isinstance(key, Ed25519PrivateKey):
         raise SigningKeyError(f"{path}: is no Ed25519 key; restore it from a backup, or move it away")
@@ -104,7 +105,7 @@ def load_public_key(path: Path) -> str:
         key = load_pem_public_key(path.read_bytes()[: 1 << 16])
     except OSError as error:
         raise SigningKeyError(f"{path}: cannot be read ({error.strerror}); give the gateway's public key") from None
-    except (ValueError, UnsupportedAlgorithm):
+    except NOT_A_KEY:
         raise SigningKeyError(f"{path}: holds no public key; give the file NAME.pub beside the gateway's key") from None
     if not isinstance(key, Ed25519PublicKey):
         raise SigningKeyError(f"{path}: is no Ed25519 key; give the file NAME.pub beside the gateway's key")

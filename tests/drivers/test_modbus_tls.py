@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import datetime as dt
+import shutil
 import socket
 import ssl
 import threading
@@ -13,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import DeviceException, DriverError, LinkDown
+from drivers.errors import DeviceException, LinkDown
 from drivers.modbus.driver import ModbusDriver, open_modbus
 from drivers.modbus.tls import cautions, load_identity, sentence
 from drivers.tag import Quality, Tag
@@ -239,31 +240,43 @@ async def test_exception_1_says_that_it_may_be_the_role(secured: ScriptedPlc, tm
     ],
     ids=["missing", "no certificate", "another pair is fine here", "key of another certificate"],
 )
-def test_certificates_that_cannot_be_used_are_refused_before_anything_starts(
-    tmp_path: Path, spoil: Any, said: str
+async def test_certificates_that_cannot_be_used_are_a_link_that_is_down_until_they_are_whole(
+    secured: ScriptedPlc, tmp_path: Path, spoil: Any, said: str
 ) -> None:
-    folder = certified.folder(tmp_path / "c")
+    folder, whole = certified.folder(tmp_path / "c"), tmp_path / "whole"
+    shutil.copytree(folder, whole)
     spoil(folder)
-    given = {"transport": "tls", "host": "127.0.0.1", "certificates": str(folder)}
-    if not said:
-        open_modbus(given, clock=time.time)
-        return
-    with pytest.raises(DriverError) as caught:
-        open_modbus(given, clock=time.time)
-    assert said in str(caught.value) and str(folder) in str(caught.value)
+    given = {"transport": "tls", "host": "127.0.0.1", "port": secured.port, "certificates": str(folder)}
+    driver = open_modbus({**given, "backoff_first": 0.01, "backoff_cap": 0.02}, clock=time.time)
+    try:
+        if not said:
+            await driver.open()
+            return
+        with pytest.raises(LinkDown) as caught:
+            await driver.open()
+        assert said in str(caught.value) and str(folder) in str(caught.value)
+        assert driver.cautions() == (str(caught.value),)
+        (sample,) = await driver.read([A])
+        assert said in sample.reason and sample.quality.is_bad
+        for path in whole.iterdir():
+            shutil.copy2(path, folder / path.name)
+        async with asyncio.timeout(60.0):
+            while not (await driver.read([A]))[0].quality.is_good:
+                await asyncio.sleep(0.01)
+        assert driver.cautions() == ()
+    finally:
+        await driver.close()
 
 
 def test_a_key_that_others_may_read_an_end_that_is_near_and_a_missing_role_are_cautions(tmp_path: Path) -> None:
     folder = certified.folder(tmp_path / "c", of_client=certified.client(role=""))
     now = certified.NOW
-    assert [said.split(" has no role")[0] for said in cautions(load_identity(folder), now)] == [
-        str(folder / "client.pem")
-    ]
+    assert [said.split(" has no role")[0] for said in cautions(folder, now)] == [str(folder / "client.pem")]
     (folder / "client.key").chmod(0o640)
-    said = cautions(load_identity(folder), now + dt.timedelta(days=90))
+    said = cautions(folder, now + dt.timedelta(days=90))
     assert said[0].endswith("client.key can be read by others (mode 640): chmod 600 it")
     assert "expires in 9 days" in said[1] or "expires in 10 days" in said[1]
-    assert "has expired" in cautions(load_identity(folder), now + dt.timedelta(days=200))[1]
+    assert "has expired" in cautions(folder, now + dt.timedelta(days=200))[1]
 
 
 async def test_a_driver_gives_its_cautions_and_one_without_tls_has_none(tmp_path: Path) -> None:

@@ -292,7 +292,7 @@ def test_an_audit_row_counts_only_when_the_supervisor_says_that_it_is_stored(tmp
     entry = AuditEntry(EPOCH, "write", "A").of("a")
     assert audit.record(entry, 2.0) is None
     assert "the disk is full" in audit.complaint_of("a")
-    line.answers["audit"] = {"error": "", "rows": [(7, "ab")], "files": files}
+    line.answers["audit"] = {"error": "", "rows": [(7, "ab")], "files": files, "ended": {}}
     row = audit.record(entry, 5.0)
     assert row is not None and (row.id, row.hash, row.entry) == (7, "ab", entry)
     assert audit.complaint_of("a") == "" and audit.close()

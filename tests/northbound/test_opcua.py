@@ -216,7 +216,7 @@ async def test_a_plants_system_reads_a_machine_and_changes_nothing(tmp_path: Pat
 
 
 async def test_without_certificates_there_is_one_endpoint_and_only_reading_is_served() -> None:
-    server = GatewayServer(None)
+    server = GatewayServer(None, 16)
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity], permission_ruleset=ReadingOnly())
     await server._setup_server_nodes()
     (endpoint,) = server.iserver.endpoints
@@ -283,7 +283,7 @@ def hold_little(server: GatewayServer) -> None:
 
 
 async def test_what_is_gone_goes_and_what_is_missed_says_so() -> None:
-    server = GatewayServer(None)
+    server = GatewayServer(None, 16)
     hold_little(server)
     shown = OpcUaServer(OpcUaSection(port=0), dict, tags=dict, historian=Path("none"))
     north, south = read_status(picture(machine="north")), read_status(picture(machine="south"))

@@ -10,8 +10,8 @@ from drivers.csv_rows import CsvRowError, numbered_rows, write_rows
 from drivers.named_files import regular, writing
 from drivers.tag import Sample, Tag
 from gateway.commission.files.cells import ListError
+from gateway.store import SQLITE_HEADER
 
-_SQLITE = b"SQLite format 3\0"
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
 
 
@@ -37,7 +37,7 @@ def read_recording(path: Path, start: float = -1e18, end: float = 1e18, *, machi
     """
     try:
         with regular(path).open("rb") as stream:
-            historian = stream.read(len(_SQLITE)) == _SQLITE
+            historian = stream.read(len(SQLITE_HEADER)) == SQLITE_HEADER
         if historian:
             from gateway.store import to_trace
 

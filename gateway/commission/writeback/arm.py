@@ -1,7 +1,9 @@
 """`decanter plc arm` and `disarm`: in the gateway that runs, or in the audit log where none does."""
 
+import asyncio
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +22,12 @@ from gateway.commission.session import (
     link_options,
     login,
     perform,
+    period_of,
     running_gateway,
 )
 from gateway.commission.writeback.block_writer import gateway_runs, layouts_of, open_block_writers
 from gateway.console import socket_option
-from gateway.entry import sentences
+from gateway.entry import Exit, sentences
 from gateway.machine.writing import (
     ArmingError,
     arm_in_log,
@@ -36,7 +39,11 @@ from gateway.machine.writing import (
     signed,
     uptime,
 )
-from gateway.store import AuditError, head, open_audit
+from gateway.store import DISARMED, EXPIRED, AuditError, given_words, head, open_audit
+
+_TAKEN_S, _TAKEN_PERIODS, _LOOK_S = 10.0, 3.0, 0.1
+"""How long, in seconds or in scans, a running gateway has to find a disarming in the audit log, and how often it is
+looked."""
 
 
 async def start_arming(
@@ -57,8 +64,12 @@ async def start_arming(
     arming = signed(by, reason, minutes, now)
     if (config := site.target.config) is not None and config.writeback.mode == "off":
         site.notes.append("writeback.mode is 'off': a gateway with this plant file computes and writes nothing")
-    reply = _ask_gateway(site, "arm", by=arming.by, reason=arming.reason, minutes=minutes, acknowledge=[*acknowledged])
+    reply = _asked(site, "arm", by=arming.by, reason=arming.reason, minutes=minutes, acknowledge=[*acknowledged])
     if reply is None:
+        if _gateway_is_known_to_run(site):
+            raise ArmingError(
+                "a gateway runs with this plant file, and its control socket does not answer; stop it first"
+            )
         config = site.target.config
         places = places_for(audit_path, config)
         audit = open_audit(audit_path)
@@ -78,9 +89,16 @@ async def start_arming(
 async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> CommandResult:
     """Take the arming of a machine back, then write validity 0 if that can be done.
 
-    The result says what the next start of the gateway will do. Raises ArmingError, AuditError, ValueError or OSError.
+    A running gateway that cannot be asked finds it in the audit log before its next block, and says so there; where it
+    does not, the result has a complaint. It says what the next start of the gateway will do too. Raises ArmingError,
+    AuditError, ValueError or OSError.
     """
-    reply = _ask_gateway(site, "disarm", by=by, reason=reason)
+    complaint, runs = "", _gateway_is_known_to_run(site)
+    try:
+        reply = _asked(site, "disarm", by=by, reason=reason)
+    except OSError as error:
+        reply, runs = None, True
+        site.notes.append(f"the running gateway does not answer at its control socket ({error})")
     if reply is not None:
         was, sentence = bool(reply["was_armed"]), f"the running gateway (pid {reply['pid']}) writes no more"
     else:
@@ -88,9 +106,11 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
         config = site.target.config
         plant = config is not None or site.target.places is not None
         stamp = site.target.files[0].stat().st_mtime if plant and site.target.files[0].exists() else None
+        subjects = _subjects(site.target, audit_path)
+        before = {subject: _newest_row(audit_path, subject) for subject in subjects}
         rows = [
             disarm_in_log(audit_path, by, reason, time.time(), stamp, subject=subject, say=site.notes.append)
-            for subject in _subjects(site.target, audit_path)
+            for subject in subjects
         ]
         row = next(filter(None, rows), None)
         try:
@@ -98,7 +118,20 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
         except ArmingError as error:
             site.notes.append(str(error))
         was, sentence = row is not None, "nothing was armed"
-        if row is not None:
+        patience = max(_TAKEN_S, _TAKEN_PERIODS * period_of(site))
+        is_taken = runs and await _is_taken_from_log(audit_path, before, patience)
+        if is_taken:
+            was, sentence = True, "the running gateway has found it in the audit log, and writes no more"
+        elif runs and (reply := _answer_now(site, "disarm", by=by, reason=reason)) is not None:
+            # Its socket is there again: a gateway that has lost it makes another.
+            was, sentence = was or bool(reply["was_armed"]), f"the running gateway (pid {reply['pid']}) writes no more"
+        elif runs and _gateway_is_known_to_run(site):
+            sentence = "validity 0 was not written"
+            complaint = (
+                "the disarming is on record, and whether the running gateway has taken it is NOT known: it answers "
+                "neither at its control socket nor in the audit log; stop it, or take the permit away at the PLC"
+            )
+        elif row is not None:
             try:
                 async with open_block_writers(site, audit_path, taking_back=row) as writers:
                     for writer in writers:
@@ -107,7 +140,8 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
                 sentence = "validity 0 was written"
             except (DriverError, ValueError) as error:
                 sentence = f"validity 0 was not written ({error}); the PLC's own timer covers it"
-    data = {"by": by, "reason": reason, "was_armed": was, "said": sentence if was else "nothing was armed"}
+    said = sentence if was or complaint else "nothing was armed"
+    data = {"by": by, "reason": reason, "was_armed": was, "known": not complaint, "said": said}
     newest = ""
     try:
         newest = head(audit_path) if audit_path.exists() else ""
@@ -116,7 +150,29 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
             data["next_start"] = {"armed": start.arming is not None, "sentence": start.sentence}
     except AuditError as error:
         site.notes.append(f"{error}; a start of the gateway arms nothing on it")
-    return CommandResult({**data, "audit": str(audit_path), "head": newest})
+    data |= {"audit": str(audit_path), "head": newest}
+    return CommandResult(data, Exit.CHECK_FAILED if complaint else Exit.OK, complaint)
+
+
+def _newest_row(audit_path: Path, subject: str) -> int:
+    """The row of the newest word about a subject; 0 where none can be read."""
+    with suppress(AuditError):
+        return next((word.id for word in given_words(audit_path, subject=subject)), 0)
+    return 0
+
+
+async def _is_taken_from_log(audit_path: Path, before: Mapping[str, int], seconds: float) -> bool:
+    """Whether a running gateway says in the audit log, behind the rows `before`, that it has disarmed itself."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        for subject, row in before.items():
+            with suppress(AuditError):
+                words = [word.entry for word in given_words(audit_path, subject=subject) if word.id > row]
+                # A gateway's own doing names no process.
+                if any(word.kind in (DISARMED, EXPIRED) and "pid" not in word.detail for word in words):
+                    return True
+        await asyncio.sleep(_LOOK_S)
+    return False
 
 
 def _subjects(target: Target, audit_path: Path) -> list[str]:
@@ -133,19 +189,29 @@ def _subjects(target: Target, audit_path: Path) -> list[str]:
     return [target.machine] if places.several else list(dict.fromkeys(("", target.machine)))
 
 
-def _ask_gateway(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
-    """The running gateway's answer; None where none runs. Raises ArmingError for one that cannot be asked."""
+def _asked(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
+    """The running gateway's answer; None where none can be reached. Raises OSError for one that does not answer."""
     line = running_gateway(site.target)
-    if line is not None:
-        try:
-            return line.ask(command, **keys)
-        finally:
-            line.close()
+    if line is None:
+        return None
+    try:
+        return line.ask(command, **keys)
+    finally:
+        line.close()
+
+
+def _answer_now(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
+    """The running gateway's answer; None for one that gives none."""
+    with suppress(OSError):
+        return _asked(site, command, **keys)
+    return None
+
+
+def _gateway_is_known_to_run(site: Site) -> bool:
+    """Whether a gateway has the historian that the plant file names."""
     config, places = site.target.config, site.target.places
     historian = config.historian.path if config is not None else places.historian if places is not None else None
-    if historian is not None and gateway_runs(historian):
-        raise ArmingError("a gateway runs with this plant file, and its control socket does not answer; stop it first")
-    return None
+    return historian is not None and gateway_runs(historian)
 
 
 @click.command(short_help="Let blocks be written: by whom, why and for how many minutes.")
@@ -207,6 +273,8 @@ def disarm(given: SharedOptions, reason: str, socket: Path | None, audit: Path |
 
 def _show_disarmed(data: Mapping[str, Any]) -> None:
     sentence = f"disarmed; {data['said']}" if data["was_armed"] else "nothing was armed; the disarming is on record"
+    if not data["known"]:
+        sentence = f"the disarming is on record; {data['said']}"
     click.echo(f"{sentence}; audit log {data['audit']}, head {data['head'][:16]}")
     if start := data.get("next_start"):
         mode = click.style("ARMED", fg="yellow") if start["armed"] else "not armed"

@@ -12,7 +12,7 @@ from drivers.driver import open_recording
 from drivers.errors import RecordingError
 from drivers.json_lines import NoObject, parsed
 from drivers.named_files import regular
-from gateway.store import machines, newest_scan, oldest_scan, reading
+from gateway.store import SQLITE_HEADER, machines, newest_scan, oldest_scan, reading
 from sim.artefacts import MODEL_FILE, STORE_FILE
 from sim.artefacts.formats import FLOW_FILE, SUFFIXES, file_names, read_artefacts, read_flow_file, read_report
 from sim.files import ArtefactError, at, check_utf8
@@ -30,7 +30,6 @@ PLACES: Mapping[Kind, str] = {
     "plot": "plots",
 }
 """The folder of an archive for each kind."""
-SQLITE = b"SQLite format 3\0"
 BESIDE_SQLITE = ("-wal", "-shm", "-journal", ".lock")
 PICTURES = {
     ".png": (b"\x89PNG\r\n\x1a\n", b"IEND"),
@@ -194,7 +193,7 @@ def recognised(unit: IngestUnit, maps: Mapping[str, ColumnMap]) -> RecognisedUni
     suffix = path.suffix.lower()
     if path.name == FLOW_FILE:
         return RecognisedUnit(kind="flow file", facts={"flows": len(read_flow_file(path).equations)})
-    if head.startswith(SQLITE):
+    if head.startswith(SQLITE_HEADER):
         return _historian(path)
     if suffix in PICTURES:
         begins, ends = PICTURES[suffix]

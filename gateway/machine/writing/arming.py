@@ -376,7 +376,7 @@ def open_writers(
         log.warning("not armed", reason="somebody armed or disarmed while it began; arm again if that is wanted")
         return writers
     for writer in writers:
-        writer.arm(driver, arming)
+        writer.arm(driver, arming, row.id)
     audit.put(confirmation(row, load_or_make_key(config.audit_key), now))
     log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
     return writers
@@ -418,7 +418,7 @@ async def arm(
         audit.put(cancelling(entry, "not armed: it was disarmed meanwhile"))
         raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
     for writer in writers:
-        writer.arm(driver, arming)
+        writer.arm(driver, arming, row.id)
     # Shielded: whoever asked may go away, and it is in force all the same.
     await asyncio.shield(audit.kept(confirmation(row, key, now), CONFIRMED_SECONDS))
     return arming

@@ -119,8 +119,9 @@ class Writer:
     `number` (1..65535, drawn anew at each start) tells this writer from another; `challenge` is the PLC's that the
     newest block on the wire carried, 0 before the first. `pace` bounds the blocks a second, `audit` takes an
     account of every one. `max_age` (real s) is how old the readings of a block may be, and its permit, when it is
-    sent. `generation` counts the disarmings, `ending` those that are under way. `formers` are the numbers of this
-    gateway's starts before. `subject` is what its rows of the audit log are about.
+    sent. `armed_at` is its arming's row of the audit log, `generation` counts the disarmings, `ending` those that are
+    under way. `formers` are the numbers of this gateway's starts before. `subject` is what its rows of the audit log
+    are about.
     """
 
     layout: WritebackLayout
@@ -138,6 +139,7 @@ class Writer:
     formers: frozenset[int] = frozenset()
     subject: str = ""
     challenge: int = field(default=0, init=False)
+    armed_at: int = field(default=0, init=False)
     generation: int = field(default=0, init=False)
     ending: int = field(default=0, init=False)
     _sending: asyncio.Lock = field(default_factory=asyncio.Lock, init=False)
@@ -163,9 +165,17 @@ class Writer:
         """True once the arming's time is over: say so to the PLC (`withdraw`), then `disarm`."""
         return self.armed and self.arming is not None and now >= self.arming.until
 
-    def arm(self, driver: Writes, arming: Arming) -> None:
-        """From now on blocks are written; the audit log has to have it already (`gateway.machine.writing.arming`)."""
-        self.mode, self.driver, self.arming = "armed", driver, arming
+    def arm(self, driver: Writes, arming: Arming, row: int = 0) -> None:
+        """From now on blocks are written; the audit log has it, as this row (`gateway.machine.writing.arming`)."""
+        self.mode, self.driver, self.arming, self.armed_at = "armed", driver, arming, row
+
+    @property
+    def ended_elsewhere(self) -> str:
+        """That another program has taken the arming back in the audit log, as a sentence; "" if none has."""
+        ended = None if self.audit is None else self.audit.ended_elsewhere.get(self.subject)
+        if ended is None or ended.row <= self.armed_at:
+            return ""
+        return f"{ended.who} took the arming back in the audit log (row {ended.row}): {ended.reason}"
 
     async def disarm(
         self,
@@ -281,6 +291,8 @@ class Writer:
                 return self._unpermitted(scan)
             if self.generation != generation:
                 return "not permitted", "it was disarmed meanwhile"
+            if ended := self.ended_elsewhere:
+                return "not permitted", ended
             if arming is not None and now >= arming.until:
                 return "not permitted", "the arming is over"
             if self.audit is not None and (complaint := self.audit.complaint_of(self.subject)):

@@ -167,6 +167,8 @@ class WritebackStage:
             return ""
         if any(writer.expired(now) for writer in self._writers):
             return "the arming is over"
+        if ended := next((word for writer in self._writers if (word := writer.ended_elsewhere)), ""):
+            return ended[:LONGEST_REASON]
         if self._files.taken != self._taken:
             return f"a file that it relies on was taken away: {self._files.note}"[:LONGEST_REASON]
         return f"the model that runs does not verify: {unverified}" if unverified else ""

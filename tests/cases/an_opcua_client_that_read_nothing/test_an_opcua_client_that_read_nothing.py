@@ -51,7 +51,7 @@ class Unread:
 @asynccontextmanager
 async def protocol(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Any]:
     """What the server makes of a new connection."""
-    server = opcua.GatewayServer(None)
+    server = opcua.GatewayServer(None, 16)
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity], permission_ruleset=opcua.ReadingOnly())
     server.set_endpoint("opc.tcp://127.0.0.1:0/decanter")
     server.socket_address = "127.0.0.1", 0

@@ -7,6 +7,7 @@ import asyncio
 import json
 import shutil
 import sqlite3
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -17,7 +18,8 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli.main import main
-from gateway.settings import load_plant
+from gateway.machine.model import loading
+from gateway.settings import Config, load_plant
 from gateway.status import connect
 from gateway.store.audit import DISARMED, arming_rows
 from tests.rig.broken_starts import Damage, drawn, files_of, seed, started, tried
@@ -137,6 +139,35 @@ async def test_reload_says_what_the_next_start_would_go_without(plant: Path, tmp
     missing = {"first": "model.json", "page": "users.json", "messages": "secrets.toml"}
     for sentence, (part, name) in zip(after["next_start"], missing.items(), strict=True):
         assert sentence.startswith(f"{part}: the next start would go without: ") and name in sentence
+
+
+async def test_a_reload_reads_each_model_once(plant: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, read, reload = tmp_path / "it", Counter[str](), list[dict[str, Any]]()
+    shutil.copytree(plant, folder)
+    socket = load_plant(folder / "plant.toml")[0].control_socket
+    load = loading._load
+
+    def counted(config: Config, path: Path, key: str) -> Any:
+        read[path.name] += 1
+        return load(config, path, key)
+
+    def ask() -> None:
+        line = connect(socket)
+        assert line is not None
+        try:
+            reload.append(line.ask("reload", dry_run=True))
+        finally:
+            line.close()
+
+    async def meanwhile() -> None:
+        text = (folder / "plant.toml").read_text()
+        (folder / "plant.toml").write_text(text.replace("port = 15022", "port = 15023"))
+        monkeypatch.setattr(loading, "_load", counted)
+        await asyncio.to_thread(ask)
+
+    await started(folder, 6, meanwhile=meanwhile)
+    assert list(reload[0]["changes"]) == ["second"] and reload[0]["next_start"] == []
+    assert read == {"model": 1, "store": 1}
 
 
 async def test_a_model_that_was_mended_is_taken_up_by_a_reload(plant: Path, tmp_path: Path) -> None:
