@@ -15,6 +15,8 @@ from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
 from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
 
+from tests.rig.patient_loop import PatientLoop
+
 # Collecting makes what stays and hardly any garbage; `pytest_collection_finish` turns the collector on again.
 gc.disable()
 
@@ -114,6 +116,11 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     config = session.config
     if config.getoption("--spare") and hasattr(config, "workerinput") and is_spare(config.workerinput):
         os.nice(LOW_PRIORITY)  # not before: the others wait for its collection
+
+
+def pytest_asyncio_loop_factories() -> dict[str, type[PatientLoop]]:
+    """No deadline in a test's own loop passes while the machine does something else."""
+    return {"patient": PatientLoop}
 
 
 class Durations:
