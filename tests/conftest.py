@@ -158,3 +158,13 @@ def _no_processes(request: pytest.FixtureRequest) -> Iterator[None]:
             subprocess.Popen, "__init__", lambda *_, **__: pytest.skip("starts a process: `make test` runs it")
         )
         yield
+
+
+@pytest.fixture
+def patient_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that is busy with other things holds no block back where the test is not about that.
+
+    A block is held back whose audit row is not stored in a quarter of a second: on such a disk an `fsync` alone takes
+    that long. What is held back then is shown in tests/cases/block_before_its_audit_row.
+    """
+    monkeypatch.setattr("gateway.machine.writing.writeback.SENDING_SECONDS", 60.0)
