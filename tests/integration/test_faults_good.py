@@ -23,7 +23,7 @@ from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import shown_at
 from sim.plc.record.recording import PlcRecording, RequestRow
 from tests.rig.pair import MAP
-from tests.rig.stalls import recovered_in_time
+from tests.rig.stalls import measured_again
 
 BY_CHANCE = ("late reply, now and then",)
 ONLY_WRITES = ("write ignored",)
@@ -58,7 +58,7 @@ def matrix(tmp_path_factory: pytest.TempPathFactory) -> Matrix:
         return measure(at, {fault: faults[fault]}, pause=PAUSE_S, held=held)
 
     whole = measure(folder, faults, pause=PAUSE_S, held=held)
-    return recovered_in_time(whole, folder, dict.fromkeys(OUTAGES, BACK_S), again)
+    return measured_again(whole, folder, dict.fromkeys(OUTAGES, BACK_S), again, TOLERATED)
 
 
 @pytest.mark.timeout(1200)
