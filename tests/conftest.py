@@ -7,6 +7,7 @@ import signal
 import subprocess
 from collections import defaultdict
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ LONG = 0.3
 COMPUTING = ("checking", "discrepancy", "discrepancy_report", "effects", "learning", "sha", "uppaal")
 """Rooms whose tests only compute: nothing in them is early or late."""
 LOW_PRIORITY = 10
+DISK_S = 60.0
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -164,7 +166,15 @@ def _no_processes(request: pytest.FixtureRequest) -> Iterator[None]:
 def patient_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """A disk that is busy with other things holds no block back where the test is not about that.
 
-    A block is held back whose audit row is not stored in a quarter of a second: on such a disk an `fsync` alone takes
-    that long. What is held back then is shown in tests/cases/block_before_its_audit_row.
+    A block is held back whose audit row is not stored in a quarter of a second (a second where a command writes it): on
+    such a disk an `fsync` alone takes that long. What is held back then is shown in
+    tests/cases/block_before_its_audit_row.
     """
-    monkeypatch.setattr("gateway.machine.writing.writeback.SENDING_SECONDS", 60.0)
+    audit: Any = import_module("gateway.store.audit").Audit  # here: most tests need none of it
+    stored = audit.stored
+
+    async def patient(log: Any, entry: Any, timeout: float = DISK_S, undo: Any = None) -> Any:
+        return await stored(log, entry, max(timeout, DISK_S), undo)
+
+    monkeypatch.setattr(audit, "stored", patient)
+    monkeypatch.setattr("gateway.commission.writeback.block_writer.PERMIT_S", DISK_S)
