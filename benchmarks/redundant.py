@@ -29,7 +29,7 @@ from sim.plc.record.recording import PlcRecording, read_recording
 from sim.sha.events import DECANTER, encode
 from sim.sha.trace import Array, Event, Trace
 from tests.rig.pair import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
-from tests.rig.stalls import Waits, longest_hold_up, longest_pause
+from tests.rig.stalls import longest_hold_up, longest_pause
 
 PERIOD = 0.2
 """A scan's (s). A block that meets the fault costs TIMEOUT_S, the rest of a period and SWITCH_AFTER_S. It must be less
@@ -66,8 +66,8 @@ class Outcome:
 
     `switch_s`: from a fault's beginning to the switch-over; `waited_s`: how much longer that scan took than others may;
     `gap_s`: the longest time between two good readings of the temperature. `delays` are the events' (s). `still_s` is
-    the longest time in which the PLC did not get to its next row, or by which a scan was later than replies make it:
-    far more than a row's and the computer stood still.
+    the longest time in which the PLC did not get to its next row, or by which a scan was late without a fault: far more
+    than a row's and the computer stood still.
     """
 
     standby: str
@@ -196,7 +196,7 @@ def _judged(rig: Rig, standby: str, switch_overs: int, returns: int) -> Outcome:
         returns,
         switch_times(recording, rig.historian),
         float(np.max(np.diff(good))),
-        max(longest_pause(recording), longest_hold_up(rig.historian, PERIOD, Waits(TIMEOUT_S, TIMEOUT_S))),
+        max(longest_pause(recording), longest_hold_up(rig.historian, recording, PERIOD)),
         len(delays) + len(lost),
         lost,
         doubled,

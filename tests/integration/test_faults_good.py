@@ -11,7 +11,7 @@ from benchmarks.fault_matrix import (
     TOLERATED,
     Matrix,
     Row,
-    block_lost,
+    block_failed,
     judged_row,
     measure,
     outside,
@@ -47,7 +47,7 @@ def matrix(tmp_path_factory: pytest.TempPathFactory) -> Matrix:
     # The program comes back from a restart by itself.
     by_themselves = (*TOLERATED, *BY_CHANCE, *MOMENTS, *ONLY_WRITES, "restart")
     held = dict.fromkeys((name for name in FAULTS if name not in by_themselves), reading_lost)
-    held |= dict.fromkeys(ONLY_WRITES, block_lost)
+    held |= dict.fromkeys(ONLY_WRITES, block_failed)
     faults = {
         name: {**fault, "duration": LASTS_S} if fault.get("duration") == 1.0 else fault
         for name, fault in FAULTS.items()
