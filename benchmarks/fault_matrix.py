@@ -187,6 +187,11 @@ def block_lost(status: Mapping[str, Any]) -> bool:
     return bool(status["writeback"].get("last_verdict") != "written")
 
 
+def block_failed(status: Mapping[str, Any]) -> bool:
+    """True if the newest block was sent and not confirmed; one that is held back has met no fault."""
+    return bool(status["writeback"].get("last_verdict") == "failed")
+
+
 def _suffer(name: str, fault: Mapping[str, Any], plc: Plc, gateway: Gateway, seen: Seen | None) -> tuple[int, int]:
     """One fault from its beginning until the gateway says that all is well again; its first and its last number."""
     lasting = {key: value for key, value in fault.items() if seen is None or key != "duration"}

@@ -29,7 +29,7 @@ from sim.plc.record.recording import PlcRecording, read_recording
 from sim.sha.events import DECANTER, encode
 from sim.sha.trace import Array, Event, Trace
 from tests.rig.pair import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
-from tests.rig.stalls import longest_pause
+from tests.rig.stalls import longest_hold_up, longest_pause
 
 PERIOD = 0.2
 """A scan's (s). A block that meets the fault costs TIMEOUT_S, the rest of a period and SWITCH_AFTER_S. It must be less
@@ -66,7 +66,8 @@ class Outcome:
 
     `switch_s`: from a fault's beginning to the switch-over; `waited_s`: how much longer that scan took than others may;
     `gap_s`: the longest time between two good readings of the temperature. `delays` are the events' (s). `still_s` is
-    the longest time in which the PLC did not get to its next row: far more than a row's and the computer stood still.
+    the longest time in which the PLC did not get to its next row, or by which a scan was late without a fault: far more
+    than a row's and the computer stood still.
     """
 
     standby: str
@@ -152,17 +153,26 @@ def _both_well(status: Mapping[str, Any]) -> bool:
 def _suffer(fault: Mapping[str, Any], plc: Plc, gateway: Gateway) -> None:
     """One fault of the primary link, until the primary is used again.
 
-    A connection that goes deaf is ordered again where a block was what met it: the new one may serve all readings.
+    It lasts beyond its duration until the links are switched over: a scan may come too late for it. A connection that
+    goes deaf is ordered again where a block was what met it: the new one may serve all readings.
     """
     before = gateway.status["driver"]["switch_overs"]
-    for patience_s in (AGAIN_S, AGAIN_S, PATIENCE_S):
-        plc.order("fault", fault={**fault, "face": "tcp"})
+    is_moment = fault["kind"] == "half_open"
+    lasting = {key: value for key, value in fault.items() if is_moment or key != "duration"}
+    begun = time.monotonic()
+    while True:
+        number = plc.order("fault", fault={**lasting, "face": "tcp"})["number"]
         try:
-            gateway.wait_for(lambda status: status["driver"]["switch_overs"] > before, patience_s)
+            gateway.wait_for(
+                lambda status: status["driver"]["switch_overs"] > before, AGAIN_S if is_moment else PATIENCE_S
+            )
             break
         except AssertionError:
-            if fault["kind"] != "half_open" or patience_s == PATIENCE_S:
+            if not is_moment or time.monotonic() - begun > PATIENCE_S:
                 raise
+    if not is_moment:
+        time.sleep(max(0.0, begun + fault["duration"] - time.monotonic()))
+        plc.order("clear", number=number)
     while plc.order("status")["faults"]:
         time.sleep(0.02)
     gateway.wait_for(_both_well)
@@ -186,7 +196,7 @@ def _judged(rig: Rig, standby: str, switch_overs: int, returns: int) -> Outcome:
         returns,
         switch_times(recording, rig.historian),
         float(np.max(np.diff(good))),
-        longest_pause(recording),
+        max(longest_pause(recording), longest_hold_up(rig.historian, recording, PERIOD)),
         len(delays) + len(lost),
         lost,
         doubled,

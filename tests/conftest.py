@@ -7,6 +7,7 @@ import signal
 import subprocess
 from collections import defaultdict
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
 from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
+
+from tests.rig.patient_loop import PatientLoop
 
 # Collecting makes what stays and hardly any garbage; `pytest_collection_finish` turns the collector on again.
 gc.disable()
@@ -38,6 +41,7 @@ LONG = 0.3
 COMPUTING = ("checking", "discrepancy", "discrepancy_report", "effects", "learning", "sha", "uppaal")
 """Rooms whose tests only compute: nothing in them is early or late."""
 LOW_PRIORITY = 10
+DISK_S = 60.0
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -116,6 +120,11 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         os.nice(LOW_PRIORITY)  # not before: the others wait for its collection
 
 
+def pytest_asyncio_loop_factories() -> dict[str, type[PatientLoop]]:
+    """No deadline in a test's own loop passes while the machine does something else."""
+    return {"patient": PatientLoop}
+
+
 class Durations:
     """Adds up what the phases of each test took, wherever it ran, and writes DURATIONS when all have."""
 
@@ -151,3 +160,21 @@ def _no_processes(request: pytest.FixtureRequest) -> Iterator[None]:
             subprocess.Popen, "__init__", lambda *_, **__: pytest.skip("starts a process: `make test` runs it")
         )
         yield
+
+
+@pytest.fixture
+def patient_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that is busy with other things holds no block back where the test is not about that.
+
+    A block is held back whose audit row is not stored in a quarter of a second (a second where a command writes it): on
+    such a disk an `fsync` alone takes that long. What is held back then is shown in
+    tests/cases/block_before_its_audit_row.
+    """
+    audit: Any = import_module("gateway.store.audit").Audit  # here: most tests need none of it
+    stored = audit.stored
+
+    async def patient(log: Any, entry: Any, timeout: float = DISK_S, undo: Any = None) -> Any:
+        return await stored(log, entry, max(timeout, DISK_S), undo)
+
+    monkeypatch.setattr(audit, "stored", patient)
+    monkeypatch.setattr("gateway.commission.writeback.block_writer.PERMIT_S", DISK_S)

@@ -98,7 +98,8 @@ class CanopenDriver:
             async with asyncio.timeout(self._options.connect_timeout):
                 await connection.node.running.wait()
         except TimeoutError:
-            raise LinkDown(connection.node.reason) from None
+            if not connection.node.running.is_set():  # it may have come in the same turn of the loop
+                raise LinkDown(connection.node.reason) from None
 
     async def close(self) -> None:
         """Leave the bus; the node is left as it is. Never raises; may be called twice."""

@@ -9,11 +9,14 @@ import pytest
 
 from drivers.modbus.tls import load_identity
 from gateway.demo.links import LINKS
+from gateway.entry.exits import Exit
 from tests.cli.support import decanter, only_object, refused, with_one_bearing
 from tests.cli.test_demo import performed, sane
 from tests.gateway.support import MAP
 from tests.plc.bench import running
 from tests.rig.no_bands import without_bands
+
+TRIES = 10
 
 
 def test_certificates_are_made_for_both_sides_and_keys_are_private(tmp_path: Path) -> None:
@@ -57,9 +60,12 @@ def test_check_reads_every_link_and_names_the_one_that_fails(tmp_path: Path) -> 
         )
         path = tmp_path / "plant.toml"
         path.write_text(f"[device]\n{links}", encoding="utf-8")
-        done = decanter("plc", "check", "--config", path, "--json")
+        for _ in range(TRIES):
+            done = decanter("plc", "check", "--config", path, "--json")
+            data = only_object(done.stdout)
+            if done.exit_code != Exit.TIMEOUT:  # a reply may come too late on a busy machine
+                break
     assert done.exit_code == 1
-    data = only_object(done.stdout)
     assert data["links"]["way 0"].startswith("modbus, host 127.0.0.1 port ") and not data["ok"]
     good = Counter(row["link"] for row in data["readings"] if row["quality"] == "GOOD")
     assert good["way 0"] > 10 and good["way 1"] == good["way 0"] and good["way 2"] == 0
@@ -69,7 +75,7 @@ def test_check_reads_every_link_and_names_the_one_that_fails(tmp_path: Path) -> 
 def test_the_demo_does_the_main_job_over_tls(tmp_path: Path, traces: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     without_bands(monkeypatch)
     trace = with_one_bearing(traces / "cd1.csv", tmp_path)
-    data = performed(tmp_path / "out", "--trace", trace, "--seconds", 8, "--link", "modbus-tls")
+    data = performed(tmp_path / "out", "--trace", trace, "--link", "modbus-tls", seconds=8)
     sane(data)
     assert data["link"] == "modbus-tls"
     plant = (tmp_path / "out" / "plant.toml").read_text(encoding="utf-8")

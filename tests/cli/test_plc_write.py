@@ -1,6 +1,7 @@
 """`decanter plc` where it writes: armed by name, reason and minutes, else exit code 6; every answer one sentence."""
 
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -18,6 +19,9 @@ from gateway.store.audit import read, verify
 from sim.plc.record.recording import read_recording
 from tests.plc.bench import DECANTER, PATIENCE_S, ROOT, Process, running, wait_until
 
+pytestmark = pytest.mark.usefixtures("patient_disk")
+
+HELD_BACK = r"has not taken its row within|its readings are .* s old|WritePermit was read|it waited .* to be sent"
 MINE = ("codegen", "plan", "arm", "disarm", "test", "audit", "report")
 
 
@@ -111,7 +115,9 @@ def test_armed_the_loop_tests_run_each_answer_is_kept_and_disarming_ends_it(
     armed = decanter(tmp_path, "arm", "--reason", "loop test", "--minutes", "5", *place)
     assert armed.exit_code == 0 and "ARMED until" in armed.stdout and "Ada" in armed.stdout
     asked = decanter(tmp_path, "test", "alarms", "--ask", *place, told="y\ny\nn\ny\ny\ny\ny\ny\ny\ny\n" + 10 * "y\n")
-    assert asked.exit_code == 1 and "TCuscinettiRiduttore: 1 of 10 alarm bits failed, 'AnomalyFound'" in asked.stderr
+    assert asked.exit_code == 1 and "TCuscinettiRiduttore: 1 of 10 alarm bits failed, 'AnomalyFound'" in asked.stderr, (
+        asked.output
+    )
     assert "of TCuscinettiAlimentazione" in asked.output, "each question says of which block"
     assert decanter(tmp_path, "test", "alarms", *place).exit_code == 0
     beats = decanter(tmp_path, "test", "heartbeat", "--no-watchdog", *place, "--json")
@@ -170,19 +176,22 @@ def test_a_gateway_that_runs_is_armed_and_disarmed_through_its_socket(
             assert armed.exit_code == 0 and f"pid {gateway.pid}" in json.loads(armed.stdout)["told"]
             wait_until(lambda: (_writes(tmp_path) or {}).get("written", 0) > 3)
             loop = decanter(tmp_path, "test", "alarms", *config)
-            assert loop.exit_code == 2 and "a gateway runs" in loop.stderr
+            assert loop.exit_code == 2 and "a gateway runs" in loop.stderr, loop.output
             done = decanter(tmp_path, "disarm", *config)
             assert done.exit_code == 0 and "writes no more" in done.stdout
             assert (_writes(tmp_path) or {})["mode"] == "shadow"
         finally:
             gateway.terminate()
             gateway.wait(PATIENCE_S)
-    kinds = [row.entry.kind for row in read(tmp_path / "audit.sqlite")]
+    rows = [row.entry for row in read(tmp_path / "audit.sqlite")]
+    # What a busy machine is too late for is held back, and that is on record too.
+    late = [row for row in rows if row.kind == "write refused" and re.search(HELD_BACK, row.reason)]
+    kinds = [row.kind for row in rows if row not in late]
     assert kinds[0] == "armed" and kinds[-1] == "disarmed" and set(kinds) == {"armed", "confirmed", "write", "disarmed"}
 
 
 def _writes(folder: Path) -> dict[str, Any] | None:
-    line = connect(folder / "h.sock")
+    line = connect(folder / "h.sock", PATIENCE_S)
     if line is None:
         return None
     try:

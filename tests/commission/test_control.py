@@ -44,16 +44,24 @@ async def gateway(tmp_path: Path) -> AsyncIterator[Path]:
         task = asyncio.create_task(run(config, stop=stop))
         while not config.control_socket.exists():
             await asyncio.sleep(0.01)
-        await asyncio.sleep(0.3)
+        async with asyncio.timeout(120.0):
+            while not await read_well(config.path):
+                await asyncio.sleep(0.05)
         yield config.path
         stop.set()
         await task
         assert not config.control_socket.exists()
 
 
+async def read_well(path: Path) -> bool:
+    """Whether the gateway has a good reading of what the PLC is forced to."""
+    values = (await asked(path, "status"))["status"]["values"]
+    return bool(values) and values["Assorbimento"]["quality"] == "GOOD"
+
+
 async def asked(path: Path, command: str, **keys: Any) -> dict[str, Any]:
     def ask() -> dict[str, Any]:
-        line = connect(load_config(path).control_socket)
+        line = connect(load_config(path).control_socket, 120.0)
         assert line is not None
         try:
             return line.ask(command, **keys)

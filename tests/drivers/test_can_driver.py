@@ -2,6 +2,7 @@
 
 import asyncio
 import random
+import re
 import socket
 import time
 from collections.abc import AsyncIterator, Callable
@@ -61,9 +62,12 @@ async def until(condition: Callable[[], bool], within: float = 60.0) -> None:
         await asyncio.sleep(0.01)
 
 
-async def until_not_good(driver: CanDriver, tag: Tag, within: float = 60.0) -> Sample:
+async def until_not_good(driver: CanDriver, tag: Tag, within: float = 60.0, *, late: bool = True) -> Sample:
+    """The first reading that is not good; without `late` none that a busy machine alone makes so."""
     end = time.monotonic() + within
-    while (sample := (await driver.read([tag]))[0]).quality.is_good:
+    while (sample := (await driver.read([tag]))[0]).quality.is_good or (
+        not late and sample.quality in (Quality.TIMEOUT, Quality.WAITING_FOR_INITIAL_DATA)
+    ):
         assert time.monotonic() < end
         await asyncio.sleep(0.01)
     return sample
@@ -83,7 +87,7 @@ async def test_a_silent_device_is_a_timeout_with_a_reason_and_comes_back_by_itse
     await device.fall_silent()
     sample = await until_not_good(driver, CAN_TAGS.level)
     assert (sample.value, sample.quality) == (None, Quality.TIMEOUT)
-    assert sample.reason.startswith("no frame 0x181 for 0.3")
+    assert re.match(r"no frame 0x181 for (0\.[3-9]|[1-9])", sample.reason)
     await device.stop()
     await device.start()
     await read_until_good(driver, CAN_TAGS.level)
@@ -94,7 +98,7 @@ async def test_one_message_that_stops_leaves_the_others_good(device: CanDevice, 
     del device.frames[(0x182, False)]
     sample = await until_not_good(driver, CAN_TAGS.flag)
     assert sample.quality is Quality.TIMEOUT
-    assert (await driver.read([CAN_TAGS.level]))[0].quality.is_good
+    await read_until_good(driver, CAN_TAGS.level)
     assert driver.connected
 
 
@@ -174,7 +178,7 @@ async def test_error_frames_are_counted_and_are_no_readings(device: CanDevice, m
 async def test_a_frame_that_cannot_hold_the_value_is_bad_and_says_why(device: CanDevice, make: Make) -> None:
     driver = await opened(make())
     device.frames[(0x182, False)] = b"\x02"
-    sample = await until_not_good(driver, CAN_TAGS.flag)
+    sample = await until_not_good(driver, CAN_TAGS.flag, late=False)
     assert sample.quality is Quality.DECODING_ERROR
     assert sample.reason == "the frame has 1 bytes, and the value needs 2"
 

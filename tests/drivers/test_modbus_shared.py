@@ -249,10 +249,15 @@ async def test_a_silent_unit_is_asked_rarely_and_read_again_when_it_answers(
     seen: list[list[Sample]] = [[], [], []]
     plc.requests.clear()
     scans = [asyncio.ensure_future(scan(*row, stop)) for row in zip((living, two, three), seen, strict=True)]
+    loop = asyncio.get_running_loop()
+    began = loop.time()
     await asyncio.sleep(0.7)
-    asked = Counter(map(unit_of, plc.requests))
-    # In 0.7 s at least 0.15, 0.3, 0.3 s apart.
-    assert 1 <= asked[2] <= 4 and 1 <= asked[3] <= 4, asked
+    async with asyncio.timeout(60):
+        while not {2, 3} <= (asked := Counter(map(unit_of, plc.requests))).keys():
+            await asyncio.sleep(0.01)
+    # At least 0.15, 0.3, 0.3 s apart: 4 times in 0.7 s.
+    most = 2 + (loop.time() - began) / 0.3
+    assert asked[2] <= most and asked[3] <= most, asked
     assert all(sample.value == 1 for sample in seen[0])
     assert {sample.quality for sample in seen[1]} <= {Quality.NOT_CONNECTED, Quality.TIMEOUT}
     assert any("unit 2 is silent for" in sample.reason and "asked again in" in sample.reason for sample in seen[1])
@@ -377,7 +382,7 @@ async def test_a_unit_that_has_never_answered_is_waited_for_as_the_others_are_af
     plc.bend = by_unit({2: silent})
     living, dead = await shared(1, 2, timeout=0.5)
     reasons = []
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(60):
         while not dead.statistics()["silent"]:
             assert (await once(living)).value == 1
             reasons.append((await once(dead)).reason)
@@ -408,7 +413,7 @@ async def test_a_unit_that_stops_the_whole_connection_does_not_stop_the_next_one
                 seen.append(sample)
             await asyncio.sleep(0.01)
 
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(60):
         await asyncio.gather(*map(scan, drivers))
     assert drivers[1].statistics()["silent"] and drivers[0].connected
     assert asked_two == [1] and plc.connections == 2
@@ -483,7 +488,7 @@ async def test_what_a_gateway_says_late_of_a_dead_unit_does_not_mean_that_it_is_
     await until_silent(living, dead)
     asked = Counter(map(unit_of, plc.requests))[2]
     foreign = dead.statistics()["foreign_replies"]
-    async with asyncio.timeout(2):
+    async with asyncio.timeout(60):
         while dead.statistics()["foreign_replies"] < asked:
             await asyncio.gather(once(living), once(dead))
             await asyncio.sleep(0.01)

@@ -77,10 +77,10 @@ async def test_armed_it_predicts_forecasts_writes_and_stores_side_by_side(tmp_pa
     heating(bench, 5, 200)
     status = await go(config, bench, 200, status_path=tmp_path / "status.json")
     blocks = bench.written
-    assert status["writeback"]["written"] == len(blocks) > 100
+    assert status["writeback"]["written"] == len(blocks) > 190
     assert [b["sequence"] for b in blocks] == list(range(1, len(blocks) + 1))
     usable = [b for b in blocks if int(b["validity"]) & 1]
-    assert len(usable) > 50 and all(b["validity"] == 31 for b in usable)
+    assert len(usable) > 100 and all(b["validity"] == 31 for b in usable)
     assert blocks[-1]["validity"] == 0, "nothing stands valid after the stop"
     last = usable[-1]
     assert last["location"] == 2 and 2500 < int(last["temperature_now"]) < 5000
@@ -88,9 +88,7 @@ async def test_armed_it_predicts_forecasts_writes_and_stores_side_by_side(tmp_pa
     seen = history(config.historian.path)
     assert abs(seen.mean[-1] - seen.measured[-1]) < 0.5
     assert table(config, "SELECT count(*) FROM forecasts")[0][0] >= 10
-    # A block whose audit row the disk does not take in time is held back, which is right where the disk is busy.
-    verdicts = [row[0] for row in table(config, "SELECT verdict FROM writes") if row[0] != "held back"]
-    assert verdicts == ["written"] * len(blocks)
+    assert [row[0] for row in table(config, "SELECT verdict FROM writes")] == ["written"] * len(blocks)
     assert json.loads((tmp_path / "status.json").read_text())["phase"] == "stopped"
 
 

@@ -170,7 +170,7 @@ class Unhurried(Bench):
 
 async def asked(config: Config, command: str, **keys: Any) -> dict[str, Any]:
     def ask() -> dict[str, Any]:
-        line = connect(config.control_socket)
+        line = connect(config.control_socket, 120.0)
         assert line is not None
         try:
             return line.ask(command, **keys)

@@ -92,7 +92,9 @@ async def test_over_a_real_socket_through_an_outage_to_a_graceful_stop(tmp_path:
         plc.stop()
     assert last["failures"] == 0
     counters = last["writeback"]
-    assert counters["accepted"] == said["accepted"] and counters["refused"] == said["refused"] == 0
+    # On a busy computer the PLC's timer may end the session between a scan and its block, which is refused then.
+    assert counters["accepted"] == said["accepted"] and counters["refused"] == counters["sessions_ended"]
+    assert counters["refused"] == said["refused"]
     assert counters["written"] <= said["accepted"] <= counters["written"] + counters["failed"]
     assert len(last["link"]["outages"]) > outages
     assert all(outage["recovered_s"] is not None for outage in last["link"]["outages"])
@@ -126,7 +128,7 @@ async def test_a_plc_that_dies_and_comes_back_is_read_again_and_its_counters_go_
         await until(lambda: status()["writeback"]["accepted"] > before + 10)
         stop.set()
         last = await asyncio.wait_for(gateway, PATIENCE_S)
-    assert last["failures"] == 0 and last["writeback"]["refused"] == 0
+    assert last["failures"] == 0 and last["writeback"]["refused"] == last["writeback"]["sessions_ended"]
 
 
 SERVE = """

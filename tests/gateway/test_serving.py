@@ -191,19 +191,24 @@ async def test_a_foreign_master_reads_from_the_gateway_what_it_has_read_of_a_plc
     config, stop = config_in(tmp_path, text, device__host="127.0.0.1", device__port=plc.port), asyncio.Event()
     running = asyncio.ensure_future(run(config, stop=stop))
     peer = AsyncModbusTcpClient("127.0.0.1", port=port, retries=0, timeout=2)
+
+    async def read(address: int, count: int = 1) -> list[int]:
+        """Registers once they are served: what a busy machine reads late is served as bad meanwhile."""
+        while (reply := await peer.read_holding_registers(address, count=count, device_id=5)).isError():
+            await asyncio.sleep(0.02)
+        return list(reply.registers)
+
     try:
         async with asyncio.timeout(120):
             while not await peer.connect():
                 await asyncio.sleep(0.02)
-            while (reply := await peer.read_holding_registers(101, count=1, device_id=5)).isError():
+            assert await read(101) == [123]
+            assert await read(105, 4) == [0, 0x4226, 0, 0x41F0]
+            while (state := await peer.read_input_registers(STATE, count=4, device_id=5)).registers[2] >= 20:
                 await asyncio.sleep(0.02)
-            assert reply.registers == [123]
-            both = await peer.read_holding_registers(105, count=4, device_id=5)
-            assert both.registers == [0, 0x4226, 0, 0x41F0]
-            state = await peer.read_input_registers(STATE, count=4, device_id=5)
-            assert state.registers[0] == 1 and state.registers[2] < 20
-            quality = await peer.read_holding_registers(place(config, TEMPERATURE), count=2, device_id=5)
-            assert quality.registers[0] == 0 and quality.registers[1] < 20
+            assert state.registers[0] == 1
+            while (quality := await read(place(config, TEMPERATURE), 2))[0] != 0 or quality[1] >= 20:
+                await asyncio.sleep(0.02)
             # It is read-only, and the PLC hears of nothing.
             asked = plc.functions()
             assert (await peer.write_register(101, 1, device_id=5)).exception_code == 1
@@ -237,7 +242,7 @@ async def test_a_port_that_is_taken_is_said_and_stops_nothing(tmp_path: Path) ->
         while not (tmp_path / "gateway.jsonl").exists() or not any(
             row.get("part") == "peers" and "cannot be served" in row["reason"] for row in logged(tmp_path)
         ):
-            assert time.monotonic() - began < 10
+            assert time.monotonic() - began < 60
             await asyncio.sleep(0.02)
         stop.set()
         status = await running

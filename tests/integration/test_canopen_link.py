@@ -13,7 +13,7 @@ from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import PlcRecording, read_recording
 from tests.rig.pair import restless_trace
-from tests.rig.stalls import STILL_S, TRIES, recovered_in_time
+from tests.rig.stalls import STILL_S, TRIES, measured_again
 
 SEEN = (
     *("missing heartbeat", "EMCY", "node reset", "restart", "node off the bus", "frozen image"),
@@ -48,7 +48,7 @@ def suffered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Matrix, PlcRecor
         return measure(at, {fault: faults[fault]}, pause=PAUSE_S, held=held)
 
     matrix = measure(folder, faults, pause=PAUSE_S, held=held)
-    matrix = recovered_in_time(matrix, folder, dict.fromkeys(FAULTS, BACK_S), again)
+    matrix = measured_again(matrix, folder, dict.fromkeys(FAULTS, BACK_S), again, TOLERATED)
     return matrix, read_recording(folder / "plc.jsonl")
 
 

@@ -11,7 +11,7 @@ from benchmarks.fault_matrix import (
     TOLERATED,
     Matrix,
     Row,
-    block_lost,
+    block_failed,
     judged_row,
     measure,
     outside,
@@ -23,7 +23,7 @@ from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import shown_at
 from sim.plc.record.recording import PlcRecording, RequestRow
 from tests.rig.pair import MAP
-from tests.rig.stalls import recovered_in_time
+from tests.rig.stalls import measured_again
 
 BY_CHANCE = ("late reply, now and then",)
 ONLY_WRITES = ("write ignored",)
@@ -47,7 +47,7 @@ def matrix(tmp_path_factory: pytest.TempPathFactory) -> Matrix:
     # The program comes back from a restart by itself.
     by_themselves = (*TOLERATED, *BY_CHANCE, *MOMENTS, *ONLY_WRITES, "restart")
     held = dict.fromkeys((name for name in FAULTS if name not in by_themselves), reading_lost)
-    held |= dict.fromkeys(ONLY_WRITES, block_lost)
+    held |= dict.fromkeys(ONLY_WRITES, block_failed)
     faults = {
         name: {**fault, "duration": LASTS_S} if fault.get("duration") == 1.0 else fault
         for name, fault in FAULTS.items()
@@ -58,7 +58,7 @@ def matrix(tmp_path_factory: pytest.TempPathFactory) -> Matrix:
         return measure(at, {fault: faults[fault]}, pause=PAUSE_S, held=held)
 
     whole = measure(folder, faults, pause=PAUSE_S, held=held)
-    return recovered_in_time(whole, folder, dict.fromkeys(OUTAGES, BACK_S), again)
+    return measured_again(whole, folder, dict.fromkeys(OUTAGES, BACK_S), again, TOLERATED)
 
 
 @pytest.mark.timeout(1200)

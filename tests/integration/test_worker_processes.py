@@ -7,7 +7,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from itertools import pairwise
 from pathlib import Path
 from subprocess import PIPE, Popen
 from threading import Thread
@@ -150,6 +152,17 @@ def test_the_machines_of_all_processes_are_read_and_shown_as_one_plants(plant: S
     assert refused.exit_code == 2 and "this gateway has a, b, c, d" in refused.stderr
 
 
+def beats_alike(peer: ModbusTcpClient, direct: ModbusTcpClient, row: Any, unit: int) -> bool:
+    """Whether the gateway serves a heartbeat that is good and not long before the PLC's own; late on a busy machine."""
+    told = peer.read_holding_registers(row.start, count=row.count, device_id=unit)
+    quality, age = peer.read_holding_registers(row.quality, count=2, device_id=unit).registers
+    own = direct.read_holding_registers(row.start, count=row.count, device_id=1)
+    if told.isError() or own.isError() or quality != 0 or age >= 20:
+        return False
+    assert told.registers[0] <= own.registers[0], "no count that the PLC had not yet"
+    return bool(own.registers[0] - told.registers[0] < 100)
+
+
 def test_peers_and_browsers_are_shown_the_machines_of_all_processes(plant: SplitPlant) -> None:
     configs = {config.machine: config for config in load_plant(plant.file)}
     with ModbusTcpClient("127.0.0.1", port=plant.served) as peer:
@@ -158,21 +171,18 @@ def test_peers_and_browsers_are_shown_the_machines_of_all_processes(plant: Split
             plc = ModbusTcpClient("127.0.0.1", port=plant.plc.ready["machines"][name]["port"])
             with plc as direct:
                 # Without a trace the PLC's sensors have failed; its words are good.
-                for tag, good in ((TEMPERATURE, False), (HEARTBEAT, True)):
-                    row = rows[tag]
-                    told = peer.read_holding_registers(row.start, count=row.count, device_id=unit)
-                    assert told.isError() is not good
-                    quality, age = peer.read_holding_registers(row.quality, count=2, device_id=unit).registers
-                    assert (quality == 0) is good and (age < 20) is good
-                own = direct.read_holding_registers(row.start, count=row.count, device_id=1).registers
-            assert 0 <= own[0] - told.registers[0] < 100
+                row = rows[TEMPERATURE]
+                assert peer.read_holding_registers(row.start, count=row.count, device_id=unit).isError()
+                quality, age = peer.read_holding_registers(row.quality, count=2, device_id=unit).registers
+                assert quality != 0 and age >= 20
+                until(partial(beats_alike, peer, direct, rows[HEARTBEAT], unit))
         assert peer.read_holding_registers(0, count=1, device_id=5).isError()
     log = plant.file.with_name("log.jsonl").read_text(encoding="utf-8").splitlines()
     (address,) = (row["address"] for row in map(json.loads, log) if row["event"] == "the page is served")
-    with urlopen(f"{address}/api/plant", timeout=10.0) as reply:  # noqa: S310 - its own address
+    with urlopen(f"{address}/api/plant", timeout=60.0) as reply:  # noqa: S310 - its own address
         shown = json.load(reply)
     assert list(shown["machines"]) == list(MACHINES)
-    with urlopen(f"{address}/api/live", timeout=10.0) as stream:  # noqa: S310
+    with urlopen(f"{address}/api/live", timeout=60.0) as stream:  # noqa: S310
         assert set(json.loads(stream.readline().removeprefix(b"data: "))["machines"]) == set(MACHINES)
 
 
@@ -197,6 +207,12 @@ def test_one_machine_is_armed_and_disarmed_by_its_name(plant: SplitPlant) -> Non
     plant.wait_for("b", lambda one: one["writeback"]["mode"] == "shadow")
 
 
+def scan_times(plant: SplitPlant, machine: str, since: float) -> list[float]:
+    """When a machine was scanned from then on (plant s), as far as it is on record."""
+    with reading(plant.file.with_name("h.sqlite")) as connection:
+        return [float(time) for (time,) in stored_rows(connection, "scans", ("time",), since, machine=machine)]
+
+
 def test_a_process_that_is_killed_is_begun_anew_and_costs_the_others_no_scan(plant: SplitPlant) -> None:
     arming = ("--by", "B", "--reason", "r", "--minutes", "5", "--machine", "a")
     assert plant.ask("plc", "arm", *arming)["ok"]
@@ -216,10 +232,14 @@ def test_a_process_that_is_killed_is_begun_anew_and_costs_the_others_no_scan(pla
     assert restarted["parts"]["process"]["restarts"] == 1 and restarted["writeback"]["mode"] == "shadow"
     # A person's word outlives the process, as it does that of a whole gateway.
     plant.wait_for("a", lambda one: one["writeback"]["mode"] == "armed" and one["writeback"]["accepted"] > 2)
+    # On a busy machine any scan may be late. To wait for the process that is begun anew would cost as long as that.
+    begun = before["c"]["time"]
+    until(lambda: all(scan_times(plant, name, restarted["time"]) for name in MACHINES))
+    gaps = {name: max(b - a for a, b in pairwise([begun, *scan_times(plant, name, begun)])) for name in MACHINES}
     for name in ("b", "d"):
-        scans = after[name]["scan"]["count"] - before[name]["scan"]["count"]
-        assert scans > 5 and after[name]["scan"]["missed"] - before[name]["scan"]["missed"] <= scans / 2
-        assert after[name]["link"]["outage_count"] == before[name]["link"]["outage_count"]
+        assert after[name]["scan"]["count"] - before[name]["scan"]["count"] > 5
+        assert after[name]["writeback"]["writer"] == before[name]["writeback"]["writer"]
+        assert gaps[name] < gaps["c"] / 2, gaps
 
 
 def test_a_changed_file_is_taken_over_by_the_process_that_it_concerns(plant: SplitPlant) -> None:

@@ -129,7 +129,7 @@ async def test_a_broker_that_is_gone_is_an_alarm_until_it_is_there_again(tmp_pat
 
         gateway = asyncio.create_task(run(config, clock=clock, stop=bench.stop, driver=bench))
         try:
-            async with asyncio.timeout(30.0):
+            async with asyncio.timeout(120.0):
                 while bench.reads < 60:
                     assert not gateway.done() or gateway.result() is None
                     await asyncio.sleep(0.05)
@@ -141,7 +141,9 @@ async def test_a_broker_that_is_gone_is_an_alarm_until_it_is_there_again(tmp_pat
             line.cut()
             bench.stop.set()
             await gateway
-    (raised, over) = [row for row in read_journal(config.historian.path) if row.alarm == "northbound"]
+    # On a busy machine the broker may not have been heard of for as long before, too.
+    *_, raised, over = (row for row in read_journal(config.historian.path) if row.alarm == "northbound")
+    assert (raised.state, over.state) == ("unacknowledged", "returned unacknowledged")
     log = (tmp_path / "gateway.jsonl").read_text(encoding="utf-8").splitlines()
     gone = next(row for row in map(json.loads, log) if row.get("sink") == "it")
     assert gone["event"].startswith("a system cannot be told") and raised.priority == 3

@@ -1,39 +1,63 @@
 """Real time that a computer did not give: what was too slow is measured again where the record shows such a stall."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from itertools import pairwise
 from math import inf
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.fault_matrix import Matrix, Row
+from benchmarks.fault_matrix import PERIOD, Matrix
+from gateway.store.read_back import reading, stored_rows
 from sim.plc.record.recording import PlcRecording, read_recording
 
 STILL_S = 0.2
 """A restless or busy trace has a new row each 0.05 s: where the PLC came to none for so long, the computer gave it no
 time."""
-TRIES = 3
+TRIES = 10
+"""A machine that does much else gives no time again and again; what is wrong by itself is so each time."""
+AFTERMATH_S = 1.5
+"""So long after a fault a scan may still wait for replies."""
 Again = Callable[[Path, str], Matrix]
-"""Measure one fault alone, in a folder of its own; the PLC's recording is in it."""
+"""Measure one fault alone, in a folder of its own; the PLC's recording and the historian are in it."""
 
 
-def longest_pause(recording: PlcRecording, since: float = -inf, until: float = inf) -> float:
+def longest_pause(recording: PlcRecording) -> float:
     """The longest time (plant s) between two moments in which the PLC's own signals moved."""
-    moments = np.unique([row.time for row in recording.truth if since <= row.time <= until])
-    return float(np.max(np.diff(moments), initial=0.0))
+    return float(np.max(np.diff(np.unique([row.time for row in recording.truth])), initial=0.0))
 
 
-def recovered_in_time(matrix: Matrix, folder: Path, within: Mapping[str, float], again: Again) -> Matrix:
-    """The matrix of `folder`, with another row for each fault after which all came back too late on a still computer.
+def longest_hold_up(historian: Path, recording: PlcRecording, period: float) -> float:
+    """The longest time (plant s) by which a scan was later than by its period while no fault made it wait for a reply.
 
-    `within` (s) is by fault; whatever the computer does, no value is wrong and nothing is written elsewhere or twice.
+    It tells how busy the computer was in a run; what it did to a scan that waited anyway is not to be told apart.
+    """
+    with reading(historian) as connection:
+        times = [float(time) for (time,) in stored_rows(connection, "scans", ("time",))]
+    begun = {row.detail["number"]: row.time for row in recording.events if row.event == "fault began"}
+    over = {row.detail["number"]: row.time for row in recording.events if row.event == "fault ended"}
+    spans = [(begin - period, over.get(number, inf) + AFTERMATH_S) for number, begin in begun.items()]
+    gaps = (b - a - period for a, b in pairwise(times) if not any(a < end and begin < b for begin, end in spans))
+    return max(gaps, default=0.0)
+
+
+def measured_again(
+    matrix: Matrix, folder: Path, within: Mapping[str, float], again: Again, harmless: Collection[str] = ()
+) -> Matrix:
+    """The matrix of `folder`, with another row for each fault that cost too much on a still computer.
+
+    That is, after which all came back later than `within` (s, by fault), or a `harmless` one that cost anything at all;
+    whatever the computer does, no value is wrong and nothing is written elsewhere or twice.
     """
     rows = {row.fault: row for row in matrix.rows}
-    for fault, limit in within.items():
+    for fault in dict.fromkeys((*within, *harmless)):
         at = folder
         for number in range(1, TRIES):
-            if not late(row := rows[fault], limit) or paused(read_recording(at / "plc.jsonl"), row) < STILL_S:
+            row = rows[fault]
+            is_late = row.recovered_s is not None and row.recovered_s >= within.get(fault, inf)
+            has_cost = fault in harmless and row.detected_s is not None
+            if not (is_late or has_cost) or stood_still(at) < STILL_S:
                 break
             (at := folder / f"{fault} again {number}").mkdir()
             other = again(at, fault)
@@ -42,11 +66,7 @@ def recovered_in_time(matrix: Matrix, folder: Path, within: Mapping[str, float],
     return replace(matrix, rows=tuple(rows.values()))
 
 
-def late(row: Row, limit: float) -> bool:
-    """Whether good readings did not return within so many seconds."""
-    return row.recovered_s is not None and row.recovered_s >= limit
-
-
-def paused(recording: PlcRecording, row: Row) -> float:
-    """The longest pause of the PLC while good readings were waited for."""
-    return longest_pause(recording, row.ended, row.ended + (row.recovered_s or 0.0))
+def stood_still(folder: Path) -> float:
+    """The longest time (s) in which the computer gave no time to the PLC or to the gateway of a run."""
+    recording = read_recording(folder / "plc.jsonl")
+    return max(longest_pause(recording), longest_hold_up(folder / "historian.sqlite", recording, PERIOD))

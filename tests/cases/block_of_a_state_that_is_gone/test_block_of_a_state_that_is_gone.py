@@ -21,6 +21,8 @@ from tests.gateway.test_app import ARMED
 from tests.gateway.test_arming import bench_of
 from tests.gateway.test_writeback import USABLE, Wire, armed
 
+pytestmark = pytest.mark.usefixtures("patient_disk")
+
 
 class HeldWire(Wire):
     """A driver in whose last wait before the wire something happens."""

@@ -18,6 +18,8 @@ from tests.drivers.test_contract import BENCHES
 from tests.gateway.test_writeback import CLOCK, USABLE, Wire, armed, scan
 from tests.rig.disarms import disarmed_at_random
 
+pytestmark = pytest.mark.usefixtures("patient_disk")
+
 MOMENTS, SPAN_S = 25, 0.02
 KEY = Ed25519PrivateKey.generate()
 
