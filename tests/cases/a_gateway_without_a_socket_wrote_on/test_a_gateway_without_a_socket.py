@@ -1,4 +1,4 @@
-"""A disarming on record reached no gateway that runs: without its control socket nobody could disarm it, or it wrote on.
+"""A disarming on record reached no gateway that runs: without its control socket nobody could disarm it, or it wrote.
 
 `plc disarm` asked at the socket, and where a lock showed that a gateway runs refused and recorded nothing; where none
 showed it said "disarmed". So each commit of the audit log looks for what other programs have taken back, before the
