@@ -102,9 +102,13 @@ async def test_a_run_says_what_it_is_and_each_change_and_several_may_watch_it(tm
         await heard(f"alarm raised: over limit {TEMPERATURE}")
         happen({TEMPERATURE: 23.5, CURRENT: None})
         await heard(f"alarm over: over limit {TEMPERATURE}", f"{CURRENT} SENSOR_FAILURE")
-        status = await asyncio.to_thread(CliRunner().invoke, main, ["status", "--config", str(config.path), "--json"])
+        words = ["status", "--config", str(config.path), "--json"]
+        async with asyncio.timeout(120.0):
+            # A scan that is late on a busy machine is another finding, for a moment.
+            while (status := await asyncio.to_thread(CliRunner().invoke, main, words)).exit_code != 1:
+                await asyncio.sleep(0.1)
         data = json.loads(status.output)
-        assert status.exit_code == 1 and data["health"] == "attention" and "readings" in data["findings"]
+        assert data["health"] == "attention" and "readings" in data["findings"]
         assert data["status"]["values"][TEMPERATURE]["value"] == 23.5
         happen({"fault": "silent"})
         await heard("link: no good reading")
