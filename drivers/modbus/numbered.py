@@ -80,6 +80,7 @@ class NumberedWire(asyncio.Protocol):
         self.foreign = 0
         self.last = b""
         self.fault = LinkFault.OTHER
+        self.refusal_hint = secured.refusal_hint if secured else ""
         self._tap = current()
 
     async def connect(self) -> None:

@@ -90,6 +90,7 @@ class LineWire:
         self.foreign = 0
         self.last = b""
         self.fault = LinkFault.OTHER
+        self.refusal_hint = ""
 
     async def connect(self) -> None:
         """Open the line; the caller sets the deadline by cancelling. Raises LinkDown with the system's own reason."""

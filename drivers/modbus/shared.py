@@ -25,7 +25,7 @@ from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, Re
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.modbus.replies import TransactionIds
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.transport import AnyWire, make_transport
+from drivers.modbus.transport import AnyWire, explained, make_transport
 from drivers.modbus.turns import AT_ONCE, ReplyTimes, Stall, Suspect, Turns, UnitHealth
 from drivers.modbus.verify import NO_WAY_TO_UNIT
 from drivers.modbus.wire import WireReply
@@ -167,7 +167,7 @@ class SharedLink:
                     self._is_its_own(settings, health, started)
                 else:
                     self._note_answer(settings, health)
-                raise self.transport.explained(error) from None
+                raise explained(error, wire) from None
             except LinkDown as error:
                 # What ends the connection under its question again and again is the unit's own, as silence would be.
                 if wire.fault in _UNDER_A_QUESTION:

@@ -16,7 +16,7 @@ from drivers.modbus.address import Area, TagSpan, locate
 from drivers.modbus.plan import AddressBlock, fitting, plan_spans
 from drivers.modbus.replies import TransactionIds
 from drivers.modbus.settings import ModbusSettings, read_settings
-from drivers.modbus.transport import AnyWire, make_transport
+from drivers.modbus.transport import AnyWire, explained, make_transport
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import WireReply, read_request
 from drivers.survey import Raw, ReadWords
@@ -176,7 +176,7 @@ class ModbusSurvey:
         except DeviceException as error:
             self._answered = True
             self._counts["exceptions"] += 1
-            raise self._transport.explained(error) from None
+            raise explained(error, wire) from None
         except (ReplyTimeout, ReplyMismatch) as error:
             self._counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
             raise

@@ -96,12 +96,8 @@ def role_of(certificate: x509.Certificate) -> str:
     return text[2:].decode(errors="replace")  # a short UTF8String: tag, length, text
 
 
-def refusal_hint(folder: Path) -> str:
-    """Why the PLC may refuse what it knows, by the certificate that it is shown; "" where that cannot be used now."""
-    try:
-        role = load_identity(folder).role
-    except DriverError:
-        return ""
+def refusal_hint(role: str) -> str:
+    """Why the PLC may refuse what it knows, by the role in the certificate that it is shown ("" for none)."""
     return f"or {f'the role {role!r} of' if role else 'the lack of a role in'} our certificate does not allow it"
 
 

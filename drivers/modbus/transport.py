@@ -25,6 +25,7 @@ class AnyWire(Protocol):
     foreign: int
     last: bytes
     fault: LinkFault
+    refusal_hint: str
 
     async def connect(self) -> None: ...
 
@@ -45,19 +46,18 @@ class AnyWire(Protocol):
 class ModbusTransport:
     """`wire` makes a wire, not yet connected; `cautions` says what should not stay as it is.
 
-    `refusal_hint` gives what else exception 1 (illegal function) may mean here. To make a wire raises LinkDown where
-    what it needs cannot be used now.
+    To make a wire raises LinkDown where what it needs cannot be used now.
     """
 
     wire: Callable[[Callable[[str], None]], AnyWire]
     cautions: Callable[[], tuple[str, ...]]
-    refusal_hint: Callable[[], str] = str
 
-    def explained(self, error: DeviceException) -> DeviceException:
-        """The device's refusal with what it may mean on this transport."""
-        if error.code != _ILLEGAL_FUNCTION or not (hint := self.refusal_hint()):
-            return error
-        return DeviceException(error.code, f"{error}; {hint}")
+
+def explained(error: DeviceException, wire: AnyWire) -> DeviceException:
+    """The device's refusal with what it may mean on the wire over which it came."""
+    if error.code != _ILLEGAL_FUNCTION or not wire.refusal_hint:
+        return error
+    return DeviceException(error.code, f"{error}; {wire.refusal_hint}")
 
 
 def make_transport(
@@ -96,10 +96,7 @@ def make_transport(
             identity = tls.load_identity(folder)
         except DriverError as error:
             raise LinkDown(str(error)) from None
-        return headed(on_lost, Secured(identity.context, settings.tls_name or settings.host, tls.sentence))
+        name, hint = settings.tls_name or settings.host, tls.refusal_hint(identity.role)
+        return headed(on_lost, Secured(identity.context, name, tls.sentence, hint))
 
-    return ModbusTransport(
-        secured,
-        lambda: tls.cautions(folder, dt.datetime.now(dt.UTC)),
-        lambda: tls.refusal_hint(folder),
-    )
+    return ModbusTransport(secured, lambda: tls.cautions(folder, dt.datetime.now(dt.UTC)))

@@ -76,11 +76,15 @@ def write_request(area: Area, start: int, words: Sequence[int], unit: int) -> Mo
 
 @dataclass(frozen=True, slots=True)
 class Secured:
-    """TLS for a wire: the context, the name that the server's certificate must have, and failures in words."""
+    """TLS for a wire: the context, the name that the server's certificate must have, and failures in words.
+
+    `refusal_hint`: what else exception 1 (illegal function) may mean, by the certificate that the server is shown.
+    """
 
     context: ssl.SSLContext
     name: str
     sentence: Callable[[Exception], str]
+    refusal_hint: str
 
 
 class Wire:
@@ -120,6 +124,7 @@ class Wire:
         self.foreign = 0
         self.last = b""
         self.fault = LinkFault.OTHER
+        self.refusal_hint = secured.refusal_hint if secured else ""
         self._tap = current()
 
     def _made(self, host: str, port: int, secured: Secured | None) -> AsyncModbusTcpClient:

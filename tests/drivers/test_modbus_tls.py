@@ -227,6 +227,22 @@ async def test_exception_1_says_that_it_may_be_the_role(secured: ScriptedPlc, tm
     await driver.close()
 
 
+@pytest.mark.parametrize("later", ["Operator", None])
+async def test_the_role_is_that_of_the_certificate_which_the_plc_was_shown(
+    secured: ScriptedPlc, tmp_path: Path, later: str | None
+) -> None:
+    secured.exception = 1
+    folder = certified.folder(tmp_path / "c", of_client=certified.client(role="Viewer"))
+    driver = await opened(secured, folder)
+    if later is None:
+        (folder / "client.pem").unlink()
+    else:
+        certified.folder(folder, of_client=certified.client(role=later))
+    (sample,) = await driver.read([A])
+    assert sample.reason.endswith("or the role 'Viewer' of our certificate does not allow it")
+    await driver.close()
+
+
 # ------------------------------------------------------------------ our own files
 
 
