@@ -141,18 +141,18 @@ class Dbc:
             cycle = message.cycle_time / 1000.0 if message.cycle_time else None
         except (TypeError, OverflowError):  # a text, or a number beyond any
             raise DriverError(f"{self.path}: message {message.name}: its GenMsgCycleTime is no time in ms") from None
-        layouts = {ids for s in message.signals for ids in (tuple(s.multiplexer_ids or ()),) if ids}
-        protection = self._protection(message)
+        layouts = _layouts(message)
+        protection = self._protection(message, layouts)
         return MessageFacts(
             name=message.name,
             key=key,
             length=message.length,
             cycle=cycle,
-            layouts=max(1, len(layouts)),
+            layouts=layouts,
             protection=protection,
         )
 
-    def _protection(self, message: Message) -> Protection | None:
+    def _protection(self, message: Message, layouts: int) -> Protection | None:
         attributes = message.dbc.attributes if message.dbc is not None else {}
         e2e = {name: attributes[name].value for name in attributes if name.startswith("E2E")}
         profile = str(e2e.get("E2EProfile", "") or "")
@@ -166,16 +166,32 @@ class Dbc:
             raise DriverError(f"{where}: E2EDataID {data_id!r} must be a whole number in 0..65535")
         if not (isinstance(delta, int) and 1 <= delta <= 255):
             raise DriverError(f"{where}: E2EMaxDeltaCounter {delta!r} must be a whole number in 1..255")
-        return Protection(data_id, delta, max(CONFIRMED, min(_selections(message), _MOST_CONFIRMED)))
+        return Protection(data_id, delta, max(CONFIRMED, min(layouts, _MOST_CONFIRMED)))
 
 
-def _selections(message: Message) -> int:
-    """How many frames of a message may differ in their multiplexors alone, at most."""
-    numbers: dict[str, set[int]] = {}
+def _layouts(message: Message) -> int:
+    """How many sets of signals the frames of a message may hold, _MOST_SELECTED at most; 1 without multiplexors.
+
+    Numbers of a multiplexor that select the same signals are one layout. A multiplexor below it has its own in each
+    layout that holds it, so that of those which exclude one another one alone counts at a time.
+    """
+    selected: dict[str, dict[int, list[str]]] = {}
     for signal in message.signals:
-        if signal.multiplexer_ids and signal.multiplexer_signal:
-            numbers.setdefault(signal.multiplexer_signal, set()).update(signal.multiplexer_ids)
-    return math.prod(map(len, numbers.values()))
+        for number in signal.multiplexer_ids or () if signal.multiplexer_signal else ():
+            selected.setdefault(signal.multiplexer_signal, {}).setdefault(number, []).append(signal.name)
+    below = {name: {tuple(names) for names in numbers.values()} for name, numbers in selected.items()}
+    tops = {signal.name for signal in message.signals if signal.name in below and not signal.multiplexer_ids}
+    # From above downwards; multiplexors that select one another have none above them, and are in no frame.
+    order, seen = list(tops), set(tops)
+    for name in order:
+        found = {other for names in below[name] for other in names if other in below} - seen
+        order += found
+        seen |= found
+    layouts: dict[str, int] = {}
+    for name in reversed(order):
+        counts = (math.prod(layouts.get(other, 1) for other in names) for names in below[name])
+        layouts[name] = min(sum(counts), _MOST_SELECTED)
+    return min(math.prod(layouts[name] for name in tops), _MOST_SELECTED)
 
 
 def bits_of(signal: Signal) -> Bits:

@@ -25,6 +25,24 @@ PAGES_IN_A_PAGE = (
 )
 OF_A_PAGE = "SG_MUL_VAL_ 1 Sub Page 1-1;\nSG_MUL_VAL_ 1 A Page 0-0;\n"
 OF_A_PAGE += "".join(f"SG_MUL_VAL_ 1 B{page} Sub {page}-{page};\n" for page in range(3))
+INDEXED = PAGE + ' SG_ X m0 : 32|8@1+ (1,0) [0|0] "" X\n SG_ Y m1 : 40|8@1+ (1,0) [0|0] "" X\n'
+ONE_OF_255 = "SG_MUL_VAL_ 1 X Page 0-0;\nSG_MUL_VAL_ 1 Y Page 1-255;\n"
+PAGES_IN_EACH_PAGE = PAGE + "".join(
+    f' SG_ {sub} m{page}M : 32|8@1+ (1,0) [0|0] "" X\n'
+    + "".join(f' SG_ {sub}{number} m{number} : 40|8@1+ (1,0) [0|0] "" X\n' for number in range(4))
+    for page, sub in enumerate("FG")
+)
+OF_EACH_PAGE = "".join(
+    f"SG_MUL_VAL_ 1 {sub} Page {page}-{page};\n"
+    + "".join(f"SG_MUL_VAL_ 1 {sub}{number} {sub} {number}-{number};\n" for number in range(4))
+    for page, sub in enumerate("FG")
+)
+OVERLAPPING = "SG_MUL_VAL_ 1 X Page 0-9;\nSG_MUL_VAL_ 1 Y Page 5-255;\n"
+TWO_IN_A_PAGE = "".join(
+    f"SG_MUL_VAL_ 1 {sub} Page 0-0;\n"
+    + "".join(f"SG_MUL_VAL_ 1 {sub}{number} {sub} {number}-{number};\n" for number in range(4))
+    for sub in "FG"
+)
 
 
 def used(guard: Protection | None, counters: list[int]) -> list[bool]:
@@ -58,3 +76,37 @@ def test_as_many_frames_must_follow_a_jump_as_a_message_has_layouts(
     guard = Dbc(path).messages["Pages"].protection
     assert not any(used(guard, [*range(20), *[*range(20 - frames, 20)] * 30])[20:])
     assert used(guard, [*range(20), *range(100, 120)])[-1]
+
+
+@pytest.mark.parametrize(
+    ("signals", "selections", "layouts"),
+    [
+        (PLAIN, "", 1),
+        (SIX, "", 6),
+        (INDEXED, ONE_OF_255, 2),
+        (INDEXED, OVERLAPPING, 3),
+        (PAGES_IN_A_PAGE, OF_A_PAGE, 4),
+        (PAGES_IN_EACH_PAGE, OF_EACH_PAGE, 8),
+        (PAGES_IN_EACH_PAGE, TWO_IN_A_PAGE, 16),
+    ],
+    ids=[
+        "plain",
+        "six pages",
+        "255 numbers of one",
+        "ranges overlap",
+        "in one page",
+        "in each page",
+        "two in one page",
+    ],
+)
+def test_numbers_of_one_layout_are_one_and_pages_that_exclude_one_another_add_up(
+    tmp_path: Path, signals: str, selections: str, layouts: int
+) -> None:
+    """A message of two layouts had to be seen for 255 frames: bad for four minutes after each restart of its device."""
+    path = tmp_path / "pages.dbc"
+    path.write_text(HEAD + signals + TAIL + selections, encoding="cp1252")
+    facts = Dbc(path).messages["Pages"]
+    assert facts.layouts == layouts
+    assert facts.protection is not None
+    needed = max(2, layouts)
+    assert used(facts.protection, [0, *range(100, 100 + needed + 1)]) == [True, *[False] * needed, True]
