@@ -177,8 +177,9 @@ def _layouts(message: Message) -> int:
     """
     selected: dict[str, dict[int, list[str]]] = {}
     for signal in message.signals:
-        for number in signal.multiplexer_ids or () if signal.multiplexer_signal else ():
-            selected.setdefault(signal.multiplexer_signal, {}).setdefault(number, []).append(signal.name)
+        if (above := signal.multiplexer_signal) is not None:
+            for number in signal.multiplexer_ids or ():
+                selected.setdefault(above, {}).setdefault(number, []).append(signal.name)
     below = {name: {tuple(names) for names in numbers.values()} for name, numbers in selected.items()}
     tops = {signal.name for signal in message.signals if signal.name in below and not signal.multiplexer_ids}
     # From above downwards; multiplexors that select one another have none above them, and are in no frame.

@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 
-from drivers.can.bus import BusLoad, ClockBefore, Pump, open_bus
+from drivers.can.bus import AttendedSilence, BusLoad, ClockBefore, Pump, open_bus
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.exchange import Exchange, put
 from drivers.can.fields import EXTENDED, frame_key, frame_name, layout_name, value_of
@@ -30,6 +30,8 @@ from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample, Tag, Value
 
 _LOOK = 0.1
+_LOOKS = 8
+"""Looks within the silence that ends a connection, at least: one that comes late is a small part of it."""
 _PLACES_KEPT = 20_000
 _BUS_OFF = "bus-off: the controller has withdrawn from the bus after too many errors"
 
@@ -346,8 +348,12 @@ class CanDriver:
 
     async def _watch(self) -> None:
         """Look now and then at what no frame tells: silence, and a controller that says only when asked."""
+        pause = min(_LOOK, self._settings.max_silence / _LOOKS)
+        attended = AttendedSilence(time.monotonic())
         while True:
-            await asyncio.sleep(min(_LOOK, self._settings.max_silence / 2))
+            await asyncio.sleep(pause)
+            now = time.monotonic()
+            attended.look(self._silence(now), now, 2 * pause)
             pump = self._link.connection
             if pump is None:
                 self._exchange.heard.set()
@@ -356,13 +362,18 @@ class CanDriver:
                 if pump.bus.state is can.BusState.ERROR:
                     self._errors.state = ControllerState.BUS_OFF
             self._withdraw_if_bus_off()
-            self._notice_silence(pump)
+            if self._reception.keys and attended.seconds > self._longest():
+                self._notice_silence(pump)
 
     def _notice_silence(self, pump: Pump) -> None:
-        now = time.monotonic()
-        silent = now - max(self._reception.heard or 0.0, self._reception.since)
-        if self._reception.keys and silent > self._longest():
+        self._catch_up()
+        silent = self._silence(time.monotonic())
+        if silent > self._longest():
             self._link.failed(pump, silent, "no usable frame has come")
+
+    def _silence(self, now: float) -> float:
+        """Seconds since the last usable frame came, or since the bus was opened."""
+        return now - max(self._reception.heard or 0.0, self._reception.since)
 
     def _longest(self) -> float:
         return max(self._reception.longest_timeout(), float(self._settings.max_silence))

@@ -218,6 +218,7 @@ class CanopenDriver:
         pieces = self._writing.checked(values, self._known_sheet())
         if not pieces:
             return
+        self._catch_up()
         connection = self._link.connection
         if connection is None:
             raise LinkDown(self._link.reason)
@@ -335,7 +336,9 @@ class CanopenDriver:
             lambda reason: self._gone(port, reason),
             supervisor=self.supervisor,
         )
-        node = RemoteNode(port.send, options, self._sheet, self._on_pdo, supervisor=self.supervisor)
+        node = RemoteNode(
+            port.send, options, self._sheet, self._on_pdo, catch_up=port.catch_up, supervisor=self.supervisor
+        )
         self._ports.add(port)
         node.start()
         return Connection(port, node)

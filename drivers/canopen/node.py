@@ -5,6 +5,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from drivers.can.bus import AttendedSilence
 from drivers.canopen.bringup import ENTER_PRE_OPERATIONAL, BringUp, Brought
 from drivers.canopen.channel import DEVICE_TYPE, SdoChannel
 from drivers.canopen.eds import DataSheet
@@ -21,6 +22,8 @@ BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
 STATES = {BOOT_UP: "booting", STOPPED: "stopped", OPERATIONAL: "operational", PRE_OPERATIONAL: "pre-operational"}
 PROBE = 0.25
 """Seconds between two attempts at a node that is not there or cannot be brought up."""
+LOOKS = 8
+"""Looks within the heartbeat's limit, at least: one that comes late is a small part of it."""
 CONFIRM_ERRORS = 1.0
 """Seconds between two looks at the error register while an emergency stands: its end may have been missed."""
 SYNC, EMCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x080, 0x080, 0x580, 0x600, 0x700
@@ -61,6 +64,8 @@ class Counts:
 class RemoteNode:
     """The node of one open bus. `send` puts a frame on it; `heard` is told of each usable or faulty TPDO.
 
+    `catch_up` gives all frames that have come by now.
+
     All methods are called in the event loop. `closed` is the reason that the bus was given up, "" while it is open.
     """
 
@@ -71,9 +76,10 @@ class RemoteNode:
         sheet: DataSheet | None,
         heard: Callable[["RemoteNode", ReceivedPdo], None],
         *,
+        catch_up: Callable[[], None],
         supervisor: Supervisor,
     ) -> None:
-        self.options, self.send, self._on_pdo = options, send, heard
+        self.options, self.send, self._on_pdo, self._catch_up = options, send, heard, catch_up
         self._supervisor = supervisor
         self.sdo = SdoChannel(lambda data: send(SDO_REQUEST + options.node, data), options.timeout)
         self.emergencies = Emergencies(options.emcy_ignore)
@@ -264,22 +270,29 @@ class RemoteNode:
         beside = [self._supervisor.task("SYNC", self._sync)] if self._produces_sync() else []
         if not self.options.listen_only:
             beside.append(self._supervisor.task("error register", self._confirm_errors))
+        attended = AttendedSilence(self._loop.time())
         try:
             while True:
                 self._news.clear()
-                limit = self._heartbeat_limit()
-                now = self._loop.time()
-                left = limit - (now - self._beat) if limit and self._beat is not None else PROBE
+                limit, now = self._heartbeat_limit(), self._loop.time()
+                pause = min(PROBE, limit / LOOKS) if limit else PROBE
+                if attended.look(self._silence(now), now, 2 * pause) >= limit > 0.0:
+                    self._catch_up()
                 if self._rebooted or (self.options.configure and self.state not in (None, OPERATIONAL)):
                     return
-                if left <= 0.0:
+                silent = self._silence(self._loop.time())
+                if min(attended.seconds, silent) >= limit > 0.0:
                     self.counts.node_losses += 1
-                    self._lose(f"node {self.options.node} is gone: no heartbeat for {limit - left:.2f} s")
+                    self._lose(f"node {self.options.node} is gone: no heartbeat for {silent:.2f} s")
                     return
-                await self._pause(left + 0.001)
+                await self._pause(min(pause, limit - attended.seconds + 0.001) if limit else pause)
         finally:
             for task in beside:
                 task.cancel()
+
+    def _silence(self, moment: float) -> float:
+        """Seconds since the node's last heartbeat; 0 where none is waited for."""
+        return 0.0 if self._beat is None else moment - self._beat
 
     async def _pause(self, seconds: float) -> None:
         """Until the next heartbeat, or so many seconds."""
