@@ -57,7 +57,7 @@ def version_of(plant: Path) -> tuple[int, ...]:
     """What is another after files were replaced, or put back; () where that cannot be told."""
     place = place_of(plant)
     with suppress(OSError):
-        return place.stat().st_ino, place.stat().st_mtime_ns, place.parent.stat().st_mtime_ns
+        return place.stat().st_ino, place.parent.stat().st_mtime_ns
     return ()
 
 
