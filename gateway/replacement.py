@@ -91,13 +91,19 @@ def replacing(plant: Path, patience: float = PATIENCE_S) -> Iterator[None]:
         os.close(holder)
 
 
-def write_draft(place: Path, data: bytes, mode: int) -> None:
-    """Write what is to be in a place, within `replacing`; one of who was killed is in nobody's way. Raises OSError."""
+def write_draft(place: Path, data: bytes, mode: int, owner: tuple[int, int] | None = None) -> None:
+    """Write what is to be in a place, within `replacing`; one of who was killed is in nobody's way. Raises OSError.
+
+    It is of `owner` (user, group) as far as this user may give files away.
+    """
     draft = draft_of(place)
     draft.unlink(missing_ok=True)
     # Never through a link that somebody has put there.
     file = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     with writing(draft), os.fdopen(file, "wb") as stream:
+        if owner is not None:
+            with suppress(PermissionError):
+                os.fchown(file, *owner)
         os.fchmod(file, mode)
         stream.write(data)
         stream.flush()

@@ -1,6 +1,5 @@
 """The commands of `decanter config`: configurations that were taken over, what differs between them, the way back."""
 
-import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -191,11 +190,8 @@ def _drafts(content: Mapping[Path, bytes], modes: Mapping[Path, int]) -> Iterato
     """Each file written beside its place, with the owner of what is there as far as this user may; none is left."""
     try:
         for place, data in content.items():
-            write_draft(place, data, modes[place])
-            if place.is_file():
-                status = place.stat()
-                with suppress(PermissionError):
-                    os.chown(draft_of(place), status.st_uid, status.st_gid)
+            status = place.stat() if place.is_file() else None
+            write_draft(place, data, modes[place], None if status is None else (status.st_uid, status.st_gid))
         yield
     finally:
         for place in content:

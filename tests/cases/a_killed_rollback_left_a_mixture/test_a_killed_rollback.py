@@ -31,7 +31,10 @@ from gateway.store import AuditEntry, load_or_make_key, open_audit
 from tests.gateway.support import MAP
 from tests.rig.memory import folder_in_memory
 
-CHANGES = ("open", "write", "fsync", "rename", "replace", "link", "unlink", "rmdir", "mkdir", "chmod", "chown", "utime")
+CHANGES = (
+    *("open", "write", "fsync", "rename", "replace", "link", "unlink", "rmdir", "mkdir"),
+    *("chmod", "fchmod", "chown", "fchown", "utime"),
+)
 """Functions of `os` by which files are changed; reading by `open` is left out."""
 MOST_STEPS = 500
 AGAIN = 4
@@ -229,6 +232,30 @@ def test_a_journal_of_somebody_else_is_not_carried_out(tmp_path: Path, monkeypat
     monkeypatch.setattr(os, "geteuid", lambda: owner)
     settle(plant)
     assert not mine.exists() and not journal.exists()
+
+
+def test_no_link_in_the_place_of_a_draft_has_another_file_given_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = plant_in(tmp_path, 80.0)
+    keep_configuration(load_plant(plant), now=1_700_000_000.0, note="start")
+    plant_in(tmp_path, 75.0)
+    others, given = tmp_path / "others", list[int]()
+    others.write_text("", encoding="utf-8")
+
+    def give(file: int | Path, *_: int) -> None:
+        """To another owner; it is looked at which file that is, after a link was put where its name was."""
+        draft = Path(f"/proc/self/fd/{file}").readlink() if isinstance(file, int) else file
+        draft.rename(draft.with_name("taken"))
+        draft.symlink_to(others)
+        given.append((os.fstat(file) if isinstance(file, int) else file.stat()).st_ino)
+        draft.with_name("taken").rename(draft)
+
+    for name in ("chown", "fchown"):
+        monkeypatch.setattr(os, name, give)
+    code, printed = typed("config", "rollback", "1", "--reason", "x", "--by", "Ada", "--config", str(plant))
+    assert code == 0, printed
+    assert given and others.stat().st_ino not in given
 
 
 def test_what_one_who_may_rename_has_given_the_journals_name_is_not_carried_out(tmp_path: Path) -> None:
