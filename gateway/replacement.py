@@ -1,22 +1,25 @@
 """Several files are replaced in one step: all are new, or, after a kill or a power cut at any moment, all as they were.
 
-What stood in their places is renamed and not copied, so that it comes back with its owner, its mode and its time of
-change, by which the words of a plant file are judged. A journal beside the plant file has the renames, in their order,
-before the first is done, and is locked while its program runs. Whoever is about to read the plant file, or to replace
-it, and finds a journal that nobody holds takes its renames back first (`settle`); so do databases with theirs
-(sqlite.org/atomiccommit.html).
+Whoever replaces files locks the folder of the plant file first, by flock(2), which ends with its program. What stood in
+their places is renamed and not copied, so that it comes back with its owner, its mode and its time of change, by which
+the words of a plant file are judged. A journal beside the plant file has the renames, in their order, before the first
+is done. Whoever is about to read the plant file, or to replace it, and finds a journal takes the lock, and its renames
+back (`settle`); so do databases with theirs (sqlite.org/atomiccommit.html).
 """
 
 import fcntl
 import json
 import os
+import pwd
+import re
+import stat
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from drivers.errors import OneLineError
-from drivers.named_files import contents, place_of, writing
+from drivers.named_files import place_of, writing
 from sim.files import sync_directory
 
 Renames = Sequence[tuple[Path, Path]]
@@ -24,13 +27,14 @@ Renames = Sequence[tuple[Path, Path]]
 PATIENCE_S = 5.0
 """The longest wait for a replacement that is under way; it takes some renames."""
 _LOOK_S = 0.02
-_MODE = 0o644
-_OTHERS_WRITE = 0o022
+_MODE = 0o1644
+"""Of a journal and no other file: its owner alone can have given it the sticky bit, which no copy of ours has."""
 _MOST_BYTES = 16 << 20
+_REPLACED = re.compile(r"(.+)\.replaced-\d+(-wal|-shm|-journal)?", re.DOTALL)
 
 
 class ReplacementError(OneLineError, OSError):
-    """Files were replaced in part and cannot be put back; the message is one sentence that says what would be right."""
+    """Files are being replaced, or were in part and cannot be put back; one sentence that says what would be right."""
 
 
 def journal_of(plant: Path) -> Path:
@@ -39,31 +43,95 @@ def journal_of(plant: Path) -> Path:
     return place.with_name(f".{place.name}.replacing")
 
 
-@contextmanager
-def replaced(plant: Path, drafts: Mapping[Path, Path], aside: Renames) -> Iterator[None]:
-    """Have the renames `aside` done, then each draft (by its place) in its place; to be looked at in the body.
+def draft_of(place: Path) -> Path:
+    """Where what is to be in a place is written beforehand."""
+    return place.with_name(f".{place.name}.replacement")
 
-    They stay so once the body has ended; where it raises, and where it is killed, all is as it was, and the drafts are
-    what they were (`settle` removes those of who was killed). What is in the way of `aside` is for the caller to remove
-    beforehand. Raises OSError, ReplacementError where another replacement is under way.
+
+def former_of(place: Path) -> Path:
+    """Where what stood in a place is until its replacement is over."""
+    return place.with_name(f".{place.name}.former")
+
+
+def version_of(plant: Path) -> tuple[int, ...]:
+    """What is another after files were replaced, or put back; () where that cannot be told."""
+    place = place_of(plant)
+    with suppress(OSError):
+        return place.stat().st_ino, place.parent.stat().st_mtime_ns
+    return ()
+
+
+def was_replaced(plant: Path, before: tuple[int, ...]) -> bool:
+    """Whether files were replaced since the version `before`, or are being replaced: what was read is of two times."""
+    return os.path.lexists(journal_of(plant)) or version_of(plant) != before
+
+
+@contextmanager
+def replacing(plant: Path, patience: float = PATIENCE_S) -> Iterator[None]:
+    """Be the only one who replaces files of this plant's folder; what was broken off is put back before.
+
+    All that depends on which files are there, and each draft, belongs into the body. Raises ReplacementError, also
+    where another program has not ended with it within `patience` (s).
     """
-    settle(plant)
+    folder = place_of(plant).parent
+    deadline = time.monotonic() + patience
+    try:
+        holder = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise ReplacementError(f"{folder}: cannot be locked ({why}); run it as a user who may read it") from None
+    try:
+        while not _locked(holder):
+            if time.monotonic() >= deadline:
+                raise ReplacementError(f"{plant}: is being replaced by another program; try again after that")
+            time.sleep(_LOOK_S)
+        _settle(journal_of(plant))
+        yield
+    finally:
+        os.close(holder)
+
+
+def write_draft(place: Path, data: bytes, mode: int, owner: tuple[int, int] | None = None) -> None:
+    """Write what is to be in a place, within `replacing`; one of who was killed is in nobody's way. Raises OSError.
+
+    It is of `owner` (user, group) as far as this user may give files away.
+    """
+    draft = draft_of(place)
+    draft.unlink(missing_ok=True)
+    # Never through a link that somebody has put there.
+    file = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    with writing(draft), os.fdopen(file, "wb") as stream:
+        if owner is not None:
+            with suppress(PermissionError):
+                os.fchown(file, *owner)
+        os.fchmod(file, mode)
+        stream.write(data)
+        stream.flush()
+        os.fsync(file)
+
+
+@contextmanager
+def replaced(plant: Path, places: Collection[Path], aside: Renames) -> Iterator[None]:
+    """Within `replacing`: have the renames `aside` done, then each place's draft put there; looked at in the body.
+
+    They stay so once the body has ended. Where it raises, and where it is killed, all places are as they were, and the
+    drafts that were in them are gone (`settle` removes all those of who was killed). What is in the way of `aside` is
+    for the caller to remove beforehand. Raises OSError.
+    """
     journal = journal_of(plant)
     done = False
-    holder = _written(journal, drafts, aside)
     try:
+        _write(journal, places, aside)
         # One after the other on the disk too: a draft that came first would be over what is to be put back.
         _rename(aside)
-        _rename([(draft, place) for place, draft in drafts.items()])
+        _rename([(draft_of(place), place) for place in places])
         yield
         done = True
     finally:
-        try:
-            if not done:
-                _put_back(drafts, aside)
-            _remove(journal)
-        finally:
-            os.close(holder)
+        if not done:
+            _put_back(places, aside)
+        journal.unlink(missing_ok=True)
+        sync_directory(journal.parent)
 
 
 def settle(plant: Path, patience: float = PATIENCE_S) -> None:
@@ -71,118 +139,137 @@ def settle(plant: Path, patience: float = PATIENCE_S) -> None:
 
     Raises ReplacementError where that cannot be done.
     """
-    journal = journal_of(plant)
-    deadline = time.monotonic() + patience
-    while (holder := _opened(journal)) is not None:
-        try:
-            with suppress(BlockingIOError):
-                fcntl.flock(holder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                _settle(journal, holder)
-                return
-        finally:
-            os.close(holder)
-        if time.monotonic() >= deadline:
-            raise ReplacementError(f"{plant}: is being replaced by another program ({journal}); try again after that")
-        time.sleep(_LOOK_S)
+    # Whoever may not look there is told so when the plant file is read.
+    if os.path.lexists(journal_of(plant)):
+        with replacing(plant, patience):
+            pass
 
 
-def _opened(journal: Path) -> int | None:
+def _locked(holder: int) -> bool:
     try:
-        return os.open(journal, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        fcntl.flock(holder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _settle(journal: Path) -> None:
+    """Take back what a journal has, the lock being held. Raises ReplacementError."""
+    try:
+        if (found := _read(journal)) is None:
+            return
+        places, aside = found
+        _put_back(places, aside)
+        journal.unlink()
+        sync_directory(journal.parent)
+        # Behind it: while the journal is there, a draft that is missing is one that was put in place.
+        for place in places:
+            draft_of(place).unlink(missing_ok=True)
+    except ReplacementError:
+        raise
+    except OSError as error:
+        why = f"{error.filename}: {error.strerror or error}"
+        raise ReplacementError(
+            f"{journal}: a replacement of the plant's files was broken off, and this user cannot put them back "
+            f"({why}); run `decanter plc check` as a user who may write them"
+        ) from None
+
+
+def _read(journal: Path) -> tuple[list[Path], list[tuple[Path, Path]]] | None:
+    """The places and renames of a journal; None without one. Raises ReplacementError, OSError.
+
+    It is believed as far as whoever has written it could have done its renames alone: the owner of the folder can give
+    this name to any file there.
+    """
+    try:
+        # Neither through a link nor waiting for the other end of a pipe.
+        holder = os.open(journal, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise _not_back(journal, error.strerror or str(error)) from None
-
-
-def _settle(journal: Path, holder: int) -> None:
-    """Take back what the journal has that is locked as `holder`. Raises ReplacementError."""
-    status = os.fstat(holder)
-    if not status.st_nlink:
-        return  # it is over, and the files are those of one who has carried it out
-    if status.st_uid not in {0, os.geteuid()} or status.st_mode & _OTHERS_WRITE:
-        # Its renames go to any place: it is believed as far as whoever has written it could have done them alone.
-        raise _not_back(journal, f"it is of user {status.st_uid}, who is to do it")
+        raise _no_journal(journal, error.strerror or str(error)) from None
     try:
-        plain = json.loads(contents(journal, _MOST_BYTES))
+        status = os.fstat(holder)
+        if not stat.S_ISREG(status.st_mode) or stat.S_IMODE(status.st_mode) != _MODE:
+            raise _no_journal(journal, f"it is no file of mode {_MODE:o}")
+        if status.st_uid not in {0, os.geteuid()}:
+            who = _user_name(status.st_uid)
+            raise ReplacementError(
+                f"{journal}: a replacement of the plant's files by {who} was broken off, and is taken back by nobody "
+                f"else; run `sudo -u {who} decanter plc check`"
+            )
+        with os.fdopen(os.dup(holder), "rb") as stream:
+            plain = json.loads(stream.read(_MOST_BYTES))
+        places = [Path(place) for place in plain["places"]]
         aside = [(Path(place), Path(after)) for place, after in plain["aside"]]
-        drafts = {Path(place): Path(draft) for place, draft in plain["drafts"]}
+        if not (all(place.is_absolute() for place in places) and all(_is_ours(*pair) for pair in aside)):
+            raise _no_journal(journal, "it has renames that no replacement does")
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise _not_back(journal, "it is damaged; compare the files with a backup, and remove it") from None
-    except OSError as error:
-        raise _not_back(journal, error.strerror or str(error)) from None
+        raise _no_journal(journal, "it is damaged") from None
+    finally:
+        os.close(holder)
+    return places, aside
+
+
+def _user_name(user: int) -> str:
     try:
-        _put_back(drafts, aside)
-        _remove(journal)
-        # Behind it: while the journal is there, a draft that is missing is one that was put in place.
-        for draft in drafts.values():
-            draft.unlink(missing_ok=True)
-    except OSError as error:
-        raise _not_back(journal, f"{error.filename}: {error.strerror or error}") from None
+        return pwd.getpwuid(user).pw_name
+    except KeyError:
+        return f"'#{user}'"  # as sudo has it
 
 
-def _not_back(journal: Path, why: str) -> ReplacementError:
+def _no_journal(journal: Path, why: str) -> ReplacementError:
     return ReplacementError(
-        f"{journal}: a replacement of the plant's files was broken off, and they cannot be put back ({why}); run "
-        "`decanter plc check` as a user who may write them"
+        f"{journal}: is not as a replacement of the plant's files leaves it ({why}); compare the files with a backup, "
+        "and remove it"
     )
 
 
-def _written(journal: Path, drafts: Mapping[Path, Path], aside: Renames) -> int:
-    """Write the journal, on the disk and locked when it gets its name; gives the descriptor that holds it."""
-    rows: dict[str, Iterable[tuple[Path, Path]]] = {"aside": aside, "drafts": drafts.items()}
-    plain = {name: [list(map(str, pair)) for pair in pairs] for name, pairs in rows.items()}
-    draft = journal.with_name(f"{journal.name}.{os.getpid()}")
-    draft.unlink(missing_ok=True)
-    with writing(draft):
-        holder = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, _MODE)
-        named = False
-        try:
-            fcntl.flock(holder, fcntl.LOCK_EX)
-            data = json.dumps(plain).encode()
-            while data:
-                data = data[os.write(holder, data) :]
-            os.fsync(holder)
-            os.link(draft, journal)  # fails where another one is there, which a rename does not
-            named = True
-            draft.unlink()
-            sync_directory(journal.parent)
-        except BaseException:
-            os.close(holder)
-            draft.unlink(missing_ok=True)
-            if named:
-                _remove(journal)
-            raise
-    return holder
+def _is_ours(place: Path, after: Path) -> bool:
+    """Whether a replacement sets a place aside so."""
+    found = _REPLACED.fullmatch(after.name)
+    named_so = after == former_of(place) or (found is not None and found[1] + (found[2] or "") == place.name)
+    return named_so and place.is_absolute() and after.parent == place.parent
+
+
+def _write(journal: Path, places: Iterable[Path], aside: Renames) -> None:
+    """Write the journal, which is on the disk when it gets its name."""
+    plain = {"places": list(map(str, places)), "aside": [list(map(str, pair)) for pair in aside]}
+    try:
+        write_draft(journal, json.dumps(plain).encode(), _MODE)
+        draft_of(journal).rename(journal)
+    finally:
+        draft_of(journal).unlink(missing_ok=True)
+    sync_directory(journal.parent)
 
 
 def _rename(renames: Renames) -> None:
     for before, after in renames:
         before.rename(after)
-    _sync(renames)
+    _sync(before.parent for before, _ in renames)
 
 
-def _put_back(drafts: Mapping[Path, Path], aside: Renames) -> None:
+def _put_back(places: Collection[Path], aside: Renames) -> None:
     """Have in all places what was there; also a second time, after it was broken off itself."""
     former = {place for place, _ in aside}
     for place, after in aside:
         if _is_there(after):
             after.replace(place)
-    for place, draft in drafts.items():
-        if place not in former and not _is_there(draft):
+    for place in places:
+        if place not in former and not _is_there(draft_of(place)):
             place.unlink(missing_ok=True)
-    _sync([*aside, *drafts.items()])
-
-
-def _remove(journal: Path) -> None:
-    journal.unlink()
-    sync_directory(journal.parent)
+    _sync(place.parent for place in (*former, *places))
 
 
 def _is_there(path: Path) -> bool:
-    return path.is_symlink() or path.exists()
+    """Whether anything has that name. Raises OSError where that cannot be looked at."""
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        return False
+    return True
 
 
-def _sync(renames: Renames) -> None:
-    for folder in dict.fromkeys(place.parent for pair in renames for place in pair):
+def _sync(folders: Iterable[Path]) -> None:
+    for folder in dict.fromkeys(folders):
         sync_directory(folder)

@@ -17,7 +17,7 @@ from gateway.console import emit, json_option
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.writing import own_process
 from gateway.plant import configuration_files, require_named_places, without_arming
-from gateway.replacement import settle
+from gateway.replacement import replacing
 from gateway.settings import Config, load_plant
 from gateway.store import (
     DAMAGED_AUDIT,
@@ -148,29 +148,30 @@ def restore(
     'shadow'.
     """
     with sentences():
-        manifest = read_manifest(folder)
+        manifest, into = read_manifest(folder), into.absolute()
         _require_own_places(folder, manifest)
         _require_voucher(folder, manifest, into, seal, public_key)
         places = {Path(file.original): into / Path(file.original).relative_to("/") for file in manifest.files}
         roles = {file.role: places[Path(file.original)] for file in manifest.files}
-        settle(roles["plant"])
-        if "historian" in roles and gateway_runs(roles["historian"]):
-            raise BackupError(f"{roles['historian']}: a gateway runs on it; stop it first")
-        standing = [place for place in places.values() if place.exists()]
-        if standing and not overwrite:
-            more = f" and {len(standing) - 1} others are" if len(standing) > 1 else " is"
-            raise BackupError(f"{standing[0]}{more} there already; nothing is overwritten without --overwrite")
-        drafts = stage(folder, manifest, into)
-        placed = False
-        try:
-            said = _disarm(manifest, {role: drafts[place] for role, place in roles.items()}, by or login())
-            # Beside a damaged log that is restored none stays (`damaged_audit`): an arming in it would be in force.
-            away = [copy.with_suffix("")] if (copy := roles.get(DAMAGED_AUDIT)) is not None else []
-            aside = put_in_place(roles["plant"], drafts, away=away)
-            placed = True
-        finally:
-            if not placed:
-                discard(drafts)
+        roles["plant"].parent.mkdir(parents=True, exist_ok=True)
+        with replacing(roles["plant"]):
+            if "historian" in roles and gateway_runs(roles["historian"]):
+                raise BackupError(f"{roles['historian']}: a gateway runs on it; stop it first")
+            standing = [place for place in places.values() if place.exists()]
+            if standing and not overwrite:
+                more = f" and {len(standing) - 1} others are" if len(standing) > 1 else " is"
+                raise BackupError(f"{standing[0]}{more} there already; nothing is overwritten without --overwrite")
+            drafts = stage(folder, manifest, into)
+            placed = False
+            try:
+                said = _disarm(manifest, {role: drafts[place] for role, place in roles.items()}, by or login())
+                # Beside a damaged log that is restored none stays (`damaged_audit`): an arming in it would be in force.
+                away = [copy.with_suffix("")] if (copy := roles.get(DAMAGED_AUDIT)) is not None else []
+                aside = put_in_place(roles["plant"], drafts, away=away)
+                placed = True
+            finally:
+                if not placed:
+                    discard(drafts)
     data = {"folder": str(folder), "files": [str(place) for place in drafts], "aside": [str(p) for p in aside]}
 
     def show() -> None:

@@ -1,6 +1,5 @@
 """The commands of `decanter config`: configurations that were taken over, what differs between them, the way back."""
 
-import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -25,10 +24,10 @@ from gateway.plant import (
     require_named_places,
     without_arming,
 )
-from gateway.replacement import replaced, settle
+from gateway.replacement import draft_of, former_of, replaced, replacing, write_draft
 from gateway.settings import load_plant, read_plant
 from gateway.status import ControlError, connect
-from gateway.store import BackupError, write_durably
+from gateway.store import BackupError
 
 PATIENCE_S = 60.0
 """A machine that is stopped for a reload takes back what stands in its PLC first."""
@@ -139,7 +138,6 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
     changed then; one that was armed comes back as 'shadow'.
     """
     with sentences():
-        settle(path)
         found = _kept(path, folder)
         wanted = _numbered(found, number)
         now, note = time.time(), f"before going back to {number}: {reason} ({by or login()})"
@@ -150,22 +148,23 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
             )
         require_named_places(wanted.manifest, plant, kept, roles=("plant", "device"))
         roles = {Path(file.original): file.role for one in found for file in one.manifest.files}
-        present = [(role, place) for place, role in roles.items() if place.is_file()]
-        keep_files(wanted.folder.parent, present, now=now, note=note)
         content = {place: without_arming(data) if place == plant else data for place, data in kept.items()}
         modes = {Path(file.original): file.mode for file in wanted.manifest.files}
-        former = [(place, place.with_name(f".{place.name}.former")) for place in content if place.is_file()]
-        for _, file in former:
-            file.unlink(missing_ok=True)  # of one that was killed behind its last step
-        try:
-            with _drafts(content, modes) as drafts, replaced(plant, drafts, former):
-                machines = read_plant(path)
-        except ConfigError as error:
-            raise BackupError(
-                f"configuration {number} cannot be used any more, and nothing is changed: {error}"
-            ) from None
-        for _, file in former:
-            file.unlink()  # it is kept, in the newest configuration
+        with replacing(plant):
+            present = [(role, place) for place, role in roles.items() if place.is_file()]
+            keep_files(wanted.folder.parent, present, now=now, note=note)
+            former = [(place, former_of(place)) for place in content if place.is_file()]
+            for _, file in former:
+                file.unlink(missing_ok=True)  # of one that was killed behind its last step
+            try:
+                with _drafts(content, modes), replaced(plant, content, former):
+                    machines = read_plant(path)
+            except ConfigError as error:
+                raise BackupError(
+                    f"configuration {number} cannot be used any more, and nothing is changed: {error}"
+                ) from None
+            for _, file in former:
+                file.unlink()  # it is kept, in the newest configuration
         taken = "no gateway runs: it is taken over at the next start"
         if (line := connect(machines[0].control_socket, PATIENCE_S)) is not None:
             try:
@@ -187,17 +186,13 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
 
 
 @contextmanager
-def _drafts(content: Mapping[Path, bytes], modes: Mapping[Path, int]) -> Iterator[Mapping[Path, Path]]:
+def _drafts(content: Mapping[Path, bytes], modes: Mapping[Path, int]) -> Iterator[None]:
     """Each file written beside its place, with the owner of what is there as far as this user may; none is left."""
-    drafts = {place: place.with_name(f".{place.name}.rollback") for place in content}
     try:
-        for place, draft in drafts.items():
-            write_durably(draft, content[place], mode=modes[place])
-            if place.is_file():
-                status = place.stat()
-                with suppress(PermissionError):
-                    os.chown(draft, status.st_uid, status.st_gid)
-        yield drafts
+        for place, data in content.items():
+            status = place.stat() if place.is_file() else None
+            write_draft(place, data, modes[place], None if status is None else (status.st_uid, status.st_gid))
+        yield
     finally:
-        for draft in drafts.values():
-            draft.unlink(missing_ok=True)
+        for place in content:
+            draft_of(place).unlink(missing_ok=True)

@@ -21,7 +21,7 @@ from drivers.driver import capabilities, load_function
 from drivers.errors import DriverError
 from drivers.named_files import place_of
 from drivers.settings import ConfigError, Line, Section, checked, read_toml
-from gateway.replacement import ReplacementError, settle
+from gateway.replacement import ReplacementError, settle, version_of, was_replaced
 from gateway.settings.alarm_kinds import OF_PLANT, AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
@@ -532,6 +532,10 @@ def watched_tags(alarms: AlarmSection, predicted: Sequence[str]) -> tuple[str, .
     return tuple(dict.fromkeys((*alarms.tags, *predicted)) if len(predicted) > 1 else alarms.tags or predicted)
 
 
+_MOST_READINGS = 3
+"""Of files that are replaced while they are read; anything else that comes and goes in their folder costs one too."""
+
+
 def load_config(path: Path, overrides: Mapping[str, Any] | None = None, *, machine: str | None = None) -> Config:
     """The configuration of the file's only machine, or of the one of that name. Otherwise as `load_plant`."""
     machines = load_plant(path, overrides)
@@ -551,14 +555,24 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
 
     `overrides` replaces single keys before the check, written `section.key` ({"device.port": 15020}); relative paths
     in the file are relative to the file, in overrides to the working directory. Files that were replaced in part are
-    put back first (`gateway.replacement`). Raises ConfigError with all that is wrong, one sentence each: file, key,
-    reason, what would be right.
+    put back first, and where they are replaced meanwhile, they are read again (`gateway.replacement`). Raises
+    ConfigError with all that is wrong, one sentence each: file, key, reason, what would be right.
     """
-    try:
-        settle(path)
-    except ReplacementError as error:
-        raise ConfigError([str(error)]) from None
-    return read_plant(path, overrides)
+    left = _MOST_READINGS
+    while True:
+        try:
+            settle(path)
+        except ReplacementError as error:
+            raise ConfigError([str(error)]) from None
+        before, left = version_of(path), left - 1
+        try:
+            machines = read_plant(path, overrides)
+        except ConfigError:
+            if not left or not was_replaced(path, before):
+                raise
+        else:
+            if not left or not was_replaced(path, before):
+                return machines
 
 
 def read_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[Config, ...]:

@@ -188,7 +188,8 @@ class Audit:
     and the sentence that what was there was damaged ("": it was not). So it is too where the file was taken away under
     it. `note` says of both from then on. `files` are those that the gateway relies on, all
     of which are looked at before and after each commit. `ended_elsewhere` has, by subject, the newest disarming that
-    another program has put into the file since it was opened: each commit takes note of those before its own rows.
+    another program has put into the file since it was opened: each commit takes note of those before its own rows, and
+    another file has none of them.
     """
 
     def __init__(
@@ -447,6 +448,12 @@ class Audit:
                 last = self._connection.execute("SELECT id FROM audit ORDER BY id DESC LIMIT 1").fetchone()
                 rows = int(last[0]) if last else 0
                 self._known_rows = rows if self._known_rows is None else min(rows, self._known_rows)
+                # Of another file the numbers of rows say nothing of the armings in this one.
+                self.ended_elsewhere = {
+                    subject: ended
+                    for subject, ended in self.ended_elsewhere.items()
+                    if _ended_since(self._connection, ended.row - 1).get(subject) == ended
+                }
 
     def _let_go(self) -> None:
         self.files.forget(_FILES)

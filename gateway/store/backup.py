@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from drivers.errors import OneLineError
 from drivers.named_files import contents, place_of
-from gateway.replacement import replaced
+from gateway.replacement import draft_of, replaced
 from gateway.store import audit as audit_log
 from gateway.store import schema
 from gateway.store.audit import verify
@@ -256,17 +256,17 @@ def signer(folder: Path, manifest: Manifest) -> str:
 def stage(folder: Path, manifest: Manifest, root: Path) -> dict[Path, Path]:
     """Copy a backup's files beside the places under `root` where they were, on the disk; gives draft by place.
 
-    Raises OSError, BackupError for a file that has changed since the manifest was read, and leaves no draft then.
+    Within `gateway.replacement.replacing`. Raises OSError, BackupError for a file that has changed since the manifest
+    was read, and leaves no draft then.
     """
-    drafts: dict[Path, Path] = {}
+    places = [root / Path(file.original).relative_to("/") for file in manifest.files]
+    drafts = {place: draft_of(place) for place in places}
+    discard(drafts)  # of one that was killed
     done = False
     try:
-        for file in manifest.files:
-            place = root / Path(file.original).relative_to("/")
+        for file, place in zip(manifest.files, places, strict=True):
             place.parent.mkdir(parents=True, exist_ok=True)
-            draft = place.with_name(f".{place.name}.restored-{os.getpid()}")
-            draft.unlink(missing_ok=True)  # of one that was killed, and had the same number
-            drafts[place] = draft
+            draft = drafts[place]
             _copy(folder / file.stored, draft)
             if _digest(draft) != file.sha256:
                 raise BackupError(f"{folder / file.stored}: was changed while it was being restored")
@@ -281,7 +281,7 @@ def stage(folder: Path, manifest: Manifest, root: Path) -> dict[Path, Path]:
 
 
 def put_in_place(plant: Path, drafts: Mapping[Path, Path], *, away: Sequence[Path] = ()) -> list[Path]:
-    """Give every draft its place, in one step (`gateway.replacement`) with that of the plant file.
+    """Give every draft its place, in one step with that of the plant file, within `gateway.replacement.replacing`.
 
     What stands there is set aside, and what stands at the places `away`; its new names are given back. Raises OSError.
     """
@@ -296,7 +296,7 @@ def put_in_place(plant: Path, drafts: Mapping[Path, Path], *, away: Sequence[Pat
         for suffix in BESIDE
         if (beside := place.with_name(place.name + suffix)).exists()
     ]
-    with replaced(plant, drafts, renames):
+    with replaced(plant, drafts.keys(), renames):
         pass
     return [aside for place, aside in renames if place in drafts or place in away]
 

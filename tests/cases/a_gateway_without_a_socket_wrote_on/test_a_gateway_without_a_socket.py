@@ -2,15 +2,18 @@
 
 `plc disarm` asked at the socket, and where a lock showed that a gateway runs refused and recorded nothing; where none
 showed it said "disarmed". So each commit of the audit log looks for what other programs have taken back, before the
-row of a block, and a gateway says there that it has found it.
+row of a block, and a gateway says there that it has found it. Once the log had been begun anew, whose rows are numbered
+from 1, what had been found in the former one took back every arming.
 """
 
 import asyncio
 import fcntl
 import json
 import shutil
+import sqlite3
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +25,12 @@ from gateway.commission.writeback import arm
 from gateway.machine.writing.arming import arm_in_log, disarm_in_log, signed
 from gateway.plant.app import run
 from gateway.settings import Config
-from gateway.store.audit import DISARMED, read
+from gateway.store.audit import ARMED as ARMED_ROW
+from gateway.store.audit import DISARMED, AuditEntry, read
+from gateway.store.audit_damage import open_or_set_aside
+from gateway.store.durable import BESIDE
 from sim.plc.record.recording import read_recording
+from tests.cases.the_end_of_the_audit_log.test_the_end_of_the_audit_log import appended
 from tests.gateway.support import Bench, JumpClock, config_in, two_modes
 from tests.rig.memory import folder_in_memory
 from tests.rig.pair import make_rig, restless_trace
@@ -107,6 +114,30 @@ def test_a_gateway_that_cannot_be_asked_is_disarmed_by_its_audit_log(tmp_path: P
         assert status["writeback"]["mode"] == "shadow"
     usable = [block for block in read_recording(rig.recording).blocks if block.fields and block.fields["validity"]]
     assert usable and all(block.time < replied for block in usable)
+
+
+@pytest.mark.parametrize("lost", [True, False], ids=["begun anew", "a copy"])
+def test_what_was_taken_back_in_a_log_that_is_lost_is_not_held_against_a_new_one(tmp_path: Path, lost: bool) -> None:
+    path, copy = tmp_path / "audit.sqlite", tmp_path / "copy"
+    audit, deadline = open_or_set_aside(path), time.monotonic() + 60.0
+    try:
+        assert audit.record(AuditEntry(0.0, ARMED_ROW, "Ada", "test", {"until": 9.0}))
+        appended(path, AuditEntry(1.0, DISARMED, "Bea", "by hand"))
+        assert audit.record(AuditEntry(2.0, "test", "Ada"))
+        found = audit.ended_elsewhere[""]
+        assert (found.who, found.row) == ("Bea", 2)
+        with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
+            source.backup(target)
+        for suffix in BESIDE:
+            path.with_name(path.name + suffix).unlink(missing_ok=True)
+        if not lost:
+            copy.rename(path)
+        while not (row := audit.record(AuditEntry(3.0, "test", "Ada"))):
+            assert time.monotonic() < deadline, audit.failure
+        assert row.id == (1 if lost else 4)
+        assert audit.ended_elsewhere == ({} if lost else {"": found})
+    finally:
+        audit.close()
 
 
 def test_where_a_gateway_runs_that_says_nothing_the_command_says_that_it_is_not_known(

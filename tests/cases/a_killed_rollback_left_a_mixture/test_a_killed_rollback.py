@@ -6,29 +6,41 @@ and the same command does its work then. A way back that was refused gave the pl
 that its arming counted as saved anew.
 """
 
+import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
+from queue import Queue
+from threading import Event, Thread, current_thread
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
 from drivers.settings import ConfigError
+from gateway.cli import config_commands
 from gateway.cli.main import main
-from gateway.plant.configurations import keep_configuration
+from gateway.plant.configurations import KeptConfiguration, keep_configuration
 from gateway.replacement import journal_of, settle
-from gateway.settings import load_plant
+from gateway.settings import Config, config, load_plant
 from gateway.store import AuditEntry, load_or_make_key, open_audit
 from tests.gateway.support import MAP
 from tests.rig.memory import folder_in_memory
 
-CHANGES = ("open", "write", "fsync", "rename", "replace", "link", "unlink", "rmdir", "mkdir", "chmod", "chown", "utime")
+CHANGES = (
+    *("open", "write", "fsync", "rename", "replace", "link", "unlink", "rmdir", "mkdir"),
+    *("chmod", "fchmod", "chown", "fchown", "utime"),
+)
 """Functions of `os` by which files are changed; reading by `open` is left out."""
 MOST_STEPS = 500
 AGAIN = 4
 """Behind each so many steps the command is given a second time."""
+MODE = 0o1644
+"""Of a journal, and of no other file."""
 
 
 @pytest.fixture
@@ -61,6 +73,7 @@ def killed_at(step: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]
         return call
 
     with monkeypatch.context() as patched:
+        patched.setattr(os, "getpid", lambda: 0)  # the next program has another one
         for name in CHANGES:
             patched.setattr(os, name, instead(getattr(os, name), name))
         yield asked
@@ -95,7 +108,8 @@ def versions(plant: Path) -> dict[str, float]:
 
 
 def litter(folder: Path) -> list[str]:
-    return [path.name for path in folder.rglob(".*") if path.is_file()]
+    """What was left behind; locks stay, for the next one who locks."""
+    return [path.name for path in folder.rglob(".*") if path.is_file() and path.suffix != ".lock"]
 
 
 def test_after_a_kill_at_any_step_of_the_way_back_all_files_are_of_one_version(
@@ -124,6 +138,7 @@ def test_after_a_kill_at_any_step_of_the_way_back_all_files_are_of_one_version(
             code, printed = typed(*words)
             assert code == 0, f"killed at step {step}: {printed}"
             assert set(versions(begun).values()) == {80.0}
+            assert not litter(begun.parent), f"killed at step {step}"
         shutil.rmtree(begun.parent)
         (memory / "aside").rename(begun.parent)
         if not killed:
@@ -173,6 +188,7 @@ def test_after_a_kill_at_any_step_of_a_restoration_all_files_are_of_one_time(
         if not killed or step % AGAIN == 0:
             code, printed = typed(*words)
             assert code == 0 and set(versions(plant).values()) == {80.0}, f"killed at step {step}: {printed}"
+            assert not litter(plant.parent), f"killed at step {step}"
         shutil.rmtree(plant.parent)
         (memory / "aside").rename(plant.parent)
         if not killed:
@@ -194,24 +210,179 @@ def test_a_way_back_that_is_refused_leaves_the_plant_file_as_it_was_saved(tmp_pa
     after = plant.stat()
     assert (after.st_ino, after.st_mtime_ns, after.st_mode) == (before.st_ino, before.st_mtime_ns, before.st_mode)
     assert versions(plant) == {"plant": 75.0, "device": 75.0}
-    assert not [name for name in litter(tmp_path) if not name.endswith(".lock")]
+    assert not litter(tmp_path)
 
 
 def test_a_journal_of_somebody_else_is_not_carried_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plant = plant_in(tmp_path, 80.0)
-    mine = tmp_path / "mine"
+    mine, journal = tmp_path / "mine", journal_of(plant)
     mine.write_text("mine", encoding="utf-8")
-    journal = journal_of(plant)
-    journal.write_text(f'{{"aside": [], "drafts": [["{mine}", "{tmp_path}/none"]]}}', encoding="utf-8")
+    write_journal(plant, places=[mine])
     journal.chmod(0o666)
-    with pytest.raises(ConfigError, match="cannot be put back"):
+    with pytest.raises(ConfigError, match=r"is not as a replacement .* leaves it"):
         load_plant(plant)
-    journal.chmod(0o644)
-    monkeypatch.setattr(os, "geteuid", lambda: journal.stat().st_uid + 1)
-    if journal.stat().st_uid:
-        with pytest.raises(ConfigError, match="of user"):
-            load_plant(plant)
+    journal.chmod(MODE)
+    if os.geteuid() == 0:
+        os.chown(journal, 65_000, -1)  # the superuser's are everybody's
+    owner = journal.stat().st_uid
+    monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+    with pytest.raises(ConfigError, match=r"run `sudo -u .* decanter plc check`"):
+        load_plant(plant)
     assert mine.exists()
-    monkeypatch.undo()
+    monkeypatch.setattr(os, "geteuid", lambda: owner)
     settle(plant)
     assert not mine.exists() and not journal.exists()
+
+
+def test_no_link_in_the_place_of_a_draft_has_another_file_given_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = plant_in(tmp_path, 80.0)
+    keep_configuration(load_plant(plant), now=1_700_000_000.0, note="start")
+    plant_in(tmp_path, 75.0)
+    others, given = tmp_path / "others", list[int]()
+    others.write_text("", encoding="utf-8")
+
+    def give(file: int | Path, *_: int) -> None:
+        """To another owner; it is looked at which file that is, after a link was put where its name was."""
+        draft = Path(f"/proc/self/fd/{file}").readlink() if isinstance(file, int) else file
+        draft.rename(draft.with_name("taken"))
+        draft.symlink_to(others)
+        given.append((os.fstat(file) if isinstance(file, int) else file.stat()).st_ino)
+        draft.with_name("taken").rename(draft)
+
+    for name in ("chown", "fchown"):
+        monkeypatch.setattr(os, name, give)
+    code, printed = typed("config", "rollback", "1", "--reason", "x", "--by", "Ada", "--config", str(plant))
+    assert code == 0, printed
+    assert given and others.stat().st_ino not in given
+
+
+def test_what_one_who_may_rename_has_given_the_journals_name_is_not_carried_out(tmp_path: Path) -> None:
+    plant = plant_in(tmp_path, 80.0)
+    mine, theirs, journal = tmp_path / "mine", tmp_path / "theirs", journal_of(plant)
+    for file in (mine, theirs):
+        file.write_text(file.name, encoding="utf-8")
+    write_journal(plant, places=[mine])
+    journal.chmod(0o644)  # as any file of the superuser in a folder of the gateway's user
+    refused(plant, mine, theirs)
+    for places, aside in (([], [(mine, theirs)]), ([], [(mine, tmp_path / "out/.mine.former")]), ([Path("mine")], [])):
+        write_journal(plant, places=places, aside=aside)
+        refused(plant, mine, theirs)
+    for text in ("", "[]", '{"places": 3, "aside": []}', '{"places": ["\\u0000"], "aside": []}', "[" * 100_000):
+        journal.write_text(text, encoding="utf-8")
+        refused(plant, mine, theirs)
+    journal.unlink()
+    journal.symlink_to(plant)
+    refused(plant, mine, theirs)
+
+
+def write_journal(plant: Path, places: Sequence[Path] = (), aside: Sequence[tuple[Path, Path]] = ()) -> None:
+    """A journal as it was, and as it is; each row of it as renames that remove or replace the file it names."""
+    plain = {
+        "aside": [list(map(str, pair)) for pair in aside],
+        "drafts": [[str(place), f"{place}.none"] for place in places],
+        "places": list(map(str, places)),
+    }
+    journal_of(plant).unlink(missing_ok=True)
+    journal_of(plant).write_text(json.dumps(plain), encoding="utf-8")
+    journal_of(plant).chmod(MODE)
+
+
+def refused(plant: Path, *untouched: Path) -> None:
+    with pytest.raises(ConfigError, match=r"is not as a replacement .* leaves it .* remove it"):
+        load_plant(plant)
+    assert [file.read_text(encoding="utf-8") for file in untouched] == [file.name for file in untouched]
+
+
+def test_a_pipe_with_the_journals_name_is_refused_at_once(tmp_path: Path) -> None:
+    plant, said = plant_in(tmp_path, 80.0), Queue[str]()
+    os.mkfifo(journal_of(plant), MODE)
+
+    def load() -> None:
+        try:
+            load_plant(plant)
+        except ConfigError as error:
+            said.put(str(error))
+
+    Thread(target=load, daemon=True).start()
+    assert "is not as a replacement" in said.get(timeout=60.0)
+
+
+def test_who_may_not_look_for_a_journal_is_told_of_the_plant_file(tmp_path: Path) -> None:
+    plant = plant_in(tmp_path, 80.0)
+    longest = tmp_path / f"{'p' * 245}.toml"
+    shutil.copy(plant, longest)
+    assert load_plant(longest)[0].alarms.limit == 80.0
+    with pytest.raises(ConfigError, match="Not a directory"):
+        load_plant(plant / "plant.toml")
+
+
+def test_the_second_of_two_ways_back_at_once_is_refused_and_takes_nothing_from_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = plant_in(tmp_path, 80.0)
+    keep_configuration(load_plant(plant), now=1_700_000_000.0, note="start")
+    plant_in(tmp_path, 75.0)
+    first_is_under_way, second_is_over = Event(), Event()
+    kept, seconds, said = config_commands._kept, count(), Queue[BaseException | None]()
+
+    def slowly(path: Path, folder: Path | None) -> list[KeptConfiguration]:
+        found = kept(path, folder)
+        if current_thread() is second:
+            assert first_is_under_way.wait(60.0)
+        return found
+
+    def unusable(path: Path) -> tuple[Config, ...]:
+        first_is_under_way.set()
+        assert second_is_over.wait(60.0)
+        raise ConfigError([f"{path}: is of no use"])
+
+    def go_back() -> None:
+        words = ["1", "--reason", "x", "--by", "Ada", "--config", str(plant)]
+        config_commands.rollback.main(words, standalone_mode=False)
+
+    def go_back_too() -> None:
+        try:
+            go_back()
+            said.put(None)
+        except (SystemExit, OSError, ValueError) as error:
+            said.put(error)
+        second_is_over.set()
+
+    # Whoever waits has waited long at once.
+    clock = SimpleNamespace(monotonic=lambda: float(next(seconds)), sleep=lambda _: None)
+    monkeypatch.setattr("gateway.replacement.time", clock)
+    monkeypatch.setattr(config_commands, "_kept", slowly)
+    monkeypatch.setattr(config_commands, "read_plant", unusable)
+    second = Thread(target=go_back_too, daemon=True)
+    second.start()
+    with pytest.raises(SystemExit):
+        go_back()
+    assert isinstance(said.get(timeout=60.0), SystemExit)
+    second.join(60.0)
+    assert versions(plant) == {"plant": 75.0, "device": 75.0}
+
+
+def test_who_reads_while_files_are_replaced_has_all_of_one_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = plant_in(tmp_path, 80.0)
+    keep_configuration(load_plant(plant), now=1_700_000_000.0, note="start")
+    plant_in(tmp_path, 75.0)
+    plain, readings = config.read_toml, list[Path]()
+
+    def read_toml(path: Path) -> dict[str, Any]:
+        """The plant file; it is replaced before its device file is read."""
+        found = plain(path)
+        readings.append(path)
+        if len(readings) == 1:
+            code, printed = typed("config", "rollback", "1", "--reason", "x", "--by", "Ada", "--config", str(plant))
+            assert code == 0, printed
+        return found
+
+    monkeypatch.setattr(config, "read_toml", read_toml)
+    assert load_plant(plant)[0].alarms.limit == 80.0
+    known = len(readings)
+    load_plant(plant)
+    assert len(readings) == known + 1
