@@ -186,10 +186,30 @@ def disarmed_while_none_runs(stand: Stand) -> int:
     """`decanter plc disarm` while no gateway runs holds against mode = "armed" in a file that was saved before."""
     with stand.gateway("armed"):
         pass
-    command = [sys.executable, "-m", "gateway.cli.main", "plc", "disarm", "--config", str(stand.rig.plant)]
-    said = subprocess.run([*command, "--by", "Bea", "--reason", "enough"], capture_output=True, text=True, check=False)
+    code = _disarm(stand)
     with stand.gateway("armed") as gateway:
-        return int(gateway.status["writeback"]["mode"] == "armed") + (said.returncode not in (0, 3, 4, 5))
+        return int(gateway.status["writeback"]["mode"] == "armed") + (code not in (0, 3, 4, 5))
+
+
+def disarmed_without_socket(stand: Stand) -> int:
+    """`decanter plc disarm` where the running gateway's control socket is gone: usable blocks after it has ended."""
+    with stand.gateway("shadow") as gateway:
+        stand.arm()
+        stand.wait_well(gateway, "written")
+        time.sleep(1.0)
+        load_config(stand.rig.plant).control_socket.unlink()
+        code = _disarm(stand)
+        since = time.monotonic()
+        time.sleep(5.0 * PERIOD)
+        until = time.monotonic()
+    assert stand.usable(0.0, since), "nothing usable was ever written: that shows nothing"
+    return len(stand.usable(since, until)) + (code not in (0, 3, 4, 5))
+
+
+def _disarm(stand: Stand) -> int:
+    """The exit code of `decanter plc disarm` by hand."""
+    command = [sys.executable, "-m", "gateway.cli.main", "plc", "disarm", "--config", str(stand.rig.plant)]
+    return subprocess.run([*command, "--by", "Bea", "--reason", "enough"], capture_output=True, check=False).returncode
 
 
 def sent_again(stand: Stand) -> int:
@@ -309,6 +329,21 @@ def damaged(stand: Stand) -> int:
         return int(status["writeback"]["mode"] == "armed")
 
 
+def taken_away(stand: Stand) -> int:
+    """The audit log is removed under an armed gateway: usable blocks that the PLC received more than a second later."""
+    with stand.gateway("armed") as gateway:
+        stand.wait_well(gateway, "written")
+        time.sleep(1.0)
+        for path in stand.audit.parent.glob(f"{stand.audit.name}*"):
+            path.unlink()
+        since = time.monotonic() + 1.0
+        said = gateway.wait_for(lambda now: now["alarms"]["records"] != "normal")
+        time.sleep(3.0)
+        until = time.monotonic()
+    assert stand.usable(0.0, since), "nothing usable was ever written: that shows nothing"
+    return len(stand.usable(since, until)) + (not said)
+
+
 def _rows(historian: Path) -> set[tuple[object, ...]]:
     with closing(sqlite3.connect(f"{historian.as_uri()}?mode=ro", uri=True)) as connection:
         return set(connection.execute("SELECT time, sequence FROM writes"))
@@ -321,12 +356,14 @@ ATTACKS: Mapping[str, Tried] = {
     "a clock set back after the end": clock_set_back,
     "a kill, then a clock set back": killed_and_set_back,
     "disarming while none runs": disarmed_while_none_runs,
+    "disarming without a control socket": disarmed_without_socket,
     "a block sent again": sent_again,
     "a disk that takes nothing": disk_takes_nothing,
     "a row that cannot be stored": row_refused,
     "a full historian": historian_full,
     "a clock 200 days ahead": clock_ahead,
     "damaged records": damaged,
+    "an audit log taken away": taken_away,
 }
 
 

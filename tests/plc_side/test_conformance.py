@@ -240,8 +240,9 @@ Put = Callable[[Path, float, Pace], Awaitable[CommandResult]]
 """Put the suite to a PLC in a folder, with all times so many times as long; its result."""
 
 
-async def put_in_time(folder: Path, put: Put, timer_s: float = TIMER_S) -> tuple[Path, CommandResult]:
-    """The folder and the result of the suite; put anew to a PLC with longer times where it failed and a step lagged.
+async def put_in_time(folder: Path, put: Put, timer_s: float = TIMER_S, skipped: int = 0) -> tuple[Path, CommandResult]:
+    """The folder and the result of the suite; put anew to a PLC with longer times where it failed and a step lagged,
+    or where more steps than `skipped` could not be put.
 
     A busy machine may be too slow for a short timer; for the last one of three it would have to stand still.
     """
@@ -254,7 +255,8 @@ async def put_in_time(folder: Path, put: Put, timer_s: float = TIMER_S) -> tuple
             if slower == SLOWER[-1] or not pace.lagged(slower * timer_s):
                 raise
             continue
-        if outcome.code == 0 or not pace.lagged(slower * timer_s):
+        few = outcome.data.get("skipped", 0) <= skipped
+        if few and (outcome.code == 0 or not pace.lagged(slower * timer_s)):
             break
     return at, outcome
 
@@ -268,7 +270,7 @@ async def test_the_emulator_passes_over_modbus_and_its_recorder_has_every_block(
                 pace.steps = steps = vectors(one.layout, flips=2)
                 return await conform(one, pace, steps)
 
-    tmp_path, outcome = await put_in_time(tmp_path, put)
+    tmp_path, outcome = await put_in_time(tmp_path, put, skipped=1)
     assert outcome.code == 0, outcome.complaint
     assert outcome.data["passed"] == outcome.data["steps"] - 1, "but the block that is written without a permit"
     written = read_recording(tmp_path / "rec.jsonl").blocks
@@ -312,7 +314,7 @@ async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str, m
                     pace.steps = steps = vectors(one.layout, flips=2)
                     return await conform(one, pace, steps)
 
-    _, outcome = await put_in_time(tmp_path, put, seconds)
+    _, outcome = await put_in_time(tmp_path, put, seconds, skipped=3)
     assert outcome.code == 0, outcome.complaint
     assert outcome.data["passed"] >= outcome.data["steps"] - 3
     assert outcome.data["passed"] + outcome.data["skipped"] == outcome.data["steps"]
