@@ -17,6 +17,7 @@ $(STAMP): requirements-dev.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	@$(MAKE) --no-print-directory -j 2 $(VENV)/.half0 $(VENV)/.half1
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@sync  # now, and not half a minute later under tests that wait for the disk
 	@touch $@
 
 # Every other package of the lock, so that two pips unpack side by side; the lock is whole, nothing has to be resolved.

@@ -202,6 +202,10 @@ def arm(folder: Path, names: Sequence[str]) -> None:
             line.ask("arm", by="the benchmark", reason="isolation", minutes=ARMED_MINUTES)
 
 
+STOOD_STILL = "the computer stood still: measure again"
+"""Why there is no figure."""
+
+
 @dataclass(frozen=True)
 class Watched:
     """One machine's records: the times of its scans and of its blocks, and of its readings, the good and the wrong ones
@@ -244,6 +248,8 @@ def watched(folder: Path, name: str, link: str, quiet: tuple[float, float], *, s
     readings, proper, untrue = (np.sort([sample.time for sample in some]) for some in (read, good, wrong))
     # The deadlines lie a period apart from one that is not known: the earliest phase is taken for on time.
     at_rest = scans[np.searchsorted(scans, quiet[0]) : np.searchsorted(scans, quiet[1])]
+    if not at_rest.size:
+        raise click.ClickException(f"{name} was not scanned while no fault was in force; {STOOD_STILL}")
     phase = float(np.quantile(np.mod(at_rest - quiet[0], period), 0.02)) + quiet[0]
     return Watched(scans, blocks, readings, proper, untrue, period, phase, speed)
 

@@ -162,7 +162,12 @@ def assert_the_same_course(trip: RoundTrip) -> None:
     """Open loop over the whole trace, from its first temperature: the two automata say the same."""
     word = encode(trip.given, DECANTER)
     free = [
-        simulate(schedule(sha, word, trip.given.times), TARGETS["OFF/0-100"], 200, np.random.default_rng(1))
+        simulate(
+            schedule(sha, word, trip.given.times, inputs=trip.given),
+            TARGETS["OFF/0-100"],
+            200,
+            np.random.default_rng(1),
+        )
         for sha in (known_model().sha, trip.learned.model.sha)
     ]
     known, learned = (runs.temperatures.mean(axis=0) for runs in free)

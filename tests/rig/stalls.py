@@ -28,16 +28,18 @@ def longest_pause(recording: PlcRecording) -> float:
     return float(np.max(np.diff(np.unique([row.time for row in recording.truth])), initial=0.0))
 
 
-def longest_hold_up(historian: Path, recording: PlcRecording, period: float) -> float:
+def longest_hold_up(historian: Path, recording: PlcRecording, period: float, *, harmless: bool = False) -> float:
     """The longest time (plant s) by which a scan was later than by its period while no fault made it wait for a reply.
 
-    It tells how busy the computer was in a run; what it did to a scan that waited anyway is not to be told apart.
+    It tells how busy the computer was in a run; what it did to a scan that waited anyway is not to be told apart. For
+    `harmless` faults no scan waits.
     """
     with reading(historian) as connection:
         times = [float(time) for (time,) in stored_rows(connection, "scans", ("time",))]
     begun = {row.detail["number"]: row.time for row in recording.events if row.event == "fault began"}
     over = {row.detail["number"]: row.time for row in recording.events if row.event == "fault ended"}
-    spans = [(begin - period, over.get(number, inf) + AFTERMATH_S) for number, begin in begun.items()]
+    faults = {} if harmless else begun
+    spans = [(begin - period, over.get(number, inf) + AFTERMATH_S) for number, begin in faults.items()]
     gaps = (b - a - period for a, b in pairwise(times) if not any(a < end and begin < b for begin, end in spans))
     return max(gaps, default=0.0)
 
@@ -49,8 +51,7 @@ def measured_again(
 
     That is, after which all came back later than `within` (s, by fault), or a `harmless` one that cost anything at all;
     whatever the computer does, no value is wrong and nothing is written elsewhere or twice. Once it is measured again
-    without such a record too: what two processes are late by together shows in neither, nor does what falls into the
-    fault itself.
+    without such a record too: what two processes are late by together shows in neither.
     """
     rows = {row.fault: row for row in matrix.rows}
     for fault in dict.fromkeys((*within, *harmless)):
@@ -59,7 +60,9 @@ def measured_again(
             row = rows[fault]
             is_late = row.recovered_s is not None and row.recovered_s >= within.get(fault, inf)
             has_cost = fault in harmless and row.detected_s is not None
-            if not (is_late or has_cost) or (number > 1 and stood_still(at) < STILL_S):
+            if not (is_late or has_cost):
+                break
+            if number > 1 and stood_still(at, harmless=fault in harmless) < STILL_S:
                 break
             (at := folder / f"{fault} again {number}").mkdir()
             other = again(at, fault)
@@ -68,7 +71,8 @@ def measured_again(
     return replace(matrix, rows=tuple(rows.values()))
 
 
-def stood_still(folder: Path) -> float:
+def stood_still(folder: Path, *, harmless: bool = False) -> float:
     """The longest time (s) in which the computer gave no time to the PLC or to the gateway of a run."""
     recording = read_recording(folder / "plc.jsonl")
-    return max(longest_pause(recording), longest_hold_up(folder / "historian.sqlite", recording, PERIOD))
+    held_up = longest_hold_up(folder / "historian.sqlite", recording, PERIOD, harmless=harmless)
+    return max(longest_pause(recording), held_up)
