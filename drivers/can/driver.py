@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 
-from drivers.can.bus import AttendedSilence, BusLoad, ClockBefore, Pump, open_bus
+from drivers.can.bus import AttendedSilence, BusLoad, ClockBefore, Pump, open_bus, pause_between_looks
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.exchange import Exchange, put
 from drivers.can.fields import EXTENDED, frame_key, frame_name, layout_name, value_of
@@ -30,8 +30,6 @@ from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample, Tag, Value
 
 _LOOK = 0.1
-_LOOKS = 8
-"""Looks within the silence that ends a connection, at least: one that comes late is a small part of it."""
 _PLACES_KEPT = 20_000
 _BUS_OFF = "bus-off: the controller has withdrawn from the bus after too many errors"
 
@@ -348,12 +346,12 @@ class CanDriver:
 
     async def _watch(self) -> None:
         """Look now and then at what no frame tells: silence, and a controller that says only when asked."""
-        pause = min(_LOOK, self._settings.max_silence / _LOOKS)
+        pause = pause_between_looks(self._settings.max_silence, _LOOK)
         attended = AttendedSilence(time.monotonic())
         while True:
             await asyncio.sleep(pause)
             now = time.monotonic()
-            attended.look(self._silence(now), now, 2 * pause)
+            attended.look(self._silence(now), now, pause)
             pump = self._link.connection
             if pump is None:
                 self._exchange.heard.set()

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from drivers.can.bus import AttendedSilence
+from drivers.can.bus import AttendedSilence, pause_between_looks
 from drivers.canopen.bringup import ENTER_PRE_OPERATIONAL, BringUp, Brought
 from drivers.canopen.channel import DEVICE_TYPE, SdoChannel
 from drivers.canopen.eds import DataSheet
@@ -22,8 +22,6 @@ BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
 STATES = {BOOT_UP: "booting", STOPPED: "stopped", OPERATIONAL: "operational", PRE_OPERATIONAL: "pre-operational"}
 PROBE = 0.25
 """Seconds between two attempts at a node that is not there or cannot be brought up."""
-LOOKS = 8
-"""Looks within the heartbeat's limit, at least: one that comes late is a small part of it."""
 CONFIRM_ERRORS = 1.0
 """Seconds between two looks at the error register while an emergency stands: its end may have been missed."""
 SYNC, EMCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x080, 0x080, 0x580, 0x600, 0x700
@@ -275,8 +273,8 @@ class RemoteNode:
             while True:
                 self._news.clear()
                 limit, now = self._heartbeat_limit(), self._loop.time()
-                pause = min(PROBE, limit / LOOKS) if limit else PROBE
-                if attended.look(self._silence(now), now, 2 * pause) >= limit > 0.0:
+                pause = pause_between_looks(limit, PROBE) if limit else PROBE
+                if attended.look(self._silence(now), now, pause) >= limit > 0.0:
                     self._catch_up()
                 if self._rebooted or (self.options.configure and self.state not in (None, OPERATIONAL)):
                     return

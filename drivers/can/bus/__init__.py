@@ -4,6 +4,6 @@ from drivers.can.bus.access import open_bus
 from drivers.can.bus.arrival import ClockBefore
 from drivers.can.bus.load import BusLoad, frame_bits
 from drivers.can.bus.pump import Pump
-from drivers.can.bus.silence import AttendedSilence
+from drivers.can.bus.silence import AttendedSilence, pause_between_looks
 
-__all__ = ["AttendedSilence", "BusLoad", "ClockBefore", "Pump", "frame_bits", "open_bus"]
+__all__ = ["AttendedSilence", "BusLoad", "ClockBefore", "Pump", "frame_bits", "open_bus", "pause_between_looks"]

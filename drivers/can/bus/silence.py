@@ -2,6 +2,14 @@
 
 from dataclasses import dataclass
 
+_LOOKS = 8
+"""Looks within the silence that ends a connection, at least: one that comes late is a small part of it."""
+
+
+def pause_between_looks(limit: float, most: float) -> float:
+    """Seconds from one look to the next where a silence of `limit` (s) is the end; `most` (s) at most."""
+    return min(most, limit / _LOOKS)
+
 
 @dataclass(slots=True)
 class AttendedSilence:
@@ -14,8 +22,8 @@ class AttendedSilence:
     looked: float
     seconds: float = 0.0
 
-    def look(self, silent: float, now: float, most: float) -> float:
-        """The attended part of the `silent` seconds up to `now`; of those since the last look `most` count."""
-        self.seconds = min(silent, self.seconds + min(now - self.looked, most))
+    def look(self, silent: float, now: float, pause: float) -> float:
+        """The attended part of the `silent` seconds up to `now`; of those since the last look two pauses count."""
+        self.seconds = min(silent, self.seconds + min(now - self.looked, 2.0 * pause))
         self.looked = now
         return self.seconds
