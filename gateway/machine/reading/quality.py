@@ -4,6 +4,8 @@ The promise of GOOD: the tag had this value at some moment within the last STALE
 speaks by itself: it was the last that the device has said, and its driver has not found the device late. It is kept
 thus:
 
+- What was asked for counts from its request on: the device may have looked at its memory right after that. Where the
+  reply came more than STALE_PERIODS later it is LAST_USABLE.
 - A read that fails in the link is never held as good: the last good value goes on as LAST_USABLE, and after
   DEAD_PERIODS without a new one as bad, without a value. What the device itself says to be bad is bad at once.
 - A device with a heartbeat must prove that its memory lives. Heartbeat 0: its program does not run, and nothing is
@@ -191,9 +193,16 @@ def _on_its_own(tag: Tag, sample: Sample, histories: dict[str, TagHistory], now:
     if tag.frozen_after and sample.time - changed > tag.frozen_after:
         reason = f"has not moved for {sample.time - changed:.0f} s (limit {tag.frozen_after:g} s)"
         return replace(sample, quality=Quality.SENSOR_NOT_ACCURATE, reason=reason)
-    # What was not asked for (`sent` is None) has a deadline of its own, which the driver keeps.
-    stale = sample.sent is not None and _periods(sample, now, period) > STALE_PERIODS
-    return _held(sample, history, now, period) if stale else sample
+    # What was not asked for has a deadline of its own, which the driver keeps.
+    if sample.sent is None:
+        return sample
+    if _periods(sample, now, period) > STALE_PERIODS:
+        return _held(sample, history, now, period)
+    # The device looked at its memory at some moment since it was asked, however late its reply was taken.
+    if (now - sample.sent) / period > STALE_PERIODS + _ROUNDING:
+        reason = f"was asked for {now - sample.sent:.1f} s ago, and may be as old"
+        return replace(sample, quality=Quality.LAST_USABLE, reason=reason)
+    return sample
 
 
 def _periods(sample: Sample, now: float, period: float) -> float:
