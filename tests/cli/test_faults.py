@@ -8,7 +8,7 @@ import pytest
 import scipy.linalg
 
 from gateway.entry import Exit, sentences
-from gateway.lab import simulate
+from gateway.lab.checking import simulate
 from sim.lab.discrepancy.fitting.record import RecordFault
 from sim.lab.learning import LearningError
 from sim.sha import Trace

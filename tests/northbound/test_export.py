@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from gateway.cli import historian_commands
+from gateway.cli.plant import records as historian_commands
 from gateway.lab.fleet.sources import sources_in
 from gateway.store import TABLE_COLUMNS, HistorianError, row_streams
 from sim.lab.recordings import load_map
