@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 from unicodedata import bidirectional, category
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -88,10 +88,16 @@ def _a_name(text: str) -> str:
     return text
 
 
+def _in_its_home(path: Path, info: ValidationInfo) -> Path:
+    return path if info.context is None else info.context / path
+
+
 Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_a_name)]
 """A tag's name: one line of 1 to 200 characters, none of control, not ending with a backslash."""
 Label = Annotated[str, Field(max_length=200), AfterValidator(_a_name)]
 """What stands beside a number, as a unit: as a name is, or nothing."""
+FilePath = Annotated[Path, Field(strict=False), AfterValidator(_in_its_home)]
+"""A path, relative to the file that names it: `checked` makes it complete where it knows that file's folder."""
 Line = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_one_line)]
 """A person or a reason: one line of 1 to 200 printable characters."""
 
@@ -126,10 +132,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError([f"{path}: is not TOML: {error}; correct that place"]) from None
 
 
-def checked(section: type[S], data: Mapping[str, Any], file: Path | str) -> S:
-    """`data` as a `section`, from a file or a place in it. Raises ConfigError, one sentence for each thing wrong."""
+def checked(section: type[S], data: Mapping[str, Any], file: Path | str, *, home: Path | None = None) -> S:
+    """`data` as a `section`, from a file or a place in it. Raises ConfigError, one sentence for each thing wrong.
+
+    With the folder `home` each FilePath is completed by it.
+    """
     try:
-        return section.model_validate(data)
+        return section.model_validate(data, context=home)
     except ValidationError as error:
         raise ConfigError(sentences(section, error, str(file))) from None
 

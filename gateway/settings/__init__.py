@@ -42,6 +42,8 @@ from gateway.settings.northbound import (
     NorthboundSection,
     OpcUaSection,
     PostgresRow,
+    SinkKind,
+    SinkRow,
     load_northbound_secrets,
 )
 from gateway.settings.notify import (
@@ -86,6 +88,8 @@ __all__ = [
     "PageSection",
     "PostgresRow",
     "RecipientRow",
+    "SinkKind",
+    "SinkRow",
     "SmtpSection",
     "WritebackLayout",
     "WritebackSection",

@@ -20,11 +20,11 @@ from pydantic import Field, StringConstraints, TypeAdapter, field_validator, mod
 from drivers.driver import capabilities, load_function
 from drivers.errors import DriverError
 from drivers.named_files import place_of
-from drivers.settings import ConfigError, Line, Section, checked, read_toml
+from drivers.settings import ConfigError, FilePath, Line, Section, checked, read_toml
 from gateway.replacement import ReplacementError, settle, version_of, was_replaced
 from gateway.settings.alarm_kinds import OF_PLANT, AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
-from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
+from gateway.settings.links import DeviceLink, DeviceSection, link_problems, links_of
 from gateway.settings.northbound import NorthboundSection
 from gateway.settings.notify import NotifySection
 
@@ -167,7 +167,9 @@ class AlarmSection(Section):
 class HistorianSection(Section):
     """The embedded historian."""
 
-    path: FilePath = Field(Path("out/historian.sqlite"), description="the path of the database file")
+    path: FilePath = Field(
+        Path("out/historian.sqlite"), validate_default=True, description="the path of the database file"
+    )
     retention_days: float = Field(90.0, gt=0, description="the days after which measurements are deleted")
     max_mb: float = Field(4096.0, ge=1, description="the largest size of the file in megabytes, at least 1")
     max_interval: float = Field(5.0, gt=0, description="seconds after which an unchanged value is stored again")
@@ -753,51 +755,26 @@ def _machine_config(
     path: Path, data: Mapping[str, Any], place: str, name: str = "", *, stamp: float, leads: bool = True
 ) -> Config:
     """The configuration of one machine from its whole table; `place` begins each sentence. Raises ConfigError."""
-    content = checked(_PlantFile, data, place)
     home = path.parent
+    content = checked(_PlantFile, data, place, home=home)
     links = links_of(content.device, home)
     rows = content.temperature or (_only(content.model),)
-    problems = _problems(content, rows, links, home)
+    problems = _problems(content, rows, links)
     if problems:
         raise ConfigError([f"{place}: {problem}" for problem in problems])
-    historian = content.historian.model_copy(update={"path": historian_file(content.historian, home)})
-    log = content.log.model_copy(update={"path": content.log.path and home / content.log.path})
-    members = tuple(home / member for member in content.ensemble.members)
-    temperatures = tuple(row.model_copy(update={"model": row.model and home / row.model}) for row in rows)
-    first = temperatures[0]
+    first = rows[0]
+    own = {key: getattr(content, key) for key in type(content).model_fields if key != "temperature"}
+    own["model"] = ModelSection(path=first.model, temperature=first.tag, correction=first.correction)
+    own["historian"] = content.historian.model_copy(update={"path": historian_file(content.historian, home)})
     config = Config(
         path=path,
         stamp=stamp,
         machine=name or links[0].map.name,
         several=bool(name),
         leads=leads,
-        device=content.device,
-        scan=content.scan,
-        model=ModelSection(path=first.model, temperature=first.tag, correction=first.correction),
-        temperatures=temperatures,
-        writeback=content.writeback.model_copy(
-            update={
-                key: (given := getattr(content.writeback, key)) and home / given
-                for key in ("audit", "audit_key", "audit_heads")
-            }
-        ),
-        alarms=content.alarms,
-        alarm=content.alarm,
-        notify=_notify(content.notify, home),
-        northbound=_northbound(content.northbound, home),
-        historian=historian,
-        log=log,
-        forecast=content.forecast,
-        ensemble=content.ensemble.model_copy(update={"members": members}),
-        virtual_sensor=content.virtual_sensor,
-        control=content.control.model_copy(update={"path": content.control.path and home / content.control.path}),
-        clock=content.clock,
-        serve=content.serve,
-        plant=content.plant,
-        page=content.page.model_copy(
-            update={key: (given := getattr(content.page, key)) and home / given for key in ("certificates", "users")}
-        ),
+        temperatures=rows,
         links=links,
+        **own,
     )
     if shared := _one_file_for_two(config):
         raise ConfigError([f"{place}: {problem}" for problem in shared])
@@ -828,45 +805,17 @@ def _only(model: ModelSection) -> TemperatureSection:
     return TemperatureSection(tag=model.temperature, model=model.path, correction=model.correction)
 
 
-def _notify(section: NotifySection, home: Path) -> NotifySection:
-    """The section with its paths made complete."""
-    smtp = section.smtp and section.smtp.model_copy(update={"ca": section.smtp.ca and home / section.smtp.ca})
-    return section.model_copy(update={"secrets": section.secrets and home / section.secrets, "smtp": smtp})
-
-
-def _northbound(section: NorthboundSection, home: Path) -> NorthboundSection:
-    """The section with its paths made complete."""
-    rows = {
-        kind: tuple(
-            row.model_copy(
-                update={
-                    key: (given := getattr(row, key)) and home / given
-                    for key in ("ca", "certificate", "key")
-                    if hasattr(row, key)
-                }
-            )
-            for row in getattr(section, kind)
-        )
-        for kind in ("mqtt", "postgres", "influx")
-    }
-    certificates = section.opcua.certificates
-    opcua = section.opcua.model_copy(update={"certificates": certificates and home / certificates})
-    return section.model_copy(update={"secrets": section.secrets and home / section.secrets, "opcua": opcua, **rows})
-
-
 def historian_file(section: HistorianSection, home: Path) -> Path:
     """The database file: the one named, or the default beside the plant file.
 
     Of a plant file that names none and has its records where the default once was, those (record 0109).
     """
-    file, former = home / section.path, home / FORMER_HISTORIAN
+    file, former = section.path, home / FORMER_HISTORIAN
     named = "path" in section.model_fields_set
     return former if not named and not file.exists() and former.exists() else file
 
 
-def _problems(
-    content: _PlantFile, rows: Sequence[TemperatureSection], links: tuple[DeviceLink, ...], home: Path
-) -> list[str]:
+def _problems(content: _PlantFile, rows: Sequence[TemperatureSection], links: tuple[DeviceLink, ...]) -> list[str]:
     """What no single key shows: tags that the map lacks, models that are not there or do not go together, a speed for a
     real plant."""
     device = links[0].map
@@ -884,10 +833,10 @@ def _problems(
     problems += alarm_problems(content.alarm, tags, watched_tags(content.alarms, predicted), predicted, device.path)
     key = "temperature[{}].model" if content.temperature else "model.path"
     problems += [
-        f"{key.format(place)}: there is nothing at {home / row.model}; give a model directory or JSON file, or "
+        f"{key.format(place)}: there is nothing at {row.model}; give a model directory or JSON file, or "
         f"leave the key out to run without a model"
         for place, row in enumerate(rows)
-        if row.model is not None and not (home / row.model).exists()
+        if row.model is not None and not row.model.exists()
     ]
     if content.temperature:
         problems += [
@@ -902,9 +851,9 @@ def _problems(
         ]
     ensemble, models = content.ensemble, 1 + len(content.ensemble.members)
     problems += [
-        f"ensemble.members: there is nothing at {home / path}; give a model directory or JSON file"
+        f"ensemble.members: there is nothing at {path}; give a model directory or JSON file"
         for path in ensemble.members
-        if not (home / path).exists()
+        if not path.exists()
     ]
     if ensemble.members and rows[0].model is None:
         problems.append("ensemble.members: members are followed beside model.path, which is missing; give it too")

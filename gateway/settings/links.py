@@ -12,8 +12,8 @@ from drivers.driver import capabilities
 from drivers.settings import Section
 from gateway.settings.devices import DeviceMap, complete_paths, load_device
 
-FilePath = Annotated[Path, Field(strict=False)]
-
+_NamedFile = Annotated[Path, Field(strict=False)]
+"""A device file as the plant file names it: what an arming is for has it so. `links_of` makes it complete."""
 _OF_ONE_LINK = ("file", "host", "port", "unit", "node", "timeout", "attempts")
 
 
@@ -23,7 +23,7 @@ class LinkSection(BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
 
     name: str = Field(min_length=1, description="a short name for this way to the device")
-    file: FilePath = Field(description="the path of the device file with this link's addresses")
+    file: _NamedFile = Field(description="the path of the device file with this link's addresses")
 
 
 class DeviceSection(Section):
@@ -32,7 +32,7 @@ class DeviceSection(Section):
     The first link is the primary one. Times of switching are real seconds.
     """
 
-    file: FilePath | None = Field(None, description="the path of the register map, relative to this file")
+    file: _NamedFile | None = Field(None, description="the path of the register map, relative to this file")
     host: str = Field("127.0.0.1", min_length=1, description="the PLC's address or name")
     port: int = Field(502, ge=1, le=65535, description="a TCP port from 1 to 65535")
     unit: int | None = Field(None, ge=0, le=255, description="the Modbus unit, 0 to 255, the device file's without it")

@@ -1,14 +1,14 @@
 """`[northbound]`: which other systems of the plant are told what is measured, predicted and alarmed, and how."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from ipaddress import ip_address
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 from urllib.parse import urlsplit
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from drivers.settings import ConfigError, Line, Section
-from gateway.settings.links import FilePath
+from drivers.settings import ConfigError, FilePath, Line, Section
 from gateway.settings.secrets import read_secrets, token_problems
 
 _Table = Literal["samples", "predictions", "forecasts", "events", "alarms"]
@@ -21,16 +21,40 @@ _HostName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-
 NAME = "letters, digits, '_', '-' and '.', 60 at most"
 
 
-class _SinkRow(Section):
-    """What every sink has."""
+@dataclass(frozen=True, slots=True)
+class SinkKind:
+    """What makes the sinks of a kind: `module` has their `make_sink`; `extra` is that of this package which they need
+    ("": none), `needs` what of it has to be there. Nothing of it is loaded before a plant file asks for it."""
 
+    module: str
+    extra: str = ""
+    needs: tuple[str, ...] = ()
+
+
+class SinkRow(Section):
+    """What every sink has. A kind of sink is a class derived from this, with its `kind`, and a field of
+    NorthboundSection: alarm, checks, feeds and secrets follow from these. A private key's file is called `key`: what is
+    in it is in no support bundle."""
+
+    kind: ClassVar[SinkKind]
     name: _Name = Field(description=f"the name by which log, metrics and the saved place speak of it: {NAME}")
     tables: _Tables = Field(TABLES, min_length=1, description="the tables to hand on, of " + ", ".join(TABLES))
 
+    @classmethod
+    def __pydantic_init_subclass__(cls, **keys: Any) -> None:
+        if "kind" not in vars(cls):
+            raise TypeError(f"the sink {cls.__name__} has no kind: say which module makes it")
 
-class MqttRow(_SinkRow):
+    @property
+    def needs_password(self) -> bool:
+        """Whether the file of secrets must have a password for it."""
+        return False
+
+
+class MqttRow(SinkRow):
     """`[[northbound.mqtt]]`: a broker, and what it is given: Sparkplug B, or plain JSON."""
 
+    kind = SinkKind("gateway.outside.northbound.mqtt", "mqtt", ("paho.mqtt.client", "google.protobuf"))
     host: str = Field(min_length=1, description="the broker's name or address")
     port: int = Field(8883, ge=1, le=65535, description="a TCP port from 1 to 65535")
     version: Literal["5", "3.1.1"] = Field("5", description="the version of MQTT, '5' or '3.1.1'")
@@ -53,6 +77,11 @@ class MqttRow(_SinkRow):
         description=f"Sparkplug's primary host: rows are handed on only while its STATE says that it is online: {NAME}",
     )
 
+    @property
+    def needs_password(self) -> bool:
+        """As who logs in has one."""
+        return self.user is not None
+
     @model_validator(mode="after")
     def _protected(self) -> "MqttRow":
         if self.primary_host is not None and self.payload != "sparkplug":
@@ -64,9 +93,10 @@ class MqttRow(_SinkRow):
         return self
 
 
-class PostgresRow(_SinkRow):
+class PostgresRow(SinkRow):
     """`[[northbound.postgres]]`: tables of a PostgreSQL database, made when they are not there."""
 
+    kind = SinkKind("gateway.outside.northbound.postgres", "postgres", ("psycopg",))
     host: str = Field(min_length=1, description="the server's name or address, or the folder of its socket")
     port: int = Field(5432, ge=1, le=65535, description="a TCP port from 1 to 65535")
     database: Line = Field(description="the name of the database")
@@ -83,9 +113,10 @@ class PostgresRow(_SinkRow):
         return self.host.startswith("/") or is_loopback(self.host)
 
 
-class InfluxRow(_SinkRow):
+class InfluxRow(SinkRow):
     """`[[northbound.influx]]`: InfluxDB's line protocol over HTTP, by the interface of version 1 or of version 2."""
 
+    kind = SinkKind("gateway.outside.northbound.influx")
     url: str = Field(description="the server's address, such as 'https://influx.example.com:8086'")
     database: Line | None = Field(None, description="the database of a server of version 1")
     bucket: Line | None = Field(None, description="the bucket of a server of version 2 or 3")
@@ -187,9 +218,19 @@ class NorthboundSection(Section):
     opcua: OpcUaSection = Field(default_factory=OpcUaSection, description="a [northbound.opcua] table")
 
     @property
-    def sinks(self) -> tuple[MqttRow | PostgresRow | InfluxRow, ...]:
+    def sink_tables(self) -> Mapping[str, tuple[SinkRow, ...]]:
+        """The tables of sinks by their keys, in the order in which they stand here."""
+        of = {name: getattr(self, name) for name in type(self).model_fields}
+        return {
+            name: rows
+            for name, rows in of.items()
+            if isinstance(rows, tuple) and rows and all(isinstance(row, SinkRow) for row in rows)
+        }
+
+    @property
+    def sinks(self) -> tuple[SinkRow, ...]:
         """All that is handed rows."""
-        return (*self.mqtt, *self.postgres, *self.influx)
+        return tuple(row for rows in self.sink_tables.values() for row in rows)
 
     @property
     def enabled(self) -> bool:
@@ -230,8 +271,8 @@ def load_northbound_secrets(section: NorthboundSection) -> NorthboundSecrets:
     ]
     problems += [
         f"{path}: passwords: has none for {row.name!r}; add that of its user"
-        for row in section.mqtt
-        if row.user is not None and row.name not in found.passwords
+        for row in section.sinks
+        if row.needs_password and row.name not in found.passwords
     ]
     if problems:
         raise ConfigError(problems)

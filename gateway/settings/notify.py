@@ -8,9 +8,8 @@ from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
 
-from drivers.settings import ConfigError, Line, Section
+from drivers.settings import ConfigError, FilePath, Line, Section
 from gateway.settings.alarm_kinds import LEAST_URGENT, Priority
-from gateway.settings.links import FilePath
 from gateway.settings.secrets import read_secrets, token_problems
 
 _ADDRESS = re.compile(r"[\w.!#$%&'*+/=^`{|}~-]{1,64}@(?:[\w-][\w.-]{0,250}|\[[0-9A-Fa-f.:]{2,40}\])")

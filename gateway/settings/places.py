@@ -46,7 +46,8 @@ def gateway_places(path: Path) -> GatewayPlaces:
     tables, home = _readable(path), path.parent
     named = _path(tables, "historian", "path")
     # As for a file that can be used: the default, or where the records of former versions are.
-    historian = historian_file(HistorianSection() if named is None else HistorianSection(path=named), home)
+    keys = {} if named is None else {"path": str(named)}
+    historian = historian_file(HistorianSection.model_validate(keys, context=home), home)
     socket = _path(tables, "control", "path")
     return GatewayPlaces(
         socket=historian.with_suffix(".sock") if socket is None else home / socket,

@@ -270,7 +270,7 @@ def _key_files(machines: Sequence[Config]) -> Iterator[Path]:
     for folder in filter(None, dict.fromkeys(folders)):
         yield from sorted(folder.glob("*.key"))
     for config in machines[:1]:
-        yield from filter(None, (row.key for row in config.northbound.mqtt))
+        yield from filter(None, (getattr(row, "key", None) for row in config.northbound.sinks))
         yield config.audit_key
 
 

@@ -1,11 +1,10 @@
-"""`[northbound]` at work: the table of the kinds of sinks, their feeds, and the metrics' server, for one gateway."""
+"""`[northbound]` at work: the sinks, their feeds, and the metrics' server, for one gateway."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -37,28 +36,11 @@ MOST_ASKED = 100
 is left out, and logged."""
 
 
-@dataclass(frozen=True, slots=True)
-class SinkKind:
-    """A kind of sink: the `module` whose `make_sink` makes one, the extra of this package that it needs ("" none), and
-    what of that has to be there. Neither is loaded before a section asks for it."""
-
-    module: str
-    extra: str = ""
-    needs: tuple[str, ...] = ()
-
-
-SINK_KINDS: Mapping[str, SinkKind] = {
-    "mqtt": SinkKind("gateway.outside.northbound.mqtt", "mqtt", ("paho.mqtt.client", "google.protobuf")),
-    "postgres": SinkKind("gateway.outside.northbound.postgres", "postgres", ("psycopg",)),
-    "influx": SinkKind("gateway.outside.northbound.influx"),
-}
-"""The kinds of sinks by the names of their sections; a new one is a row here, a section and a module."""
-
-
 def check_northbound(config: Config) -> NorthboundSecrets:
     """The secrets of the section. Raises ConfigError, before anything runs, for what is missing."""
     section = config.northbound
-    wanted = [(name, kind.extra, kind.needs) for name, kind in SINK_KINDS.items() if getattr(section, name)]
+    kinds = {name: rows[0].kind for name, rows in section.sink_tables.items()}
+    wanted = [(name, kind.extra, kind.needs) for name, kind in kinds.items()]
     wanted += [("metrics", "prometheus", ("prometheus_client",))] if section.metrics.port is not None else []
     wanted += [("opcua", "opcua", ("asyncua",))] if section.opcua.port is not None else []
     problems = [
@@ -113,7 +95,7 @@ class Northbound:
         self.feeds: Sequence[SinkFeed] = [
             SinkFeed(
                 row.name,
-                import_module(kind.module).make_sink(row, secrets, context),
+                import_module(row.kind.module).make_sink(row, secrets, context),
                 path=historian.path,
                 machines=lambda: list(machines()),
                 view=historian.of,
@@ -123,8 +105,7 @@ class Northbound:
                 supervisor=supervisor,
                 log=log,
             )
-            for name, kind in SINK_KINDS.items()
-            for row in getattr(section, name)
+            for row in section.sinks
         ]
         self.metrics: MetricsServer | None = None
         if section.metrics.port is not None:
