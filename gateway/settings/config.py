@@ -167,9 +167,7 @@ class AlarmSection(Section):
 class HistorianSection(Section):
     """The embedded historian."""
 
-    path: FilePath = Field(
-        Path("out/historian.sqlite"), validate_default=True, description="the path of the database file"
-    )
+    path: FilePath = Field(Path("out/historian.sqlite"), description="the path of the database file")
     retention_days: float = Field(90.0, gt=0, description="the days after which measurements are deleted")
     max_mb: float = Field(4096.0, ge=1, description="the largest size of the file in megabytes, at least 1")
     max_interval: float = Field(5.0, gt=0, description="seconds after which an unchanged value is stored again")
@@ -810,9 +808,10 @@ def historian_file(section: HistorianSection, home: Path) -> Path:
 
     Of a plant file that names none and has its records where the default once was, those (record 0109).
     """
-    file, former = section.path, home / FORMER_HISTORIAN
-    named = "path" in section.model_fields_set
-    return former if not named and not file.exists() and former.exists() else file
+    if "path" in section.model_fields_set:
+        return section.path
+    file, former = home / section.path, home / FORMER_HISTORIAN
+    return former if not file.exists() and former.exists() else file
 
 
 def _problems(content: _PlantFile, rows: Sequence[TemperatureSection], links: tuple[DeviceLink, ...]) -> list[str]:
