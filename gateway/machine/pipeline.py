@@ -9,7 +9,6 @@ import asyncio
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isinf
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -18,22 +17,9 @@ from drivers.driver import Complains, Driver, Supervised
 from drivers.supervision import Supervisor
 from gateway.machine.alarm_desk import AlarmDesk
 from gateway.machine.alarms import (
-    CERTIFICATE,
-    CLOCK,
-    CLOCK_SYNC,
-    DEVICE,
-    DISK,
-    INPUTS,
-    LINK,
-    NORTHBOUND,
-    NOTIFICATION,
-    OTHER_WRITER,
-    PARTS,
-    RECORDS,
     AlarmBoard,
     SensorWatch,
     acknowledge_words,
-    certificate_folders,
     make_conditions,
     name_of,
     suppressing_tags,
@@ -47,7 +33,7 @@ from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Sc
 from gateway.machine.records import Keeper, Records
 from gateway.machine.trust import ClockCheck, RecordsWatch, Surroundings
 from gateway.machine.writing import Arming, ArmingError, WritebackStage, end_by_mode, keep_disarming
-from gateway.settings import Config, WritebackLayout
+from gateway.settings import ALARM_KINDS, Config, WritebackLayout
 from gateway.store import FIXED, NO_PROCESS, AuditError, HistorianError, saved_state, to_trace
 
 if TYPE_CHECKING:
@@ -155,7 +141,7 @@ class Machine:
                 sensors=SensorWatch(config.watched, config.twins, config.alarms.trend),
             )
             self.desk = AlarmDesk(config, self.alarms, self.common, clock=clock, historian=store, log=log)
-            self.surroundings = Surroundings(store.path, certificate_folders(config), self.supervisor)
+            self.surroundings = Surroundings(store.path, config.certificate_folders, self.supervisor)
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
             self.records = Records(store, Keeper(config.map.by_name, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):
@@ -303,32 +289,17 @@ class Machine:
                     self._begin_with_promoted(one, scan.time)
                 fault = faults.get(one.tag)
                 for name, value in one.predict(believed, fault.since if fault else None).items():
-                    # Inputs are bad when those of one model are; every other alarm is of one temperature.
-                    if name == INPUTS:
-                        findings[name] = max(findings.get(name) or 0.0, value or 0.0)
-                    else:
-                        findings[name_of(self.config, name, one.tag)] = value
+                    findings[name_of(self.config, name, one.tag)] = value
                 if one.prediction is not None:
                     self.counters.take_events(one.prediction)
 
             self._look_at_itself(scan)
-            if DEVICE in self.alarms.conditions:
-                findings[DEVICE] = float(bool(self.complaints()))
-            if OTHER_WRITER in self.alarms.conditions and self.writing is not None:
-                findings[OTHER_WRITER] = float(bool(self.writing.rival(scan.time)))
-            findings[RECORDS] = float(bool(self.records_watch.complaint))
-            findings[PARTS] = float(bool(self.records_watch.failed_parts or self.missing_parts))
-            findings[CLOCK] = float(bool(self.clock_complaint))
-            findings[NOTIFICATION] = float(bool(self.common.undelivered()))
-            findings[NORTHBOUND] = float(bool(self.common.unreached()))
-            findings[LINK] = float(not self.link.alive)
             self.surroundings.look(scan.time)
-            free, days = self.surroundings.free_mb, self.surroundings.days
-            findings[DISK] = None if free is None else self.config.alarms.disk_mb - free
-            findings[CERTIFICATE] = None if days is None else -days
-            # A replay's clock is nobody's to steer.
-            error = self.surroundings.clock_error if self.clock.speed == 1.0 else None
-            findings[CLOCK_SYNC] = None if error is None else float(isinf(error))
+            findings |= {
+                name: find(self, scan)
+                for name, condition in self.alarms.conditions.items()
+                if (find := ALARM_KINDS[condition.kind].finding) is not None
+            }
             self.alarms.on_predictions(scan, findings)
             await self._disarm_without_records(scan.time)
 

@@ -2,10 +2,12 @@
 
 from gateway.settings.alarm_kinds import (
     ALARM_KINDS,
+    FAULT,
     LEAST_URGENT,
     OF_PLANT,
     PLANT,
     AlarmKind,
+    AlarmPlace,
     alarm_subject,
     kind_of,
     settings_of,
@@ -59,6 +61,7 @@ from gateway.settings.places import GatewayPlaces, gateway_places, named_files
 __all__ = [
     "ALARM_KINDS",
     "BLOCK_FIELDS",
+    "FAULT",
     "FROM_SECRETS",
     "LEAST_BLOCKS",
     "LEAST_URGENT",
@@ -67,6 +70,7 @@ __all__ = [
     "PAGE_SUBJECT",
     "PLANT",
     "AlarmKind",
+    "AlarmPlace",
     "AlarmSection",
     "Config",
     "DeviceLink",

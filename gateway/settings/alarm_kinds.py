@@ -1,194 +1,614 @@
 """The kinds of alarms a machine may have, in one table, and what a plant file may say of each."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from math import isinf
+from shlex import join
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from pydantic import Field, field_validator
 
 from drivers.errors import did_you_mean
 from drivers.settings import Line, Section
+from sim.phrase import Phrase
+
+if TYPE_CHECKING:
+    from gateway.settings.config import Config
 
 MOST_URGENT, LEAST_URGENT = 1, 4
 """The priorities: 1 is the most urgent."""
 
 
+class PredictionSeen(Protocol):
+    """What is seen of a prediction: how the `worst` of its inputs is, 0 good, 1 uncertain, 2 bad."""
+
+    @property
+    def worst(self) -> int: ...
+
+
+class FollowedSeen(Protocol):
+    """What is seen of a temperature that a model follows; None without one."""
+
+    @property
+    def prediction(self) -> PredictionSeen | None: ...
+
+
+class RecordsSeen(Protocol):
+    """What is wrong with the records, and which other parts failed ("": nothing)."""
+
+    complaint: str
+    failed_parts: str
+
+
+class SurroundingsSeen(Protocol):
+    """The room left (MB), the days until a certificate runs out, the clock's error (s); None: not known."""
+
+    free_mb: float | None
+    days: float | None
+    clock_error: float | None
+
+
+class PlantSeen(Protocol):
+    """Whom messages about alarms do not reach, and which systems are out of reach ("": none)."""
+
+    undelivered: Callable[[], str]
+    unreached: Callable[[], str]
+
+
+class LinkSeen(Protocol):
+    """Whether good readings arrive."""
+
+    @property
+    def alive(self) -> bool: ...
+
+
+class ClockSeen(Protocol):
+    """Plant seconds per real second."""
+
+    @property
+    def speed(self) -> float: ...
+
+
+class WritingSeen(Protocol):
+    """Who else writes the blocks ("": nobody)."""
+
+    def rival(self, now: float) -> str: ...
+
+
+class ScanSeen(Protocol):
+    """A scan: its time (plant s), and the readings that are good."""
+
+    @property
+    def time(self) -> float: ...
+
+    def good(self, name: str) -> float | None: ...
+
+
+class MachineSeen(Protocol):
+    """What a machine shows its alarms at a scan, beside what its sensors and models find."""
+
+    clock_complaint: str
+
+    @property
+    def config(self) -> "Config": ...
+
+    @property
+    def followed(self) -> Sequence[FollowedSeen]: ...
+
+    @property
+    def records_watch(self) -> RecordsSeen: ...
+
+    @property
+    def missing_parts(self) -> Mapping[str, str]: ...
+
+    @property
+    def surroundings(self) -> SurroundingsSeen: ...
+
+    @property
+    def common(self) -> PlantSeen: ...
+
+    @property
+    def link(self) -> LinkSeen: ...
+
+    @property
+    def clock(self) -> ClockSeen: ...
+
+    @property
+    def writing(self) -> WritingSeen | None: ...
+
+    def complaints(self) -> tuple[str, ...]: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmPlace:
+    """Of what an alarm would be: a machine, or its temperature `tag`, whose model and limit `config` has then.
+
+    `inputs` are the tags that its models read, or that are watched; `complains`: its driver hears what is wrong with
+    the device. `stale_after`: for how long (s) a reading may be held.
+    """
+
+    config: "Config"
+    tag: str = ""
+    inputs: tuple[str, ...] = ()
+    complains: bool = False
+    stale_after: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmKind:
-    """One kind: its bit in the block's alarm word (None: none), and its defaults, which a plant file may change.
+    """One kind, from which all that speaks of alarms is made. Raises ValueError where its parts do not fit.
 
     `subject` is what there is one of for each: the plant, a machine, a watched temperature of it, a predicted one.
-    `namur` is the category of NAMUR NE 107 for what is wrong with a sensor: failure, out of specification or
-    maintenance required. Delays are plant seconds. `{tag}`, `{limit}` and `{unit}` in `response` stand for the alarm's.
+    `applies` says whether there is such an alarm somewhere, `limit` what its number must not exceed there, `more` what
+    else of its condition is not as usual. `finding` gives that number of a machine or the plant at a scan, None where
+    it is not known; of temperatures the stages of a scan find it (`SensorWatch`, `ModelUnit`) under the kind's name.
+
+    `title` and `response` are said in the reader's language; `{tag}`, `{twin}`, `{limit}` and `{unit}` stand for the
+    alarm's. `bit` is that in the block's alarm word (None: none); it, `priority` and the delay (plant s) are defaults,
+    which a plant file may change. `namur` is the category of NAMUR NE 107 for what is wrong with a sensor: failure, out
+    of specification or maintenance required.
     """
 
     subject: Literal["plant", "machine", "watched", "predicted"]
+    title: Phrase
     watches: str
-    response: str
+    response: Phrase
     consequence: str
+    applies: Callable[[AlarmPlace], bool]
+    limit: Callable[[AlarmPlace], float]
+    finding: Callable[[MachineSeen, ScanSeen], float | None] | None = None
+    more: Callable[[AlarmPlace], Mapping[str, Any]] = lambda _: {}
     bit: int | None = None
     priority: int = 2
     on_delay: float = 0.0
     namur: str = ""
 
+    def __post_init__(self) -> None:
+        if not (self.title.whole and self.response.whole and self.watches and self.consequence):
+            raise ValueError(f"the kind of alarm {self.title!r} lacks a text, or a text in one of the languages")
+        if (self.finding is None) != (self.subject in ("watched", "predicted")):
+            raise ValueError(
+                f"the kind of alarm {self.title!r} needs a finding where it is of a machine or the plant, and no other"
+            )
 
-_LOOK_AT_SENSOR = "compare {tag} with a hand-held thermometer, then look at the sensor, its cable and its input"
+
+FAULT = 0.5
+"""What is found of a sensor beyond this is a fault; what is only yes or no is 1 or 0."""
+DRIFT_SINCE = "14d"
+"""The span of the historian that a diagnosis is offered for: ten cycles or more of a plant that runs every day."""
+
+
+def always(_: AlarmPlace) -> bool:
+    """There is such an alarm everywhere."""
+    return True
+
+
+def yes_or_no(_: AlarmPlace) -> float:
+    """The limit of what is found as 1 or 0."""
+    return FAULT
+
+
+def found(wrong: object) -> float:
+    """1 for what is wrong, 0 where nothing is."""
+    return float(bool(wrong))
+
+
+def _has_model(at: AlarmPlace) -> bool:
+    return at.config.model.path is not None
+
+
+def _has_sensor(at: AlarmPlace) -> bool:
+    return at.config.alarms.sensors
+
+
+def _over_limit(at: AlarmPlace) -> Mapping[str, Any]:
+    predicted = [row.tag for row in at.config.temperatures]
+    whose = at.tag if len(predicted) > 1 and at.tag in predicted else ""
+    a = at.config.alarms
+    return {"deadband": a.deadband, "on_delay": a.on_delay, "temperature": whose}
+
+
+def _drift(at: AlarmPlace) -> Mapping[str, Any]:
+    """When the model drifts the operator gets the command that diagnoses the historian's recent cycles."""
+    config = at.config
+    command = ["decanter", "diagnose", "--model", str(config.model.path), "--historian", str(config.historian.path)]
+    command += ["--machine", config.machine] if config.several else []
+    command += ["--since", DRIFT_SINCE, "--out", str(config.historian.path.parent / "diagnosis")]
+    drifts = f"the model's free run is beyond its limit on {config.alarms.drift_cycles} cycles running"
+    return {"off_delay": 0.0, "response": f"{drifts}; find out what has changed with: {join(command)}"}
+
+
+def _not_steered(one: MachineSeen, _: ScanSeen) -> float | None:
+    # A replay's clock is nobody's to steer.
+    error = one.surroundings.clock_error if one.clock.speed == 1.0 else None
+    return None if error is None else found(isinf(error))
+
+
+def _lacking_mb(one: MachineSeen, _: ScanSeen) -> float | None:
+    free = one.surroundings.free_mb
+    return None if free is None else one.config.alarms.disk_mb - free
+
+
+def _inputs(at: AlarmPlace) -> Mapping[str, Any]:
+    # One reading that came late is no alarm: inputs have to be bad for as long as a value may be held.
+    return {"tag": ", ".join(at.inputs) or at.config.machine, "on_delay": at.stale_after, "off_delay": 0.0}
+
+
+def _worst_input(one: MachineSeen, scan: ScanSeen) -> float:
+    predictions = [each.prediction for each in one.followed if each.prediction is not None]
+    if not predictions:
+        return found(any(scan.good(name) is None for name in one.config.watched))
+    return max(float(prediction.worst) for prediction in predictions)
+
+
+_LOOK_AT_SENSOR = Phrase(
+    "compare {tag} with a hand-held thermometer, then look at the sensor, its cable and its input",
+    it="confrontare {tag} con un termometro portatile, poi controllare sensore, cavo e ingresso",
+    de="{tag} mit einem Handthermometer vergleichen, dann Sensor, Kabel und Eingang prüfen",
+)
 
 ALARM_KINDS: Mapping[str, AlarmKind] = {
     "over limit": AlarmKind(
         subject="watched", bit=0, priority=1,
+        title=Phrase("over its limit", it="oltre il limite", de="über der Grenze"),
+        applies=always,
+        limit=lambda at: at.config.limit_of(at.tag),
+        more=_over_limit,
         watches="the measured temperature, against `alarms.limit`; it needs no model",
-        response="{tag} is above {limit:g} {unit}: reduce the load and check the lubrication",
+        response=Phrase(
+            "{tag} is above {limit} {unit}: reduce the load and check the lubrication",
+            it="{tag} supera {limit} {unit}: ridurre il carico e controllare la lubrificazione",
+            de="{tag} liegt über {limit} {unit}: Last verringern und Schmierung prüfen",
+        ),
         consequence="the bearing is damaged within minutes to hours",
     ),
     "predicted over limit": AlarmKind(
         subject="predicted", bit=1,
+        title=Phrase("will pass its limit", it="supererà il limite", de="wird die Grenze überschreiten"),
+        applies=_has_model,
+        limit=lambda at: at.config.alarms.p_limit,
+        more=lambda at: {"deadband": at.config.alarms.p_limit / 2},
         watches="the chance that the limit is passed within the block's horizon, against `alarms.p_limit`",
-        response="{tag} will pass its limit: look at load and lubrication while there is time",
-        consequence="the limit is reached, and the load has to be thrown off",
-    ),
-    "rising": AlarmKind(
-        subject="watched",
-        watches="where a straight line through the last minutes reaches `alarms.trend` s ahead, against the limit; it "
-        "needs no model",
-        response="{tag} rises towards {limit:g} {unit}: look at load and lubrication while there is time",
+        response=Phrase(
+            "{tag} will pass its limit: look at load and lubrication while there is time",
+            it="{tag} supererà il suo limite: controllare carico e lubrificazione finché c'è tempo",
+            de="{tag} wird seine Grenze überschreiten: Last und Schmierung prüfen, solange Zeit ist",
+        ),
         consequence="the limit is reached, and the load has to be thrown off",
     ),
     "anomaly": AlarmKind(
         subject="predicted", bit=2, priority=3,
+        title=Phrase("does not fit the model", it="non segue il modello", de="passt nicht zum Modell"),
+        applies=_has_model,
+        limit=lambda at: at.config.alarms.anomaly,
+        more=lambda at: {"deadband": at.config.alarms.anomaly / 3},
         watches="how unlikely the newest readings are by the model (out of distribution), against `alarms.anomaly`",
-        response="the readings of {tag} do not fit the model: look at the machine and at its sensors",
+        response=Phrase(
+            "the readings of {tag} do not fit the model: look at the machine and at its sensors",
+            it="le letture di {tag} non seguono il modello: controllare la macchina e i suoi sensori",
+            de="die Messwerte von {tag} passen nicht zum Modell: Maschine und Sensoren prüfen",
+        ),
         consequence="what is predicted is not to be relied on, and what the machine does is not what it used to do",
     ),
     "unfamiliar": AlarmKind(
         subject="predicted", bit=2, priority=3,
+        title=Phrase("unlike the training", it="diverso dall'addestramento", de="anders als im Training"),
+        applies=_has_model,
+        limit=lambda at: at.config.alarms.unfamiliar,
+        more=lambda at: {"deadband": at.config.alarms.unfamiliar / 10},
         watches="how strange the present cycle is to the model's training, against `alarms.unfamiliar`; only with a "
         "model that knows its training",
-        response="the present cycle of {tag} is unlike the model's training: see familiarity in the status for what is "
-        "strange, and do not rely on the forecast alone",
+        response=Phrase(
+            "the present cycle of {tag} is unlike the model's training: see familiarity in the status for what is "
+            "strange, and do not rely on the forecast alone",
+            it="il ciclo attuale di {tag} è diverso dall'addestramento del modello: vedere la familiarità per sapere "
+            "che cosa è insolito, e non affidarsi alla sola previsione",
+            de="der gegenwärtige Zyklus von {tag} ist anders als im Training des Modells: siehe Vertrautheit, was "
+            "daran fremd ist, und sich nicht auf die Vorhersage allein verlassen",
+        ),
         consequence="the forecast is made for what nobody has seen, and its band may be too narrow",
-    ),
-    "drift": AlarmKind(
-        subject="predicted", bit=3, priority=3,
-        watches="the error of the model's free run, cycle by cycle (`alarms.drift`, `alarms.drift_cycles`)",
-        response="the model's free run is beyond its limit on several cycles running; find out what has changed",
-        consequence="the forecast is wrong by more than it says, in one direction",
-    ),
-    "inputs bad": AlarmKind(
-        subject="machine", bit=4,
-        watches="whether the readings that a model needs, or that are watched, are good",
-        response="readings are stale or bad: see values and link in the status, then look at PLC and cable",
-        consequence="nothing is predicted, and a temperature over its limit may not be seen",
     ),
     "review": AlarmKind(
         subject="predicted", bit=5, priority=3,
+        title=Phrase("model needs a review", it="modello da rivedere", de="Modell zu prüfen"),
+        applies=_has_model,
+        limit=yes_or_no,
         watches="how often readings lie outside 3 sigma of the model",
-        response="the readings lie beyond 3 sigma of the model too often: look at the sensor, then learn or correct "
-        "the model",
+        response=Phrase(
+            "the readings lie beyond 3 sigma of the model too often: look at the sensor, then learn or correct the "
+            "model",
+            it="le letture escono troppo spesso da 3 sigma del modello: controllare il sensore, poi riapprendere o "
+            "correggere il modello",
+            de="die Messwerte liegen zu oft außerhalb von 3 Sigma des Modells: Sensor prüfen, dann das Modell neu "
+            "lernen oder korrigieren",
+        ),
         consequence="the bands of the forecast are too narrow",
     ),
+    "drift": AlarmKind(
+        subject="predicted", bit=3, priority=3,
+        title=Phrase("model drifts", it="il modello deriva", de="Modell driftet"),
+        applies=_has_model,
+        limit=lambda at: at.config.alarms.drift_cycles - 0.5,
+        more=_drift,
+        watches="the error of the model's free run, cycle by cycle (`alarms.drift`, `alarms.drift_cycles`)",
+        response=Phrase(
+            "the model's free run is beyond its limit on several cycles running; find out what has changed",
+            it="la corsa libera del modello è oltre il limite da più cicli di fila: scoprire che cosa è cambiato",
+            de="der freie Lauf des Modells liegt mehrere Zyklen in Folge über seiner Grenze: herausfinden, was sich "
+            "geändert hat",
+        ),
+        consequence="the forecast is wrong by more than it says, in one direction",
+    ),
+    "rising": AlarmKind(
+        subject="watched",
+        title=Phrase("rises towards its limit", it="sale verso il limite", de="steigt zur Grenze hin"),
+        applies=lambda at: at.config.alarms.trend is not None,
+        limit=lambda at: at.config.limit_of(at.tag),
+        more=lambda at: {"deadband": at.config.alarms.deadband},
+        watches="where a straight line through the last minutes reaches `alarms.trend` s ahead, against the limit; it "
+        "needs no model",
+        response=Phrase(
+            "{tag} rises towards {limit} {unit}: look at load and lubrication while there is time",
+            it="{tag} sale verso {limit} {unit}: controllare carico e lubrificazione finché c'è tempo",
+            de="{tag} steigt auf {limit} {unit} zu: Last und Schmierung prüfen, solange Zeit ist",
+        ),
+        consequence="the limit is reached, and the load has to be thrown off",
+    ),
     "sensor out of range": AlarmKind(
-        subject="watched", namur="failure", on_delay=5.0,
+        subject="watched", on_delay=5.0, namur="failure",
+        title=Phrase("sensor out of range", it="sensore fuori campo", de="Sensor außerhalb des Bereichs"),
+        applies=_has_sensor,
+        limit=yes_or_no,
         watches="readings beyond the tag's `low` and `high`, or that the device calls a failed sensor",
         response=_LOOK_AT_SENSOR,
         consequence="the temperature is not known, and neither is whether it is over its limit",
     ),
     "sensor frozen": AlarmKind(
         subject="watched", namur="failure",
+        title=Phrase("sensor frozen", it="sensore bloccato", de="Sensor eingefroren"),
+        applies=_has_sensor,
+        limit=yes_or_no,
         watches="a reading that does not move a bit while its twin, or the machine, does",
         response=_LOOK_AT_SENSOR,
         consequence="a bearing that heats is not seen",
     ),
     "sensor jumping": AlarmKind(
-        subject="watched", namur="out of specification", priority=3,
+        subject="watched", priority=3, namur="out of specification",
+        title=Phrase("sensor jumps", it="sensore a salti", de="Sensor springt"),
+        applies=_has_sensor,
+        limit=yes_or_no,
         watches="steps between readings that no bearing can take",
         response=_LOOK_AT_SENSOR,
         consequence="single readings are wrong, as by a loose contact; the alarm at the limit may come in vain",
     ),
     "sensor noisy": AlarmKind(
-        subject="watched", namur="out of specification", priority=3,
+        subject="watched", priority=3, namur="out of specification",
+        title=Phrase("sensor noisy", it="sensore rumoroso", de="Sensor rauscht"),
+        applies=_has_sensor,
+        limit=yes_or_no,
         watches="the spread of the readings about a straight line through each three of them",
         response=_LOOK_AT_SENSOR,
         consequence="alarms come in vain, and the forecast begins from a wrong temperature",
     ),
     "sensor drifting": AlarmKind(
-        subject="watched", namur="maintenance required", priority=3,
+        subject="watched", priority=3, namur="maintenance required",
+        title=Phrase("sensor drifts", it="sensore in deriva", de="Sensor driftet"),
+        applies=lambda at: _has_sensor(at) and at.config.twins[:1] == (at.tag,),
+        limit=yes_or_no,
         watches="the difference to its twin bearing, against what that was before",
-        response=_LOOK_AT_SENSOR + "; if it is right, this bearing is warmer than the other",
+        response=Phrase(
+            "compare {tag} and {twin} with a hand-held thermometer, then look at sensor, cable and input of the one "
+            "that is wrong",
+            it="confrontare {tag} e {twin} con un termometro portatile, poi controllare sensore, cavo e ingresso di "
+            "quello che sbaglia",
+            de="{tag} und {twin} mit einem Handthermometer vergleichen, dann Sensor, Kabel und Eingang dessen prüfen, "
+            "der falsch anzeigt",
+        ),
         consequence="the limit is reached later, or earlier, than it is seen",
-    ),
-    "link": AlarmKind(
-        subject="machine", priority=1, on_delay=10.0,
-        watches="whether good readings arrive at all",
-        response="no good reading arrives: see link in the status, then look at network, cable and PLC",
-        consequence="the machine is not watched",
-    ),
-    "device": AlarmKind(
-        subject="machine", bit=6,
-        watches="what the device itself says is wrong with it (as by EMCY)",
-        response="the device or its bus says that something is wrong: see complaints in the status",
-        consequence="readings may fail or be wrong",
-    ),
-    "another writer": AlarmKind(
-        subject="machine", bit=6, priority=1,
-        watches="the PLC's word of another gateway that writes its blocks",
-        response="another gateway writes to this PLC: other_writer in the status is its number, writer is this one's; "
-        "find it and disarm one of the two",
-        consequence="the PLC takes the other one's blocks, or nobody's",
     ),
     "records": AlarmKind(
         subject="machine", bit=7,
+        title=Phrase("records incomplete", it="registrazioni incomplete", de="Aufzeichnungen unvollständig"),
+        applies=always,
+        limit=yes_or_no,
+        finding=lambda one, _: found(one.records_watch.complaint),
         watches="whether historian, audit log and log take what happens",
-        response="what happens may not be on record: see historian and parts in the status, and make room or mend the "
-        "disk",
+        response=Phrase(
+            "what happens may not be on record: see historian and parts in the status, and make room or mend the disk",
+            it="ciò che accade potrebbe non essere registrato: vedere storico e parti nello stato, e fare spazio o "
+            "riparare il disco",
+            de="was geschieht, wird vielleicht nicht aufgezeichnet: siehe Historian und Teile im Status, und Platz "
+            "schaffen oder die Platte instand setzen",
+        ),
         consequence="what happens is lost, and an armed gateway disarms itself",
     ),
     "parts": AlarmKind(
         subject="machine", bit=7,
+        title=Phrase(
+            "a part of the gateway failed",
+            it="una parte del gateway è caduta",
+            de="ein Teil des Gateways ist ausgefallen",
+        ),
+        applies=always,
+        limit=yes_or_no,
+        finding=lambda one, _: found(one.records_watch.failed_parts or one.missing_parts),
         watches="parts of the gateway that failed and were begun anew, or could not be begun, as a model whose file is "
         "damaged",
-        response="a part of the gateway failed or could not be begun: see parts in the status and the log, and report "
-        "it",
+        response=Phrase(
+            "a part of the gateway failed or could not be begun: see parts in the status and the log, and report it",
+            it="una parte del gateway è caduta o non si è potuta avviare: vedere le parti nello stato e il log, e "
+            "segnalarlo",
+            de="ein Teil des Gateways ist ausgefallen oder konnte nicht beginnen: siehe Teile im Status und das Log, "
+            "und es melden",
+        ),
         consequence="what that part does is late or missing",
     ),
     "clock": AlarmKind(
         subject="machine", bit=8, priority=3,
+        title=Phrase("clock wrong", it="orologio errato", de="Uhr falsch"),
+        applies=always,
+        limit=yes_or_no,
+        finding=lambda one, _: found(one.clock_complaint),
         watches="the clock, against the newest record, the monotonic clock and the PLC's (`clock.tag`)",
-        response="the clock has jumped: set it and start the gateway anew; nothing is deleted by age meanwhile",
+        response=Phrase(
+            "the clock has jumped: set it and start the gateway anew; nothing is deleted by age meanwhile",
+            it="l'orologio è saltato: regolarlo e riavviare il gateway; nel frattempo nulla viene cancellato per età",
+            de="die Uhr ist gesprungen: sie stellen und das Gateway neu starten; bis dahin wird nichts nach Alter "
+            "gelöscht",
+        ),
         consequence="times in the records are wrong",
     ),
     "clock not steered": AlarmKind(
         subject="plant", priority=4, on_delay=3600.0,
+        title=Phrase("clock not steered", it="orologio non sincronizzato", de="Uhr nicht gestellt"),
+        applies=always,
+        limit=yes_or_no,
+        finding=_not_steered,
         watches="whether a time server steers this computer's clock, by the kernel's own account",
-        response="no time server steers the clock: see timedatectl, and have NTP set up; where there shall be none, "
-        "switch this alarm off",
+        response=Phrase(
+            "no time server steers the clock: see timedatectl, and have NTP set up; where there shall be none, "
+            "switch this alarm off",
+            it="nessun server orario regola l'orologio: vedere timedatectl e configurare NTP; dove non deve esserci, "
+            "disattivare questo allarme",
+            de="kein Zeitserver stellt die Uhr: siehe timedatectl und NTP einrichten; wo es keinen geben soll, diesen "
+            "Alarm abschalten",
+        ),
         consequence="the clock drifts by seconds a day, and times of this gateway and of others cannot be compared",
+    ),
+    "link": AlarmKind(
+        subject="machine", priority=1, on_delay=10.0,
+        title=Phrase(
+            "no connection to the machine",
+            it="nessun collegamento con la macchina",
+            de="keine Verbindung zur Maschine",
+        ),
+        applies=always,
+        limit=yes_or_no,
+        finding=lambda one, _: found(not one.link.alive),
+        watches="whether good readings arrive at all",
+        response=Phrase(
+            "no good reading arrives: see link in the status, then look at network, cable and PLC",
+            it="non arriva nessuna lettura valida: vedere il collegamento, poi controllare rete, cavo e PLC",
+            de="es kommt kein guter Messwert an: siehe Verbindung, dann Netz, Kabel und SPS prüfen",
+        ),
+        consequence="the machine is not watched",
     ),
     "disk": AlarmKind(
         subject="plant",
+        title=Phrase("disk nearly full", it="disco quasi pieno", de="Platte fast voll"),
+        applies=always,
+        limit=lambda _: 0.0,
+        finding=_lacking_mb,
         watches="the room that is left where the records lie, against `alarms.disk_mb`",
-        response="the disk is nearly full: make room, or lower historian.max_mb",
+        response=Phrase(
+            "the disk is nearly full: make room, or lower historian.max_mb",
+            it="il disco è quasi pieno: fare spazio, o ridurre historian.max_mb",
+            de="die Platte ist fast voll: Platz schaffen oder historian.max_mb verringern",
+        ),
         consequence="the oldest measurements go, and in the end nothing is on record",
     ),
     "certificate": AlarmKind(
         subject="machine", priority=3,
+        title=Phrase("certificate runs out", it="certificato in scadenza", de="Zertifikat läuft ab"),
+        applies=lambda at: bool(at.config.certificate_folders),
+        limit=lambda at: -at.config.alarms.certificate_days,
+        finding=lambda one, _: None if one.surroundings.days is None else -one.surroundings.days,
         watches="the days until a certificate of the link or of the OPC UA server runs out, against "
         "`alarms.certificate_days`",
-        response="a certificate of the link or of the OPC UA server runs out: have a new one made and put in its place",
+        response=Phrase(
+            "a certificate of the link or of the OPC UA server runs out: have a new one made and put in its place",
+            it="un certificato del collegamento o del server OPC UA sta per scadere: farne fare uno nuovo e metterlo "
+            "al suo posto",
+            de="ein Zertifikat der Verbindung oder des OPC-UA-Servers läuft ab: ein neues machen lassen und an seine "
+            "Stelle legen",
+        ),
         consequence="from that day on the PLC refuses the gateway and the machine is not watched, or the clients of "
         "the OPC UA server refuse it and see nothing",
     ),
     "notification": AlarmKind(
         subject="plant", priority=3,
+        title=Phrase("messages not delivered", it="messaggi non recapitati", de="Meldungen nicht zugestellt"),
+        applies=lambda at: bool(at.config.notify.to),
+        limit=yes_or_no,
+        finding=lambda one, _: found(one.common.undelivered()),
         watches="whether messages about alarms are delivered",
-        response="messages about alarms are not delivered: see the log for the recipient, then mail server or web hook",
+        response=Phrase(
+            "messages about alarms are not delivered: see the log for the recipient, then mail server or web hook",
+            it="i messaggi sugli allarmi non vengono recapitati: vedere nel log il destinatario, poi il server di "
+            "posta o il web hook",
+            de="Meldungen über Alarme werden nicht zugestellt: siehe im Log den Empfänger, dann Mailserver oder "
+            "Web-Hook",
+        ),
         consequence="nobody who is away from the page hears of an alarm",
     ),
     "northbound": AlarmKind(
         subject="plant", priority=3, on_delay=300.0,
+        title=Phrase(
+            "other systems out of reach",
+            it="altri sistemi non raggiungibili",
+            de="andere Systeme nicht erreichbar",
+        ),
+        applies=lambda at: bool(at.config.northbound.sinks),
+        limit=yes_or_no,
+        finding=lambda one, _: found(one.common.unreached()),
         watches="whether the brokers and databases that are told what is on record can be reached",
-        response="a broker or database is out of reach: see the log for which one and why, then network and server",
+        response=Phrase(
+            "a broker or database is out of reach: see the log for which one and why, then network and server",
+            it="un broker o database non è raggiungibile: vedere nel log quale e perché, poi rete e server",
+            de="ein Broker oder eine Datenbank ist nicht erreichbar: siehe im Log welche und warum, dann Netz "
+            "und Server",
+        ),
         consequence="other systems show old values, and what is older than northbound.backlog_hours never comes there",
+    ),
+    "another writer": AlarmKind(
+        subject="machine", bit=6, priority=1,
+        title=Phrase("another gateway writes", it="scrive un altro gateway", de="ein anderes Gateway schreibt"),
+        applies=lambda at: at.config.map.writeback is not None and at.config.writeback.mode != "off",
+        limit=yes_or_no,
+        finding=lambda one, scan: None if one.writing is None else found(one.writing.rival(scan.time)),
+        watches="the PLC's word of another gateway that writes its blocks",
+        response=Phrase(
+            "another gateway writes to this PLC: other_writer in the status is its number, writer is this one's; "
+            "find it and disarm one of the two",
+            it="un altro gateway scrive su questo PLC: other_writer nello stato è il suo numero, writer quello di "
+            "questo; trovarlo e disarmare uno dei due",
+            de="ein anderes Gateway schreibt in diese SPS: other_writer im Status ist seine Nummer, writer die von "
+            "diesem; es finden und eines der beiden entschärfen",
+        ),
+        consequence="the PLC takes the other one's blocks, or nobody's",
+    ),
+    "device": AlarmKind(
+        subject="machine", bit=6,
+        title=Phrase(
+            "the device reports a fault",
+            it="il dispositivo segnala un guasto",
+            de="das Gerät meldet eine Störung",
+        ),
+        applies=lambda at: at.complains,
+        limit=yes_or_no,
+        finding=lambda one, _: found(one.complaints()),
+        watches="what the device itself says is wrong with it (as by EMCY)",
+        response=Phrase(
+            "the device or its bus says that something is wrong: see complaints in the status",
+            it="il dispositivo o il suo bus segnala un guasto: vedere le segnalazioni nello stato",
+            de="das Gerät oder sein Bus meldet eine Störung: siehe die Meldungen im Status",
+        ),
+        consequence="readings may fail or be wrong",
+    ),
+    "inputs bad": AlarmKind(
+        subject="machine", bit=4,
+        title=Phrase("readings bad", it="letture non valide", de="Messwerte schlecht"),
+        applies=always,
+        limit=yes_or_no,
+        more=_inputs,
+        finding=_worst_input,
+        watches="whether the readings that a model needs, or that are watched, are good",
+        response=Phrase(
+            "readings are stale or bad: see values and link in the status, then look at PLC and cable",
+            it="le letture sono vecchie o non valide: vedere valori e collegamento, poi controllare PLC e cavo",
+            de="Messwerte sind alt oder schlecht: siehe Werte und Verbindung, dann SPS und Kabel prüfen",
+        ),
+        consequence="nothing is predicted, and a temperature over its limit may not be seen",
     ),
 }  # fmt: skip
 """Every kind by its name, in the order in which they are shown."""

@@ -496,6 +496,15 @@ class Config:
         return self.writeback.audit_heads or self.audit.with_suffix(".heads.jsonl")
 
     @property
+    def certificate_folders(self) -> tuple[Path, ...]:
+        """The folders of the certificates without which the machine is not read; of the first one's those of the OPC UA
+        server too, which the plant has once."""
+        opcua = self.northbound.opcua
+        named = [link.settings.get("certificates") for link in self.links]
+        named += [opcua.certificates] if opcua.port is not None and self.leads else []
+        return tuple(Path(str(each)) for each in named if each)
+
+    @property
     def blocks_per_second(self) -> float:
         """The most blocks a real second: as configured, or twice the scans and at least LEAST_BLOCKS."""
         return self.writeback.most_per_second or max(LEAST_BLOCKS, 2.0 * self.clock.speed / self.scan.period)

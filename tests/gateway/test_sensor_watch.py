@@ -7,9 +7,9 @@ import pytest
 
 from drivers.tag import Quality, Sample
 from gateway.machine.alarms import SensorWatch
-from gateway.machine.alarms.conditions import FAULT
 from gateway.machine.alarms.sensors import REFERENCE_SECONDS
 from gateway.machine.reading import Scan
+from gateway.settings import FAULT
 from sim.plant import scenario
 
 A, B = "TCuscinettiRiduttore", "TCuscinettiAlimentazione"

@@ -117,7 +117,7 @@ async def test_model_follows_forecasts_and_finds_without_a_machine_around_it(tmp
         assert prediction.location == "on" and prediction.known
         first, finished, third = collected
         assert first is None and third is None and finished is not None, "begun after the first scan, given once"
-        assert forecast is finished.forecast and unit.findings(prediction, forecast)["inputs bad"] == 0.0
+        assert forecast is finished.forecast and prediction.worst == 0
         assert unit.findings(prediction, None)["predicted over limit"] is None
         unit.begin_anew()
         assert unit.prediction is None and unit.outlook.latest is None

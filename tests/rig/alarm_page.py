@@ -17,7 +17,7 @@ def kind_table() -> str:
     ]
     for name, kind in ALARM_KINDS.items():
         about = f"{kind.watches} (NE 107: {kind.namur})" if kind.namur else kind.watches
-        response = kind.response.format(tag="the tag", limit=80.0, unit="degC")
+        response = kind.response.format(tag="the tag", twin="its twin", limit="80", unit="degC")
         bit = "" if kind.bit is None else str(kind.bit)
         lines.append(
             f"| `{name}` | {kind.subject} | {kind.priority} | {bit} | {about} | {response} | {kind.consequence} |"

@@ -1,26 +1,7 @@
 """Alarms by ISA-18.2: their states, and which of them a machine has."""
 
 from gateway.machine.alarms.board import BY_PERSONS, GATEWAY, AlarmBoard, AlarmError, AlarmListener
-from gateway.machine.alarms.conditions import (
-    CERTIFICATE,
-    CLOCK,
-    CLOCK_SYNC,
-    DEVICE,
-    DISK,
-    FAULT,
-    INPUTS,
-    LINK,
-    NORTHBOUND,
-    NOTIFICATION,
-    OTHER_WRITER,
-    PARTS,
-    RECORDS,
-    acknowledge_words,
-    certificate_folders,
-    make_conditions,
-    name_of,
-    suppressing_tags,
-)
+from gateway.machine.alarms.conditions import acknowledge_words, make_conditions, name_of, suppressing_tags
 from gateway.machine.alarms.journal import JournalRow, read_journal
 from gateway.machine.alarms.picture import diagram, state_table, transition_table
 from gateway.machine.alarms.rates import PRIORITIES, AlarmFlood, AlarmRates, alarm_rates
@@ -42,25 +23,12 @@ from gateway.machine.alarms.states import (
 
 __all__ = [
     "BY_PERSONS",
-    "CERTIFICATE",
     "CHANGE_WORDS",
-    "CLOCK",
-    "CLOCK_SYNC",
-    "DEVICE",
-    "DISK",
-    "FAULT",
     "GATEWAY",
     "HIDDEN",
-    "INPUTS",
     "LETTERS",
-    "LINK",
     "MEANINGS",
-    "NORTHBOUND",
-    "NOTIFICATION",
-    "OTHER_WRITER",
-    "PARTS",
     "PRIORITIES",
-    "RECORDS",
     "TRANSITIONS",
     "UNSEEN",
     "Alarm",
@@ -78,7 +46,6 @@ __all__ = [
     "Transition",
     "acknowledge_words",
     "alarm_rates",
-    "certificate_folders",
     "diagram",
     "make_conditions",
     "name_of",

@@ -150,10 +150,7 @@ class AlarmBoard:
         self._step(values, scan.time, dict(self.alarms))
 
     def on_predictions(self, scan: Scan, findings: Mapping[str, float | None]) -> None:
-        """What the model finds, and without one that an input is bad; None for what is not known."""
-        if "inputs bad" not in findings:
-            bad = any(scan.good(name) is None for name in self.watched)
-            findings = {"inputs bad": float(bad), **findings}
+        """What the models find, and the machine of itself; None for what is not known."""
         self._step(findings, scan.time, dict(self.alarms))
 
     def follow_past(self, scans: Iterable[Scan]) -> None:

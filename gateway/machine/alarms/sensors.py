@@ -11,8 +11,9 @@ from math import exp, isfinite, nan, sqrt
 from typing import Any
 
 from drivers.tag import Quality, Sample
-from gateway.machine.alarms.conditions import FAULT, RISING, SENSOR_FAULTS, on_tag
+from gateway.machine.alarms.conditions import RISING, SENSOR_FAULTS, on_tag
 from gateway.machine.reading import Scan
+from gateway.settings import FAULT
 
 GAP_SECONDS = 60.0
 """A reading that follows the one before by more than this says nothing of the way between them."""

@@ -245,7 +245,6 @@ class ModelUnit:
             "unfamiliar": None if p.familiarity is None else p.familiarity.strangeness,
             "review": float(self.guards.flagged) if trusted else None,
             "drift": float(self.guards.drift.running),
-            "inputs bad": float(p.worst),
         }
 
     def foresee(self, scan: Scan, prediction: ScanPrediction) -> None:

@@ -1,10 +1,13 @@
-"""Every word that a browser shows, from one table of texts (`texts.toml`): a key, and its text in each language."""
+"""Every word that a browser shows: a key, and its text in each language. Most stand in one table (`texts.toml`)."""
 
 import re
 import tomllib
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+
+from gateway.settings import ALARM_KINDS
+from sim.phrase import said_in
 
 LANGUAGES = ("en", "it", "de")
 """The first one is what a browser gets that asks for none of them."""
@@ -30,12 +33,23 @@ class Words:
 def all_words() -> dict[str, Words]:
     """The words of every language."""
     table = tomllib.loads((Path(__file__).parent / "texts.toml").read_text(encoding="utf-8"))
+    own = _own_words()
     return {
         language: Words(
             language,
-            {f"{section}.{key}": rows[language] for section, keys in table.items() for key, rows in keys.items()},
+            {f"{section}.{key}": rows[language] for section, keys in table.items() for key, rows in keys.items()}
+            | {key: said_in(language, text) for key, text in own.items()},
         )
         for language in LANGUAGES
+    }
+
+
+def _own_words() -> dict[str, str]:
+    """The texts that stand beside what they speak of, by their keys."""
+    kinds = {name.replace(" ", "_"): kind for name, kind in ALARM_KINDS.items()}
+    return {
+        **{f"kind.{key}": kind.title for key, kind in kinds.items()},
+        **{f"response.{key}": kind.response for key, kind in kinds.items()},
     }
 
 

@@ -92,7 +92,8 @@ def _response(words: Words, labels: Mapping[str, str], status: GatewayStatus, al
     tag = status.values.get(alarm.tag)
     limit = words.number(alarm.limit, 0 if alarm.limit == int(alarm.limit) else 1)
     unit = "" if tag is None else shown_unit(tag.unit)
-    return words.say(key, tag=labels.get(alarm.tag, alarm.tag), limit=limit, unit=unit)
+    twin = words.say("word.twin")
+    return words.say(key, tag=labels.get(alarm.tag, alarm.tag), twin=twin, limit=limit, unit=unit)
 
 
 def _temperature(
