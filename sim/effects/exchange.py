@@ -21,6 +21,7 @@ from sim.effects.kind import (
     TextWriter,
 )
 from sim.effects.roles import AMBIENT, FEED, PUMP, SINK, TO_SCALE_OF_X
+from sim.phrase import Phrase
 from sim.sha import Array, Effect
 
 ABSOLUTE_ZERO = -273.15
@@ -174,7 +175,11 @@ def _has_level(params: Params) -> str:
 FLOWING = (
     EffectKind(
         name="feed-temperature-coupling",
-        meaning="what is fed draws the measured part towards its own temperature",
+        meaning=Phrase(
+            "what is fed draws the measured part towards its own temperature",
+            it="il prodotto alimentato tira la temperatura verso la propria",
+            de="das Zugeführte zieht die Temperatur zu seiner eigenen",
+        ),
         parameters={"loss": _LOSS, **TO_SCALE_OF_X},
         roles=Roles(
             needed=(FEED,),
@@ -188,7 +193,11 @@ FLOWING = (
         candidate=EffectCandidate(
             strength="loss",
             sign=1.0,
-            experiment="feed at two temperatures at one load",
+            experiment=Phrase(
+                "feed at two temperatures at one load",
+                it="alimentare a due temperature con lo stesso carico",
+                de="bei einer Last mit zwei Temperaturen zuführen",
+            ),
             look="what is fed: its temperature, and how much flows by the bearing",
             shapes=_feeds,
             refine={"shift": (-6000.0, 1000.0)},
@@ -196,7 +205,11 @@ FLOWING = (
     ),
     EffectKind(
         name="pump-cooling",
-        meaning="the pump cools the measured part while it runs",
+        meaning=Phrase(
+            "the pump cools the measured part while it runs",
+            it="la pompa raffredda mentre è in marcia",
+            de="die Pumpe kühlt, solange sie läuft",
+        ),
         parameters={
             "loss": _LOSS,
             "sink": Parameter(unit="degC", rescaled="mapped", role="sink"),
@@ -212,7 +225,11 @@ FLOWING = (
         candidate=EffectCandidate(
             strength="loss",
             sign=1.0,
-            experiment="run for half an hour at one load with the pump on, then off",
+            experiment=Phrase(
+                "run for half an hour at one load with the pump on, then off",
+                it="mezz'ora allo stesso carico con la pompa in marcia, poi ferma",
+                de="bei einer Last eine halbe Stunde mit Pumpe fahren, dann ohne",
+            ),
             look="the pump's water: flow, valve, filter, and how cold it comes",
             shapes=_sinks,
             refine={"sink": (-1000.0, 100.0)},
@@ -223,7 +240,11 @@ FLOWING = (
 HOUSING = EffectKind(
     name="housing-thermal-mass",
     # heat coupling (H - X), dH/dt = (X - H) / tau, H starts at X
-    meaning="a second mass (the housing) stores heat and gives it back",
+    meaning=Phrase(
+        "a second mass (the housing) stores heat and gives it back",
+        it="una seconda massa (la carcassa) accumula calore e lo restituisce",
+        de="eine zweite Masse (das Gehäuse) speichert Wärme und gibt sie zurück",
+    ),
     parameters={
         "coupling": Parameter(unit="1/s", low=0.0, rescaled="stays"),
         "tau": Parameter(unit="s", positive=True, rescaled="stays"),
@@ -236,7 +257,11 @@ HOUSING = EffectKind(
     candidate=EffectCandidate(
         strength="coupling",
         sign=1.0,
-        experiment="log the room for three days, or a second sensor: a housing lags, a room does not",
+        experiment=Phrase(
+            "log the room for three days, or a second sensor: a housing lags, a room does not",
+            it="registrare l'ambiente per tre giorni, o un secondo sensore: la carcassa ritarda, l'ambiente no",
+            de="den Raum drei Tage aufzeichnen oder einen zweiten Sensor: ein Gehäuse hinkt nach, ein Raum nicht",
+        ),
         look="housing and foundation: what metal is warmed with the bearing, insulation, a missing second sensor",
         shapes=lambda _: [{"tau": tau} for tau in (900.0, 1800.0, 3600.0, 7200.0, 14400.0)],
         refine={"tau": (300.0, 40000.0)},
@@ -247,7 +272,11 @@ BENDING = (
     EffectKind(
         name="thermostatic-cooling",
         # heat -loss (X - sink) while open; opens at X >= opens, closes at X <= closes, closed at the start
-        meaning="a cooling by a thermostat, which switches or opens gradually as it gets warmer",
+        meaning=Phrase(
+            "a cooling by a thermostat, which switches or opens gradually as it gets warmer",
+            it="un raffreddamento con termostato, che scatta o si apre gradualmente quando si scalda",
+            de="eine Kühlung mit Thermostat, der bei Erwärmung schaltet oder allmählich öffnet",
+        ),
         parameters={
             "loss": Parameter(unit="1/s", low=0.0, rescaled="stays"),
             "sink": _DEGREES,
@@ -263,7 +292,11 @@ BENDING = (
         candidate=EffectCandidate(
             strength="loss",
             sign=1.0,
-            experiment="a slow ramp of the load up and down: a hysteresis loop",
+            experiment=Phrase(
+                "a slow ramp of the load up and down: a hysteresis loop",
+                it="una rampa lenta del carico, su e giù: un ciclo di isteresi",
+                de="eine langsame Rampe der Last auf und ab: eine Hystereseschleife",
+            ),
             look="a thermostat, valve or fan that switches by itself: where it opens and closes",
             shapes=_valves,
             refine={"opens": (-50.0, 200.0), "closes": (-50.0, 200.0)},
@@ -277,7 +310,11 @@ BENDING = (
         name="radiation-loss",
         # heat -gain ((X - zero)^4 - (Ts - zero)^4 - linear 4 (S - zero)^3 max(X - S, 0)), S being `surroundings`, Ts
         # the ambient signal or S: with `linear` 1 the bend alone, and none of it where X is S
-        meaning="a loss that grows faster than the temperature difference",
+        meaning=Phrase(
+            "a loss that grows faster than the temperature difference",
+            it="una perdita che cresce più della differenza di temperatura",
+            de="ein Verlust, der schneller wächst als der Temperaturunterschied",
+        ),
         parameters={
             "gain": Parameter(unit="1/(s degC^3)", low=0.0, rescaled="inverse cube"),
             "surroundings": Parameter(unit="degC", rescaled="mapped", role="ambient"),
@@ -296,7 +333,11 @@ BENDING = (
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
-            experiment="a slow ramp of the load up and down: no loop, but a bend",
+            experiment=Phrase(
+                "a slow ramp of the load up and down: no loop, but a bend",
+                it="una rampa lenta del carico, su e giù: nessun ciclo, ma una curva",
+                de="eine langsame Rampe der Last auf und ab: keine Schleife, aber ein Knick",
+            ),
             look="hot bare surfaces: paint, insulation, what the machine faces",
             shapes=_walls,
             either={"walls": (1.0, 0.0)},

@@ -15,6 +15,7 @@ from sim.effects.kind import (
     Roles,
 )
 from sim.effects.roles import AMBIENT, CURRENT, SPEED, TORQUE, VIBRATION
+from sim.phrase import Phrase
 
 REFERENCE = Parameter(unit="of the signal", rescaled="stays")
 LAGS = (15.0, 30.0, 60.0, 120.0, 240.0, 480.0)
@@ -33,7 +34,7 @@ def about_usual(role: str) -> Callable[[MachineLog], Sequence[Params]]:
 
 
 def _friction(
-    role: Role, *, name: str, meaning: str, experiment: str, look: str, powers: tuple[float, float]
+    role: Role, *, name: str, meaning: Phrase, experiment: Phrase, look: str, powers: tuple[float, float]
 ) -> EffectKind:
     """Heat gain (s^power - reference^power), a negative signal counting as 0."""
 
@@ -78,7 +79,11 @@ def _losses(log: MachineLog) -> Sequence[Params]:
 HEATING = (
     EffectKind(
         name="current-heating",
-        meaning="heat that grows with the current inside a bin of the current",
+        meaning=Phrase(
+            "heat that grows with the current inside a bin of the current",
+            it="calore che cresce con la corrente entro una fascia",
+            de="Wärme, die innerhalb eines Strombereichs mit dem Strom wächst",
+        ),
         parameters={
             "gain": Parameter(unit="degC/s per unit of the signal", rescaled="scaled"),
             "reference": REFERENCE,
@@ -89,14 +94,22 @@ HEATING = (
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
-            experiment="hold two currents inside one bin for half an hour each",
+            experiment=Phrase(
+                "hold two currents inside one bin for half an hour each",
+                it="tenere due correnti della stessa fascia, mezz'ora ciascuna",
+                de="zwei Ströme desselben Bereichs je eine halbe Stunde halten",
+            ),
             look="the drive's load: what the motor's current is spent on besides turning the bowl",
             shapes=about_usual("current"),
         ),
     ),
     EffectKind(
         name="quadratic-current-heating",
-        meaning="heat that grows with the square of the current",
+        meaning=Phrase(
+            "heat that grows with the square of the current",
+            it="calore che cresce con il quadrato della corrente",
+            de="Wärme, die mit dem Quadrat des Stroms wächst",
+        ),
         parameters={
             "gain": Parameter(unit="degC/s per squared unit of the signal", rescaled="scaled"),
             "reference": REFERENCE,
@@ -109,7 +122,11 @@ HEATING = (
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
-            experiment="dwell at three currents or more, each until the temperature settles",
+            experiment=Phrase(
+                "dwell at three currents or more, each until the temperature settles",
+                it="restare a tre o più correnti, ciascuna finché la temperatura si stabilizza",
+                de="bei drei oder mehr Strömen bleiben, je bis die Temperatur steht",
+            ),
             look="the motor and its cables: losses in copper, loose or hot terminals",
             shapes=_losses,
             refine={"lag": LAG_RANGE},
@@ -117,7 +134,11 @@ HEATING = (
     ),
     EffectKind(
         name="late-current-heating",
-        meaning="heat of the current that comes late",
+        meaning=Phrase(
+            "heat of the current that comes late",
+            it="calore della corrente che arriva in ritardo",
+            de="Wärme des Stroms, die verspätet kommt",
+        ),
         parameters={
             "gain": Parameter(unit="degC/s per unit of the signal", rescaled="scaled"),
             "reference": REFERENCE,
@@ -130,8 +151,14 @@ HEATING = (
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
-            experiment="stop from full load, then switch the pump at rest: a lag of the sensor delays both, this only "
-            "the first",
+            experiment=Phrase(
+                "stop from full load, then switch the pump at rest: a lag of the sensor delays both, this only "
+                "the first",
+                it="fermare da pieno carico, poi azionare la pompa a macchina ferma: un ritardo del sensore "
+                "rallenta entrambi, questo solo il primo",
+                de="aus voller Last anhalten, dann in Ruhe die Pumpe schalten: eine Trägheit des Sensors "
+                "verzögert beides, dies nur das erste",
+            ),
             look="the motor and its cables: heat that is made there and reaches the measured part later",
             shapes=_lates,
             refine={"lag": LAG_RANGE},
@@ -140,7 +167,11 @@ HEATING = (
     ),
     EffectKind(
         name="current-saturation",
-        meaning="above some current the heat grows no further with it",
+        meaning=Phrase(
+            "above some current the heat grows no further with it",
+            it="oltre una certa corrente il calore non cresce più",
+            de="ab einem Strom wächst die Wärme nicht weiter",
+        ),
         parameters={
             "gain": Parameter(unit="degC/s per unit of the signal", rescaled="scaled"),
             "knee": REFERENCE,
@@ -151,7 +182,11 @@ HEATING = (
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
-            experiment="dwell at three currents or more, two of them near the highest",
+            experiment=Phrase(
+                "dwell at three currents or more, two of them near the highest",
+                it="restare a tre o più correnti, due vicine alla massima",
+                de="bei drei oder mehr Strömen bleiben, zwei davon nahe dem höchsten",
+            ),
             look="the drive: a current limit or a slipping belt or coupling near full load",
             shapes=_knees,
             refine={"knee": (10.0, 350.0)},
@@ -160,30 +195,58 @@ HEATING = (
     _friction(
         TORQUE,
         name="torque-friction",
-        meaning="friction heat that follows the torque",
-        experiment="change the speed at constant torque, then the torque at constant speed",
+        meaning=Phrase(
+            "friction heat that follows the torque",
+            it="calore d'attrito che segue la coppia",
+            de="Reibungswärme, die dem Drehmoment folgt",
+        ),
+        experiment=Phrase(
+            "change the speed at constant torque, then the torque at constant speed",
+            it="variare la velocità a coppia costante, poi la coppia a velocità costante",
+            de="erst die Drehzahl bei gleichem Moment ändern, dann das Moment bei gleicher Drehzahl",
+        ),
         look="gearbox and scroll: oil level, wear, hard solids between scroll and bowl",
         powers=(0.5, 3.0),
     ),
     _friction(
         SPEED,
         name="speed-friction",
-        meaning="friction heat that follows the speed",
-        experiment="change the speed at constant torque",
+        meaning=Phrase(
+            "friction heat that follows the speed",
+            it="calore d'attrito che segue la velocità",
+            de="Reibungswärme, die der Drehzahl folgt",
+        ),
+        experiment=Phrase(
+            "change the speed at constant torque",
+            it="variare la velocità a coppia costante",
+            de="die Drehzahl bei gleichem Moment ändern",
+        ),
         look="the bearings' grease at speed: too much, too stiff, or the wrong kind",
         powers=(1.0, 3.0),  # friction's heat is force times speed: it never grows more slowly than the speed
     ),
     _friction(
         VIBRATION,
         name="vibration-friction",
-        meaning="heat that follows the vibration",
-        experiment="change the speed at constant torque and watch whether heat goes with the vibration alone",
+        meaning=Phrase(
+            "heat that follows the vibration",
+            it="calore che segue le vibrazioni",
+            de="Wärme, die der Schwingung folgt",
+        ),
+        experiment=Phrase(
+            "change the speed at constant torque and watch whether heat goes with the vibration alone",
+            it="variare la velocità a coppia costante e vedere se il calore segue solo le vibrazioni",
+            de="die Drehzahl bei gleichem Moment ändern und sehen, ob die Wärme allein der Schwingung folgt",
+        ),
         look="balance and bearings: deposits in the bowl, worn races, loose feet",
         powers=(0.5, 3.0),
     ),
     EffectKind(
         name="ambient-coupling",
-        meaning="the measured part follows the room's temperature",
+        meaning=Phrase(
+            "the measured part follows the room's temperature",
+            it="la temperatura segue quella dell'ambiente",
+            de="die Temperatur folgt der des Raums",
+        ),
         parameters={
             "gain": Parameter(unit="1/s", rescaled="scaled"),
             "reference": Parameter(unit="degC", rescaled="stays"),
@@ -194,7 +257,11 @@ HEATING = (
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
-            experiment="log the room for three days, with a night at rest",
+            experiment=Phrase(
+                "log the room for three days, with a night at rest",
+                it="registrare l'ambiente per tre giorni, con una notte a macchina ferma",
+                de="den Raum drei Tage aufzeichnen, mit einer Nacht in Ruhe",
+            ),
             look="the room: ventilation, sun on the housing, a heat source beside the machine",
             shapes=_rooms,
             refine={"at_rest": (0.1, 1.5)},

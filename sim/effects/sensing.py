@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 
 from sim.effects.kind import ABSOLUTE_SECONDS, EffectCandidate, EffectKind, Parameter, Params, Roles, Structural
+from sim.phrase import Phrase
 from sim.sha import Array
 
 BLURRED = 2
@@ -38,7 +39,11 @@ SENSING = (
     EffectKind(
         name="dead-time",
         # events and signals act `delay` s later
-        meaning="heat reaches the sensor only after a dead time",
+        meaning=Phrase(
+            "heat reaches the sensor only after a dead time",
+            it="il calore arriva al sensore solo dopo un tempo morto",
+            de="Wärme erreicht den Sensor erst nach einer Totzeit",
+        ),
         parameters={"delay": Parameter(unit="s", low=0.0, rescaled="stays")},
         roles=Roles(),
         acts="everywhere",
@@ -48,7 +53,11 @@ SENSING = (
         candidate=EffectCandidate(
             strength="delay",
             sign=1.0,
-            experiment="one sharp step of the current, logged at 1 Hz",
+            experiment=Phrase(
+                "one sharp step of the current, logged at 1 Hz",
+                it="un gradino netto della corrente, registrato ogni secondo",
+                de="ein scharfer Sprung des Stroms, jede Sekunde aufgezeichnet",
+            ),
             look="how the reading comes here: averaging in the PLC, a slow bus, a sensor far from the heat",
             shapes=lambda _: [
                 {"delay": delay, "blur": blur}
@@ -63,7 +72,11 @@ SENSING = (
     EffectKind(
         name="sensor-lag",
         # the sensor reads the last of `order` first-order lags of tau/order each, driven by X
-        meaning="the sensor follows what it measures with a lag",
+        meaning=Phrase(
+            "the sensor follows what it measures with a lag",
+            it="il sensore segue in ritardo ciò che misura",
+            de="der Sensor hinkt dem nach, was er misst",
+        ),
         parameters={
             "tau": Parameter(unit="s", positive=True, rescaled="stays"),
             "order": Parameter(unit="1", low=1, high=3, whole=True, rescaled="stays"),
@@ -76,7 +89,11 @@ SENSING = (
         candidate=EffectCandidate(
             strength="tau",
             sign=1.0,
-            experiment="one sharp step of the current, logged at 1 Hz",
+            experiment=Phrase(
+                "one sharp step of the current, logged at 1 Hz",
+                it="un gradino netto della corrente, registrato ogni secondo",
+                de="ein scharfer Sprung des Stroms, jede Sekunde aufgezeichnet",
+            ),
             look="the sensor's seat: paste, a loose well, air between probe and metal",
             shapes=lambda _: [
                 {"tau": tau, "order": order}
@@ -90,7 +107,11 @@ SENSING = (
     EffectKind(
         name="sensor-offset-step",
         # the sensor reads X + size from t >= at on
-        meaning="from some moment on the sensor reads higher or lower by a constant",
+        meaning=Phrase(
+            "from some moment on the sensor reads higher or lower by a constant",
+            it="da un certo momento il sensore legge di più o di meno, di un valore costante",
+            de="von einem Zeitpunkt an misst der Sensor um einen festen Wert zu hoch oder zu tief",
+        ),
         parameters={
             "size": Parameter(unit="degC", rescaled="scaled"),
             "at": Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays"),
@@ -103,7 +124,11 @@ SENSING = (
         candidate=EffectCandidate(
             strength="size",
             sign=0.0,
-            experiment="a reading at long rest, against a second thermometer",
+            experiment=Phrase(
+                "a reading at long rest, against a second thermometer",
+                it="una lettura a lungo riposo, contro un secondo termometro",
+                de="eine Messung in langer Ruhe, gegen ein zweites Thermometer",
+            ),
             look="the sensor: its plug, its seat, whether it was exchanged or calibrated",
             shapes=lambda log: [
                 {"at": float(log.time[int(share * log.time.size)])} for share in np.arange(0.05, 0.96, 0.1).tolist()

@@ -15,6 +15,7 @@ from sim.effects.kind import (
     VaryingBound,
     VaryingLaw,
 )
+from sim.phrase import Phrase
 from sim.sha import Array, Effect
 
 _EXPONENTS = np.array(
@@ -60,7 +61,11 @@ def _wear_text(writer: TextWriter, effect: Effect) -> str:
 VARYING = (
     EffectKind(
         name="startup-churning",
-        meaning="extra heat after each start that dies away (grease being churned)",
+        meaning=Phrase(
+            "extra heat after each start that dies away (grease being churned)",
+            it="calore in più dopo ogni avviamento, che si smorza (grasso rimescolato)",
+            de="zusätzliche Wärme nach jedem Anlauf, die abklingt (gewalktes Fett)",
+        ),
         parameters={
             "gain": Parameter(unit="degC/s", rescaled="scaled"),
             "tau": Parameter(unit="s", positive=True, rescaled="stays"),
@@ -81,7 +86,11 @@ VARYING = (
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
-            experiment="start twice within an hour, at the same load",
+            experiment=Phrase(
+                "start twice within an hour, at the same load",
+                it="avviare due volte entro un'ora, con lo stesso carico",
+                de="zweimal in einer Stunde anlaufen, bei gleicher Last",
+            ),
             look="the grease after a start: amount, age, when it was filled last",
             shapes=lambda _: [
                 {"tau": tau, "shape": shape}
@@ -92,7 +101,11 @@ VARYING = (
     ),
     EffectKind(
         name="wear-drift",
-        meaning="friction that grows from day to day",
+        meaning=Phrase(
+            "friction that grows from day to day",
+            it="attrito che cresce di giorno in giorno",
+            de="Reibung, die von Tag zu Tag wächst",
+        ),
         parameters={
             "gain": Parameter(unit="degC/s^2", rescaled="scaled"),
             "since": Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays"),
@@ -116,8 +129,11 @@ VARYING = (
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
-            experiment=(
-                "compare a reading at long rest before and after: a sensor that moved shows it there, wear does not"
+            experiment=Phrase(
+                "compare a reading at long rest before and after: a sensor that moved shows it there, wear does not",
+                it="confrontare una lettura a lungo riposo prima e dopo: un sensore spostato lo mostra, l'usura no",
+                de="eine Messung in langer Ruhe vorher und nachher vergleichen: ein verrückter Sensor zeigt es "
+                "dort, Verschleiß nicht",
             ),
             look="wear: bearing clearance, seals, alignment, and the date of the last overhaul",
             shapes=lambda log: [

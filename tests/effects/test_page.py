@@ -1,12 +1,14 @@
 """docs/adding_an_effect.md followed literally, and docs/effects.md against the table."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from gateway.outside.texts import LANGUAGES, all_words
 from sim.effects import heating, kind
 from sim.effects.kinds import EFFECTS
 from sim.engine.moment_equations import moments
@@ -45,6 +47,16 @@ def test_the_pages_kind_follows_its_written_equation(added: str) -> None:
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_every_engine_takes_it_from_the_row(added: str, learner: str) -> None:
     check_one_course(added, learner, 0.0)
+
+
+def test_the_page_says_it_in_each_language_from_the_row(added: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = all_words.__wrapped__()
+    assert [words[language].say(f"effect.{added}")[:6] for language in LANGUAGES] == ["heat o", "calore", "Wärme "]
+    assert words["de"].say(f"experiment.{added}") == "bei einer Last eine Stunde die Fenster öffnen"
+    monkeypatch.setitem(EFFECTS, added, replace(EFFECTS[added], meaning="heat of wet air"))
+    words = all_words.__wrapped__()
+    assert words["en"].say(f"effect.{added}") == "heat of wet air"
+    assert words["it"].say(f"effect.{added}") == words["de"].say(f"effect.{added}") == "heat of wet air (en)"
 
 
 def test_the_table_of_the_docs_is_the_table_of_the_program() -> None:

@@ -16,6 +16,7 @@ from gateway.outside.texts import LANGUAGES, all_words, preferred
 from gateway.outside.web import machine_view
 from gateway.settings import ALARM_KINDS, kind_of
 from sim.lab.discrepancy.fitting import catalogue
+from sim.phrase import Phrase
 from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import EPOCH, TEMPERATURE
 
@@ -167,6 +168,7 @@ def test_every_effect_that_can_be_named_has_its_words_and_its_experiment_as_a_di
     ):
         said = {key.partition(".")[2]: text for key, text in texts.items() if key.startswith(f"{section}.")}
         assert said == own
+        assert [name for name, text in own.items() if not (isinstance(text, Phrase) and text.whole)] == []
 
 
 def test_a_temperature_that_is_only_watched_has_a_row_without_a_forecast() -> None:

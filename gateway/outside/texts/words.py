@@ -46,10 +46,16 @@ def all_words() -> dict[str, Words]:
 
 def _own_words() -> dict[str, str]:
     """The texts that stand beside what they speak of, by their keys."""
+    # Here: a gateway that neither has a model nor serves a page says nothing of effects.
+    from sim.effects import EFFECTS
+
     kinds = {name.replace(" ", "_"): kind for name, kind in ALARM_KINDS.items()}
+    named = {name: (kind, kind.candidate) for name, kind in EFFECTS.items() if kind.candidate is not None}
     return {
         **{f"kind.{key}": kind.title for key, kind in kinds.items()},
         **{f"response.{key}": kind.response for key, kind in kinds.items()},
+        **{f"effect.{name}": kind.meaning for name, (kind, _) in named.items()},
+        **{f"experiment.{name}": candidate.experiment for name, (_, candidate) in named.items()},
     }
 
 
