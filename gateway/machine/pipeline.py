@@ -294,7 +294,6 @@ class Machine:
                     self.counters.take_events(one.prediction)
 
             self._look_at_itself(scan)
-            self.surroundings.look(scan.time)
             findings |= {
                 name: find(self, scan)
                 for name, condition in self.alarms.conditions.items()
@@ -326,7 +325,8 @@ class Machine:
         return {**own, **self.common.without} if self.config.leads else own
 
     def _look_at_itself(self, scan: Scan) -> None:
-        """Whether records and clock can be relied on at this scan; what changes is logged."""
+        """Whether records, clock and surroundings can be relied on at this scan; what changes is logged."""
+        self.surroundings.look(scan.time)
         self.records_watch.look(scan.time, self.common.complaint_about(self.config.subject))
         clock, before = self.clock, self.clock_complaint
         offset = clock.wall_offset() if isinstance(clock, PlantClock) and clock.speed == 1.0 else 0.0
