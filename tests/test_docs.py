@@ -70,3 +70,11 @@ def test_a_record_that_is_gone_is_found_wherever_it_is_named() -> None:
 def test_no_number_of_a_record_is_given_twice() -> None:
     given = [number for one in records() for number in (one.number, *one.takes_in)]
     assert len(given) == len(set(given))
+
+
+def test_the_glossary_defines_each_word_once() -> None:
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (?!word|term)([^|-][^|]*?) \|", text, flags=re.MULTILINE)
+    words = [word for row in rows for word in re.split(r", | / ", row)]
+    assert len(words) > 250
+    assert [word for word in words if words.count(word) > 1] == []
