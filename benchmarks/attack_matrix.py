@@ -28,9 +28,9 @@ from gateway.demo.links import LINKS
 from gateway.entry import Exit
 from gateway.machine.reading import plant_clock
 from gateway.machine.writing import Validity
+from gateway.outside.status import ControlError, connect
 from gateway.plant.device import make_driver
 from gateway.settings import load_config
-from gateway.status import ControlError, connect
 from gateway.store.historian import open_historian
 from gateway.store.read_back import reading, stored_rows
 from sim.plc.record.recording import BlockRow, read_recording

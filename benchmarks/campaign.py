@@ -24,20 +24,20 @@ import numpy as np
 
 from benchmarks.figures import Figure, best, give
 from benchmarks.processes import learned_model
-from sim.artefacts.formats.find import find_model
 from sim.engine.open_loop_run import open_loop_schedule, start_law
 from sim.engine.simulation import simulate
+from sim.lab.formats.find import find_model
+from sim.lab.validation.campaign import slim
+from sim.lab.validation.pictures import draw_one, drawings
+from sim.lab.validation.semantics import side_by_side
+from sim.lab.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
+from sim.lab.workers import parallel
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.sha.automaton import Input, Location
 from sim.sha.events import encode
 from sim.sha.flows import RELAXING
 from sim.sha.model import Model
 from sim.sha.trace import Trace
-from sim.validation.campaign import slim
-from sim.validation.pictures import draw_one, drawings
-from sim.validation.semantics import side_by_side
-from sim.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
-from sim.workers import parallel
 
 GOAL = 10.0
 RUNS = 1000

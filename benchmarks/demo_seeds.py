@@ -23,10 +23,10 @@ from rich.table import Table
 from gateway.console import shipped
 from gateway.demo.lead_time import AHEAD_S, AlarmScore, chances_along, first_reached, rivals, score
 from gateway.demo.prepare import LEAST_FORECAST_S, P_LIMIT, PLANT_LIMIT, pace
-from gateway.lab.learn import learn_from
+from gateway.lab.learning.learn import learn_from
+from sim.lab.recordings import load_map
 from sim.plant import heat_day_uncontrolled, heat_history
 from sim.sha import Model, Trace, encode
-from sim.traces import load_map
 
 FORECASTS = (("forecast", AHEAD_S, P_LIMIT), ("forecast, 10 % in 5 min", 300.0, 0.1))
 """The demonstration's own alarm, and the one that was chosen on other days than are reported here."""

@@ -23,9 +23,9 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from sim.artefacts.formats import find_model, write_model_directory
-from sim.discrepancy import diagnose
-from sim.learning.bins import learn_bins
+from sim.lab.discrepancy import diagnose
+from sim.lab.formats import find_model, write_model_directory
+from sim.lab.learning.bins import learn_bins
 from sim.plant import CooledPlant, cooled_days
 from sim.sha import DECANTER
 

@@ -27,8 +27,8 @@ from sim.forecast.calibration import issue as issue_bands
 from sim.forecast.calibration import settle as settle_bands
 from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue_pool, mixture, settle_pool, thinned, weights
 from sim.forecast.fan import LEVELS, Forecast, forecast
-from sim.learning.bins.learn import learn_bins
-from sim.learning.outcomes import outcomes_of
+from sim.lab.learning.bins.learn import learn_bins
+from sim.lab.learning.outcomes import outcomes_of
 from sim.plant.decanter import DecanterPlant
 from sim.plant.scenarios import production
 from sim.scores import block_bootstrap, coverage, crps_quantiles
@@ -205,8 +205,8 @@ def synthetic(days: int) -> Case:
 
 def measured() -> list[Case]:
     """What of SKAB and FEMTO is there."""
-    from sim.traces.column_map import load_map
-    from sim.traces.traces import load_traces
+    from sim.lab.recordings.column_map import load_map
+    from sim.lab.recordings.traces import load_traces
 
     def loaded(file: Path, column_map: str) -> tuple[Trace, Alphabet, str]:
         rules = load_map(ROOT / "config" / "traces" / f"{column_map}.toml")

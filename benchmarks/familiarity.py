@@ -22,7 +22,7 @@ from benchmarks.discrepancy.operation import operate
 from benchmarks.discrepancy.plant import Parts, disturbance, measured, run
 from benchmarks.discrepancy.strata import SETS
 from benchmarks.figures import Figure, give
-from gateway.lab.familiar import ErrorPair, error_pair, free_run_error
+from gateway.lab.learning.familiar import ErrorPair, error_pair, free_run_error
 from gateway.machine.model.familiar import CycleFamiliarity
 from gateway.settings.config import AlarmSection
 from sim.artefacts import Familiarity
@@ -35,9 +35,9 @@ from sim.familiarity import (
     fit_reference,
     measured_classes,
 )
-from sim.learning.bins import learn_bins
+from sim.lab.learning.bins import learn_bins
+from sim.lab.recordings import split_cycles
 from sim.sha import DECANTER, Array, Event, Model, Trace, encode
-from sim.traces import split_cycles
 
 MONTH_CYCLES = 120
 """Cycles of a month at four a day."""

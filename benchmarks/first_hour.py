@@ -30,9 +30,9 @@ from click.testing import CliRunner
 
 from benchmarks.figures import Figure, give
 from gateway.cli.main import main as decanter
+from sim.lab.recordings.trace_file import write_trace
 from sim.plant import production
 from sim.sha.trace import Trace
-from sim.traces.trace_file import write_trace
 from tests.rig.pair import ROOT
 
 TEMPERATURE = "TCuscinettiRiduttore"

@@ -26,11 +26,11 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from sim.learning import SURE, GroupTargets, outstanding
+from sim.lab.learning import SURE, GroupTargets, outstanding
+from sim.lab.recordings import write_trace
 from sim.plant import production
 from sim.plant.decanter import DecanterPlant
 from sim.sha import Trace
-from sim.traces import write_trace
 
 ODD_FROM, ODD_HEAT, SCATTER = 10, 1.5, 0.05
 ON_PAPER = 10_000

@@ -16,10 +16,10 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.figures import Figure, best, give
-from sim.checking.language.parse import parse_query
-from sim.checking.query.tree import Probability
-from sim.checking.smc.answers import QuerySettings, answer, initial, prepared
-from sim.checking.smc.runs import sampler
+from sim.lab.checking.language.parse import parse_query
+from sim.lab.checking.query.tree import Probability
+from sim.lab.checking.smc.answers import QuerySettings, answer, initial, prepared
+from sim.lab.checking.smc.runs import sampler
 from sim.sha.automaton import Distribution, Flow
 from sim.sha.model import Model
 from tests.rig.formulas import CHAIN, SLOPES, START, Reference, random_path, references, small_model, traced_course

@@ -15,8 +15,8 @@ from pathlib import Path
 import click
 import numpy as np
 
+from sim.lab.recordings import channel_uses, levels_of, load_map, load_traces
 from sim.sha import DECANTER, Alphabet, Bins, Trace, encode
-from sim.traces import channel_uses, levels_of, load_map, load_traces
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data"

@@ -31,10 +31,10 @@ from benchmarks.isolation import ARMED_MINUTES, SAMPLE_SECONDS, SETTLED_S, Stret
 from benchmarks.northbound_peers import CLIENTS, SERVERS
 from benchmarks.processes import family_of, growth, resident_kilobytes
 from gateway.machine.alarms import AlarmState
-from gateway.status import ControlError, GatewayLine
+from gateway.outside.status import ControlError, GatewayLine
 from gateway.store import reading, stored_rows
 from sim.artefacts.model_json import model_text
-from sim.traces.trace_file import write_trace
+from sim.lab.recordings.trace_file import write_trace
 from tests.rig.pair import (
     CYCLE_S,
     MAP,

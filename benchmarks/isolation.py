@@ -38,14 +38,14 @@ from benchmarks.figures import Figure, give, percentile, shares
 from benchmarks.processes import family_of, growth, resident_kilobytes
 from gateway.demo.can_bus import can_hub
 from gateway.machine.reading import STALE_PERIODS
-from gateway.status import GatewayLine
+from gateway.outside.status import GatewayLine
 from gateway.store import reading, samples, stored_rows
 from sim.artefacts.model_json import model_text
+from sim.lab.recordings.trace_file import write_trace
 from sim.plc.program.faults import shown_at
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording
 from sim.sha.trace import Array
-from sim.traces.trace_file import write_trace
 from tests.rig.pair import CYCLE_S, MAP, ROOT, TIMEOUT_S, Gateway, Plc, end, known_model, plc_process, restless_trace
 
 PERIODS = {"tcp": 0.1, "units": 0.2, "serial": 0.5, "canopen": 0.2}

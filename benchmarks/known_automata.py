@@ -22,14 +22,14 @@ import numpy as np
 
 from benchmarks.figures import Figure, give
 from sim.engine.open_loop_run import measured, open_loop
-from sim.learning.lsha.evidence import PooledEvidence, same_distribution
-from sim.learning.lsha.flow_hypotheses import Flowing, choose_flow
-from sim.learning.lsha.hypothesis import hypothesis_of
-from sim.learning.lsha.learn import learn_lsha
-from sim.learning.lsha.settings import LshaSettings
-from sim.learning.lsha.structures import choose_structure
-from sim.learning.lsha.teacher import Teacher, teacher_of
-from sim.learning.lsha.words import classes_of
+from sim.lab.learning.lsha.evidence import PooledEvidence, same_distribution
+from sim.lab.learning.lsha.flow_hypotheses import Flowing, choose_flow
+from sim.lab.learning.lsha.hypothesis import hypothesis_of
+from sim.lab.learning.lsha.learn import learn_lsha
+from sim.lab.learning.lsha.settings import LshaSettings
+from sim.lab.learning.lsha.structures import choose_structure
+from sim.lab.learning.lsha.teacher import Teacher, teacher_of
+from sim.lab.learning.lsha.words import classes_of
 from sim.sha.automaton import transitions
 from sim.sha.events import Alphabet, Bins, Switch, encode
 from sim.sha.trace import Trace

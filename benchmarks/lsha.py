@@ -24,14 +24,14 @@ from benchmarks.figures import Figure, best, give
 from benchmarks.known_automata import SCATTER, Family, found_again, query_p, random_automaton, traces_of
 from sim.artefacts.model_json import model_text
 from sim.engine.open_loop_run import measured, open_loop
-from sim.learning.bins.learn import learn_bins
-from sim.learning.lsha.learn import LearnedLsha, learn_lsha
+from sim.lab.learning.bins.learn import learn_bins
+from sim.lab.learning.lsha.learn import LearnedLsha, learn_lsha
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.sha.events import DECANTER, Alphabet, Bins, encode
 from sim.sha.model import Model
 from sim.sha.trace import Trace
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
 
 ROOT = Path(__file__).parents[1]
 CNC = ROOT.parent / "shared" / "data" / "lsha_upstream" / "made_cnc"

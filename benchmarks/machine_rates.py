@@ -15,7 +15,7 @@ from benchmarks.figures import Figure, give
 from gateway.machine.model import forecasts_along
 from gateway.settings import EnsembleSection, ForecastSection
 from sim.forecast import LEVELS
-from sim.learning.bins import learn_bins
+from sim.lab.learning.bins import learn_bins
 from sim.sha import DECANTER, Model, Trace
 from tests.learning.plants import Truth, simulate
 

@@ -30,8 +30,8 @@ from benchmarks.figures import Figure, show
 from drivers.supervision import Supervisor
 from drivers.tag import Quality, Tag
 from gateway.entry import print_json
-from gateway.northbound import SinkFeed
-from gateway.northbound.mqtt import SparkplugSink
+from gateway.outside.northbound import SinkFeed
+from gateway.outside.northbound.mqtt import SparkplugSink
 from gateway.plant.fleet import SWITCH_SECONDS
 from gateway.settings import MqttRow
 from gateway.store import Historian, open_historian

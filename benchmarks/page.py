@@ -30,9 +30,9 @@ import click
 from benchmarks.figures import Figure, give
 from drivers.tag import Tag
 from gateway.machine.reading import plant_clock
+from gateway.outside.web.reader import HistorianReader
 from gateway.plant.app import SWITCH_SECONDS, run
 from gateway.store import percentile, reading, stored_rows
-from gateway.web.reader import HistorianReader
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, logged, one_machine, two_modes
 
 SHOWN = """

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bare import TEST_REGISTERS, WRITTEN
-from sim.artefacts.formats.write_model import write_model_directory
-from sim.learning.bins.learn import learn_bins
+from sim.lab.formats.write_model import write_model_directory
+from sim.lab.learning.bins.learn import learn_bins
+from sim.lab.recordings.trace_file import write_trace
 from sim.plant.scenarios import scenario
 from sim.sha.events import DECANTER
-from sim.traces.trace_file import write_trace
 
 ROOT = Path(__file__).parents[1]
 MAP = ROOT / "config/devices/decanter_plc.toml"

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.figures import Figure, best, give
-from sim.checking.language.parse import parse_query
-from sim.checking.proof.symbolic import decide
-from sim.checking.query.tree import Symbolic
-from sim.checking.smc.rules.estimation import Draw, mixture_interval, one_or_two_sided, to_half_width
-from sim.checking.smc.rules.paired import compare
-from sim.checking.smc.rules.sprt import acceptance, expected_runs, sprt, wald_test
+from sim.lab.checking.language.parse import parse_query
+from sim.lab.checking.query.symbolic import decide
+from sim.lab.checking.query.tree import Symbolic
+from sim.lab.checking.smc.rules.estimation import Draw, mixture_interval, one_or_two_sided, to_half_width
+from sim.lab.checking.smc.rules.paired import compare
+from sim.lab.checking.smc.rules.sprt import acceptance, expected_runs, sprt, wald_test
 from sim.sha.automaton import SHA, Edge, Flow, Location
 from sim.sha.trace import Array
 

@@ -28,8 +28,8 @@ from gateway.machine.reading import Scan
 from gateway.machine.records import Keeper
 from gateway.store import open_historian
 from sim.artefacts import current, load, model_hash, promote
-from sim.artefacts.formats import save
-from sim.learning.bins import learn_bins
+from sim.lab.formats import save
+from sim.lab.learning.bins import learn_bins
 from sim.plant import production
 from sim.plant.decanter import DecanterPlant
 from sim.sha import DECANTER, Trace

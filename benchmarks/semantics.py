@@ -15,15 +15,15 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from sim.learning.bins.learn import learn_bins
-from sim.paired import Paired, paired
+from sim.lab.learning.bins.learn import learn_bins
+from sim.lab.paired import Paired, paired
+from sim.lab.ranking.cross_validation import HeldOutFold, held_out
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
+from sim.lab.validation.semantics import side_by_side
 from sim.plant.scenarios import SCENARIOS, scenario
-from sim.ranking.cross_validation import HeldOutFold, held_out
 from sim.sha.events import DECANTER, Alphabet, encode
 from sim.sha.trace import Trace
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
-from sim.validation.semantics import side_by_side
 
 ROOT = Path(__file__).parents[1]
 SKAB = ROOT.parent / "shared" / "data" / "skab" / "anomaly-free.csv"

@@ -16,9 +16,9 @@ from benchmarks.figures import Figure, give
 from drivers.tag import Quality, Sample
 from gateway.machine.alarms import FAULT, SensorWatch
 from gateway.machine.reading import Scan
+from sim.lab.recordings import load_map, load_traces
 from sim.plant import SCENARIOS, production, scenario
 from sim.sha import Array
-from sim.traces import load_map, load_traces
 
 MAPS = Path(__file__).parents[1] / "config" / "traces"
 TWINS = ("TCuscinettiRiduttore", "TCuscinettiAlimentazione")

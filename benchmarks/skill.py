@@ -1,7 +1,7 @@
 """How good are our forecasts beside rivals? MAE, CRPS and coverage of the 90 % band along traces held out.
 
 Each machine or trip is held out in turn: a model is learned from the others and follows the held-out trace as the
-running gateway does (`gateway.lab.skill`), events to come unknown and bands widened online. SKAB's one recording is
+running gateway does (`lab.judging.skill`), events to come unknown and bands widened online. SKAB's one recording is
 held out by its halves. The trip of another car is forecast by models of all trips of the first. `--judge` takes
 folders `carobd`, `skab`, `femto` of machines that are in no training: models of all shared traces forecast them.
 
@@ -22,15 +22,15 @@ from joblib import Parallel, delayed
 
 from benchmarks.figures import Figure, give
 from gateway.console import table
-from gateway.lab.skill import PastForecaster, persist, rivals_room, scanned, skill_rows, train
+from gateway.lab.judging.skill import PastForecaster, persist, rivals_room, scanned, skill_rows, train
 from gateway.settings import ForecastSection
-from sim.learning import PERSISTENCE
-from sim.learning.bins import learn_bins
-from sim.learning.lsha import learn_lsha
-from sim.pictures import check_picture
+from sim.lab.learning import PERSISTENCE
+from sim.lab.learning.bins import learn_bins
+from sim.lab.learning.lsha import learn_lsha
+from sim.lab.pictures import check_picture
+from sim.lab.recordings import ColumnMap, load_map, load_traces
+from sim.lab.skill import AHEAD, Skill, SkillRow, common, draw_skill, grouped, skill, tables
 from sim.sha import Model, Trace
-from sim.skill import AHEAD, Skill, SkillRow, common, draw_skill, grouped, skill, tables
-from sim.traces import ColumnMap, load_map, load_traces
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data"

@@ -18,8 +18,8 @@ import tomlkit
 
 from gateway.commission.files.device_file import fields_that_fit, set_block, set_device
 from sim.artefacts.model_json import model_text
+from sim.lab.recordings.trace_file import write_trace
 from sim.sha.trace import Trace
-from sim.traces.trace_file import write_trace
 from tests.rig.pair import CYCLE_S, MAP, TEMPERATURE, Plc, known_model, plc_process, restless_trace
 
 LIMIT = 16

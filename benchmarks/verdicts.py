@@ -14,24 +14,24 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from sim.artefacts.formats.find import find_model
-from sim.checking.proof.bounds import Bounds
-from sim.checking.proof.envelope import Envelope, envelopes
-from sim.checking.proof.structure import moves
-from sim.checking.proof.verification import DEFAULT, Verification, verify
-from sim.checking.proof.word import TimedWord, WordStep, parse_word, word_text
-from sim.checking.proof.word_replay import replay
 from sim.effects.correction import in_sensor_scale
-from sim.learning.bins.learn import learn_bins
-from sim.learning.lsha.learn import learn_lsha
-from sim.learning.structure import LearningError
+from sim.lab.formats.find import find_model
+from sim.lab.learning.bins.learn import learn_bins
+from sim.lab.learning.lsha.learn import learn_lsha
+from sim.lab.learning.structure import LearningError
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
 from sim.plant.scenarios import SCENARIOS, history_and_day, scenario
+from sim.proof.bounds import Bounds
+from sim.proof.envelope import Envelope, envelopes
+from sim.proof.structure import moves
+from sim.proof.verification import DEFAULT, Verification, verify
+from sim.proof.word import TimedWord, WordStep, parse_word, word_text
+from sim.proof.word_replay import replay
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input
 from sim.sha.events import DECANTER, Alphabet, alphabet_symbols
 from sim.sha.model import Correction, Model
 from sim.sha.trace import UNKNOWN, Trace
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
 
 ROOT = Path(__file__).parents[1]
 TEMPERATURE = "TCuscinettiRiduttore"

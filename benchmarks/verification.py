@@ -19,9 +19,9 @@ from rich.console import Console
 
 from benchmarks import verdicts
 from benchmarks.figures import Figure, give
-from sim.checking.proof.envelope import Assumptions
-from sim.checking.proof.verification import verify
-from sim.learning.structure import contexts, product_sha
+from sim.lab.learning.structure import contexts, product_sha
+from sim.proof.envelope import Assumptions
+from sim.proof.verification import verify
 from sim.sha.automaton import Distribution, Flow, Location
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch
 from sim.sha.model import Model

@@ -25,10 +25,10 @@ from gateway.machine.model.twin import TwinBearing, combined
 from gateway.machine.reading import Scan
 from gateway.settings import ForecastSection
 from sim.forecast import Z90
-from sim.learning.bins import learn_bins
+from sim.lab.learning.bins import learn_bins
+from sim.lab.recordings import load_map, load_traces
 from sim.plant import production
 from sim.sha import Model, Trace
-from sim.traces import load_map, load_traces
 
 MAPS = Path(__file__).parents[1] / "config" / "traces"
 TEMPERATURE, TWIN = "TCuscinettiRiduttore", "TCuscinettiAlimentazione"

@@ -16,9 +16,9 @@ import pytest
 
 from deploy import build_deb
 from gateway.cli.main import main
-from gateway.cli.top import EXITS
+from gateway.cli.plant.top import EXITS
 from gateway.console import SERVICE_FOLDER, SERVICE_LOG, SERVICE_RECORDS
-from gateway.status import Health
+from gateway.outside.status import Health
 
 DEPLOY = Path(__file__).parents[1] / "deploy"
 UNIT = DEPLOY / "decanter.service"

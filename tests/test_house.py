@@ -102,9 +102,9 @@ def test_a_command_begins_without_what_only_its_work_needs(group: str) -> None:
 
 
 ALONE = {
-    "gateway.cli.run": {"numpy", "structlog", "rich"},
-    "gateway.lab.show": {"lark", "pydantic"},
-    "gateway.lab.learn": {"lark", "joblib"},
+    "gateway.cli.plant.run": {"numpy", "structlog", "rich"},
+    "gateway.lab.models.show": {"lark", "pydantic"},
+    "gateway.lab.learning.learn": {"lark", "joblib"},
     "gateway.commission.probe": {"numpy", "sqlite3", "rich"},
 }
 """What single commands do without until they have read what they are asked."""
@@ -129,7 +129,7 @@ def test_the_log_hides_rich_from_its_own_library_only() -> None:
 
 
 def test_a_gateway_without_the_page_imports_nothing_of_it() -> None:
-    loaded = modules_imported_by("import gateway.plant.app, sys; assert 'gateway.web' not in sys.modules")
+    loaded = modules_imported_by("import gateway.plant.app, sys; assert 'gateway.outside.web' not in sys.modules")
     assert loaded.isdisjoint({"starlette", "uvicorn", "argon2", "h11", "anyio", "jinja2"})
 
 

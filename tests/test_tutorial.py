@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.unknown_plc import write_examples
-from sim.traces.column_map import load_map
+from sim.lab.recordings.column_map import load_map
 from tests.cli.support import decanter
 from tests.commission.bench import free_port
 from tests.rig.no_bands import without_bands

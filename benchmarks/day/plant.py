@@ -35,14 +35,14 @@ from benchmarks.day.script import (
     TIME_CONSTANTS,
     Action,
 )
-from gateway.web.access import AccountRole, add_account
+from gateway.outside.web.access import AccountRole, add_account
 from sim.artefacts.model_json import model_text
-from sim.learning.structure import contexts, product_sha
+from sim.lab.learning.structure import contexts, product_sha
+from sim.lab.recordings.trace_file import write_trace
 from sim.sha.automaton import Distribution, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model
 from sim.sha.trace import Trace
-from sim.traces.trace_file import write_trace
 from tests.rig.pair import Plc, end, plc_process
 from tests.rig.servers import Line, free_port
 

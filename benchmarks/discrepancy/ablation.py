@@ -24,7 +24,7 @@ from benchmarks.discrepancy.judging import Judged, answer
 from benchmarks.discrepancy.remembered import NAMES, Memory, WorkLimitError
 from benchmarks.discrepancy.runner import RESULTS, Case, Outcome, case
 from benchmarks.discrepancy.seal import Label, committed, index, opened
-from sim.discrepancy.rules import RULES, DecisionRules
+from sim.lab.discrepancy.rules import RULES, DecisionRules
 
 OFF: Mapping[str, Any] = {
     "least_cycles": 2, "first_name_least_cycles": 0, "each_name_least_cycles": 1,
@@ -78,7 +78,7 @@ def variants(name: str) -> Iterator[tuple[str, DecisionRules]]:
 
 def remembered() -> dict[Any, tuple[str, ...]]:
     """The functions of the workflow that cost something, by the modules that call them."""
-    from sim.discrepancy import (
+    from sim.lab.discrepancy import (
         constants,
         gap,
         judging,
@@ -121,10 +121,10 @@ def ablated(one: Case, names: Sequence[str], fits: float) -> dict[str, Any]:
     Of each: the answer, as the scorer reads it, and "told": which parts of the diagnosis are others.
     """
     from gateway.lab.traces.load import load
-    from sim.artefacts.formats import find_model
-    from sim.discrepancy import diagnose
-    from sim.discrepancy.fitting import patiently
-    from sim.discrepancy.output import document
+    from sim.lab.discrepancy import diagnose
+    from sim.lab.discrepancy.fitting import patiently
+    from sim.lab.discrepancy.output import document
+    from sim.lab.formats import find_model
 
     model = find_model(str(one.model)).runnable()
     with redirect_stderr(StringIO()):  # what is said of the files

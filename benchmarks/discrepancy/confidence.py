@@ -7,7 +7,7 @@ python -m benchmarks.discrepancy.confidence table DIR...
 Each case is run with the whole catalogue and, where something acts that has a name, without these names too, which are
 outside of it then. Clean cases are left out: what is missing is the question, not whether. The table weighs the cases
 so that a quarter is outside, and gives the figures that the posterior's constants are taken from; it takes what speaks
-for and against the names from the results, so that other constants (`sim.discrepancy.posterior`) need no other runs.
+for and against the names from the results, so that other constants (`discrepancy.posterior`) need no other runs.
 """
 
 import json
@@ -25,10 +25,10 @@ from benchmarks.discrepancy.runner import Case, case
 from benchmarks.discrepancy.seal import Label, labels_of
 from benchmarks.discrepancy.table import grid
 from gateway.lab.traces.load import load
-from sim.artefacts.formats import find_model
-from sim.discrepancy import diagnose
-from sim.discrepancy.posterior import RIGHT_EXCESS_LEFT, RIGHT_HEAT_LEFT, NamesEvidence, gains_of, posterior
-from sim.discrepancy.rules import RULES
+from sim.lab.discrepancy import diagnose
+from sim.lab.discrepancy.posterior import RIGHT_EXCESS_LEFT, RIGHT_HEAT_LEFT, NamesEvidence, gains_of, posterior
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.formats import find_model
 
 FOLDERS = click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 NAME = click.option("--name", default="confidence", show_default=True, help="Under which name the results are kept.")

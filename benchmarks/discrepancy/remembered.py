@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.discrepancy.rules import RULES, DecisionRules
+from sim.lab.discrepancy.rules import RULES, DecisionRules
 
 NAMES = frozenset(each.name for each in fields(DecisionRules))
 PLAIN = (type(None), bool, int, float, complex, str, bytes, Enum)

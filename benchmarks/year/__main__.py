@@ -36,7 +36,7 @@ from benchmarks.year.kept_days import KeptDays
 from benchmarks.year.picture import draw_year
 from benchmarks.year.plant import BEGIN, MONTHS, dates_of, day_of, days_before
 from gateway.console import table
-from sim.pictures import check_picture, save_picture
+from sim.lab.pictures import check_picture, save_picture
 
 ARMS = ("once", "loop", "daily")
 FOLLOWED = 14

@@ -12,9 +12,9 @@ from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
 from gateway.lab.retraining.shadow import side_by_side
 from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, due, retrain, source_of
 from sim.artefacts import current, is_store, load, promote
-from sim.artefacts.formats import save
 from sim.familiarity import RED, YELLOW
-from sim.learning.bins import learn_bins
+from sim.lab.formats import save
+from sim.lab.learning.bins import learn_bins
 from sim.sha import DECANTER, Model, Trace
 
 AFTER, EVERY = 10, 60.0

@@ -9,7 +9,7 @@ from benchmarks.year.plant import LIMIT, PERIOD, TEMPERATURE, Day, overheated
 from gateway.machine.model import forecasts_along
 from gateway.settings import ForecastSection
 from sim.forecast import DENSE
-from sim.learning import outcomes_of
+from sim.lab.learning import outcomes_of
 from sim.scores import crps_quantiles
 from sim.sha import Model
 

@@ -4,7 +4,7 @@ import click
 
 from gateway.entry import LazyGroup, Table
 
-_COMMANDS = "gateway.cli.alarm_commands"
+_COMMANDS = "gateway.cli.plant.alarms"
 COMMANDS: Table = {
     "list": (f"{_COMMANDS}:list_alarms", "List the alarms that are not normal, the most urgent first."),
     "show": (f"{_COMMANDS}:show", "Show one alarm: what it watches, what to do, what comes of not doing it."),

@@ -5,9 +5,15 @@ import click
 from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
-    "history": ("gateway.cli.config_commands:history", "List the configurations that were taken over."),
-    "diff": ("gateway.cli.config_commands:diff", "Show what differs between two configurations, or to the files now."),
-    "rollback": ("gateway.cli.config_commands:rollback", "Put the files of a former configuration back, never armed."),
+    "history": ("gateway.cli.keep.configurations:history", "List the configurations that were taken over."),
+    "diff": (
+        "gateway.cli.keep.configurations:diff",
+        "Show what differs between two configurations, or to the files now.",
+    ),
+    "rollback": (
+        "gateway.cli.keep.configurations:rollback",
+        "Put the files of a former configuration back, never armed.",
+    ),
 }
 EXAMPLES = {
     "history": "config history --config plant.toml",

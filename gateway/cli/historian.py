@@ -4,7 +4,7 @@ import click
 
 from gateway.entry import LazyGroup, Table
 
-_COMMANDS = "gateway.cli.historian_commands"
+_COMMANDS = "gateway.cli.plant.records"
 COMMANDS: Table = {
     "export": (f"{_COMMANDS}:export", "Write a table of the records as CSV or Parquet."),
     "query": (f"{_COMMANDS}:query", "Show the newest rows of a table, or a tag's means."),

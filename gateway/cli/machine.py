@@ -5,9 +5,9 @@ import click
 from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
-    "list": ("gateway.cli.plant_machines:list_machines", "List the machines, and how they are where a gateway runs."),
-    "add": ("gateway.cli.plant_machines:add", "Add a machine to the plant file."),
-    "remove": ("gateway.cli.plant_machines:remove", "Take a machine out of the plant file; its records stay."),
+    "list": ("gateway.cli.plant.machines:list_machines", "List the machines, and how they are where a gateway runs."),
+    "add": ("gateway.cli.plant.machines:add", "Add a machine to the plant file."),
+    "remove": ("gateway.cli.plant.machines:remove", "Take a machine out of the plant file; its records stay."),
 }
 EXAMPLES = {
     "list": "machine list --config plant.toml",

@@ -13,32 +13,32 @@ from gateway.cli.user import user
 from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
-    "init": ("gateway.cli.init:init", "Make a folder that runs, from an address and an I/O list."),
+    "init": ("gateway.cli.setup.init:init", "Make a folder that runs, from an address and an I/O list."),
     "demo": (
         "gateway.demo.command:demo",
         "Run the main job on this computer, with a picture.",
     ),
-    "run": ("gateway.cli.run:run", "Run the gateway with a configuration file."),
-    "top": ("gateway.cli.top:top", "Watch a running gateway: the live panel, or a line a change."),
-    "status": ("gateway.cli.top:status", "Show once how a running gateway is, by an exit code too."),
-    "reload": ("gateway.cli.reload:reload", "Let a running gateway read its plant file anew."),
+    "run": ("gateway.cli.plant.run:run", "Run the gateway with a configuration file."),
+    "top": ("gateway.cli.plant.top:top", "Watch a running gateway: the live panel, or a line a change."),
+    "status": ("gateway.cli.plant.top:status", "Show once how a running gateway is, by an exit code too."),
+    "reload": ("gateway.cli.plant.reload:reload", "Let a running gateway read its plant file anew."),
     "emulate": (
-        "gateway.cli.emulate:emulate",
+        "gateway.cli.setup.emulate:emulate",
         "Start the software PLC, which replays a trace.",
     ),
-    "backup": ("gateway.cli.backup:backup", "Copy all that a gateway is into a new folder, while it runs."),
-    "restore": ("gateway.cli.backup:restore", "Put a backup's files back in their places."),
-    "support": ("gateway.cli.support:support", "Put what support needs into one file, without secrets."),
+    "backup": ("gateway.cli.keep.backup:backup", "Copy all that a gateway is into a new folder, while it runs."),
+    "restore": ("gateway.cli.keep.backup:restore", "Put a backup's files back in their places."),
+    "support": ("gateway.cli.keep.support:support", "Put what support needs into one file, without secrets."),
     "certificates": (
-        "gateway.cli.certificates:certificates",
+        "gateway.cli.setup.certificates:certificates",
         "Make certificates and keys for Modbus/TCP Security or OPC UA.",
     ),
     "diagnose": (
-        "gateway.lab.diagnose:diagnose",
+        "gateway.lab.gap.diagnose:diagnose",
         "Find where model and traces disagree; name what is missing.",
     ),
-    "docs": ("gateway.cli.docs:docs", "Print a page of the documentation, or the list of pages."),
-    "completion": ("gateway.cli.completion:completion", "Print what makes a shell complete, or install it."),
+    "docs": ("gateway.cli.setup.docs:docs", "Print a page of the documentation, or the list of pages."),
+    "completion": ("gateway.cli.setup.completion:completion", "Print what makes a shell complete, or install it."),
 }
 EXAMPLES = {
     "init": "init plant2 --host 192.168.1.10 --list io_list.csv --temperature TCuscinettiRiduttore --trace export.csv",

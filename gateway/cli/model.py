@@ -5,23 +5,35 @@ import click
 from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
-    "learn": ("gateway.lab.learn:learn", "Learn a model from traces and write its directory."),
-    "show": ("gateway.lab.show:show", "Show a model and where it comes from."),
-    "simulate": ("gateway.lab.simulate:simulate", "Let a model run along measured traces; say how far off it is."),
-    "check": ("gateway.lab.check:check", "Answer a query: how probable, how hot, whether it can."),
-    "correct": ("gateway.lab.correct:correct", "Learn T' = k T + b from traces and write the corrected model."),
+    "learn": ("gateway.lab.learning.learn:learn", "Learn a model from traces and write its directory."),
+    "show": ("gateway.lab.models.show:show", "Show a model and where it comes from."),
+    "simulate": (
+        "gateway.lab.checking.simulate:simulate",
+        "Let a model run along measured traces; say how far off it is.",
+    ),
+    "check": ("gateway.lab.checking.check:check", "Answer a query: how probable, how hot, whether it can."),
+    "correct": (
+        "gateway.lab.learning.correct:correct",
+        "Learn T' = k T + b from traces and write the corrected model.",
+    ),
     "skill": (
-        "gateway.lab.skill:skill",
+        "gateway.lab.judging.skill:skill",
         "Forecast along held-out traces as the running gateway does; score it beside rivals.",
     ),
     "validate": (
-        "gateway.lab.validate:validate",
+        "gateway.lab.judging.validate:validate",
         "Validate models along measured traces in nine stages; write a report for each.",
     ),
-    "prove": ("gateway.lab.prove:prove", "Prove or refute what a model can do; say whether it may be deployed."),
-    "promote": ("gateway.lab.promote:promote", "Make a version of a store current, if its model verifies."),
-    "rank": ("gateway.lab.rank:rank", "Compare models on the same traces; say which are fit for deployment."),
-    "tune": ("gateway.lab.tune:tune", "Search a learning method's best settings by cross-validation over traces."),
+    "prove": (
+        "gateway.lab.checking.prove:prove",
+        "Prove or refute what a model can do; say whether it may be deployed.",
+    ),
+    "promote": ("gateway.lab.models.promote:promote", "Make a version of a store current, if its model verifies."),
+    "rank": ("gateway.lab.judging.rank:rank", "Compare models on the same traces; say which are fit for deployment."),
+    "tune": (
+        "gateway.lab.learning.tune:tune",
+        "Search a learning method's best settings by cross-validation over traces.",
+    ),
     "retrain": (
         "gateway.lab.retraining.retrain:retrain_command",
         "Learn from the historian's new cycles; propose a version that is better.",
@@ -43,7 +55,7 @@ COMMANDS: Table = {
         "Run a standard set against all models; say what became worse since when.",
     ),
     "fleet": ("gateway.lab.fleet.fleet:fleet", "Learn a type's model from many machines; say which stands out."),
-    "export": ("gateway.lab.export:export", "Write a model for UPPAAL along traces; compare with its engine."),
+    "export": ("gateway.lab.models.export:export", "Write a model for UPPAAL along traces; compare with its engine."),
 }
 
 

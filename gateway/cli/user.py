@@ -5,10 +5,10 @@ import click
 from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
-    "add": ("gateway.cli.accounts:add", "Make an account; its password is asked for."),
-    "list": ("gateway.cli.accounts:list_accounts", "List the accounts and what each may do."),
-    "password": ("gateway.cli.accounts:password", "Give an account another password; its sessions end."),
-    "remove": ("gateway.cli.accounts:remove", "Remove an account; its sessions end."),
+    "add": ("gateway.cli.plant.accounts:add", "Make an account; its password is asked for."),
+    "list": ("gateway.cli.plant.accounts:list_accounts", "List the accounts and what each may do."),
+    "password": ("gateway.cli.plant.accounts:password", "Give an account another password; its sessions end."),
+    "remove": ("gateway.cli.plant.accounts:remove", "Remove an account; its sessions end."),
 }
 EXAMPLES = {
     "add": "user add rossi --role operator --config plant.toml",

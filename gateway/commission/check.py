@@ -37,7 +37,7 @@ from gateway.commission.session import (
 from gateway.commission.writeback.write_plan import problems_of
 from gateway.entry import Exit, exit_code, sentences
 from gateway.machine.model import load_model
-from gateway.northbound import check_northbound
+from gateway.outside.northbound import check_northbound
 from gateway.settings import load_plant, load_secrets
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})

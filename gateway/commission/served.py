@@ -9,7 +9,7 @@ import click
 from drivers.csv_rows import write_rows
 from gateway.console import emit, find_plant_file, json_option, table
 from gateway.entry import sentences
-from gateway.serving import served_rows
+from gateway.outside.serving import served_rows
 from gateway.settings import load_config
 
 _COLUMNS = ("tag", "table", "address", "count", "dtype", "order", "scale", "offset", "units", "quality", "age")

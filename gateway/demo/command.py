@@ -34,15 +34,15 @@ from gateway.demo.prepare import (
 )
 from gateway.demo.summary import BEARING_COLUMNS, bearing_row, findings, result
 from gateway.entry import Exit, fail, sentences
-from gateway.lab.learn import learn_from, write
+from gateway.lab.learning.learn import learn_from, write
 from gateway.lab.traces.load import load
-from sim.learning import LearningError
+from sim.lab.learning import LearningError
+from sim.lab.recordings import ColumnMap, load_map, write_trace
 from sim.plant import heat_day_uncontrolled, heat_history
 from sim.sha import Trace, encode
-from sim.traces import ColumnMap, load_map, write_trace
 
 if TYPE_CHECKING:
-    from sim.learning.bins import Learned
+    from sim.lab.learning.bins import Learned
 
 
 @click.command(short_help="Run the main job on this computer, with a picture.")

@@ -11,13 +11,13 @@ import click
 from gateway.console import emit, make_folder, progress, shipped
 from gateway.demo.folder import held
 from gateway.entry import Exit, fail, sentences
-from gateway.lab.diagnose import DiagnosisRequest, roles_of, run
-from gateway.lab.learn import learn_from, write
-from sim.discrepancy import LEAST_TOLD_SHARE
-from sim.discrepancy.output import check_folder, document
+from gateway.lab.gap.diagnose import DiagnosisRequest, roles_of, run
+from gateway.lab.learning.learn import learn_from, write
+from sim.lab.discrepancy import LEAST_TOLD_SHARE
+from sim.lab.discrepancy.output import check_folder, document
+from sim.lab.recordings import load_map, write_trace
 from sim.plant import CooledPlant, cooled_days
 from sim.sha import Alphabet, Trace, encode
-from sim.traces import load_map, write_trace
 
 HIDDEN = "pump-cooling"
 COOLING = 7e-5

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.certificates import make_all
 from gateway.console import config_dir
 from gateway.demo.can_bus import can_hub, hub_path
+from gateway.network import make_all
 
 Ready = Mapping[str, Any]
 """The ready line of the software PLC; what a face says of itself stands under `faces` and the face's name."""

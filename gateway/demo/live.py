@@ -9,8 +9,8 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from gateway.panel import framed, number, status_rows
-from gateway.status import read_status
+from gateway.outside.panel import framed, number, status_rows
+from gateway.outside.status import read_status
 
 
 class DemoPhase(Enum):

@@ -19,12 +19,11 @@ from gateway.demo.folder import FURTHER_PICTURE
 from gateway.demo.heat import heat_result, raised_alarms
 from gateway.demo.heat_picture import draw_heat
 from gateway.demo.prepare import DemoBearing, DemoRun
-from gateway.lab.facts import gate_of, origin_of
+from gateway.lab.judging.facts import gate_of, origin_of
 from gateway.machine.reading import STALE_PERIODS
 from gateway.settings import load_device
 from gateway.store import events, history, matured, samples, scorecard, to_trace
-from sim.sha import Array, Mask, Model
-from sim.validation import (
+from sim.lab.validation import (
     Curve,
     FitnessLimits,
     Picture,
@@ -35,7 +34,8 @@ from sim.validation import (
     run_job,
     why,
 )
-from sim.validation import judge as criteria
+from sim.lab.validation import judge as criteria
+from sim.sha import Array, Mask, Model
 
 AHEAD_S = 300.0
 """The horizon (s) that the picture shows."""

@@ -6,10 +6,11 @@ from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
     from gateway.machine.followed import FollowedTemperature
+    from gateway.machine.phase import Phase
     from gateway.machine.pipeline import MODEL_PART, ORDERS, Machine
     from gateway.machine.plant_records import PlantRecords
     from gateway.machine.trust import RECORDING
 else:
     __getattr__ = opened_at_use(__name__)
 
-__all__ = ["MODEL_PART", "ORDERS", "RECORDING", "FollowedTemperature", "Machine", "PlantRecords"]
+__all__ = ["MODEL_PART", "ORDERS", "RECORDING", "FollowedTemperature", "Machine", "Phase", "PlantRecords"]

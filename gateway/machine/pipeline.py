@@ -41,13 +41,13 @@ from gateway.machine.alarms import (
 )
 from gateway.machine.followed import FollowedTemperature
 from gateway.machine.model import LoadedModel, LoadedModels, ModelUnit, ScanPrediction, load_models, recorded_scans
+from gateway.machine.phase import Phase
 from gateway.machine.plant_records import PlantRecords
 from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
 from gateway.machine.trust import ClockCheck, RecordsWatch, Surroundings
 from gateway.machine.writing import Arming, ArmingError, WritebackStage, end_by_mode, keep_disarming
 from gateway.settings import Config, WritebackLayout
-from gateway.status import Phase
 from gateway.store import FIXED, NO_PROCESS, AuditError, HistorianError, saved_state, to_trace
 
 if TYPE_CHECKING:

@@ -127,7 +127,7 @@ class Surroundings:
         self.clock_error = clock_error()
         if self._folders:
             # Here: a gateway without certificates loads nothing that reads them.
-            from gateway.certificates import days_left
+            from gateway.network import days_left
 
             self.days = min((left for folder in self._folders for left in days_left(folder, now)), default=None)
 

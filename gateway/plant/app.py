@@ -19,6 +19,8 @@ from drivers.driver import Driver
 from drivers.settings import ConfigError
 from gateway.machine.reading import Clock, PlantClock, plant_clock
 from gateway.machine.writing import SIGN_SECONDS
+from gateway.outside.serving import PeerServer
+from gateway.outside.status import SAID_BY_CHANGES, ChangeLines, ControlError, GatewayStatus, opening
 from gateway.plant.configurations import keep_configuration
 from gateway.plant.control import Control
 from gateway.plant.fleet import SWITCH_SECONDS, Fleet
@@ -28,9 +30,7 @@ from gateway.plant.service import ServiceManager, service_manager
 from gateway.plant.shortfalls import MESSAGES, NORTHBOUND, PAGE, checked_northbound, of_plant
 from gateway.plant.status import write_status
 from gateway.plant.worker_pool import WorkerPool
-from gateway.serving import PeerServer
 from gateway.settings import Config, NorthboundSecrets, load_plant
-from gateway.status import SAID_BY_CHANGES, ChangeLines, ControlError, GatewayStatus, opening
 from gateway.store import FileRule
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def _go_without(fleet: Fleet | WorkerPool, without: Mapping[str, str]) -> None:
 async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIterator[None]:
     """Serve the page meanwhile, in a thread of its own."""
     # Here and below: a gateway without the page, or that tells nobody, loads nothing of it.
-    from gateway.web import PageServer, accounts_problem
+    from gateway.outside.web import PageServer, accounts_problem
 
     trail = fleet.records.trail
     if trail is None:
@@ -220,7 +220,7 @@ async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIt
 @asynccontextmanager
 async def _northbound(config: Config, secrets: NorthboundSecrets, fleet: Fleet | WorkerPool) -> AsyncIterator[None]:
     """Tell others meanwhile what is on record, each in a thread of its own."""
-    from gateway.northbound import Northbound
+    from gateway.outside.northbound import Northbound
 
     northbound = Northbound(
         config,

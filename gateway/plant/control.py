@@ -25,8 +25,8 @@ from gateway.machine import Machine
 from gateway.machine.alarms import BY_PERSONS, AlarmError, Change
 from gateway.machine.reading import Redundant
 from gateway.machine.writing import ArmingError
+from gateway.outside.status import ControlError, GatewayStatus, short
 from gateway.plant.status import alarm_statuses
-from gateway.status import ControlError, GatewayStatus, short
 from sim.strict_json import strict
 
 if TYPE_CHECKING:

@@ -21,20 +21,20 @@ from drivers.supervision import Supervisor
 from gateway.machine import MODEL_PART, Machine, PlantRecords
 from gateway.machine.model import LoadedModels, load_models, models_at_start
 from gateway.machine.reading import Clock, QualityRules, Scan, scans
+from gateway.outside.serving import DeviceImage
+from gateway.outside.status import ControlError, GatewayStatus
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
 from gateway.plant.service import ScanProgress
 from gateway.plant.shortfalls import MESSAGES, checked_notify, of_machines, of_plant
 from gateway.plant.split import on_one_connection
 from gateway.plant.status import snapshot
-from gateway.serving import DeviceImage
 from gateway.settings import Config, changed_machines, load_plant
-from gateway.status import ControlError, GatewayStatus
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
-    from gateway.notify import Notifier
+    from gateway.outside.notify import Notifier
 
 
 SWITCH_SECONDS = 0.0005
@@ -154,7 +154,7 @@ class Fleet:
             without=without,
         )
         if self.notifier is not None:
-            from gateway.notify import attach_machine
+            from gateway.outside.notify import attach_machine
 
             attach_machine(self.notifier, machine)
         if config.serve.port is not None:

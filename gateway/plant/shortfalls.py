@@ -15,7 +15,7 @@ from gateway.machine.model import models_at_start
 from gateway.settings import Config, NorthboundSecrets, load_secrets
 
 if TYPE_CHECKING:
-    from gateway.notify import Notifier
+    from gateway.outside.notify import Notifier
 
 
 PAGE, MESSAGES, NORTHBOUND = "page", "messages", "northbound"
@@ -26,7 +26,7 @@ def check_page(config: Config) -> None:
     """Nothing where there is no page. Raises ConfigError where it cannot be served as it is configured."""
     if config.page.enabled:
         # Here and below: a gateway that does not serve the page, or tells nobody, loads nothing of it.
-        from gateway.web import check_page
+        from gateway.outside.web import check_page
 
         check_page(config)
 
@@ -35,7 +35,7 @@ def checked_northbound(config: Config) -> NorthboundSecrets | None:
     """The secrets for those who are told what is on record; None where nobody is. Raises ConfigError."""
     if not config.northbound.enabled:
         return None
-    from gateway.northbound import check_northbound
+    from gateway.outside.northbound import check_northbound
 
     return check_northbound(config)
 
@@ -47,7 +47,7 @@ def checked_notify(config: Config) -> Callable[..., Notifier] | None:
         return None
     from functools import partial
 
-    from gateway.notify import Notifier, make_senders
+    from gateway.outside.notify import Notifier, make_senders
 
     try:
         return partial(Notifier, config.notify.to, make_senders(config.notify, secrets))

@@ -11,8 +11,7 @@ from gateway.machine.alarms import BY_PERSONS, AlarmBoard, AlarmState, possible
 from gateway.machine.model import ScanPrediction, block_values
 from gateway.machine.reading import STALE_PERIODS, Redundant, Scan, unread
 from gateway.machine.writing import WritebackStage
-from gateway.settings import PLANT, alarm_subject
-from gateway.status import (
+from gateway.outside.status import (
     AlarmStatus,
     FamiliarityStatus,
     ForecastStatus,
@@ -27,8 +26,9 @@ from gateway.status import (
     TemperatureStatus,
     VirtualStatus,
 )
+from gateway.outside.texts import all_words, strange_sentence
+from gateway.settings import PLANT, alarm_subject
 from gateway.store import percentile
-from gateway.texts import all_words, strange_sentence
 from sim.strict_json import json_text
 
 

@@ -32,6 +32,8 @@ from drivers.tag import Quality, Sample
 from gateway.machine import MODEL_PART, RECORDING, PlantRecords
 from gateway.machine.reading import PlantClock, unread
 from gateway.machine.writing import ArmingError, AuditTrail, disarm_in_log, newest_stamp
+from gateway.outside.serving import DeviceImage
+from gateway.outside.status import ControlError, GatewayStatus, read_status
 from gateway.plant.channel import Message, plain_rows, scan_from
 from gateway.plant.control import COMMANDS, ControlScope, answer, disarm_words, meant_machine
 from gateway.plant.fleet import MENDED, next_start_sentences, raise_failures
@@ -41,9 +43,7 @@ from gateway.plant.shortfalls import of_plant
 from gateway.plant.split import split_over
 from gateway.plant.status import snapshot
 from gateway.plant.worker_line import PlantWorker, WorkerEnded, WorkerLine
-from gateway.serving import DeviceImage
 from gateway.settings import Config, changed_machines, configs_to_json
-from gateway.status import ControlError, GatewayStatus, read_status
 from gateway.store import AuditEntry, AuditRow, HistorianError, Source
 
 if TYPE_CHECKING:

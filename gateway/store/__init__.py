@@ -49,6 +49,7 @@ if TYPE_CHECKING:
         signer,
         stage,
     )
+    from gateway.store.chain import first_break, hash_of
     from gateway.store.confirming import confirmation
     from gateway.store.durable import (
         RECORDS_MODE,
@@ -180,7 +181,9 @@ __all__ = [
     "end_of",
     "events",
     "examine",
+    "first_break",
     "given_words",
+    "hash_of",
     "head",
     "heads_file",
     "history",

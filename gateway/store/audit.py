@@ -1,6 +1,6 @@
 """The audit log: every write, every refusal, every arming; only ever appended, each row bound to the one before.
 
-Its rows are a chain (`gateway.chain`), so that one that was changed, put in or taken out shows (`verify`);
+Its rows are a chain (`gateway.store.chain`), so that one that was changed, put in or taken out shows (`verify`);
 triggers of the database refuse to change or to delete one. What is bound by nothing is the end: keep the newest hash
 (`head`) apart from the file, as the acceptance report does, and give it to `verify`.
 
@@ -34,7 +34,7 @@ from typing import Any
 
 from drivers.errors import OneLineError
 from drivers.supervision import Supervisor
-from gateway.chain import BEGIN, digest
+from gateway.store.chain import BEGIN, digest
 from gateway.store.durable import make_private
 from gateway.store.relied_files import GROWS, ReliedFiles, database
 from sim.strict_json import escaped, json_text

@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from drivers.errors import OneLineError
-from gateway.key_pair import NOT_A_KEY
+from gateway.network import NOT_A_KEY
 from gateway.store.durable import write_durably
 
 KEY_MODE, PUBLIC_MODE = 0o600, 0o644

@@ -87,7 +87,7 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
     `force` promotes one that can be run but is not deployable; it is recorded in the store. Raises ArtefactError.
     """
     # Only a promotion proves; the running gateway reads what was promoted.
-    from sim.checking.proof import verify
+    from sim.proof import verify
 
     verification = verify(load(store, version))
     reason = "; ".join(verification.reasons)

@@ -111,7 +111,7 @@ RANDOM = (
         law=Structural("disturbance"),
         bound=Structural("disturbance"),
         uppaal=Structural("disturbance"),
-        # It is no cause that could be named: a diagnosis has it in its noise (`sim.discrepancy.fitting.noise`).
+        # It is no cause that could be named: a diagnosis has it in its noise (`sim.lab.discrepancy.fitting.noise`).
         candidate=None,
     ),
     EffectKind(

@@ -23,8 +23,8 @@ from gateway.lab.ingestion.archive import MANIFEST, opened_archive
 from gateway.lab.ingestion.ingest import FolderWatch, ingested
 from gateway.lab.ingestion.recognising import PLACES, units_in
 from gateway.lab.json_rows import append_row, read_rows
+from sim.lab.recordings import write_trace
 from sim.plc.record import PlcRecorder
-from sim.traces import write_trace
 from tests.cli.artefact_set import FLOWS, files, written
 from tests.cli.support import DATA, decanter, misused, only_object, refused
 from tests.gateway.support import ROOT, one_machine

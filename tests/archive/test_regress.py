@@ -17,9 +17,9 @@ from gateway.lab.regression.history import opened_history
 from gateway.lab.regression.standard import CodeVersion, code_version, commit_of
 from gateway.lab.regression.worse import WorseForecast, regressions_of
 from sim.artefacts import promote
-from sim.artefacts.formats import save, write_model_directory
+from sim.lab.formats import save, write_model_directory
+from sim.lab.recordings import write_trace
 from sim.sha import Distribution
-from sim.traces import write_trace
 from tests.cli.support import decanter, only_object, refused
 from tests.gateway.support import two_modes
 from tests.skill.test_forecasts_along import measured

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.artefacts.formats.bundle import Artefacts, read_artefacts, texts, write_artefacts
-from sim.artefacts.formats.convert import Parameter, to_sha
-from sim.artefacts.formats.dot import parse_source
-from sim.artefacts.formats.flow_file import parse_flow_file
-from sim.artefacts.formats.from_model import to_artefacts
-from sim.artefacts.formats.histogram import parse_histogram
-from sim.artefacts.formats.report import parse_report
 from sim.files import ArtefactError
+from sim.lab.formats.bundle import Artefacts, read_artefacts, texts, write_artefacts
+from sim.lab.formats.convert import Parameter, to_sha
+from sim.lab.formats.dot import parse_source
+from sim.lab.formats.flow_file import parse_flow_file
+from sim.lab.formats.from_model import to_artefacts
+from sim.lab.formats.histogram import parse_histogram
+from sim.lab.formats.report import parse_report
 from sim.sha.automaton import Distribution, Edge, Flow, Location
 from sim.sha.model import Model
 from tests.artefacts.models import decanter_model, models, normal

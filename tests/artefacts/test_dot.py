@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.artefacts.formats.convert import structure
-from sim.artefacts.formats.dot import Source, SourceLocation, parse_source, source_text
 from sim.files import ArtefactError
+from sim.lab.formats.convert import structure
+from sim.lab.formats.dot import Source, SourceLocation, parse_source, source_text
 from sim.sha.automaton import Edge, nondeterminism
 
 PUBLIC = """digraph hybrid_automaton {

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.artefacts.formats.histogram import (
+from sim.files import ArtefactError
+from sim.lab.formats.histogram import (
     Histogram,
     disagreements,
     distinct_runs,
@@ -14,8 +15,7 @@ from sim.artefacts.formats.histogram import (
     merge,
     parse_histogram,
 )
-from sim.artefacts.formats.report import ReportedLaw
-from sim.files import ArtefactError
+from sim.lab.formats.report import ReportedLaw
 
 ONE = "D_0:\n1.0\n3.0\nD_1:\n0.5\n"
 OTHER = "D_0:\n10.0\nD_1:\n0.7\n"

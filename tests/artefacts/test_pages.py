@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.pages import page_environment
+from sim.lab.pages import page_environment
 
 ROOT = Path(__file__).parents[2]
 TEMPLATES = [
@@ -30,7 +30,7 @@ def test_every_report_is_in_the_one_page_that_lets_nothing_run_or_be_fetched() -
     rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
     assert rules["default-src"] == "'none'" and rules["img-src"] == "data:" and "script-src" not in rules
     # What stands before it is no name of anybody.
-    assert "{{" not in (ROOT / "sim/templates/page.html").read_text(encoding="utf-8").partition("http-equiv")[0]
+    assert "{{" not in (ROOT / "sim/lab/templates/page.html").read_text(encoding="utf-8").partition("http-equiv")[0]
     assert page.index("http-equiv") < page.index("<title>")
 
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from sim.artefacts.formats.bundle import KINDS, SUFFIXES, read_artefacts, texts
-from sim.artefacts.formats.convert import structure, to_sha
-from sim.artefacts.formats.dot import read_source
-from sim.artefacts.formats.histogram import distinct_runs, evidence, read_histogram
 from sim.files import ArtefactError
+from sim.lab.formats.bundle import KINDS, SUFFIXES, read_artefacts, texts
+from sim.lab.formats.convert import structure, to_sha
+from sim.lab.formats.dot import read_source
+from sim.lab.formats.histogram import distinct_runs, evidence, read_histogram
 from sim.sha.automaton import nondeterminism
 from tests.artefacts.real import SETS, real_data
 

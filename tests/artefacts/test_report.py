@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.artefacts.formats.report import (
+from sim.files import ArtefactError
+from sim.lab.formats.report import (
     Report,
     ReportedLaw,
     ReportedLocation,
@@ -13,7 +14,6 @@ from sim.artefacts.formats.report import (
     parse_report,
     report_text,
 )
-from sim.files import ArtefactError
 
 PUBLIC = """--EVENT LABELS DICT--
 

@@ -13,8 +13,6 @@ from pathlib import Path
 import pytest
 
 from sim import files
-from sim.artefacts.formats.bundle import read_artefacts
-from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.model_directory import MANIFEST, MODEL_FILE
 from sim.artefacts.store import (
     CURRENT,
@@ -28,6 +26,8 @@ from sim.artefacts.store import (
     versions,
 )
 from sim.files import ArtefactError
+from sim.lab.formats.bundle import read_artefacts
+from sim.lab.formats.write_model import save, write_model_directory
 from sim.sha.model import Model
 from tests.artefacts.models import decanter_model
 
@@ -108,7 +108,7 @@ WRITER = """
 import os, sys
 from pathlib import Path
 from sim.artefacts.store import promote
-from sim.artefacts.formats.write_model import save
+from sim.lab.formats.write_model import save
 from tests.artefacts.test_store import FORCE, numbered
 store = Path(sys.argv[1])
 for line in sys.stdin:
@@ -255,7 +255,7 @@ def test_reading_a_model_loads_no_grammar_and_no_learner() -> None:
     """The running gateway reads models; the public formats and the learner's tables are for those who write them."""
     code = (
         "import sys, sim.artefacts.store; "
-        "print([name for name in sys.modules if name.partition('.')[0] == 'lark' or name.startswith('sim.learning')])"
+        "print([name for name in sys.modules if name.partition('.')[0] == 'lark' or name.startswith('sim.lab')])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert found.stdout == "[]\n"

@@ -8,9 +8,9 @@ import pytest
 from benchmarks.discrepancy.ablation import OFF, WAYS, remembered, table, variants, worth
 from benchmarks.discrepancy.remembered import Memory, WorkLimitError
 from benchmarks.discrepancy.seal import Label
-from sim.discrepancy import diagnose
-from sim.discrepancy.output import document
-from sim.discrepancy.rules import RULES, DecisionRules
+from sim.lab.discrepancy import diagnose
+from sim.lab.discrepancy.output import document
+from sim.lab.discrepancy.rules import RULES, DecisionRules
 from tests.discrepancy.plants import model, plant
 
 

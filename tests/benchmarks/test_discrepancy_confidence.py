@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from benchmarks.discrepancy.confidence import Claim, constants, main, reliability
 from benchmarks.discrepancy.seal import Label, write_labels
-from sim.discrepancy.posterior import NamesEvidence
+from sim.lab.discrepancy.posterior import NamesEvidence
 
 CLEAR = NamesEvidence(heat_left=0.0, excess_left=0.0, excess_error=0.05)
 GAINS = {"wear-drift": 90.0, "dead-time": 10.0}

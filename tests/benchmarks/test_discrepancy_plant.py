@@ -151,8 +151,8 @@ def test_no_constant_moves_by_more_than_8_percent() -> None:
 
 @pytest.mark.parametrize("sampling", ["regular", "irregular", "gaps"])
 def test_a_log_has_the_plants_columns_without_the_missing_ones(tmp_path: Path, day: Operation, sampling: str) -> None:
-    from sim.traces.column_map import load_map
-    from sim.traces.traces import load_traces
+    from sim.lab.recordings.column_map import load_map
+    from sim.lab.recordings.traces import load_traces
 
     spec = Spec("development", "test", 0, sampling=sampling, missing=("TAmbiente",))  # type: ignore[arg-type]
     course = run([(day, machine("development", "stages", True, 0).bearing, still(day), Parts())])[0]

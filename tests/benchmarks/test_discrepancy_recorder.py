@@ -34,8 +34,8 @@ from benchmarks.discrepancy.recorder.work import STEP, Work, work
 from benchmarks.discrepancy.runner import Outcome, case
 from benchmarks.discrepancy.seal import Label, commit, labels_of, write_labels
 from benchmarks.discrepancy.visible import Family
-from sim.discrepancy.rules import RULES
 from sim.effects import EFFECTS
+from sim.lab.discrepancy.rules import RULES
 
 ROOM = Path(masses.__file__).parent
 STARTS = [3600.0 * hour for hour in (6, 10, 14, 18, 30, 34)]

@@ -21,9 +21,9 @@ from benchmarks.discrepancy.seal import committed, index, opened
 from benchmarks.discrepancy.strata import Spec
 from benchmarks.discrepancy.visible import Family
 from gateway.lab.traces.load import load
-from sim.artefacts.formats.write_model import write_model_directory
-from sim.learning.bins.candidates import BinsCandidate
-from sim.learning.bins.learn import learn_bins
+from sim.lab.formats.write_model import write_model_directory
+from sim.lab.learning.bins.candidates import BinsCandidate
+from sim.lab.learning.bins.learn import learn_bins
 from tests.rig.no_bands import without_bands
 
 QUIET = Roughness(0.0, 400.0, 0.0, 0.02, 0.01)

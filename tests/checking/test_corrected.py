@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.checking.query.tree import (
+from sim.effects.correction import in_sensor_scale
+from sim.lab.checking.query.tree import (
     Always,
     At,
     BoundedResponse,
@@ -21,11 +22,10 @@ from sim.checking.query.tree import (
     TimeSpan,
     Until,
 )
-from sim.checking.smc.answers import Answer, QuerySettings, Start, answer, believed, initial, prepared
-from sim.checking.smc.paths.known_events import Cuts
-from sim.checking.smc.runs import engine
-from sim.checking.smc.splitting.estimator import SplitEstimate, split
-from sim.effects.correction import in_sensor_scale
+from sim.lab.checking.smc.answers import Answer, QuerySettings, Start, answer, believed, initial, prepared
+from sim.lab.checking.smc.paths.known_events import Cuts
+from sim.lab.checking.smc.runs import engine
+from sim.lab.checking.smc.splitting.estimator import SplitEstimate, split
 from sim.sha.automaton import Distribution
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Event, Trace

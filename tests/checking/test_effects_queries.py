@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.checking.language.parse import parse_query
-from sim.checking.smc.answers import QuerySettings, answer, believed, initial
 from sim.engine.belief import advance, filter_trace
 from sim.engine.open_loop_run import open_loop
+from sim.lab.checking.language.parse import parse_query
+from sim.lab.checking.smc.answers import QuerySettings, answer, believed, initial
 from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.checking.language.parse import parse_query
-from sim.checking.language.printing import query_text
-from sim.checking.query.tree import At, Constant, Formula, Not, Probability
-from sim.checking.smc.answers import QuerySettings, answer, initial, prepared
-from sim.checking.smc.runs import sampler
+from sim.lab.checking.language.parse import parse_query
+from sim.lab.checking.language.printing import query_text
+from sim.lab.checking.query.tree import At, Constant, Formula, Not, Probability
+from sim.lab.checking.smc.answers import QuerySettings, answer, initial, prepared
+from sim.lab.checking.smc.runs import sampler
 from tests.rig.chain import until
 from tests.rig.formulas import (
     CHAIN,

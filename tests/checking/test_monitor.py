@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.checking.query.tree import (
+from sim.lab.checking.query.tree import (
     Always,
     At,
     Both,
@@ -29,9 +29,9 @@ from sim.checking.query.tree import (
     TimeSpan,
     Until,
 )
-from sim.checking.smc.answers import QuerySettings, answer, initial, prepared
-from sim.checking.smc.monitors.formula import compile_formulas
-from sim.checking.smc.runs import sampler
+from sim.lab.checking.smc.answers import QuerySettings, answer, initial, prepared
+from sim.lab.checking.smc.monitors.formula import compile_formulas
+from sim.lab.checking.smc.runs import sampler
 from sim.sha.automaton import Distribution
 from tests.checking.worlds import AGE, TEMP, TIME, along, compare, eventually, flow, model, normal
 

@@ -5,7 +5,7 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.checking.query.names import RESERVED, identifiers
+from sim.lab.checking.query.names import RESERVED, identifiers
 
 
 def test_the_decanter_s_locations_get_readable_identifiers() -> None:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from sim.checking.language.parse import QueryError, parse_query
-from sim.checking.language.printing import query_text, uppaal_refusal
-from sim.checking.query import tree as q
-from sim.checking.query.names import RESERVED, identifiers
+from sim.lab.checking.language.parse import QueryError, parse_query
+from sim.lab.checking.language.printing import query_text, uppaal_refusal
+from sim.lab.checking.query import tree as q
+from sim.lab.checking.query.names import RESERVED, identifiers
 from sim.sha.automaton import SHA, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model

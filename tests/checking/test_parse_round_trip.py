@@ -6,9 +6,9 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.checking.language.parse import parse_query
-from sim.checking.language.printing import query_text
-from sim.checking.query import tree as q
+from sim.lab.checking.language.parse import parse_query
+from sim.lab.checking.language.printing import query_text
+from sim.lab.checking.query import tree as q
 from tests.checking.test_parse import PLANT
 
 NUMBERS = st.floats(-1e6, 1e6).filter(lambda value: value != 0.0).map(q.Number) | st.integers(1, 9).map(

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from sim.checking.proof.bounds import BEYOND, Bounds, find_bounds, noise_band
-from sim.checking.proof.envelope import Assumptions, Envelope, Sojourn, UnboundedInput, envelopes, quantiles
-from sim.checking.proof.structure import Move, moves
-from sim.checking.proof.word import parse_word, word_text
-from sim.checking.proof.word_replay import replay
 from sim.effects.correction import in_sensor_scale
 from sim.engine.schedules import resync_targets, schedule
 from sim.engine.simulation import simulate
+from sim.proof.bounds import BEYOND, Bounds, find_bounds, noise_band
+from sim.proof.envelope import Assumptions, Envelope, Sojourn, UnboundedInput, envelopes, quantiles
+from sim.proof.structure import Move, moves
+from sim.proof.word import parse_word, word_text
+from sim.proof.word_replay import replay
 from sim.sha.automaton import Distribution, Edge, Flow, Input, Location
 from sim.sha.events import Alphabet, Bins, alphabet_symbols
 from sim.sha.flows import mean_step

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.checking.smc.rules.estimation import (
+from sim.lab.checking.smc.rules.estimation import (
     RuleOutcome,
     anytime,
     fixed,
@@ -15,7 +15,7 @@ from sim.checking.smc.rules.estimation import (
     one_or_two_sided,
     to_half_width,
 )
-from sim.checking.smc.rules.sprt import RatioTest, acceptance, expected_runs, sprt, wald_test
+from sim.lab.checking.smc.rules.sprt import RatioTest, acceptance, expected_runs, sprt, wald_test
 from sim.scores import clopper_pearson
 from sim.sha.trace import Array
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sim.checking.smc.rules.paired import PairedOutcome, compare
+from sim.lab.checking.smc.rules.paired import PairedOutcome, compare
 from sim.sha.trace import Array
 
 

@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sim.checking.language.parse import parse_query
-from sim.checking.proof.symbolic import SymbolicVerdict, decide
-from sim.checking.query import tree as q
+from sim.lab.checking.language.parse import parse_query
+from sim.lab.checking.query import tree as q
+from sim.lab.checking.query.symbolic import SymbolicVerdict, decide
 from sim.sha.automaton import SHA, Edge, Flow, Location, nondeterminism
 
 

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.artefacts.formats.find import find_model
-from sim.checking.proof.envelope import quantiles
-from sim.checking.proof.structure import accept, components, dead_ends, missing, moves, symbols_of, traps, unreachable
-from sim.checking.proof.verification import verify
-from sim.checking.proof.word import TimedWord, parse_word, word_text
-from sim.checking.proof.word_replay import replay
 from sim.engine.tracker import OnlinePolicy, compile_model, next_location
-from sim.learning.structure import bare_sha
+from sim.lab.formats.find import find_model
+from sim.lab.learning.structure import bare_sha
+from sim.proof.envelope import quantiles
+from sim.proof.structure import accept, components, dead_ends, missing, moves, symbols_of, traps, unreachable
+from sim.proof.verification import verify
+from sim.proof.word import TimedWord, parse_word, word_text
+from sim.proof.word_replay import replay
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
 from sim.sha.distributions import mean
 from sim.sha.events import DECANTER, alphabet_symbols

@@ -8,16 +8,16 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from sim.checking.proof.bounds import find_bounds
-from sim.checking.proof.drift import DriftBound, added
-from sim.checking.proof.envelope import DAY, Assumptions, envelopes
-from sim.checking.proof.structure import moves
-from sim.checking.proof.verification import verify
-from sim.checking.proof.word import parse_word, word_text
-from sim.checking.proof.word_replay import replay
 from sim.effects.kinds import signals_of
 from sim.engine.moment_equations import moments
 from sim.engine.schedules import schedule
+from sim.proof.bounds import find_bounds
+from sim.proof.drift import DriftBound, added
+from sim.proof.envelope import DAY, Assumptions, envelopes
+from sim.proof.structure import moves
+from sim.proof.verification import verify
+from sim.proof.word import parse_word, word_text
+from sim.proof.word_replay import replay
 from sim.sha.automaton import Distribution, Effect
 from sim.sha.events import Alphabet, Switch, alphabet_symbols
 from sim.sha.model import Correction, Model, Stay

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.verdicts import MUTANTS, judged, left_out
-from sim.checking.proof.envelope import Assumptions
-from sim.checking.proof.verification import verify
+from sim.proof.envelope import Assumptions
+from sim.proof.verification import verify
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Input
 from sim.sha.events import Alphabet
 from sim.sha.model import Correction, Model, Stay

@@ -4,7 +4,7 @@ from math import inf
 
 from hypothesis import strategies as st
 
-from sim.checking.proof.envelope import Assumptions
+from sim.proof.envelope import Assumptions
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Input, Location
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch
 from sim.sha.model import Correction, Model, Stay

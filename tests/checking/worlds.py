@@ -4,8 +4,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.checking.query.tree import Compare, Comparison, Eventually, Formula, Number, Probability, Quantity, TimeSpan
-from sim.checking.smc.answers import Start, initial
+from sim.lab.checking.query.tree import (
+    Compare,
+    Comparison,
+    Eventually,
+    Formula,
+    Number,
+    Probability,
+    Quantity,
+    TimeSpan,
+)
+from sim.lab.checking.smc.answers import Start, initial
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model, Stay

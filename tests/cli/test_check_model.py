@@ -11,8 +11,8 @@ from click.testing import Result
 from drivers.tag import Quality, Sample, Tag
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 from tests.gateway.support import one_machine
 
@@ -80,9 +80,9 @@ def test_equal_seeds_give_equal_answers_and_other_seeds_other_ones(place: Path) 
 
 def test_more_runs_begin_with_the_same_runs(place: Path) -> None:
     """The first 1000 of 3000 runs are the 1000 runs: their courses' goals come at the same moments."""
-    from sim.artefacts.formats.find import find_model
-    from sim.checking.language.parse import parse_query
-    from sim.checking.smc.answers import QuerySettings, answer, initial
+    from sim.lab.checking.language.parse import parse_query
+    from sim.lab.checking.smc.answers import QuerySettings, answer, initial
+    from sim.lab.formats.find import find_model
 
     found = find_model(place / "model").runnable()
     start = initial(found, location="ON/100-200")

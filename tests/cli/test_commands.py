@@ -29,8 +29,8 @@ from gateway.entry.exits import Exit, exit_code, sentence, sentences
 from gateway.entry.lazy import LazyGroup
 from gateway.store.historian import HistorianError
 from sim.files import ArtefactError
+from sim.lab.recordings.load_report import TraceError
 from sim.strict_json import json_text
-from sim.traces.load_report import TraceError
 from tests.cli.artefact_set import files, written
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 from tests.gateway.support import plant_file

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from drivers.tag import Quality, Sample, Tag
-from gateway.lab.diagnose import roles_of
+from gateway.lab.gap.diagnose import roles_of
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
 from gateway.store.read_back import recent
-from sim.artefacts.formats.find import find_model
-from sim.discrepancy.workflow import diagnose
 from sim.effects.kinds import ROLES
+from sim.lab.discrepancy.workflow import diagnose
+from sim.lab.formats.find import find_model
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
 from sim.plant.cooled import EPOCH, CooledPlant, cooled_days
 from sim.plant.scenarios import scenario
 from sim.sha.trace import Trace
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 from tests.gateway.support import one_machine
 from tests.rig.no_bands import without_bands

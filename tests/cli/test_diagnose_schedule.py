@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.lab.propose import RecordedDrift, propose, recorded_drift
+from gateway.lab.models.propose import RecordedDrift, propose, recorded_drift
 from gateway.store import reading
 from sim.artefacts import (
     FINDING_FILE,
@@ -17,8 +17,8 @@ from sim.artefacts import (
     version_directory,
     versions,
 )
-from sim.artefacts.formats import find_model, save
 from sim.files import ArtefactError
+from sim.lab.formats import find_model, save
 from sim.plant.scenarios import scenario
 from tests.cli.support import decanter, misused, only_object, refused
 from tests.cli.test_diagnose import kept

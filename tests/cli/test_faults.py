@@ -8,9 +8,9 @@ import pytest
 import scipy.linalg
 
 from gateway.entry import Exit, sentences
-from gateway.lab import simulate
-from sim.discrepancy.fitting.record import RecordFault
-from sim.learning import LearningError
+from gateway.lab.checking import simulate
+from sim.lab.discrepancy.fitting.record import RecordFault
+from sim.lab.learning import LearningError
 from sim.sha import Trace
 from tests.rig.pair import known_model
 

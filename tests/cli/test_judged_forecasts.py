@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.artefacts.formats.write_model import write_model_directory
-from sim.traces.trace_file import write_trace
+from sim.lab.formats.write_model import write_model_directory
+from sim.lab.recordings.trace_file import write_trace
 from tests.cli.support import decanter, misused, only_object
 from tests.cli.test_skill import Clairvoyant, Past
 from tests.gateway.support import TEMPERATURE, two_modes
@@ -66,7 +66,7 @@ def test_validate_reports_forecasts_beside_the_rivals_that_are_there(
 ) -> None:
     rivals = (Clairvoyant(), Absent("one"), Absent("two"))
     room = SimpleNamespace(Past=Past, rivals=lambda seed: rivals)
-    monkeypatch.setitem(sys.modules, "sim.rivals", room)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "sim.lab.rivals", room)  # type: ignore[arg-type]
     out = tmp_path / "out"
     command = ("model", "validate", plant / "model", "--traces", plant, "--training", plant / "own", "--out", out)
     done = decanter(*command, "--runs", 100, "--no-pictures", "--jobs", 1, "--rivals")

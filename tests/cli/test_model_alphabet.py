@@ -10,12 +10,12 @@ import pytest
 
 from gateway.cli.main import main
 from gateway.entry.lazy import LazyGroup
-from sim.artefacts.formats.find import find_model
+from sim.lab.formats.find import find_model
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
 from sim.sha.events import encode
 from sim.sha.model import Model
 from sim.sha.trace import Trace
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
 from tests.cli.support import ROOT, decanter, refused
 
 OWN = ROOT / "config" / "traces" / "decanter.toml"
@@ -113,7 +113,7 @@ def test_diagnose_hands_on_the_events_of_the_models_alphabet(
         seen.extend(given)
         raise ValueError("seen")
 
-    monkeypatch.setattr("gateway.lab.diagnose.diagnose_model", diagnosed)
+    monkeypatch.setattr("gateway.lab.gap.diagnose.diagnose_model", diagnosed)
     places = ("--model", model, "--traces", traces, "--out", tmp_path / "out", "--map", automatic)
     refused(decanter("diagnose", *places), 2, "seen")
     alphabet = find_model(model).runnable().alphabet

@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
 from gateway.cli.plc import COMMANDS
-from gateway.status import connect
+from gateway.outside.status import connect
 from gateway.store.audit import read, verify
 from sim.plc.record.recording import read_recording
 from tests.plc.bench import DECANTER, PATIENCE_S, ROOT, Process, running, wait_until

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from gateway.entry.interrupt import Interrupted, control_c, interruptible
-from sim.artefacts.formats.find import find_model
+from sim.lab.formats.find import find_model
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 from tests.rig.no_bands import without_bands
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.lab.show import spread_sentence
-from sim.artefacts.formats.write_model import write_model_directory
-from sim.learning.machines import MachineSpread
+from gateway.lab.models.show import spread_sentence
+from sim.lab.formats.write_model import write_model_directory
+from sim.lab.learning.machines import MachineSpread
 from sim.sha.automaton import Effect
 from sim.sha.model import PlainMember
 from tests.cli.support import decanter, only_object

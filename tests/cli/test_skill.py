@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.artefacts.formats.write_model import write_model_directory
 from sim.forecast.ensemble import DENSE
+from sim.lab.formats.write_model import write_model_directory
+from sim.lab.recordings.trace_file import write_trace
 from sim.sha.trace import Array
-from sim.traces.trace_file import write_trace
 from tests.cli.support import decanter, misused, only_object, refused
 from tests.gateway.support import two_modes
 from tests.skill.test_forecasts_along import measured
@@ -85,7 +85,7 @@ def test_skill_speaks_by_horizon_machine_and_time_and_draws_it(plant: Path, tmp_
 def test_skill_asks_rivals_with_the_past_alone(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rival = Clairvoyant()
     room = SimpleNamespace(Past=Past, rivals=lambda seed: (rival,))
-    monkeypatch.setitem(sys.modules, "sim.rivals", room)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "sim.lab.rivals", room)  # type: ignore[arg-type]
     options = (
         "--traces",
         plant / "a.csv",

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.lab.spent import peak_megabytes
+from gateway.lab.resource_usage import peak_megabytes
 
-SAYS = "from gateway.lab.spent import peak_megabytes; print(peak_megabytes())"
+SAYS = "from gateway.lab.resource_usage import peak_megabytes; print(peak_megabytes())"
 
 
 def test_a_child_does_not_count_the_memory_of_the_process_that_started_it() -> None:

@@ -13,12 +13,12 @@ from click.testing import CliRunner
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gateway.certificates import make_all
+from gateway.cli.keep.masking import bare_address, make_mask, masked, written_forms
 from gateway.cli.main import main
-from gateway.masking import bare_address, make_mask, masked, written_forms
+from gateway.network.certificates import make_all
+from gateway.outside.web.access import AccountRole, add_account
 from gateway.plant.app import run
 from gateway.plant.log import open_log
-from gateway.web.access import AccountRole, add_account
 from tests.gateway.support import MAP, TEMPERATURE, Bench, JumpClock, load_config, plant_file
 
 SMTP, TOKEN, HOOK = (

@@ -106,7 +106,7 @@ def test_every_command_has_said_how_many_threads_before_numpy_is_loaded(
 
 
 def test_worker_processes_have_the_threads_of_the_command() -> None:
-    code = "from gateway.entry.threads import *; import os; one_thread(); from sim.workers import parallel; "
+    code = "from gateway.entry.threads import *; import os; one_thread(); from sim.lab.workers import parallel; "
     code += "print(*parallel(os.environ.get, VARIABLES, 2))"
     done = subprocess.run(
         [sys.executable, "-c", code],

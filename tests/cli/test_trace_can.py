@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
 from tests.drivers.can_frames import candump
 from tests.drivers.test_can_log import trip
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from gateway.lab.diagnose import DiagnosisRequest, run, show
+from gateway.lab.gap.diagnose import DiagnosisRequest, run, show
 from sim.sha.trace import Trace, unit_of
 from tests.cli.support import decanter
 from tests.discrepancy.plants import model as model_of

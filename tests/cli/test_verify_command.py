@@ -7,9 +7,9 @@ import pytest
 
 from drivers.settings import ConfigError
 from gateway.machine.model.loading import load_model
-from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.store import Force, current, forced, load, promote
 from sim.files import ArtefactError
+from sim.lab.formats.write_model import save, write_model_directory
 from sim.sha.model import Model
 from tests.checking.verify_models import thesis
 from tests.cli.artefact_set import files, written

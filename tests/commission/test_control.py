@@ -13,10 +13,10 @@ import pytest
 
 from gateway.commission.session.gateway_line import running_gateway
 from gateway.commission.session.target import make_target
+from gateway.outside.status import ControlError, connect
 from gateway.plant.app import run
 from gateway.plant.control import listening_socket
 from gateway.settings.config import load_config
-from gateway.status import ControlError, connect
 from tests.commission.bench import force, plc
 from tests.gateway.support import MAP
 from tests.plc.bench import running

@@ -11,7 +11,7 @@ from drivers.can.bus.hub import Hub
 from gateway.commission.files.recording import read_recording
 from gateway.commission.soak import recommended
 from sim.artefacts.model_json import model_text
-from sim.traces.trace_file import write_trace
+from sim.lab.recordings.trace_file import write_trace
 from tests.commission.bench import answer, at, force, free_port, plc
 from tests.plc.bench import DECANTER, ROOT, Process, running, wait_until
 from tests.rig.pair import known_model, restless_trace

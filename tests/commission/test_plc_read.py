@@ -55,7 +55,7 @@ def test_a_tag_reads_the_same_over_every_link(device: tuple[Process, Path], tmp_
 def test_over_tls_the_same_is_read_with_a_certificate(tmp_path: Path) -> None:
     folder = tmp_path / "tls"
     folder.mkdir()
-    from gateway.certificates import make_all
+    from gateway.network.certificates import make_all
 
     made = make_all(folder, hosts=("127.0.0.1",), days=2)
     with running("--tls", made) as process:

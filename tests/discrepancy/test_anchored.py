@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.fitting import anchored, fit, frame_of, record_of
-from sim.discrepancy.fitting.baseline import Frame
+from sim.lab.discrepancy.fitting import anchored, fit, frame_of, record_of
+from sim.lab.discrepancy.fitting.baseline import Frame
 from sim.sha.events import encode
 from tests.discrepancy.plants import ALPHABET, TARGETS, model, plant
 

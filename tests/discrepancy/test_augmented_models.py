@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.checking.proof.verification import verify
-from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.fitting.named import Named, effect_of
 from sim.effects.kinds import EFFECTS
-from sim.learning.semi_markov import fit_stays, with_inputs
+from sim.lab.discrepancy.fitting.candidates import catalogue
+from sim.lab.discrepancy.fitting.named import Named, effect_of
+from sim.lab.learning.semi_markov import fit_stays, with_inputs
+from sim.proof.verification import verify
 from sim.sha.automaton import Effect
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace

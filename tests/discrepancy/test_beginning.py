@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy import beginning_sentence
-from sim.discrepancy.beginning import beginning
-from sim.discrepancy.fitting import Fitted, fit, frame_of, on, record_of
-from sim.discrepancy.held_out import HeldOutRun, let_run
-from sim.discrepancy.rules import RULES
-from sim.discrepancy.story import shown_time
-from sim.discrepancy.workflow import diagnose
 from sim.engine import linear_recursion
+from sim.lab.discrepancy import beginning_sentence
+from sim.lab.discrepancy.beginning import beginning
+from sim.lab.discrepancy.fitting import Fitted, fit, frame_of, on, record_of
+from sim.lab.discrepancy.held_out import HeldOutRun, let_run
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.story import shown_time
+from sim.lab.discrepancy.workflow import diagnose
 from sim.sha import Array
 from tests.discrepancy.plants import model, plant
 

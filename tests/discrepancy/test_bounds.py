@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.fitting import (
+from sim.lab.discrepancy.fitting import (
     CatalogueEntry,
     Fitted,
     Record,
@@ -17,10 +17,10 @@ from sim.discrepancy.fitting import (
     record_of,
     rivals,
 )
-from sim.discrepancy.judging import NamingResult, dubious, fastest_movement, greatest_heat, too_short
-from sim.discrepancy.naming import NamingStep, step
-from sim.discrepancy.rules import RULES
-from sim.discrepancy.screen import TIMES, Shape, refined, screen, shortest_visible
+from sim.lab.discrepancy.judging import NamingResult, dubious, fastest_movement, greatest_heat, too_short
+from sim.lab.discrepancy.naming import NamingStep, step
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.screen import TIMES, Shape, refined, screen, shortest_visible
 from sim.sha import Trace
 from tests.discrepancy.plants import PERIOD, model, plant, sparse
 

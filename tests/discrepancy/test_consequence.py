@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.discrepancy.consequence import follows
-from sim.discrepancy.layout import measured_signals
-from sim.discrepancy.rules import RULES
-from sim.discrepancy.workflow import diagnose
+from sim.lab.discrepancy.consequence import follows
+from sim.lab.discrepancy.layout import measured_signals
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.workflow import diagnose
 from sim.sha.trace import Array, Trace
 from tests.discrepancy.plants import PERIOD, model, plant
 

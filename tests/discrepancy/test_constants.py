@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.constants import absorbed
-from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.rules import RULES
+from sim.lab.discrepancy.constants import absorbed
+from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.rules import RULES
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
 from sim.sha.events import Alphabet, Bins, Switch, encode
 from sim.sha.model import Model

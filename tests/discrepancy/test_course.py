@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.fitting import course
-from sim.discrepancy.fitting.baseline import Frame, frame_of
-from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.fitting.course import CourseState, at, grid_at, scattered, window_sensitivity
-from sim.discrepancy.fitting.named import Named
-from sim.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.fitting import course
+from sim.lab.discrepancy.fitting.baseline import Frame, frame_of
+from sim.lab.discrepancy.fitting.candidates import catalogue
+from sim.lab.discrepancy.fitting.course import CourseState, at, grid_at, scattered, window_sensitivity
+from sim.lab.discrepancy.fitting.named import Named
+from sim.lab.discrepancy.fitting.record import record_of
 from sim.sha.trace import Array
 from tests.discrepancy.plants import model, plant
 

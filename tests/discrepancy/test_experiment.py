@@ -9,12 +9,13 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli.main import main
-from sim.artefacts.formats import write_model_directory
-from sim.discrepancy import proving
-from sim.discrepancy.advice import experiment_lines
-from sim.discrepancy.beginning import beginning
-from sim.discrepancy.diagnosis import GapBeginning, ProposedExperiment
-from sim.discrepancy.experiment import (
+from sim.engine.schedules import schedule
+from sim.engine.simulation import simulate
+from sim.lab.discrepancy import proving
+from sim.lab.discrepancy.advice import experiment_lines
+from sim.lab.discrepancy.beginning import beginning
+from sim.lab.discrepancy.diagnosis import GapBeginning, ProposedExperiment
+from sim.lab.discrepancy.experiment import (
     ExperimentSchedule,
     barred_loads,
     machine_operation,
@@ -24,21 +25,20 @@ from sim.discrepancy.experiment import (
     schedules,
     steps_of,
 )
-from sim.discrepancy.fitting import first_cycle_after, frame_of, on, record_of, rivals
-from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.held_out import HeldOutRun
-from sim.discrepancy.judging import NamingResult
-from sim.discrepancy.naming import NamingStep, step
-from sim.discrepancy.rules import RULES, DecisionRules
-from sim.discrepancy.workflow import diagnose
-from sim.engine.schedules import schedule
-from sim.engine.simulation import simulate
+from sim.lab.discrepancy.fitting import first_cycle_after, frame_of, on, record_of, rivals
+from sim.lab.discrepancy.fitting.candidates import catalogue
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.held_out import HeldOutRun
+from sim.lab.discrepancy.judging import NamingResult
+from sim.lab.discrepancy.naming import NamingStep, step
+from sim.lab.discrepancy.rules import RULES, DecisionRules
+from sim.lab.discrepancy.workflow import diagnose
+from sim.lab.formats import write_model_directory
+from sim.lab.recordings import write_trace
 from sim.sha.automaton import Effect, Flow, Input
 from sim.sha.events import encode
 from sim.sha.model import Model
 from sim.sha.trace import Trace
-from sim.traces import write_trace
 from tests.discrepancy.plants import ALPHABET, model, plant, random_model, simulated, sparse
 
 CURRENT = {"current": "Assorbimento"}

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.diagnosis import HeldOutProof, NoiseFloor
-from sim.discrepancy.fitting import Fitted, Record, fit, frame_of, on, record_of
-from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.gap import (
+from sim.engine import linear_recursion
+from sim.lab.discrepancy.diagnosis import HeldOutProof, NoiseFloor
+from sim.lab.discrepancy.fitting import Fitted, Record, fit, frame_of, on, record_of
+from sim.lab.discrepancy.fitting.candidates import catalogue
+from sim.lab.discrepancy.gap import (
     believed_size,
     floor_of,
     limit_parameter_errors,
@@ -17,14 +18,13 @@ from sim.discrepancy.gap import (
     size_by_equal_cycles,
     stated_errors,
 )
-from sim.discrepancy.held_out import as_given, compared, let_run, mean_squares, runs_before
-from sim.discrepancy.judging import NamingResult, above, doubts, least_told
-from sim.discrepancy.naming import NamingStep, confirm, step
-from sim.discrepancy.proving import Proof, longest_that_passes
-from sim.discrepancy.rules import RULES
-from sim.discrepancy.story import held_out_sentence, little_sentence
-from sim.discrepancy.workflow import diagnose
-from sim.engine import linear_recursion
+from sim.lab.discrepancy.held_out import as_given, compared, let_run, mean_squares, runs_before
+from sim.lab.discrepancy.judging import NamingResult, above, doubts, least_told
+from sim.lab.discrepancy.naming import NamingStep, confirm, step
+from sim.lab.discrepancy.proving import Proof, longest_that_passes
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.story import held_out_sentence, little_sentence
+from sim.lab.discrepancy.workflow import diagnose
 from sim.sha import Distribution, Model, Trace
 from tests.discrepancy.plants import TARGETS, model, plant, simulated, sparse
 

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.diagnosis import HeldOutProof
-from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.fitting.free_run_fit import Fitted, fit
-from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.gap import Excess
-from sim.discrepancy.heat import REACH, implied_heat
-from sim.discrepancy.held_out import let_run
-from sim.discrepancy.judging import NamingResult, doubts, evidence_of, left_over
-from sim.discrepancy.naming import NamingStep, confirm, step
-from sim.discrepancy.rules import RULES
-from sim.discrepancy.story import sentence_of
+from sim.lab.discrepancy.diagnosis import HeldOutProof
+from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.fitting.candidates import catalogue
+from sim.lab.discrepancy.fitting.free_run_fit import Fitted, fit
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.gap import Excess
+from sim.lab.discrepancy.heat import REACH, implied_heat
+from sim.lab.discrepancy.held_out import let_run
+from sim.lab.discrepancy.judging import NamingResult, doubts, evidence_of, left_over
+from sim.lab.discrepancy.naming import NamingStep, confirm, step
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.story import sentence_of
 from tests.discrepancy.plants import model, plant
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from sim.discrepancy.fitting import catalogue, fit, frame_of, record_of, restored, slim
-from sim.discrepancy.naming import step
-from sim.discrepancy.rules import RULES
+from sim.lab.discrepancy.fitting import catalogue, fit, frame_of, record_of, restored, slim
+from sim.lab.discrepancy.naming import step
+from sim.lab.discrepancy.rules import RULES
 from tests.discrepancy.plants import model, plant
 
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.discrepancy.fitting.effects import deviation, lagged_signal
-from sim.discrepancy.fitting.record import Record, record_of
+from sim.lab.discrepancy.fitting.effects import deviation, lagged_signal
+from sim.lab.discrepancy.fitting.record import Record, record_of
 from sim.sha.automaton import Effect
 from sim.sha.events import encode
 from tests.discrepancy.plants import ALPHABET, PERIOD, model, plant

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from sim.artefacts.effect_lines import read_effect_lines
-from sim.discrepancy.advice import in_words, law_sentence, look_at, overlap_sentence
-from sim.discrepancy.diagnosis import CandidateLaw, Diagnosis, HeatPlace
-from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.candidates import catalogue, own_roles
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.law_search import candidate_laws
-from sim.discrepancy.layout import measured_signals, present_roles, signals_needed
-from sim.discrepancy.naming import step
-from sim.discrepancy.output.diagnosis_json import document, document_text
-from sim.discrepancy.output.report import Occasion, report_html
-from sim.discrepancy.rules import RULES
-from sim.discrepancy.workflow import diagnose
+from sim.lab.discrepancy.advice import in_words, law_sentence, look_at, overlap_sentence
+from sim.lab.discrepancy.diagnosis import CandidateLaw, Diagnosis, HeatPlace
+from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.fitting.candidates import catalogue, own_roles
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.law_search import candidate_laws
+from sim.lab.discrepancy.layout import measured_signals, present_roles, signals_needed
+from sim.lab.discrepancy.naming import step
+from sim.lab.discrepancy.output.diagnosis_json import document, document_text
+from sim.lab.discrepancy.output.report import Occasion, report_html
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.workflow import diagnose
 from tests.cli.support import decanter, only_object, refused
 from tests.discrepancy.plants import PERIOD, model
 from tests.discrepancy.valves import Hidden, plant

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.diagnosis import MissingHeat
-from sim.discrepancy.fitting import Fitted, NoiseModel, fit, frame_of, record_of
-from sim.discrepancy.missing_heat import as_one_heat, missing_heat
 from sim.engine import linear_recursion
+from sim.lab.discrepancy.diagnosis import MissingHeat
+from sim.lab.discrepancy.fitting import Fitted, NoiseModel, fit, frame_of, record_of
+from sim.lab.discrepancy.missing_heat import as_one_heat, missing_heat
 from sim.sha import Trace
 from tests.discrepancy.plants import PERIOD, model, plant
 

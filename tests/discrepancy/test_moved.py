@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.fitting import Fitted, anchored, fit, frame_of, on, record_of
-from sim.discrepancy.moved import shifts
-from sim.discrepancy.rules import RULES
-from sim.discrepancy.story import sentence_of
+from sim.lab.discrepancy.fitting import Fitted, anchored, fit, frame_of, on, record_of
+from sim.lab.discrepancy.moved import shifts
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.story import sentence_of
 from sim.sha import Model
 from sim.sha.events import encode
 from tests.discrepancy.plants import ALPHABET, model, plant

@@ -6,15 +6,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sim.discrepancy.advice import look_at
-from sim.discrepancy.fitting import anchored, frame_of, heat_and_loss, on, record_of, rivals
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.named import Named, effect_of
-from sim.discrepancy.judging import NamingResult, description, dubious
-from sim.discrepancy.naming import entries_besides, step
-from sim.discrepancy.rules import RULES
-from sim.discrepancy.workflow import diagnose
 from sim.engine.schedules import schedule
+from sim.lab.discrepancy.advice import look_at
+from sim.lab.discrepancy.fitting import anchored, frame_of, heat_and_loss, on, record_of, rivals
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.named import Named, effect_of
+from sim.lab.discrepancy.judging import NamingResult, description, dubious
+from sim.lab.discrepancy.naming import entries_besides, step
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.workflow import diagnose
 from sim.sha.automaton import SHA
 from sim.sha.trace import Array
 from tests.discrepancy.plants import PERIOD, model, plant

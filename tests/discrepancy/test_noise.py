@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sim.discrepancy.fitting.noise import (
+from sim.engine.recursion import linear_recursion
+from sim.lab.discrepancy.fitting.noise import (
     DIFFUSE,
     Grid,
     NoiseModel,
@@ -17,8 +18,7 @@ from sim.discrepancy.fitting.noise import (
     noise_of,
     vector,
 )
-from sim.engine.recursion import linear_recursion
-from sim.learning.runs import Indices
+from sim.lab.learning.runs import Indices
 from sim.sha.trace import Array, Mask
 
 NOISE = NoiseModel(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4, still=0.3)

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy import judging, path
-from sim.discrepancy.evidence import candidates_of, traces_of
-from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.fitting.free_run_fit import Fitted, fit
-from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.rules import RULES
+from sim.lab.discrepancy import judging, path
+from sim.lab.discrepancy.evidence import candidates_of, traces_of
+from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.fitting.candidates import catalogue
+from sim.lab.discrepancy.fitting.free_run_fit import Fitted, fit
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.rules import RULES
 from sim.sha.events import encode
 from sim.sha.trace import Array
 from tests.discrepancy.plants import ALPHABET, PERIOD, model, plant

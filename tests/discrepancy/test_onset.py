@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.beginning import beginning
-from sim.discrepancy.diagnosis import GapBeginning
-from sim.discrepancy.fitting import Fitted, catalogue, fit, frame_of, record_of
-from sim.discrepancy.held_out import let_run
-from sim.discrepancy.onset import acting_since
-from sim.discrepancy.rules import RULES, DecisionRules
-from sim.discrepancy.workflow import diagnose
+from sim.lab.discrepancy.beginning import beginning
+from sim.lab.discrepancy.diagnosis import GapBeginning
+from sim.lab.discrepancy.fitting import Fitted, catalogue, fit, frame_of, record_of
+from sim.lab.discrepancy.held_out import let_run
+from sim.lab.discrepancy.onset import acting_since
+from sim.lab.discrepancy.rules import RULES, DecisionRules
+from sim.lab.discrepancy.workflow import diagnose
 from sim.sha import Array, Trace
 from tests.discrepancy.plants import model, plant
 

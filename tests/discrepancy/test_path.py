@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import pytest
 
-from sim.discrepancy import path
-from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.candidates import catalogue, rivals
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.named import Named
-from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.naming import NamingStep, confirm, entries_besides, likeness, step
-from sim.discrepancy.path import Judged, name, revised
-from sim.discrepancy.rules import RULES
+from sim.lab.discrepancy import path
+from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.fitting.candidates import catalogue, rivals
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.named import Named
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.naming import NamingStep, confirm, entries_besides, likeness, step
+from sim.lab.discrepancy.path import Judged, name, revised
+from sim.lab.discrepancy.rules import RULES
 from tests.discrepancy.plants import model, plant
 
 PUMP = {"pump": "MarciaPmpFango"}

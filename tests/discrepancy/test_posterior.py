@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.ceiling import ceiling
-from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, NoiseFloor
-from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.candidates import entry_of
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.held_out import compared
-from sim.discrepancy.naming import confirm, step
-from sim.discrepancy.posterior import (
+from sim.lab.discrepancy.ceiling import ceiling
+from sim.lab.discrepancy.diagnosis import Ceiling, HeldOutProof, NoiseFloor
+from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.fitting.candidates import entry_of
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.held_out import compared
+from sim.lab.discrepancy.naming import confirm, step
+from sim.lab.discrepancy.posterior import (
     MAX_CONFIDENCE,
     PRIOR_NONE,
     NamesEvidence,
@@ -21,7 +21,7 @@ from sim.discrepancy.posterior import (
     names_evidence,
     posterior,
 )
-from sim.discrepancy.rules import RULES
+from sim.lab.discrepancy.rules import RULES
 from tests.discrepancy.plants import model, plant
 
 GAINS = {"pump-cooling": 60.0, "ambient-coupling": 48.0, "heat-by-the-clock": 30.0}

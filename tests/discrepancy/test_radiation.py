@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import Diagnosis
-from sim.discrepancy.fitting.baseline import frame_of
-from sim.discrepancy.fitting.candidates import entry_of
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.named import Named
-from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.workflow import diagnose
+from sim.lab.discrepancy.diagnosis import Diagnosis
+from sim.lab.discrepancy.fitting.baseline import frame_of
+from sim.lab.discrepancy.fitting.candidates import entry_of
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.named import Named
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.workflow import diagnose
 from tests.discrepancy.plants import model
 from tests.discrepancy.valves import plant
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.discrepancy.fitting.record import PIECE_ROWS, in_order, overlapping, record_of
-from sim.discrepancy.workflow import diagnose
+from sim.lab.discrepancy.fitting.record import PIECE_ROWS, in_order, overlapping, record_of
+from sim.lab.discrepancy.workflow import diagnose
 from sim.sha.events import encode
 from sim.sha.trace import Event, Trace
 from tests.discrepancy.plants import ALPHABET, model, plant, sparse

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.fitting import fit, frame_of, grid_at, in_order, on, patiently, record_of
-from sim.discrepancy.fitting.course import run_free
-from sim.discrepancy.fitting.record import Record, RecordFault, broken
-from sim.discrepancy.gap import floor_of
-from sim.discrepancy.held_out import compared, let_run
-from sim.discrepancy.rules import RULES
-from sim.discrepancy.workflow import diagnose
-from sim.learning import LearningError
+from sim.lab.discrepancy.fitting import fit, frame_of, grid_at, in_order, on, patiently, record_of
+from sim.lab.discrepancy.fitting.course import run_free
+from sim.lab.discrepancy.fitting.record import Record, RecordFault, broken
+from sim.lab.discrepancy.gap import floor_of
+from sim.lab.discrepancy.held_out import compared, let_run
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.workflow import diagnose
+from sim.lab.learning import LearningError
 from sim.sha.trace import Array, Trace
 from tests.discrepancy.plants import model, plant, sparse
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.augment import as_white, augmented
-from sim.discrepancy.fitting.baseline import anchored, frame_of, on
-from sim.discrepancy.fitting.free_run_fit import LEAST_STILL, first_noise, fit, stated_process
-from sim.discrepancy.fitting.record import Record, record_of
+from sim.lab.discrepancy.augment import as_white, augmented
+from sim.lab.discrepancy.fitting.baseline import anchored, frame_of, on
+from sim.lab.discrepancy.fitting.free_run_fit import LEAST_STILL, first_noise, fit, stated_process
+from sim.lab.discrepancy.fitting.record import Record, record_of
 from sim.sha.automaton import Flow
 from sim.sha.events import encode
 from sim.sha.model import Model

@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 
 from sim.artefacts.model_json import model_text, parse_model
-from sim.checking.proof.verification import verify
-from sim.discrepancy import naming
-from sim.discrepancy.augment import augmented
-from sim.discrepancy.diagnosis import Diagnosis
-from sim.discrepancy.fitting import frame_of, heat_and_loss, on, record_of
-from sim.discrepancy.fitting.candidates import catalogue, entry_of
-from sim.discrepancy.fitting.effects import deviation
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.named import Named, effect_of
-from sim.discrepancy.naming import begins, likeness, step, without_idle
-from sim.discrepancy.rules import RULES
-from sim.discrepancy.workflow import diagnose
 from sim.engine.moment_equations import moments
 from sim.engine.open_loop_run import errors, open_loop
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
+from sim.lab.discrepancy import naming
+from sim.lab.discrepancy.augment import augmented
+from sim.lab.discrepancy.diagnosis import Diagnosis
+from sim.lab.discrepancy.fitting import frame_of, heat_and_loss, on, record_of
+from sim.lab.discrepancy.fitting.candidates import catalogue, entry_of
+from sim.lab.discrepancy.fitting.effects import deviation
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.named import Named, effect_of
+from sim.lab.discrepancy.naming import begins, likeness, step, without_idle
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.workflow import diagnose
+from sim.proof.verification import verify
 from sim.sha.automaton import Effect, Flow
 from sim.sha.events import encode
 from sim.sha.trace import Trace

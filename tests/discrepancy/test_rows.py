@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.fitting import Whitener, frame_of, grid_at, record_of
-from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.fitting.course import LATE_APART, LATE_TOGETHER, inrush, lateness, run_free
-from sim.discrepancy.fitting.named import Named
-from sim.discrepancy.fitting.noise import NoiseModel
-from sim.discrepancy.workflow import diagnose
 from sim.engine import linear_recursion
+from sim.lab.discrepancy.fitting import Whitener, frame_of, grid_at, record_of
+from sim.lab.discrepancy.fitting.candidates import catalogue
+from sim.lab.discrepancy.fitting.course import LATE_APART, LATE_TOGETHER, inrush, lateness, run_free
+from sim.lab.discrepancy.fitting.named import Named
+from sim.lab.discrepancy.fitting.noise import NoiseModel
+from sim.lab.discrepancy.workflow import diagnose
 from sim.sha.events import encode
 from tests.discrepancy.plants import ALPHABET, TARGETS, model, plant, sparse
 

@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sim.discrepancy.fitting.baseline import frame_of
-from sim.discrepancy.fitting.candidates import entry_of
-from sim.discrepancy.fitting.course import at
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.named import Named, effects_of
-from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.workflow import diagnose
+from sim.lab.discrepancy.fitting.baseline import frame_of
+from sim.lab.discrepancy.fitting.candidates import entry_of
+from sim.lab.discrepancy.fitting.course import at
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.named import Named, effects_of
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.workflow import diagnose
 from tests.discrepancy.plants import PERIOD, model
 from tests.discrepancy.valves import Hidden, plant
 

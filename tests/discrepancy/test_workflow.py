@@ -6,19 +6,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.discrepancy import evidence, judging, path, proving
-from sim.discrepancy.augment import augmented
-from sim.discrepancy.diagnosis import NoiseFloor
-from sim.discrepancy.fitting.baseline import frame_of
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.named import named_of
-from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.gap import floor_of
-from sim.discrepancy.rules import DecisionRules
-from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 from sim.engine.open_loop_run import open_loop
 from sim.engine.recursion import linear_recursion
-from sim.learning.structure import LearningError
+from sim.lab.discrepancy import evidence, judging, path, proving
+from sim.lab.discrepancy.augment import augmented
+from sim.lab.discrepancy.diagnosis import NoiseFloor
+from sim.lab.discrepancy.fitting.baseline import frame_of
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.named import named_of
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.gap import floor_of
+from sim.lab.discrepancy.rules import DecisionRules
+from sim.lab.discrepancy.workflow import DiagnosisOutcome, diagnose
+from sim.lab.learning.structure import LearningError
 from sim.sha.automaton import Effect, Flow
 from tests.discrepancy.plants import PERIOD, model, plant, random_model, simulated
 

@@ -5,7 +5,7 @@ from math import inf, nan
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import (
+from sim.lab.discrepancy.diagnosis import (
     Ceiling,
     Diagnosis,
     DiagnosisCourse,

@@ -13,13 +13,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from sim.artefacts.model_directory import read_model_directory
-from sim.discrepancy import beginning_sentence, held_out_sentence, look_at
-from sim.discrepancy.diagnosis import Diagnosis, Verdict
-from sim.discrepancy.heat_maps import heat_map, span
-from sim.discrepancy.output import folder as output_folder
-from sim.discrepancy.output.diagnosis_json import MISSING_HEAT, document, document_text
-from sim.discrepancy.output.folder import check_folder, write_diagnosis
-from sim.discrepancy.output.pictures import (
+from sim.lab.discrepancy import beginning_sentence, held_out_sentence, look_at
+from sim.lab.discrepancy.diagnosis import Diagnosis, Verdict
+from sim.lab.discrepancy.heat_maps import heat_map, span
+from sim.lab.discrepancy.output import folder as output_folder
+from sim.lab.discrepancy.output.diagnosis_json import MISSING_HEAT, document, document_text
+from sim.lab.discrepancy.output.folder import check_folder, write_diagnosis
+from sim.lab.discrepancy.output.pictures import (
     CYCLES,
     ERRORS,
     MISSING,
@@ -29,8 +29,8 @@ from sim.discrepancy.output.pictures import (
     draw,
     draw_missing_heat,
 )
-from sim.discrepancy.output.report import Occasion, place_sentence, report_html
-from sim.discrepancy.story import sentence_of
+from sim.lab.discrepancy.output.report import Occasion, place_sentence, report_html
+from sim.lab.discrepancy.story import sentence_of
 from tests.discrepancy_report.made_diagnoses import EVIL, LATE, PLACE, beginning, course, missing, of
 from tests.gateway.support import two_modes
 

@@ -5,7 +5,7 @@ import ssl
 from functools import cache
 from pathlib import Path
 
-from gateway.certificates import Signer, issue, make_authority, write
+from gateway.network.certificates import Signer, issue, make_authority, write
 
 NOW = dt.datetime.now(dt.UTC)
 HOSTS = ("localhost", "127.0.0.1")

@@ -18,7 +18,7 @@ from drivers.errors import DeviceException, LinkDown
 from drivers.modbus.driver import ModbusDriver, open_modbus
 from drivers.modbus.tls import cautions, load_identity, sentence
 from drivers.tag import Quality, Tag
-from gateway.certificates import Signer
+from gateway.network.certificates import Signer
 from tests.drivers import certified
 from tests.drivers.scripted import ScriptedPlc, mbap
 

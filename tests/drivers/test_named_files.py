@@ -15,10 +15,10 @@ from drivers.soft.recorded import load_csv
 from drivers.vehicle.log import open_log
 from gateway.commission.files.cells import read_sheet
 from gateway.commission.files.recording import read_recording
-from sim.artefacts.formats.find import find_model
-from sim.checking.proof.word import parse_word
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
+from sim.lab.formats.find import find_model
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
+from sim.proof.word import parse_word
 
 ROOT = Path(__file__).parents[2]
 BIG = "1" * 1_000_000

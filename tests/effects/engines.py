@@ -5,21 +5,21 @@ from functools import cache
 
 import numpy as np
 
-from sim.discrepancy.fitting.baseline import frame_of
-from sim.discrepancy.fitting.candidates import entry_of
-from sim.discrepancy.fitting.course import at
-from sim.discrepancy.fitting.named import Named, effects_of
-from sim.discrepancy.fitting.record import record_of
 from sim.engine.belief import advance, compile_model, on_event, start, with_inputs
 from sim.engine.open_loop_run import open_loop
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
-from sim.learning.structure import contexts, product_sha
+from sim.lab.discrepancy.fitting.baseline import frame_of
+from sim.lab.discrepancy.fitting.candidates import entry_of
+from sim.lab.discrepancy.fitting.course import at
+from sim.lab.discrepancy.fitting.named import Named, effects_of
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.learning.structure import contexts, product_sha
+from sim.lab.uppaal.model_export import export
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet, Bins, Switch
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Array, Event, Trace
-from sim.uppaal.model_export import export
 from tests.sha.effect_reference import EFFECTS as EXAMPLES
 from tests.uppaal.support import courses, middle
 

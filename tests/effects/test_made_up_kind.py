@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from sim.artefacts.model_json import model_text, parse_model
-from sim.checking.proof.envelope import Assumptions
-from sim.checking.proof.verification import verify
-from sim.discrepancy.augment import augmented
-from sim.discrepancy.fitting.candidates import entry_of
-from sim.discrepancy.workflow import diagnose
 from sim.effects.correction import in_sensor_scale
 from sim.effects.kind import EffectRefusal
 from sim.effects.kinds import ROLES
 from sim.engine.belief import compile_model, start
 from sim.engine.plant import compile_plant
 from sim.forecast.fan import forecast
+from sim.lab.discrepancy.augment import augmented
+from sim.lab.discrepancy.fitting.candidates import entry_of
+from sim.lab.discrepancy.workflow import diagnose
+from sim.lab.uppaal.model_export import ExportError, export
+from sim.proof.envelope import Assumptions
+from sim.proof.verification import verify
 from sim.sha.automaton import Effect
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Trace
-from sim.uppaal.model_export import ExportError, export
 from tests.discrepancy.plants import model as small_model
 from tests.discrepancy.plants import plant as small_plant
 from tests.effects.engines import (

@@ -11,21 +11,21 @@ from drivers.tag import Value
 from gateway.machine.model.predict import Predictor
 from sim.artefacts.effect_lines import effect_lines_text, read_effect_lines
 from sim.artefacts.model_json import model_hash, model_text, parse_model
-from sim.checking.proof.envelope import Assumptions
-from sim.checking.proof.verification import verify
-from sim.discrepancy.augment import augmented
-from sim.discrepancy.fitting.baseline import frame_of
-from sim.discrepancy.fitting.candidates import catalogue, entry_of_line, own_roles
-from sim.discrepancy.fitting.free_run_fit import fit
-from sim.discrepancy.fitting.named import Named, named_of
-from sim.discrepancy.fitting.record import record_of
-from sim.discrepancy.judging import untested
-from sim.discrepancy.layout import present_roles, signals_needed
-from sim.discrepancy.naming import step
-from sim.discrepancy.rules import RULES
 from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import effect_summary
 from sim.files import ArtefactError
+from sim.lab.discrepancy.augment import augmented
+from sim.lab.discrepancy.fitting.baseline import frame_of
+from sim.lab.discrepancy.fitting.candidates import catalogue, entry_of_line, own_roles
+from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.named import Named, named_of
+from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.judging import untested
+from sim.lab.discrepancy.layout import present_roles, signals_needed
+from sim.lab.discrepancy.naming import step
+from sim.lab.discrepancy.rules import RULES
+from sim.proof.envelope import Assumptions
+from sim.proof.verification import verify
 from sim.sha.automaton import Effect
 from sim.sha.effect_line import EffectLine
 from sim.sha.model import Correction, Model

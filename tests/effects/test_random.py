@@ -6,11 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim.checking.proof.bounds import find_bounds
-from sim.checking.proof.envelope import Assumptions
-from sim.checking.smc.paths import Cuts
-from sim.checking.smc.runs import engine
-from sim.checking.smc.start import initial
 from sim.effects import disturbance_step
 from sim.engine.belief import (
     advance,
@@ -27,11 +22,16 @@ from sim.engine.response import respond
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
 from sim.forecast.fan import forecast
+from sim.lab.checking.smc.paths import Cuts
+from sim.lab.checking.smc.runs import engine
+from sim.lab.checking.smc.start import initial
+from sim.lab.uppaal.model_export import export
+from sim.proof.bounds import find_bounds
+from sim.proof.envelope import Assumptions
 from sim.sha.automaton import SHA, Effect, Flow, Location
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model, Stay
 from sim.sha.trace import Array, Event, Trace
-from sim.uppaal.model_export import export
 from tests.effects.engines import model_of, trace_of
 from tests.sha.effect_reference import RANDOM
 from tests.sha.models import normal

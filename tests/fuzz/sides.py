@@ -19,8 +19,8 @@ from drivers.tag import DType, Tag
 from drivers.vehicle.isotp import Reassembler
 from drivers.vehicle.j1939_transport import Key, TransportSessions
 from drivers.vehicle.obd import ObdListener
-from gateway.northbound.sparkplug import LONGEST_NAME, MOST_COMMANDS, commands_in
-from gateway.serving import PeerServer
+from gateway.outside.northbound.sparkplug import LONGEST_NAME, MOST_COMMANDS, commands_in
+from gateway.outside.serving import PeerServer
 from sim.plc.canopen.node import SDO_ANSWER, CanopenNode
 from sim.plc.canopen.objects import read_layout
 from sim.plc.canopen.pdo import RPDO

@@ -29,23 +29,23 @@ from gateway.settings import load_config
 from sim import familiarity
 from sim.artefacts.effect_lines import read_effect_lines
 from sim.artefacts.familiarity_file import FAMILIARITY_FILE, Familiarity, read_familiarity
-from sim.artefacts.formats.dot import read_source
-from sim.artefacts.formats.flow_file import read_flow_file
-from sim.artefacts.formats.histogram import read_histogram
-from sim.artefacts.formats.report import read_report
 from sim.artefacts.model_json import model_text, read_model_file
-from sim.checking.language.parse import QueryError, parse_query
 from sim.familiarity import error_curve, fit_reference
 from sim.files import ArtefactError
+from sim.lab.checking.language.parse import QueryError, parse_query
+from sim.lab.formats.dot import read_source
+from sim.lab.formats.flow_file import read_flow_file
+from sim.lab.formats.histogram import read_histogram
+from sim.lab.formats.report import read_report
+from sim.lab.recordings import ColumnMap, load_map
+from sim.lab.recordings.load_report import TraceError
+from sim.lab.recordings.traces import load_traces
 from sim.plc.modbus import framing
 from sim.plc.modbus.server import make_rtu_tcp
 from sim.plc.modbus.tls import make as make_tls
 from sim.plc.program import InputError
 from sim.plc.record.recording import read_recording
 from sim.sha import Model
-from sim.traces import ColumnMap, load_map
-from sim.traces.load_report import TraceError
-from sim.traces.traces import load_traces
 from tests.cases.input_without_a_bound.test_input_without_a_bound import with_part, workbook
 from tests.fuzz import live, sides
 from tests.fuzz.target import FuzzTarget, check_sentence, of_file, of_text, plain

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from gateway.certificates import days_left, make_all, make_application
 from gateway.clock_sync import clock_error
 from gateway.machine.alarms import make_conditions
+from gateway.network.certificates import days_left, make_all, make_application
 from gateway.plant.status import snapshot
 from gateway.settings import ALARM_KINDS
 from gateway.settings.config import Config, load_config

@@ -14,15 +14,15 @@ from drivers.supervision import Supervisor
 from gateway.cli.main import main
 from gateway.machine.alarms import alarm_rates, make_conditions, read_journal
 from gateway.machine.reading import plant_clock
-from gateway.notify import Notifier, attach_machine
-from gateway.notify.messages import AlarmMessage, subject_of
+from gateway.outside.notify import Notifier, attach_machine
+from gateway.outside.notify.messages import AlarmMessage, subject_of
+from gateway.outside.status import read_status
+from gateway.outside.texts import all_words
+from gateway.outside.web import machine_view
 from gateway.plant.app import run
 from gateway.plant.fleet import Fleet
 from gateway.plant.log import open_log
 from gateway.settings import OF_PLANT, Config, changed_machines, load_plant
-from gateway.status import read_status
-from gateway.texts import all_words
-from gateway.web import machine_view
 from tests.gateway.status_picture import picture
 from tests.gateway.support import EPOCH, MAP, TEMPERATURE
 from tests.gateway.test_alarm_desk import Stand, standing

@@ -12,9 +12,9 @@ from drivers.tag import Value
 from gateway.machine.writing.arming import ArmingError, arm_in_log, disarm_in_log, signed
 from gateway.machine.writing.block import Validity
 from gateway.machine.writing.writeback import Arming, Pace, Writer
+from gateway.outside.status import connect
 from gateway.plant.app import run
 from gateway.settings.config import Config, load_config
-from gateway.status import connect
 from gateway.store.arming_rows import standing
 from gateway.store.audit import ARMED, CONFIRMED, DISARMED, EXPIRED, AuditEntry, open_audit, read, verify
 from tests.gateway.support import EPOCH, Bench, JumpClock, config_in, plant_file, scan_of, two_modes

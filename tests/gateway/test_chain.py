@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from gateway.chain import BEGIN, digest, first_break, hash_of
 from gateway.commission.session.records import CommandRecord, append, broken_at
 from gateway.store.audit import AuditEntry, head, open_audit, verify
+from gateway.store.chain import BEGIN, digest, first_break, hash_of
 
 AUDIT = "1b5dd4b17891e76d1dcb8748a52605002a51a8e7c99ed92a54568734fdb52b23"
 RECORDS = "a1bb554878644f20ffc4920b8cefc11ac846cf11f06b5cc2aa55de0992067616"

@@ -12,13 +12,13 @@ from drivers.settings import ConfigError
 from gateway.machine.model.familiar import CycleFamiliarity, FamiliarityRating
 from gateway.machine.model.loading import load_model
 from gateway.machine.model.predict import Predictor, ScanPrediction
+from gateway.outside.status import GatewayStatus, findings, read_status
+from gateway.outside.texts import all_words
+from gateway.outside.web import machine_view
 from gateway.settings import load_config
-from gateway.status import GatewayStatus, findings, read_status
-from gateway.texts import all_words
-from gateway.web import machine_view
 from sim.artefacts import FAMILIARITY_FILE, Familiarity
-from sim.artefacts.formats import write_model_directory
 from sim.familiarity import LEAST_CYCLES, ErrorCurve, fit_reference
+from sim.lab.formats import write_model_directory
 from tests.gateway.status_picture import picture
 from tests.gateway.support import TEMPERATURE, config_in, two_modes
 from tests.retraining.test_familiarity import cycles_of, restless

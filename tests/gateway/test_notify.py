@@ -20,11 +20,11 @@ from click.testing import CliRunner
 
 from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
-from gateway.certificates import make_all
 from gateway.cli.main import main
 from gateway.machine.alarms import Alarm, AlarmCondition, AlarmState
-from gateway.notify import AlarmMessage, Notifier, RefusedError, UndeliveredError, make_senders
-from gateway.notify.notifier import MOST
+from gateway.network.certificates import make_all
+from gateway.outside.notify import AlarmMessage, Notifier, RefusedError, UndeliveredError, make_senders
+from gateway.outside.notify.notifier import MOST
 from gateway.settings import NotifySecrets, NotifySection, RecipientRow, load_secrets
 from tests.gateway.support import EPOCH, TEMPERATURE, Bench, JumpClock, config_in
 from tests.gateway.test_alarm_machine import Kept, Silent

@@ -14,10 +14,10 @@ from gateway.machine.model.loading import load_model
 from gateway.machine.model.pickup import Pickup
 from gateway.plant.app import run
 from gateway.settings.config import Config
-from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import CURRENT as CURRENT_FILE
 from sim.artefacts.store import Force, promote
+from sim.lab.formats.write_model import save, write_model_directory
 from sim.sha.model import Model
 from tests.checking.verify_models import thesis
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, logged, scan_of, two_modes

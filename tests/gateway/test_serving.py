@@ -18,8 +18,8 @@ from drivers.settings import ConfigError
 from drivers.tag import Quality, Sample
 from gateway.cli.main import main
 from gateway.machine.reading.quality import DEAD_PERIODS
+from gateway.outside.serving import DeviceImage, PeerServer, served_rows
 from gateway.plant.app import run
-from gateway.serving import DeviceImage, PeerServer, served_rows
 from gateway.settings.config import Config
 from tests.drivers.scripted import ScriptedPlc
 from tests.gateway.support import CURRENT, EPOCH, TEMPERATURE, at_rest, config_in, logged, plant_file, scan_of

@@ -15,15 +15,15 @@ from gateway.machine.alarms import Change
 from gateway.machine.model.predict import Predictor
 from gateway.machine.pipeline import Machine
 from gateway.machine.writing.block import Validity
-from gateway.northbound.sparkplug import GOOD, STALE, metrics_of
+from gateway.outside.northbound.sparkplug import GOOD, STALE, metrics_of
+from gateway.outside.status import findings
+from gateway.outside.status.changes import topics
+from gateway.outside.texts import all_words
+from gateway.outside.web.views import machine_view
 from gateway.plant.log import open_log
 from gateway.plant.status import snapshot
 from gateway.settings.config import Config
-from gateway.status import findings
-from gateway.status.changes import topics
 from gateway.store import FollowedRow, RowStream
-from gateway.texts import all_words
-from gateway.web.views import machine_view
 from tests.gateway.support import (
     CURRENT,
     EPOCH,

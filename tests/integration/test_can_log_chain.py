@@ -16,11 +16,11 @@ from gateway.plant.app import run
 from gateway.settings.config import load_config
 from gateway.settings.devices import load_device
 from sim.artefacts.model_json import model_text
-from sim.learning.bins.learn import learn_bins
+from sim.lab.learning.bins.learn import learn_bins
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
 from sim.sha.events import Alphabet, encode
 from sim.sha.trace import Trace
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
 from tests.gateway.support import JumpClock
 from tests.rig.no_bands import without_bands
 

@@ -10,8 +10,8 @@ import pytest
 from gateway.store.read_back import events, to_trace
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
-from sim.learning.bins.learn import Learned, learn_bins
-from sim.learning.structure import announcements
+from sim.lab.learning.bins.learn import Learned, learn_bins
+from sim.lab.learning.structure import announcements
 from sim.sha.automaton import SHA, transitions
 from sim.sha.events import DECANTER, encode
 from sim.sha.trace import UNKNOWN, Event, Trace

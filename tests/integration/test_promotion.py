@@ -7,8 +7,8 @@ from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
 from gateway.store.read_back import reading
-from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.store import CURRENT
+from sim.lab.formats.write_model import save, write_model_directory
 from sim.plc.record.recording import read_recording
 from sim.sha.automaton import Distribution, Effect, Flow
 from sim.sha.model import Model, Stay

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from gateway.outside.status import ControlError, GatewayLine
 from gateway.plant.app import run
 from gateway.settings import load_plant
-from gateway.status import ControlError, GatewayLine
 from tests.rig.pair import MAP, Plc, end, plc_process
 
 UNITS = {"north": 1, "south": 2, "west": 3}

@@ -18,7 +18,7 @@ import pytest
 
 from gateway.store import machines, reading, stored_rows
 from sim.artefacts.model_json import model_text
-from sim.traces.trace_file import write_trace
+from sim.lab.recordings.trace_file import write_trace
 from tests.cli.support import decanter, only_object
 from tests.rig.pair import MAP, ROOT, Gateway, Plc, end, known_model, plc_process, restless_trace
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.lab.familiar import familiarity_files, trained_familiarity
+from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
 from sim.artefacts import read_familiarity
-from sim.artefacts.formats.write_model import write_model_directory
+from sim.lab.formats.write_model import write_model_directory
 from sim.plc.record.recording import read_recording
 from sim.sha import DECANTER, Trace, encode
 from sim.sha.automaton import Flow

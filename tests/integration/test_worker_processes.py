@@ -19,7 +19,7 @@ from urllib.request import urlopen
 import pytest
 from pymodbus.client import ModbusTcpClient
 
-from gateway.serving import served_rows
+from gateway.outside.serving import served_rows
 from gateway.settings import load_plant
 from gateway.store import machines, read, reading, stored_rows, verify
 from tests.cli.support import decanter, only_object

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import read_model
 from sim.engine.open_loop_run import errors, open_loop
-from sim.learning.bins.candidates import BinsCandidate
-from sim.learning.bins.learn import learn_bins
-from sim.learning.correction import corrected_model, learn_correction
-from sim.learning.max_rate import bite, learn_max_rate, with_max_rate
-from sim.learning.structure import LearningError
+from sim.lab.formats.write_model import write_model_directory
+from sim.lab.learning.bins.candidates import BinsCandidate
+from sim.lab.learning.bins.learn import learn_bins
+from sim.lab.learning.correction import corrected_model, learn_correction
+from sim.lab.learning.max_rate import bite, learn_max_rate, with_max_rate
+from sim.lab.learning.structure import LearningError
 from sim.plant.scenarios import scenario
 from sim.sha.events import DECANTER
 from sim.sha.model import Correction, Model

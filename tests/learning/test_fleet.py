@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sim.effects import with_targets
-from sim.learning import GroupTargets, LearningError, StandsOut, grouped_targets, outstanding, own_targets
-from sim.learning.bins.candidates import CANDIDATES
-from sim.learning.bins.learn import learn_bins
+from sim.lab.learning import GroupTargets, LearningError, StandsOut, grouped_targets, outstanding, own_targets
+from sim.lab.learning.bins.candidates import CANDIDATES
+from sim.lab.learning.bins.learn import learn_bins
 from sim.sha import Model
 from sim.sha.events import DECANTER
 from tests.learning.plants import with_signal

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.learning.bins.candidates import BinsCandidate, basis_of, build
-from sim.learning.data import resolution, without_spikes
-from sim.learning.free_run import FreeRunFit, fit_free_run, predict
-from sim.learning.refit import refit
-from sim.learning.runs import FreeRuns, free_runs, pieces, sampled, thinned
-from sim.learning.structure import LearningError, bare_sha
+from sim.lab.learning.bins.candidates import BinsCandidate, basis_of, build
+from sim.lab.learning.data import resolution, without_spikes
+from sim.lab.learning.free_run import FreeRunFit, fit_free_run, predict
+from sim.lab.learning.refit import refit
+from sim.lab.learning.runs import FreeRuns, free_runs, pieces, sampled, thinned
+from sim.lab.learning.structure import LearningError, bare_sha
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.trace import UNKNOWN, Event, Trace

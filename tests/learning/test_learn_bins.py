@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.learning import held_out
-from sim.learning.bins import learn as bins
-from sim.learning.bins.candidates import Basis, BinsCandidate
-from sim.learning.bins.learn import CANDIDATES, Learned, learn_bins
-from sim.learning.held_out import HeldOutErrors, choose, huber_scale
-from sim.learning.runs import sampled
-from sim.learning.structure import LearningError, contexts
+from sim.lab.learning import held_out
+from sim.lab.learning.bins import learn as bins
+from sim.lab.learning.bins.candidates import Basis, BinsCandidate
+from sim.lab.learning.bins.learn import CANDIDATES, Learned, learn_bins
+from sim.lab.learning.held_out import HeldOutErrors, choose, huber_scale
+from sim.lab.learning.runs import sampled
+from sim.lab.learning.structure import LearningError, contexts
 from sim.sha.automaton import nondeterminism
 from sim.sha.distributions import check_distribution
 from sim.sha.events import DECANTER, Alphabet, Bins
@@ -344,8 +344,8 @@ def test_very_few_data_give_the_simplest_model() -> None:
 def test_real_data_give_a_sound_model(device: str, source: str) -> None:
     if not (DATA / source).exists():
         pytest.skip(f"{DATA / source} is not there")
-    from sim.traces.column_map import load_map
-    from sim.traces.traces import load_traces
+    from sim.lab.recordings.column_map import load_map
+    from sim.lab.recordings.traces import load_traces
 
     column_map = load_map(ROOT / "config" / "traces" / f"{device}.toml")
     traces, _ = load_traces(DATA / source, column_map)

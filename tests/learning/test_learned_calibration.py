@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sim.learning.bins.candidates import BinsCandidate
-from sim.learning.bins.learn import learn_bins
-from sim.learning.calibrate import HORIZONS, Scored, calibrate, coverage_of, score_forecasts
+from sim.lab.learning.bins.candidates import BinsCandidate
+from sim.lab.learning.bins.learn import learn_bins
+from sim.lab.learning.calibrate import HORIZONS, Scored, calibrate, coverage_of, score_forecasts
 from sim.sha.events import DECANTER
 from tests.learning.plants import Truth, simulate
 from tests.rig.no_bands import without_bands

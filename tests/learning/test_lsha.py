@@ -12,22 +12,22 @@ from hypothesis import strategies as st
 
 from benchmarks.known_automata import found_again as known_again
 from benchmarks.known_automata import random_automaton, traces_of
-from sim.artefacts.formats.bundle import read_artefacts
-from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_directory import read_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.effects.check import check_sha
 from sim.engine.open_loop_run import measured, open_loop
-from sim.learning.bins.candidates import CANDIDATES
-from sim.learning.bins.learn import learn_bins
-from sim.learning.lsha import flow_hypotheses
-from sim.learning.lsha.flow_hypotheses import FlowHypothesis, choose_flow, flowing_over
-from sim.learning.lsha.learn import LearnedLsha, learn_lsha
-from sim.learning.lsha.report import counterexamples, report_document, report_text
-from sim.learning.lsha.settings import LshaSettings
-from sim.learning.lsha.structures import choose_structure
-from sim.learning.lsha.teacher import beginnings, teacher_of
-from sim.learning.structure import LearningError, name_of
+from sim.lab.formats.bundle import read_artefacts
+from sim.lab.formats.write_model import write_model_directory
+from sim.lab.learning.bins.candidates import CANDIDATES
+from sim.lab.learning.bins.learn import learn_bins
+from sim.lab.learning.lsha import flow_hypotheses
+from sim.lab.learning.lsha.flow_hypotheses import FlowHypothesis, choose_flow, flowing_over
+from sim.lab.learning.lsha.learn import LearnedLsha, learn_lsha
+from sim.lab.learning.lsha.report import counterexamples, report_document, report_text
+from sim.lab.learning.lsha.settings import LshaSettings
+from sim.lab.learning.lsha.structures import choose_structure
+from sim.lab.learning.lsha.teacher import beginnings, teacher_of
+from sim.lab.learning.structure import LearningError, name_of
 from sim.plant.scenarios import scenario
 from sim.sha.automaton import nondeterminism, transitions
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch, alphabet_symbols, encode
@@ -466,8 +466,8 @@ def test_progress_goes_from_0_to_1() -> None:
 def test_the_cnc_traces_are_learned_whatever_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
     if not CNC.is_dir():
         pytest.skip(f"{CNC} is not there")
-    from sim.traces.column_map import load_map
-    from sim.traces.traces import load_traces
+    from sim.lab.recordings.column_map import load_map
+    from sim.lab.recordings.traces import load_traces
 
     column_map = load_map(ROOT / "config" / "traces" / "made_cnc.toml")
     traces, _ = load_traces(CNC, column_map)

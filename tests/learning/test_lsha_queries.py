@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from sim.learning.lsha.evidence import PooledEvidence, between, evidence_of, same_distribution, sample_of
-from sim.learning.lsha.identify import identify, rate_alone
-from sim.learning.lsha.merging import Partition, learn_partition
-from sim.learning.lsha.segments import Motion, TraceSegments, levels, parameters
-from sim.learning.lsha.settings import MEMORIES, LshaSettings
-from sim.learning.lsha.teacher import placed
-from sim.learning.lsha.words import Classes, WordHistory, classes_of, coordinates, meaning, words_of
-from sim.learning.runs import free_runs
+from sim.lab.learning.lsha.evidence import PooledEvidence, between, evidence_of, same_distribution, sample_of
+from sim.lab.learning.lsha.identify import identify, rate_alone
+from sim.lab.learning.lsha.merging import Partition, learn_partition
+from sim.lab.learning.lsha.segments import Motion, TraceSegments, levels, parameters
+from sim.lab.learning.lsha.settings import MEMORIES, LshaSettings
+from sim.lab.learning.lsha.teacher import placed
+from sim.lab.learning.lsha.words import Classes, WordHistory, classes_of, coordinates, meaning, words_of
+from sim.lab.learning.runs import free_runs
 from sim.sha.automaton import Flow
 from sim.sha.events import Alphabet, Bins
 from sim.sha.flows import coefficients

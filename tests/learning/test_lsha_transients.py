@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.artefacts.formats.bundle import read_artefacts
-from sim.artefacts.formats.convert import to_sha
-from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_directory import read_model_directory
 from sim.engine.open_loop_run import open_loop
-from sim.learning.lsha.learn import LearnedLsha, learn_lsha
-from sim.learning.lsha.segments import stays_after
-from sim.learning.lsha.teacher import Teacher, placed, teacher_of
-from sim.learning.lsha.transients import TransientLaw, transient_law
-from sim.learning.lsha.words import classes_of
+from sim.lab.formats.bundle import read_artefacts
+from sim.lab.formats.convert import to_sha
+from sim.lab.formats.write_model import write_model_directory
+from sim.lab.learning.lsha.learn import LearnedLsha, learn_lsha
+from sim.lab.learning.lsha.segments import stays_after
+from sim.lab.learning.lsha.teacher import Teacher, placed, teacher_of
+from sim.lab.learning.lsha.transients import TransientLaw, transient_law
+from sim.lab.learning.lsha.words import classes_of
 from sim.sha.trace import Array, Trace
 from tests.learning.lsha_plants import PLANT, by_context, random_traces
 from tests.rig.no_bands import without_bands

@@ -8,12 +8,12 @@ import pytest
 from sim.artefacts.model_json import model_text, parse_model
 from sim.engine.belief import advance, compile_model, machine_offset, observe, on_event, start
 from sim.forecast import LEVELS, forecast
-from sim.learning.bins.candidates import CANDIDATES
-from sim.learning.bins.learn import Learned, learn_bins
-from sim.learning.calibrate import HeldOutForecasts, Scored
-from sim.learning.machines import next_stay, small_sample
-from sim.learning.plain import PERSISTENCE, TREND, learn_plain
-from sim.learning.preparation import splits
+from sim.lab.learning.bins.candidates import CANDIDATES
+from sim.lab.learning.bins.learn import Learned, learn_bins
+from sim.lab.learning.calibrate import HeldOutForecasts, Scored
+from sim.lab.learning.machines import next_stay, small_sample
+from sim.lab.learning.plain import PERSISTENCE, TREND, learn_plain
+from sim.lab.learning.preparation import splits
 from sim.sha.events import DECANTER, Alphabet, Switch, encode
 from sim.sha.model import PlainMember, plain_model
 from sim.sha.trace import Event, Trace

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sim.engine import linear_recursion
-from sim.learning.plain import TREND, learn_plain
-from sim.learning.runs import free_runs, sampled, stretches
-from sim.learning.structure import bare_sha
+from sim.lab.learning.plain import TREND, learn_plain
+from sim.lab.learning.runs import free_runs, sampled, stretches
+from sim.lab.learning.structure import bare_sha
 from sim.sha import DECANTER, Trace
 from tests.learning.plants import Truth, simulate
 

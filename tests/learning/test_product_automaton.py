@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim.learning.structure import (
+from sim.lab.learning.structure import (
     bare_sha,
     contexts,
     distance,

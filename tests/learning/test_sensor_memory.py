@@ -10,8 +10,8 @@ from sim.artefacts.model_json import model_text, parse_model
 from sim.engine.belief import observe, start
 from sim.engine.tracker import compile_model, repeat_factor
 from sim.files import ArtefactError
-from sim.learning.bins.candidates import CANDIDATES
-from sim.learning.bins.learn import learn_bins
+from sim.lab.learning.bins.candidates import CANDIDATES
+from sim.lab.learning.bins.learn import learn_bins
 from sim.sha.automaton import SHA, Distribution, Flow, Location
 from sim.sha.events import DECANTER, Alphabet
 from sim.sha.model import Model

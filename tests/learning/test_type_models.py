@@ -10,12 +10,12 @@ from sim.artefacts.model_json import model_hash, model_text, parse_model
 from sim.effects import of_machine as of_the_type
 from sim.engine import advance, compile_model, errors, on_event, open_loop, start
 from sim.files import ArtefactError
-from sim.learning.bins.candidates import CANDIDATES
-from sim.learning.bins.learn import Learned, learn_bins
-from sim.learning.calibrate import score_forecasts
-from sim.learning.lsha import LshaSettings
-from sim.learning.lsha import learn as lsha
-from sim.learning.machines import MachineSpread, machine_corrections
+from sim.lab.learning.bins.candidates import CANDIDATES
+from sim.lab.learning.bins.learn import Learned, learn_bins
+from sim.lab.learning.calibrate import score_forecasts
+from sim.lab.learning.lsha import LshaSettings
+from sim.lab.learning.lsha import learn as lsha
+from sim.lab.learning.machines import MachineSpread, machine_corrections
 from sim.sha import Correction, Distribution, MachineCorrection, Model, Trace
 from sim.sha.events import DECANTER
 from tests.learning.plants import with_signal

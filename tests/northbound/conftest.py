@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.northbound import feed
+from gateway.outside.northbound import feed
 from gateway.store import historian, schema
 from tests.northbound.rig import Plant
 

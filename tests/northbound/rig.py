@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.supervision import Supervisor
 from drivers.tag import DType, Quality, Tag
-from gateway.northbound import Sink, SinkFeed
+from gateway.outside.northbound import Sink, SinkFeed
 from gateway.store import Historian, RowPosition, open_historian, reading, row_streams, rows_after, to_trace
 from sim.sha import Trace
 from tests.gateway.support import EPOCH

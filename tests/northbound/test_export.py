@@ -9,10 +9,10 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from gateway.cli import historian_commands
+from gateway.cli.plant import records as historian_commands
 from gateway.lab.fleet.sources import sources_in
 from gateway.store import TABLE_COLUMNS, HistorianError, row_streams
-from sim.traces import load_map
+from sim.lab.recordings import load_map
 from tests.cli.support import decanter, only_object, refused
 from tests.gateway.support import EPOCH, MAP
 from tests.northbound.rig import MACHINES, MAPS, TABLES, Plant, assert_as_on_record

@@ -16,8 +16,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from drivers.settings import ConfigError
 from gateway.machine.alarms import read_journal
 from gateway.machine.reading import plant_clock
-from gateway.northbound import check_northbound, northbound
-from gateway.northbound.metrics import METRICS
+from gateway.outside.northbound import check_northbound, northbound
+from gateway.outside.northbound.metrics import METRICS
 from gateway.plant.app import run
 from gateway.settings import load_config
 from tests.cli.support import decanter

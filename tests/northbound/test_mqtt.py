@@ -13,8 +13,8 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 from sparkplub_b_packets.core.sparkplug_b_pb2 import Payload
 
-from gateway.certificates import make_all
-from gateway.northbound.mqtt import ACKNOWLEDGE, JsonSink, SparkplugSink
+from gateway.network.certificates import make_all
+from gateway.outside.northbound.mqtt import ACKNOWLEDGE, JsonSink, SparkplugSink
 from gateway.settings import MqttRow
 from tests.gateway.support import EPOCH
 from tests.northbound.rig import MACHINES, TAGS, Plant

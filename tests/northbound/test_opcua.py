@@ -14,15 +14,15 @@ from asyncua.crypto.uacrypto import CertProperties
 
 from drivers.settings import ConfigError
 from drivers.tag import Quality
-from gateway.certificates import make_all, make_application
 from gateway.machine.reading import plant_clock
-from gateway.northbound import check_northbound, northbound
-from gateway.northbound.opcua import GatewayServer, Nothing, OpcUaServer, ReadingOnly
-from gateway.northbound.opcua_history import recorded
-from gateway.northbound.opcua_points import OpcUaPoint, points_of
+from gateway.network.certificates import make_all, make_application
+from gateway.outside.northbound import check_northbound, northbound
+from gateway.outside.northbound.opcua import GatewayServer, Nothing, OpcUaServer, ReadingOnly
+from gateway.outside.northbound.opcua_history import recorded
+from gateway.outside.northbound.opcua_points import OpcUaPoint, points_of
+from gateway.outside.status import read_status
 from gateway.plant.app import run
 from gateway.settings import OpcUaSection, load_config
-from gateway.status import read_status
 from gateway.store import samples
 from tests.cli.support import decanter, refused
 from tests.gateway.status_picture import picture, tag

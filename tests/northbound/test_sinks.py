@@ -18,11 +18,11 @@ import psycopg
 import pytest
 
 from gateway.lab.fleet.sources import sources_in
-from gateway.northbound.influx import InfluxSink, line_of
-from gateway.northbound.postgres import PostgresSink
+from gateway.outside.northbound.influx import InfluxSink, line_of
+from gateway.outside.northbound.postgres import PostgresSink
 from gateway.settings import InfluxRow, PostgresRow
 from gateway.store import FollowedRow, RowPosition, RowStream
-from sim.traces import load_map
+from sim.lab.recordings import load_map
 from tests.gateway.support import EPOCH
 from tests.northbound.rig import MAPS, TABLES, Plant, assert_as_on_record
 from tests.rig.servers import Line, free_port, program, running, until

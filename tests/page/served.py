@@ -13,10 +13,10 @@ from typing import Any
 
 from drivers.tag import Quality, Value
 from gateway.machine.reading import plant_clock
+from gateway.outside.web.access import AccountRole, add_account
 from gateway.plant.app import run
 from gateway.settings import Config
 from gateway.store import read
-from gateway.web.access import AccountRole, add_account
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, logged, two_modes
 
 PASSWORD = "correct horse battery"  # noqa: S105 - of this test's accounts

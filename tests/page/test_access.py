@@ -9,9 +9,8 @@ from click.testing import CliRunner
 
 from drivers.settings import ConfigError
 from gateway.cli.main import main
-from gateway.settings import load_plant
-from gateway.web import check_page
-from gateway.web.access import (
+from gateway.outside.web import check_page
+from gateway.outside.web.access import (
     AccountRole,
     Accounts,
     AccountsError,
@@ -22,6 +21,7 @@ from gateway.web.access import (
     password_problem,
     read_accounts,
 )
+from gateway.settings import load_plant
 from tests.gateway.support import config_in, plant_file
 from tests.page.served import PASSWORD
 
@@ -134,7 +134,7 @@ def test_wrong_passwords_lock_the_account_longer_each_time_and_the_address_at_la
 
 
 def test_what_is_remembered_of_wrong_passwords_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gateway.web.access.lockout.MOST_KEPT", 10)
+    monkeypatch.setattr("gateway.outside.web.access.lockout.MOST_KEPT", 10)
     lockout = Lockout(Hand())
     for number in range(100):
         lockout.failed(f"name {number}", f"address {number}")

@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 
-from gateway.certificates import make_all
-from gateway.lab.propose import propose
+from gateway.lab.models.propose import propose
 from gateway.machine.writing import places_of
+from gateway.network.certificates import make_all
+from gateway.outside.web.access import AccountRole, change_password, remove_account
+from gateway.outside.web.backing_up import BackupMaker, BackupRefused
 from gateway.store import read_manifest
-from gateway.web.access import AccountRole, change_password, remove_account
-from gateway.web.backing_up import BackupMaker, BackupRefused
 from sim.artefacts import promote
-from sim.artefacts.formats import save
+from sim.lab.formats import save
 from sim.sha import Distribution, Flow
 from tests.discrepancy_report.made_diagnoses import of
 from tests.gateway.support import TEMPERATURE, config_in, logged, two_modes
@@ -321,7 +321,7 @@ def test_over_tls_the_cookie_is_secure_and_browsers_stay_with_it(tmp_path: Path)
 
 
 def test_a_request_that_fails_is_no_secret(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gateway.web.api.box_facts", lambda config: 1 / 0)
+    monkeypatch.setattr("gateway.outside.web.api.box_facts", lambda config: 1 / 0)
     with served(tmp_path) as gateway:
         status, headers, body = Client(gateway.port).raw("GET", "/api/box")
         assert status == 500 and b"ZeroDivision" not in body and "content-security-policy" in headers

@@ -10,11 +10,11 @@ from urllib.parse import quote
 
 import pytest
 
-from gateway.lab.propose import propose
-from gateway.texts import LANGUAGES
-from gateway.web.access import AccountRole
+from gateway.lab.models.propose import propose
+from gateway.outside.texts import LANGUAGES
+from gateway.outside.web.access import AccountRole
 from sim.artefacts import promote
-from sim.artefacts.formats import save
+from sim.lab.formats import save
 from tests.discrepancy_report.made_diagnoses import of
 from tests.gateway.support import MAP, TEMPERATURE, two_modes
 from tests.page.served import PAGE, PASSWORD, Served, served

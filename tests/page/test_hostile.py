@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-import gateway.web.server as page_server
+import gateway.outside.web.server as page_server
 from gateway.machine.reading import plant_clock
+from gateway.outside.web.access import AccountRole
 from gateway.plant.app import run
-from gateway.web.access import AccountRole
 from tests.gateway.support import Bench, config_in, logged
 from tests.page.served import PAGE, Client, Served, eventually, served
 

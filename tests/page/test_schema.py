@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
-from gateway.web.access import AccountRole
-from gateway.web.api import ENDPOINTS
+from gateway.outside.web.access import AccountRole
+from gateway.outside.web.api import ENDPOINTS
 from tests.page.served import Client, served
 
 schemathesis = pytest.importorskip(

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-import gateway.texts
-import gateway.web
+import gateway.outside.texts
+import gateway.outside.web
+from gateway.outside.status import read_status
+from gateway.outside.status.health import CHECKS
+from gateway.outside.texts import LANGUAGES, all_words, preferred
+from gateway.outside.web import machine_view
 from gateway.settings import ALARM_KINDS, kind_of
-from gateway.status import read_status
-from gateway.status.health import CHECKS
-from gateway.texts import LANGUAGES, all_words, preferred
-from gateway.web import machine_view
-from sim.discrepancy.fitting import catalogue
+from sim.lab.discrepancy.fitting import catalogue
 from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import EPOCH, TEMPERATURE
 
@@ -117,8 +117,8 @@ def test_a_machine_is_as_bad_as_the_worst_of_it() -> None:
 
 
 def test_every_text_is_there_in_every_language_with_the_same_parts_and_is_used() -> None:
-    home = Path(gateway.web.__file__).parent
-    texts_home = Path(gateway.texts.__file__).parent
+    home = Path(gateway.outside.web.__file__).parent
+    texts_home = Path(gateway.outside.texts.__file__).parent
     table = tomllib.loads((texts_home / "texts.toml").read_text(encoding="utf-8"))
     files = (*home.rglob("*.js"), *home.rglob("*.py"), *texts_home.rglob("*.py"))
     used = "".join(file.read_text(encoding="utf-8") for file in files)

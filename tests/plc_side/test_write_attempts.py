@@ -21,10 +21,10 @@ from gateway.cli.main import main
 from gateway.commission.writeback.vectors import vectors
 from gateway.demo.can_bus import can_hub
 from gateway.demo.links import LINKS
+from gateway.outside.status import connect
 from gateway.plant.app import run
 from gateway.settings.config import load_config
 from gateway.settings.devices import load_device
-from gateway.status import connect
 from sim.plc.record.recording import read_recording
 from tests.drivers.conftest import read_until_good
 from tests.plc.bench import Process, running

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from sklearn.covariance import LedoitWolf
 from sklearn.isotonic import IsotonicRegression
 
-from gateway.texts import all_words, strange_sentence
+from gateway.outside.texts import all_words, strange_sentence
 from sim.artefacts import FAMILIARITY_FILE, Familiarity, read_familiarity
 from sim.familiarity import (
     COLUMNS,
@@ -30,8 +30,8 @@ from sim.familiarity import (
     shrunk_covariance,
 )
 from sim.files import ArtefactError
+from sim.lab.recordings import split_cycles
 from sim.sha import DECANTER, Array, Encoder, Trace, encode
-from sim.traces import split_cycles
 
 NAMES = list(COLUMNS)
 SOURCE = PointSource(DECANTER, "T", {"feed": "TFango"})

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from drivers.tag import Quality, Sample, Tag
-from gateway.lab.familiar import free_run_error
+from gateway.lab.learning.familiar import free_run_error
 from gateway.lab.retraining import cutting, judging, lineage, shadow, study
 from gateway.lab.retraining.cutting import CycleSource, and_after, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
@@ -28,9 +28,9 @@ from gateway.machine.reading import Scan
 from gateway.machine.records import Keeper
 from gateway.store import open_historian
 from sim.artefacts import current, load, promote, read_familiarity, version_directory, versions
-from sim.artefacts.formats import save
-from sim.learning.semi_markov import sojourns
-from sim.ranking import METHODS, Taught
+from sim.lab.formats import save
+from sim.lab.learning.semi_markov import sojourns
+from sim.lab.ranking import METHODS, Taught
 from sim.sha import Distribution, Location, Model, Trace, content_hash, encode, encoded
 from tests.cli.support import decanter, only_object, refused
 from tests.gateway.support import TEMPERATURE, one_machine, two_modes

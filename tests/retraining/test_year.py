@@ -16,7 +16,7 @@ from gateway.lab.retraining import shadow, study
 from gateway.lab.retraining.judging import NEW, PRESENT
 from gateway.store import newest_scan, reading
 from sim.artefacts import current, versions
-from sim.ranking import METHODS, Taught
+from sim.lab.ranking import METHODS, Taught
 from sim.sha import Trace
 from tests.retraining.test_retraining import BEGIN, heated, plant
 

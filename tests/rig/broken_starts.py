@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from gateway.outside.web.access import AccountRole
+from gateway.outside.web.access.accounts import add_account
 from gateway.plant.app import run
 from gateway.settings import Config, load_plant
-from gateway.web.access import AccountRole
-from gateway.web.access.accounts import add_account
-from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.store import promote, versions
+from sim.lab.formats.write_model import save, write_model_directory
 from tests.gateway.support import MAP, TEMPERATURE, Bench, JumpClock, two_modes
 
 PLANT = f"""

@@ -12,7 +12,7 @@ from operator import eq, ge, gt, le, lt, ne
 import numpy as np
 from scipy.linalg import block_diag, expm
 
-from sim.checking.query.tree import At, Both, Compare, Constant, Either, Formula, Not, Number
+from sim.lab.checking.query.tree import At, Both, Compare, Constant, Either, Formula, Not, Number
 from sim.sha.trace import Array, Mask
 
 COMPARED = {"<": lt, "<=": le, "==": eq, "!=": ne, ">=": ge, ">": gt}

@@ -5,8 +5,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from sim.checking.language.parse import parse_query
-from sim.checking.query.tree import (
+from sim.lab.checking.language.parse import parse_query
+from sim.lab.checking.query.tree import (
     Always,
     At,
     Both,

@@ -14,7 +14,7 @@ from math import asin, sqrt
 
 import numpy as np
 
-from sim.checking.query.tree import (
+from sim.lab.checking.query.tree import (
     Always,
     At,
     Both,

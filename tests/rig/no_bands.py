@@ -2,9 +2,9 @@
 
 import pytest
 
-from sim.learning.bins import learn as bins
-from sim.learning.calibrate import HeldOutForecasts
-from sim.learning.lsha import learn as lsha
+from sim.lab.learning.bins import learn as bins
+from sim.lab.learning.calibrate import HeldOutForecasts
+from sim.lab.learning.lsha import learn as lsha
 
 
 def without_bands(patch: pytest.MonkeyPatch) -> None:

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from sim.artefacts.model_json import model_text
-from sim.learning.structure import contexts, product_sha
+from sim.lab.learning.structure import contexts, product_sha
+from sim.lab.recordings.trace_file import write_trace
 from sim.sha.automaton import Distribution, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model
 from sim.sha.trace import Array, Trace
-from sim.traces.trace_file import write_trace
 
 ROOT = Path(__file__).parents[2]
 MAP = ROOT / "config/devices/decanter_plc.toml"

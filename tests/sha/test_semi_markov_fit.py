@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.learning.semi_markov import LEAST_ENDED, Sojourn, fit_law, fit_stays, sojourns
+from sim.lab.learning.semi_markov import LEAST_ENDED, Sojourn, fit_law, fit_stays, sojourns
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER

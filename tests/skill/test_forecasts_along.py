@@ -6,15 +6,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from gateway.lab.skill import machine_of, persist, scanned, skill_rows
+from gateway.lab.judging.skill import machine_of, persist, scanned, skill_rows
 from gateway.machine.model.along import forecasts_along, machine_offset_along, recorded_scans
 from gateway.machine.model.predict import Predictor
 from gateway.settings.config import ForecastSection
-from sim.learning.plain import PERSISTENCE
+from sim.lab.learning.plain import PERSISTENCE
+from sim.lab.skill.rows import skill
 from sim.sha.automaton import Distribution, Effect, Flow, Location
 from sim.sha.model import Model
 from sim.sha.trace import Array, Trace
-from sim.skill.rows import skill
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, two_modes
 
 MODEL = two_modes()

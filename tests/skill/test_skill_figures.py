@@ -8,12 +8,12 @@ import pytest
 from scipy.special import ndtri
 
 from sim.forecast.ensemble import DENSE
+from sim.lab.skill.last_reading import persistence
+from sim.lab.skill.picture import draw_skill
+from sim.lab.skill.report import tables
+from sim.lab.skill.rows import NO_SKILL, SkillRow, common, difference, skill, stretch
 from sim.scores import crps_gaussian
 from sim.sha.trace import Array
-from sim.skill.last_reading import persistence
-from sim.skill.picture import draw_skill
-from sim.skill.report import tables
-from sim.skill.rows import NO_SKILL, SkillRow, common, difference, skill, stretch
 
 NORMAL = ndtri(np.array(DENSE))
 

@@ -7,10 +7,10 @@ import pytest
 
 from sim.effects.kinds import EFFECTS as KINDS
 from sim.engine.open_loop_run import open_loop
+from sim.lab.uppaal.model_export import Exported, ExportError, export
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
-from sim.uppaal.model_export import Exported, ExportError, export
 from tests.sha.effect_reference import EFFECTS, LATE, RANDOM, TOGETHER, course, plant
 from tests.uppaal.support import courses, middle
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.uppaal.comparison import ComparisonRow, compare, native_runs
-from sim.uppaal.model_export import Exported, export, write
-from sim.uppaal.output import Output, VerifytaAnswer, parse_output
-from sim.uppaal.verifyta import VARIABLE, EngineError, find_engine, run_engine
+from sim.lab.uppaal.comparison import ComparisonRow, compare, native_runs
+from sim.lab.uppaal.model_export import Exported, export, write
+from sim.lab.uppaal.output import Output, VerifytaAnswer, parse_output
+from sim.lab.uppaal.verifyta import VARIABLE, EngineError, find_engine, run_engine
 from tests.uppaal.support import courses, replayed, two_locations
 
 MODEL, TRACE = two_locations("exponential"), replayed()

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from sim.artefacts.formats.find import find_model
-from sim.artefacts.formats.write_model import write_model_directory
-from sim.uppaal.rules import check_rules
+from sim.lab.formats.find import find_model
+from sim.lab.formats.write_model import write_model_directory
+from sim.lab.uppaal.rules import check_rules
 from tests.cli.support import decanter, misused, refused
 from tests.uppaal.support import learned
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.uppaal.output import ValueHistogram, failure, parse_output
+from sim.lab.uppaal.output import ValueHistogram, failure, parse_output
 
 # The forms of 4.1.26 (-u) and 5.0 after published logs and parsers, figures and names changed; the lines of courses
 # and the H0 line are composed after the manual.

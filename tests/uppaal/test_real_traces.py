@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 
 from gateway.console.places import shipped
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
+from sim.lab.uppaal.model_export import export
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import alphabet_symbols
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
-from sim.uppaal.model_export import export
 from tests.uppaal.interpreter import Network
 from tests.uppaal.support import courses, middle
 

@@ -7,14 +7,14 @@ from math import inf
 import numpy as np
 import pytest
 
+from sim.lab.uppaal.document import comment_text, number
+from sim.lab.uppaal.model_export import ExportError, export
+from sim.lab.uppaal.rules import RULES, check_rules
 from sim.plant.scenarios import SCENARIOS
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
-from sim.uppaal.document import comment_text, number
-from sim.uppaal.model_export import ExportError, export
-from sim.uppaal.rules import RULES, check_rules
 from tests.uppaal.interpreter import parsed
 from tests.uppaal.support import FLOWS, cd, learned, replayed, spindle, two_locations
 

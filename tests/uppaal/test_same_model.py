@@ -10,13 +10,13 @@ import pytest
 from sim.engine.moment_equations import moments
 from sim.engine.open_loop_run import open_loop
 from sim.engine.schedules import Policy, schedule
+from sim.lab.uppaal.model_export import export
 from sim.plant.scenarios import SCENARIOS
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.flows import FLOWS as KINDS
 from sim.sha.model import Correction, Model
 from sim.sha.trace import UNKNOWN, Event
-from sim.uppaal.model_export import export
 from tests.uppaal.interpreter import Network
 from tests.uppaal.support import FLOWS, cd, courses, learned, middle, replayed, spindle, two_locations
 

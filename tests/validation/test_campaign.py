@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim import workers
-from sim.artefacts.formats.find import FoundModel
-from sim.sha.trace import Trace
-from sim.traces.load_report import FileReport, LoadReport
-from sim.validation import campaign
-from sim.validation.campaign import (
+from sim.lab import workers
+from sim.lab.formats.find import FoundModel
+from sim.lab.recordings.load_report import FileReport, LoadReport
+from sim.lab.validation import campaign
+from sim.lab.validation.campaign import (
     Runner,
     Unread,
     jobs_of,
@@ -24,12 +23,13 @@ from sim.validation.campaign import (
     run_there,
     unread,
 )
-from sim.validation.discovery import Discovery
-from sim.validation.output_folder import results_json
-from sim.validation.results import TraceResult
-from sim.validation.stages import Prepared
-from sim.validation.trace_run import TraceRunSettings
-from sim.workers import cluster, parallel, waited_for
+from sim.lab.validation.discovery import Discovery
+from sim.lab.validation.output_folder import results_json
+from sim.lab.validation.results import TraceResult
+from sim.lab.validation.stages import Prepared
+from sim.lab.validation.trace_run import TraceRunSettings
+from sim.lab.workers import cluster, parallel, waited_for
+from sim.sha.trace import Trace
 from tests.validation.killed import divided, twice
 from tests.validation.small_plant import plant_model, plant_trace
 

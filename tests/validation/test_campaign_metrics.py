@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from sim.lab.validation import metrics
+from sim.lab.validation.metrics import block_length, judge_band, mae_interval, rmse_interval
 from sim.scores import block_bootstrap, crps_gaussian
 from sim.sha.trace import Array
-from sim.validation import metrics
-from sim.validation.metrics import block_length, judge_band, mae_interval, rmse_interval
 
 
 def autoregressive(rho: float, size: int, rng: np.random.Generator) -> Array:

@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from sim.engine.schedules import Policy
+from sim.lab.validation.compatibility import compatibility, dense_events
 from sim.sha.automaton import Edge
 from sim.sha.events import encode
 from sim.sha.trace import UNKNOWN, Event
-from sim.validation.compatibility import compatibility, dense_events
 from tests.validation.small_plant import plant_model, plant_trace, without_edge
 
 SHA = plant_model().sha

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sim.engine.open_loop_run import Score
-from sim.validation.output_folder import (
+from sim.lab.validation.output_folder import (
     check_folder,
     claim_folder,
     held,
@@ -17,7 +17,7 @@ from sim.validation.output_folder import (
     results_csv,
     results_json,
 )
-from sim.validation.results import Interval, TraceResult
+from sim.lab.validation.results import Interval, TraceResult
 
 FULL = TraceResult(
     "plant",

@@ -7,8 +7,8 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from sim.lab.validation.plots import Curve, Picture, draw
 from sim.sha.trace import UNKNOWN, Event
-from sim.validation.plots import Curve, Picture, draw
 
 EPOCH = 1_700_000_000.0
 NOTHING = np.array([])

@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.engine.open_loop_run import Score
-from sim.paired import holm, paired
-from sim.ranking.ranking import Ranking, Weights, rank, score
-from sim.ranking.report import as_plain, draw_ranking, page, spreads, win_matrix
-from sim.validation.fitness import CRITERIA, Facts, FitnessLimits, fitness_of, fitness_sentence, judge, limits_of
-from sim.validation.results import TraceResult
-from sim.validation.seen import Seen
+from sim.lab.paired import holm, paired
+from sim.lab.ranking.ranking import Ranking, Weights, rank, score
+from sim.lab.ranking.report import as_plain, draw_ranking, page, spreads, win_matrix
+from sim.lab.validation.fitness import CRITERIA, Facts, FitnessLimits, fitness_of, fitness_sentence, judge, limits_of
+from sim.lab.validation.results import TraceResult
+from sim.lab.validation.seen import Seen
 
 KNOWN = Facts(synthetic=False, verified=True)
 

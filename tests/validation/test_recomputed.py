@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.artefacts.formats.find import FoundModel
-from sim.ranking.ranking import rank
+from sim.lab.formats.find import FoundModel
+from sim.lab.ranking.ranking import rank
+from sim.lab.validation.campaign import outcomes_by_model, run_here
+from sim.lab.validation.discovery import Discovery
+from sim.lab.validation.output_folder import results_csv
+from sim.lab.validation.results import TraceResult
+from sim.lab.validation.stages import Prepared
+from sim.lab.validation.trace_run import TraceRunSettings
 from sim.sha.trace import Array, Trace
-from sim.validation.campaign import outcomes_by_model, run_here
-from sim.validation.discovery import Discovery
-from sim.validation.output_folder import results_csv
-from sim.validation.results import TraceResult
-from sim.validation.stages import Prepared
-from sim.validation.trace_run import TraceRunSettings
 from tests.validation.small_plant import COLD, HOT, K, plant_model, plant_trace
 
 SPREAD = {"sharp": (0.0, 0.0), "wide": (3.0, 0.1), "shifted": (3.0, 0.1)}

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
+from sim.lab.validation.seen import seen_traces
 from sim.plant.scenarios import scenario
 from sim.sha.automaton import SHA, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model, Provenance
 from sim.sha.trace import content_hash, joint_hash
-from sim.validation.seen import seen_traces
 
 CD1, CD2, CD3 = (scenario(name) for name in ("cd1", "cd2", "cd3"))
 

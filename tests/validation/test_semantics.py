@@ -9,11 +9,11 @@ import pytest
 from sim.engine.open_loop_run import errors, open_loop
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
+from sim.lab.validation.semantics import side_by_side
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model, Stay
 from sim.sha.trace import Event, Trace
-from sim.validation.semantics import side_by_side
 
 K = 0.01
 ALPHABET = Alphabet((Switch("run", "on", "off"),), gap=1e9)

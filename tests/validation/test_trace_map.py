@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli.main import main
-from sim.traces import load_map, load_traces
+from sim.lab.recordings import load_map, load_traces
 
 EXPORTS = Path(__file__).parent / "exports"
 ALL: list[dict[str, Any]] = tomllib.loads((EXPORTS / "exports.toml").read_text(encoding="utf-8"))["export"]

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.lab.validation import trace_run
+from sim.lab.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Trace
-from sim.validation import trace_run
-from sim.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
 from tests.validation.small_plant import location, plant_model, plant_trace, without_edge
 
 SETTINGS = TraceRunSettings(runs=400)

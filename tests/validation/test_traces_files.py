@@ -10,14 +10,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from sim.lab.recordings.clock import longest_rising, unroll_midnight
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.cycles import split_cycles
+from sim.lab.recordings.load_report import TraceError
+from sim.lab.recordings.trace_file import write_trace
+from sim.lab.recordings.traces import load_traces
 from sim.sha.events import DECANTER, Alphabet, Bins, encode
 from sim.sha.trace import UNKNOWN, Trace, joint_hash
-from sim.traces.clock import longest_rising, unroll_midnight
-from sim.traces.column_map import load_map
-from sim.traces.cycles import split_cycles
-from sim.traces.load_report import TraceError
-from sim.traces.trace_file import write_trace
-from sim.traces.traces import load_traces
 from tests.validation.places import MAPS
 
 T = "TCuscinettiRiduttore"

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim.lab.recordings.column_map import ColumnMap, load_map
+from sim.lab.recordings.load_report import TraceError
+from sim.lab.recordings.traces import load_traces
 from sim.sha.trace import UNKNOWN
-from sim.traces.column_map import ColumnMap, load_map
-from sim.traces.load_report import TraceError
-from sim.traces.traces import load_traces
 from tests.validation.places import MAPS
 
 T = "TCuscinettiRiduttore"

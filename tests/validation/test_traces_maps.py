@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim.lab.recordings.alphabet_table import alphabet_from_table, alphabet_to_table
+from sim.lab.recordings.auto_thresholds import AutoBins
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
 from sim.sha.events import DECANTER, Bins, Switch, alphabet_symbols
-from sim.traces.alphabet_table import alphabet_from_table, alphabet_to_table
-from sim.traces.auto_thresholds import AutoBins
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
 from tests.validation.places import MAPS
 
 GOOD = """

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from sim.lab.recordings.column_map import ClockColumns, ColumnMap, SignalColumn
+from sim.lab.recordings.load_report import LoadReport
+from sim.lab.recordings.text_table import MOST_LINES
+from sim.lab.recordings.traces import load_traces
 from sim.sha.trace import Trace
-from sim.traces.column_map import ClockColumns, ColumnMap, SignalColumn
-from sim.traces.load_report import LoadReport
-from sim.traces.text_table import MOST_LINES
-from sim.traces.traces import load_traces
 
 MAP = ColumnMap(
     format="wide",

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sim.lab.recordings.column_map import load_map
+from sim.lab.recordings.traces import load_traces
 from sim.sha.trace import joint_hash
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
 from tests.validation.places import DATA, MAPS
 
 pytestmark = [

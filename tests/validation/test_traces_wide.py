@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim.lab.recordings.column_map import ColumnMap, load_map
+from sim.lab.recordings.load_report import FileReport, LoadReport, TraceError
+from sim.lab.recordings.traces import load_traces, units
 from sim.sha.trace import UNKNOWN, Trace
-from sim.traces.column_map import ColumnMap, load_map
-from sim.traces.load_report import FileReport, LoadReport, TraceError
-from sim.traces.traces import load_traces, units
 from tests.validation.places import MAPS
 
 T = "TCuscinettiRiduttore"

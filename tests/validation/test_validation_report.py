@@ -8,18 +8,26 @@ from pathlib import Path
 
 import pytest
 
-from sim.artefacts.formats.find import FoundModel
+from sim.lab.formats.find import FoundModel
+from sim.lab.validation.campaign import jobs_of
+from sim.lab.validation.discovery import Discovery
+from sim.lab.validation.pictures import drawings
+from sim.lab.validation.plots import draw
+from sim.lab.validation.report import (
+    CampaignSummary,
+    ModelReport,
+    ReportEntry,
+    error_boxes,
+    index_html,
+    model_html,
+    shown,
+)
+from sim.lab.validation.results import Interval, TraceResult
+from sim.lab.validation.stage_records import records
+from sim.lab.validation.stages import Prepared, Stage
+from sim.lab.validation.trace_run import TraceOutcome, TraceRunSettings, run_job
+from sim.lab.validation.verdicts import gain, summaries, verdict
 from sim.sha.trace import Trace
-from sim.validation.campaign import jobs_of
-from sim.validation.discovery import Discovery
-from sim.validation.pictures import drawings
-from sim.validation.plots import draw
-from sim.validation.report import CampaignSummary, ModelReport, ReportEntry, error_boxes, index_html, model_html, shown
-from sim.validation.results import Interval, TraceResult
-from sim.validation.stage_records import records
-from sim.validation.stages import Prepared, Stage
-from sim.validation.trace_run import TraceOutcome, TraceRunSettings, run_job
-from sim.validation.verdicts import gain, summaries, verdict
 from tests.validation.small_plant import location, plant_model, plant_trace
 
 EVIL = '<script>alert(1)</script> & "quotes"'

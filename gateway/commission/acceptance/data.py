@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.chain import hash_of
 from gateway.commission.acceptance.blocks import at
 from gateway.commission.session import CommandRecord, broken_at, read_records, versions
 from gateway.machine.writing import uptime
@@ -18,6 +17,7 @@ from gateway.store import (
     armed_subjects,
     examine,
     given_words,
+    hash_of,
     over,
     public_path,
     read,

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from drivers.named_files import writing
-from gateway.chain import hash_of
 from gateway.commission.acceptance.blocks import blocks
 from gateway.commission.acceptance.page import page
 from gateway.commission.acceptance.paper import paper
+from gateway.store import hash_of
 from sim.strict_json import json_text
 
 JSON, HTML, PDF, RECORDS, LIST = "report.json", "report.html", "report.pdf", "records.jsonl", "report.sha256"

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 from gateway.commission.acceptance.blocks import Block
-from sim.pages import page_environment
+from sim.lab.pages import page_environment
 
 
 def page(made: Sequence[Block], title: str) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 from drivers.tag import Quality, Sample, Tag
 from gateway.commission.session.site import Site
 from gateway.commission.session.target import Target
-from gateway.status import ControlError, GatewayLine, connect
+from gateway.outside.status import ControlError, GatewayLine, connect
 
 
 def running_gateway(target: Target) -> GatewayLine | None:

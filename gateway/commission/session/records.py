@@ -15,8 +15,7 @@ from typing import Any
 
 from drivers.errors import OneLineError
 from drivers.named_files import writing
-from gateway.chain import first_break, hash_of
-from gateway.store import make_private
+from gateway.store import first_break, hash_of, make_private
 from sim.strict_json import json_text
 
 LIBRARIES = ("decanter-gateway", "pymodbus", "python-can", "canopen", "cantools", "pyserial")

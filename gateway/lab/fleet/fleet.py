@@ -19,13 +19,13 @@ from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.fleet.places import place_words
 from gateway.lab.fleet.sources import TABLE, sources_in
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
-from gateway.lab.show import spread_sentence
+from gateway.lab.models.show import spread_sentence
 from sim.forecast import Z90
-from sim.learning import MachineSpread, StandsOut, spread_of
+from sim.lab.learning import MachineSpread, StandsOut, spread_of
+from sim.lab.recordings import load_map, units
+from sim.lab.validation import held
+from sim.lab.workers import cluster, processes
 from sim.sha import shown_unit
-from sim.traces import load_map, units
-from sim.validation import held
-from sim.workers import cluster, processes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ from pydantic import Field
 from gateway.lab.fleet.machine_task import MachineResult
 from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
 from sim.files import ArtefactError
-from sim.learning import GroupTargets
+from sim.lab.learning import GroupTargets
 
 FORMAT = 2
 REMEDY = "take that line out, and what it tells of is done again"

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from gateway.entry import sentence
-from gateway.lab.diagnose import check_traces, roles_of
 from gateway.lab.fleet.sources import MachineSource, MachineTraces
-from gateway.lab.spent import peak_megabytes
-from sim.discrepancy import diagnose
+from gateway.lab.gap.diagnose import check_traces, roles_of
+from gateway.lab.resource_usage import peak_megabytes
 from sim.effects import of_machine
 from sim.engine import errors, open_loop
-from sim.learning import GroupTargets, LearningError, believed, grouped_targets, own_targets
-from sim.learning.bins import learn_bins
+from sim.lab.discrepancy import diagnose
+from sim.lab.learning import GroupTargets, LearningError, believed, grouped_targets, own_targets
+from sim.lab.learning.bins import learn_bins
+from sim.lab.recordings import ColumnMap
 from sim.sha import Alphabet, Model, Trace, encoded
-from sim.traces import ColumnMap
 
 LAST = 4
 """The last of so many parts of a machine's record is held out."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from sim.learning import contexts, first_switch, labels, target_groups
+from sim.lab.learning import contexts, first_switch, labels, target_groups
 from sim.sha import Alphabet
 
 

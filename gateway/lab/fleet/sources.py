@@ -15,8 +15,8 @@ import numpy as np
 
 from drivers.tag import Quality
 from gateway.extras import missing
+from sim.lab.recordings import ColumnMap, files_by_machine, load_traces
 from sim.sha import Trace
-from sim.traces import ColumnMap, files_by_machine, load_traces
 
 COLUMNS = ("machine", "time", "tag", "value", "quality")
 """What is read of `samples`, as `decanter historian export` and [[northbound.postgres]] write them."""

@@ -22,12 +22,12 @@ from gateway.lab.fleet.kept import KeptType, keep_result, keep_type, kept_rows, 
 from gateway.lab.fleet.machine_task import FleetTask, MachineResult, judged, not_done
 from gateway.lab.fleet.sources import MachineSource
 from sim.artefacts import model_hash, read_model
-from sim.artefacts.formats import write_model_directory
-from sim.learning import MachineSpread, StandsOut, believed, check_data, outstanding, spread_of, target_groups
-from sim.learning.bins import learn_bins
+from sim.lab.formats import write_model_directory
+from sim.lab.learning import MachineSpread, StandsOut, believed, check_data, outstanding, spread_of, target_groups
+from sim.lab.learning.bins import learn_bins
+from sim.lab.recordings import ColumnMap, with_thresholds
+from sim.lab.workers import Workers
 from sim.sha import Model, Trace, encode, shown_unit
-from sim.traces import ColumnMap, with_thresholds
-from sim.workers import Workers
 
 Progress = Callable[[str, float], None]
 

@@ -24,9 +24,9 @@ from typing import Any, Literal
 from drivers.named_files import regular, writing
 from gateway.lab.ingestion.recognising import BESIDE_SQLITE, PLACES, FileStamps, IngestUnit, RecognisedUnit
 from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
-from sim.artefacts.formats import FLOW_FILE, SUFFIXES
 from sim.files import ArtefactError, at, sync_directory
-from sim.traces import TraceError, unread_hash
+from sim.lab.formats import FLOW_FILE, SUFFIXES
+from sim.lab.recordings import TraceError, unread_hash
 
 MANIFEST, LOCK, PART = "manifest.jsonl", ".lock", ".part"
 NAMING = (SUFFIXES["source"], SUFFIXES["histogram"])

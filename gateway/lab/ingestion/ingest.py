@@ -28,7 +28,7 @@ from gateway.lab.ingestion.archive import (
 )
 from gateway.lab.ingestion.recognising import FileStamps, IngestUnit, RecognisedUnit, recognised, units_in
 from sim.files import at, check_utf8, resolved
-from sim.traces import ColumnMap, load_map
+from sim.lab.recordings import ColumnMap, load_map
 
 MOST_TOLD = 10_000
 """Outcomes that a watch keeps for its summary: it may run for months."""

@@ -14,10 +14,10 @@ from drivers.json_lines import NoObject, parsed
 from drivers.named_files import regular
 from gateway.store import SQLITE_HEADER, machines, newest_scan, oldest_scan, reading
 from sim.artefacts import MODEL_FILE, STORE_FILE
-from sim.artefacts.formats import FLOW_FILE, SUFFIXES, file_names, read_artefacts, read_flow_file, read_report
 from sim.files import ArtefactError, at, check_utf8
+from sim.lab.formats import FLOW_FILE, SUFFIXES, file_names, read_artefacts, read_flow_file, read_report
+from sim.lab.recordings import ColumnMap, TraceError, load_traces
 from sim.sha import joint_hash
-from sim.traces import ColumnMap, TraceError, load_traces
 
 Kind = Literal["trace", "artefact set", "flow file", "PLC recording", "historian", "CAN log", "plot"]
 PLACES: Mapping[Kind, str] = {

@@ -17,7 +17,7 @@ from gateway.lab.regression.standard import StandardSet, code_version, models_in
 from gateway.lab.regression.worse import regressions_of
 from gateway.lab.retraining.judging import PRESENT
 from sim.files import ArtefactError, check_utf8, resolved
-from sim.learning import PERSISTENCE
+from sim.lab.learning import PERSISTENCE
 from sim.sha import DEGREES, Model, shown_unit
 
 

@@ -16,10 +16,10 @@ from drivers.named_files import parse_toml
 from gateway.lab.retraining.training_record import code_hash
 from gateway.lab.traces.load import load_reported
 from sim.artefacts import MODEL_FILE, current, is_store, versions
-from sim.artefacts.formats import SUFFIXES, find_model
 from sim.files import ArtefactError, at, check_utf8, read_text
+from sim.lab.formats import SUFFIXES, find_model
+from sim.lab.recordings import files_by_machine
 from sim.sha import Alphabet, Model, Trace
-from sim.traces import files_by_machine
 
 KEYS = ("traces", "map")
 

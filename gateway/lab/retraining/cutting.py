@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.lab.familiar import LEAST, features_of, free_run_error, strange_words
+from gateway.lab.learning.familiar import LEAST, features_of, free_run_error, strange_words
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, Rating
 from gateway.store import newest_scan, oldest_scan, reading, stored_rows, tag_names, to_trace
 from sim.familiarity import LONGEST, FamiliarityReference
+from sim.lab.recordings import split_cycles
 from sim.sha import Array, Bins, Model, Switch, Trace, content_hash, encode
-from sim.traces import split_cycles
 
 Progress = Callable[[str, float], None]
 SPAN = 2 * 86_400.0

@@ -10,7 +10,7 @@ from gateway.console import emit, json_option, table
 from gateway.entry import sentences
 from gateway.lab.retraining.cycle_library import RATINGS, CycleRow, Rating, listed_library, opened_library
 from gateway.lab.retraining.report import coverage_figure
-from sim.pictures import check_picture, save_picture
+from sim.lab.pictures import check_picture, save_picture
 
 
 @click.command("cycles", short_help="List a library's cycles, rated; exclude one with a reason.")

@@ -9,12 +9,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gateway.lab.skill import persist, skill_rows
+from gateway.lab.judging.skill import persist, skill_rows
 from gateway.settings import ForecastSection
-from sim.learning import PERSISTENCE
-from sim.paired import Paired, holm, paired
+from sim.lab.learning import PERSISTENCE
+from sim.lab.paired import Paired, holm, paired
+from sim.lab.skill import common, grouped, skill
 from sim.sha import Model, Trace, shown_unit
-from sim.skill import common, grouped, skill
 
 PRESENT, NEW = "present", "new"
 LEVEL = 0.05

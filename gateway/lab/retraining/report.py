@@ -13,9 +13,9 @@ import numpy as np
 from gateway.lab.retraining.cycle_library import RATINGS, CycleRow
 from gateway.lab.retraining.judging import NEW, PRESENT, HorizonComparison
 from sim.familiarity import FEATURES, ClassFigures
-from sim.learning import PERSISTENCE
-from sim.pages import page_environment
-from sim.pictures import save_picture
+from sim.lab.learning import PERSISTENCE
+from sim.lab.pages import page_environment
+from sim.lab.pictures import save_picture
 from sim.sha import shown_unit
 from sim.strict_json import json_text
 

@@ -10,7 +10,8 @@ import click
 
 from gateway.console import emit, historian_machine_option, json_option, map_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
-from gateway.lab.propose import recorded_drift
+from gateway.lab.models.propose import recorded_drift
+from gateway.lab.resource_usage import peak_megabytes
 from gateway.lab.retraining.cycle_library import opened_library
 from gateway.lab.retraining.report import Retraining
 from gateway.lab.retraining.study import (
@@ -24,7 +25,6 @@ from gateway.lab.retraining.study import (
     source_of,
 )
 from gateway.lab.retraining.training_record import created_of
-from gateway.lab.spent import peak_megabytes
 from gateway.lab.traces.load import load
 from gateway.store import machines, newest_scan, reading
 from sim.artefacts import load as load_version

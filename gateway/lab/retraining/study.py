@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gateway.entry import sentence as error_sentence
-from gateway.lab.familiar import (
+from gateway.lab.learning.familiar import (
     ErrorPair,
     cycles_with_points,
     error_pair,
@@ -46,12 +46,12 @@ from sim.artefacts import (
     version_directory,
     versions,
 )
-from sim.artefacts.formats import save, write_model_directory
-from sim.checking.proof import verify
-from sim.discrepancy import diagnose
 from sim.familiarity import ClassFigures, measured_classes
 from sim.files import replace_durably
-from sim.ranking import METHODS, Settings, StudyPlan, Task, Taught, tune
+from sim.lab.discrepancy import diagnose
+from sim.lab.formats import save, write_model_directory
+from sim.lab.ranking import METHODS, Settings, StudyPlan, Task, Taught, tune
+from sim.proof import verify
 from sim.sha import Alphabet, Model, Trace, content_hash, encoded, joint_hash
 
 Progress = Callable[[str, float], None]

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import click
 
 from gateway.console import shipped
+from sim.lab.recordings import ColumnMap, LoadReport, channel_uses, load_map, load_traces
 from sim.sha import Alphabet, Trace
-from sim.traces import ColumnMap, LoadReport, channel_uses, load_map, load_traces
 
 
 def load(paths: Sequence[str], map_name: str) -> tuple[list[Trace], ColumnMap]:

@@ -10,7 +10,7 @@ import click
 from drivers.named_files import writing
 from gateway.console import emit, json_option
 from gateway.entry import sentences
-from sim.traces.mapping import NONE, Answers, DraftedMap, Undecided, draft_map
+from sim.lab.recordings.mapping import NONE, Answers, DraftedMap, Undecided, draft_map
 
 
 @click.command("map", short_help="Draft a column map from a CSV: clock, units, switches, temperature, thresholds.")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from sim.pictures import ENDINGS
+from sim.lab.pictures import ENDINGS
 
 
 def _drawable(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:

@@ -9,9 +9,9 @@ import click
 from gateway.console import emit, json_option, make_folder, progress, seed_option
 from gateway.entry import sentences
 from gateway.lab.traces.summary import show_summaries, summary_of
+from sim.lab.recordings import write_trace
 from sim.plant import SCENARIOS, production, scenario
 from sim.sha import DECANTER, encode
-from sim.traces import write_trace
 
 
 @click.command(short_help="Write SYNTHETIC traces as CSV.")

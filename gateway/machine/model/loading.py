@@ -18,8 +18,8 @@ from sim.artefacts import (
     read_model,
     version_directory,
 )
-from sim.checking.proof import verify
 from sim.effects import of_machine
+from sim.proof import verify
 from sim.sha import Model
 
 

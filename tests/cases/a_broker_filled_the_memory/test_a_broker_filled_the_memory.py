@@ -13,8 +13,14 @@ from functools import partial
 
 import pytest
 
-from gateway.northbound import SinkUnreachable, mqtt
-from gateway.northbound.mqtt import MOST_PACKET_BYTES, MOST_RECEIVED, MOST_UNSENT, UNASKED_SECONDS, BrokerConnection
+from gateway.outside.northbound import SinkUnreachable, mqtt
+from gateway.outside.northbound.mqtt import (
+    MOST_PACKET_BYTES,
+    MOST_RECEIVED,
+    MOST_UNSENT,
+    UNASKED_SECONDS,
+    BrokerConnection,
+)
 from gateway.settings import MqttRow
 from tests.rig.servers import until
 

@@ -19,9 +19,9 @@ from gateway.commission.files.recording import ScanRecorder, read_recording
 from gateway.lab.traces.can import _rows
 from gateway.settings import load_plant
 from gateway.store import open_historian
+from sim.lab.recordings import write_trace
+from sim.lab.recordings.text_table import split_rows
 from sim.sha import Trace
-from sim.traces import write_trace
-from sim.traces.text_table import split_rows
 from tests.gateway.support import EPOCH, plant_file
 
 ROOT = Path(__file__).parents[3]

@@ -22,7 +22,7 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.settings import ConfigError
-from gateway.cli import config_commands
+from gateway.cli.keep import configurations as config_commands
 from gateway.cli.main import main
 from gateway.plant.configurations import KeptConfiguration, keep_configuration
 from gateway.replacement import journal_of, settle

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from gateway.cli.backup import sources_of
+from gateway.cli.keep.backup import sources_of
 from gateway.cli.main import main
 from gateway.plant import configurations
 from gateway.settings import Config, load_plant, named_files

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.supervision import Supervisor
-from gateway.cli.run import run as run_command
+from gateway.cli.plant.run import run as run_command
 from gateway.plant import worker_pool
 from tests.gateway.support import plant_file
 from tests.gateway.test_worker_pool import named, plant_of, pool_of

@@ -29,17 +29,17 @@ from sparkplub_b_packets.core.sparkplug_b_pb2 import Payload
 from drivers.device_file import TagTable
 from drivers.settings import ConfigError, checked
 from drivers.tag import Quality, Tag
-from gateway.northbound.influx import InfluxSink, line_of
-from gateway.northbound.metrics import GatewayCollector
-from gateway.northbound.mqtt import JsonSink, json_message
-from gateway.northbound.opcua import OpcUaServer
-from gateway.northbound.postgres import PostgresSink
-from gateway.northbound.sink import OutgoingRow
-from gateway.northbound.sparkplug import add_metric, metrics_of
-from gateway.notify import AlarmMessage, senders
+from gateway.outside.northbound.influx import InfluxSink, line_of
+from gateway.outside.northbound.metrics import GatewayCollector
+from gateway.outside.northbound.mqtt import JsonSink, json_message
+from gateway.outside.northbound.opcua import OpcUaServer
+from gateway.outside.northbound.postgres import PostgresSink
+from gateway.outside.northbound.sink import OutgoingRow
+from gateway.outside.northbound.sparkplug import add_metric, metrics_of
+from gateway.outside.notify import AlarmMessage, senders
+from gateway.outside.status import read_status
 from gateway.settings import InfluxRow, MqttRow, NotifySection, RecipientRow, load_northbound_secrets, load_secrets
 from gateway.settings.northbound import NorthboundSection
-from gateway.status import read_status
 from gateway.store import FollowedRow, RowPosition, RowStream
 from tests.gateway.status_picture import picture, tag
 from tests.gateway.support import EPOCH
@@ -229,7 +229,7 @@ def test_a_metric_of_sparkplug_bears_its_name() -> None:
 
 
 def senders_payload(names: list[str]) -> bytes:
-    from gateway.northbound.sparkplug import Payload as OwnPayload
+    from gateway.outside.northbound.sparkplug import Payload as OwnPayload
 
     birth = OwnPayload()
     for number, name in enumerate(names):

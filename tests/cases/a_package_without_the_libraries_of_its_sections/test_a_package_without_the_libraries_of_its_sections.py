@@ -16,7 +16,7 @@ import pytest
 
 from deploy import build_deb
 from gateway.extras import DEBIAN_PACKAGES
-from gateway.northbound import northbound
+from gateway.outside.northbound import northbound
 from tests.cli.support import decanter
 from tests.gateway.support import plant_file
 

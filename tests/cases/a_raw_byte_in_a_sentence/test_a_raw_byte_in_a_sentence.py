@@ -16,8 +16,8 @@ import pytest
 
 from drivers.settings import ConfigError
 from gateway.entry import sentence
-from gateway.northbound import OutgoingRow, SinkUnreachable
-from gateway.northbound.influx import InfluxSink
+from gateway.outside.northbound import OutgoingRow, SinkUnreachable
+from gateway.outside.northbound.influx import InfluxSink
 from gateway.plant.worker_line import WorkerEnded
 from gateway.settings import InfluxRow, load_config
 from gateway.store import AuditError, BackupError, HistorianError, SigningKeyError
@@ -32,7 +32,7 @@ NO_SENTENCE = {
     "ModbusRefusal", "TooManyQueriesError", "RecordFault", "Interrupted", "Unrepresentable",
 }  # fmt: skip
 """Errors whose sentence reaches nobody: the caller catches them, and says something of its own."""
-ARITHMETIC = ("sim/checking", "sim/effects", "sim/learning")
+ARITHMETIC = ("sim/lab/checking", "sim/effects", "sim/lab/learning")
 """What computes imports nothing of the floor below; what it says is made one line where it is said."""
 
 

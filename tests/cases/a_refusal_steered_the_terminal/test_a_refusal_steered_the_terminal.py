@@ -11,11 +11,11 @@ from drivers.errors import OneLineError
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.cells import read_sheet
 from gateway.settings import load_config
-from sim.checking.language import QueryError, parse_query
 from sim.files import ArtefactError, at
+from sim.lab.checking.language import QueryError, parse_query
+from sim.lab.recordings import load_map, load_traces
 from sim.plc.program import InputError
 from sim.plc.record.recording import read_recording
-from sim.traces import load_map, load_traces
 from tests.gateway.support import ROOT, two_modes
 
 STEERING = "\x1b[2J\nadmin: armed\0\x85\u2028\u202e"

@@ -14,7 +14,7 @@ from fpdf import FPDF
 
 from gateway.commission.acceptance.blocks import Heading, Signatures, Text
 from gateway.commission.acceptance.paper import paper
-from sim.pages import page_environment
+from sim.lab.pages import page_environment
 from tests.plc_side.test_report import made, record
 
 SENTENCE = "9 of 25 readings are not good, Assorbimento the first: the device says not available and stays so"
@@ -92,7 +92,7 @@ def test_nothing_is_printed_over_the_lines_to_sign_on(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    "room", ["sim/discrepancy/output", "sim/ranking", "sim/validation", "gateway/commission/acceptance"]
+    "room", ["sim/lab/discrepancy/output", "sim/lab/ranking", "sim/lab/validation", "gateway/commission/acceptance"]
 )
 def test_a_table_has_its_head_on_each_sheet_of_paper(room: str) -> None:
     """A row of headings that is no `thead` stood alone at the foot of a page, and nowhere on the next one."""
@@ -102,5 +102,5 @@ def test_a_table_has_its_head_on_each_sheet_of_paper(room: str) -> None:
 
 
 def test_the_ranking_has_its_parts_in_sections_too() -> None:
-    template = (Path(__file__).parents[3] / "sim/ranking/templates/ranking.html").read_text(encoding="utf-8")
+    template = (Path(__file__).parents[3] / "sim/lab/ranking/templates/ranking.html").read_text(encoding="utf-8")
     assert template.count("<section>") == template.count("</section>") == template.count("<h2>")

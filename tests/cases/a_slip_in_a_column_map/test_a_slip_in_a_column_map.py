@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.traces import load_map, load_traces
+from sim.lab.recordings import load_map, load_traces
 from tests.validation.places import MAPS
 
 GOOD = """

@@ -17,16 +17,16 @@ import psycopg
 import pytest
 
 from drivers.supervision import Supervisor
-from gateway import timed_socket
-from gateway.certificates import make_all
-from gateway.northbound import SinkUnreachable, feed, influx, mqtt, postgres
-from gateway.notify import AlarmMessage, Notifier, UndeliveredError, make_senders, senders
+from gateway.network import timed_socket
+from gateway.network.certificates import make_all
+from gateway.network.timed_socket import answer_by
+from gateway.network.timed_tls import make_tls
+from gateway.outside.northbound import SinkUnreachable, feed, influx, mqtt, postgres
+from gateway.outside.notify import AlarmMessage, Notifier, UndeliveredError, make_senders, senders
+from gateway.outside.status import GatewayLine
 from gateway.plant.service import ServiceManager
 from gateway.settings import InfluxRow, MqttRow, NotifySecrets, NotifySection, PostgresRow, RecipientRow
-from gateway.status import GatewayLine
 from gateway.store import RowPosition, RowStream
-from gateway.timed_socket import answer_by
-from gateway.timed_tls import make_tls
 from tests.gateway.support import EPOCH
 from tests.gateway.test_alarm_machine import Kept, Silent
 from tests.gateway.test_notify import HOT, MESSAGE, Hand, at, raised

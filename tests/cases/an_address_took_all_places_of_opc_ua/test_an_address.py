@@ -11,7 +11,7 @@ from contextlib import ExitStack
 import pytest
 from asyncua import ua
 
-from gateway.northbound import opcua
+from gateway.outside.northbound import opcua
 
 HELLO = b"HELF" + struct.pack("<IIIIIII", 36, 0, 65_535, 65_535, 0, 0, 4) + b"opc:"
 MOST = 4

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from asyncua import ua
 
-from gateway.northbound import opcua
+from gateway.outside.northbound import opcua
 
 HELLO = b"HELF" + struct.pack("<IIIIIII", 36, 0, 65_535, 65_535, 0, 0, 4) + b"opc:"
 """A request that is answered at once, with 28 bytes."""

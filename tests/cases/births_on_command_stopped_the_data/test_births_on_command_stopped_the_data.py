@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from drivers.tag import Quality
-from gateway.northbound import mqtt
-from gateway.northbound.feed import OutgoingRow
-from gateway.northbound.mqtt import ACKNOWLEDGE, BIRTH_SECONDS, JsonSink, SparkplugSink
-from gateway.northbound.sparkplug import BOOLEAN, STRING, Payload
+from gateway.outside.northbound import mqtt
+from gateway.outside.northbound.feed import OutgoingRow
+from gateway.outside.northbound.mqtt import ACKNOWLEDGE, BIRTH_SECONDS, JsonSink, SparkplugSink
+from gateway.outside.northbound.sparkplug import BOOLEAN, STRING, Payload
 from gateway.settings import MqttRow
 from gateway.store import FollowedRow, RowPosition, RowStream
 from tests.gateway.support import EPOCH

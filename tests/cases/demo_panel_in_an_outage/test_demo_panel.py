@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.text import Text
 
 from gateway.demo.live import DemoPhase, demo_table, phase_of
-from gateway.panel import framed, status_rows
-from gateway.status import read_status
+from gateway.outside.panel import framed, status_rows
+from gateway.outside.status import read_status
 from sim.plc.control import obey
 from sim.plc.program.clock import EmulatorClock
 from sim.plc.program.plc import Plc

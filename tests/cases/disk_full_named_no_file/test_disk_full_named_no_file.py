@@ -9,9 +9,9 @@ from click.testing import CliRunner
 from drivers.named_files import writing
 from gateway.cli.main import main
 from sim.files import write_durably
-from sim.pictures import save_picture
+from sim.lab.pictures import save_picture
+from sim.lab.recordings import write_trace
 from sim.plant.scenarios import scenario
-from sim.traces import write_trace
 from tests.gateway.support import ROOT
 
 FULL = Path("/dev/full")

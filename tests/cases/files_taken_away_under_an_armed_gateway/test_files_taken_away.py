@@ -15,12 +15,12 @@ from typing import Any
 
 import pytest
 
+from gateway.outside.web.access import AccountRole
+from gateway.outside.web.access.accounts import add_account
 from gateway.plant.app import run
 from gateway.settings import Config
 from gateway.store import examine, places_beside
 from gateway.store.audit import DISARMED, read
-from gateway.web.access import AccountRole
-from gateway.web.access.accounts import add_account
 from tests.gateway.support import Bench, JumpClock, config_in, logged, two_modes
 from tests.rig.memory import folder_in_memory
 

@@ -4,7 +4,7 @@ The search for the running locations compared an edge's symbol with "UNKNOWN", a
 the edge that leads from every location to the initial one made that one "running", 20 to 26 degC too warm.
 """
 
-from sim.discrepancy.fitting.named import effect_of, running_locations
+from sim.lab.discrepancy.fitting.named import effect_of, running_locations
 from tests.effects.engines import model_of, named
 
 

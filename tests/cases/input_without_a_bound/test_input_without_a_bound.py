@@ -19,8 +19,8 @@ from drivers.tag import Tag
 from gateway.commission.files.cells import ListError, read_sheet
 from sim.artefacts.model_json import parse_model
 from sim.files import ArtefactError
+from sim.lab.recordings.alphabet_table import alphabet_from_table
 from sim.sha import Distribution, check_distribution
-from sim.traces.alphabet_table import alphabet_from_table
 from tests.gateway.support import ROOT
 
 DBC = (

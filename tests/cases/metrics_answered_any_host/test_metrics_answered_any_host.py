@@ -8,7 +8,7 @@ from http.client import HTTPConnection
 import pytest
 
 from drivers.supervision import Supervisor
-from gateway.northbound.metrics_server import MetricsServer
+from gateway.outside.northbound.metrics_server import MetricsServer
 from gateway.settings import MetricsSection
 from tests.rig.servers import until
 

@@ -10,8 +10,8 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from gateway.lab.traces.load import load
-from sim.traces import ColumnMap, load_traces
-from sim.traces.load_report import TraceError
+from sim.lab.recordings import ColumnMap, load_traces
+from sim.lab.recordings.load_report import TraceError
 
 ROWS = 629
 

@@ -10,9 +10,9 @@ import pytest
 
 from benchmarks.unknown_plc import write_examples
 from decanter_gateway.start import DISTRIBUTION, FLOORS, stranger
-from gateway.cli import init as init_module
+from gateway.cli.setup import init as init_module
 from gateway.settings import load_config
-from sim.traces import load_map, load_traces
+from sim.lab.recordings import load_map, load_traces
 from tests.cli.support import decanter, only_object, refused
 
 ROOT = Path(__file__).parents[3]

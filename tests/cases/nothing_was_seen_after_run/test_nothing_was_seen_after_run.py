@@ -16,15 +16,24 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
-import gateway.cli.top
+import gateway.cli.plant.top
 from gateway.cli.main import main
 from gateway.machine import Machine
 from gateway.machine.reading import plant_clock
-from gateway.panel import follow, panel
+from gateway.outside.panel import follow, panel
+from gateway.outside.status import (
+    ChangeLines,
+    GatewayWatch,
+    Health,
+    Sighting,
+    StatusError,
+    findings,
+    health_of,
+    read_status,
+)
 from gateway.plant.app import run
 from gateway.plant.log import open_log
 from gateway.plant.status import snapshot
-from gateway.status import ChangeLines, GatewayWatch, Health, Sighting, StatusError, findings, health_of, read_status
 from sim.strict_json import strict
 from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import (
@@ -241,7 +250,7 @@ def test_without_a_gateway_one_sentence_and_three_and_a_silent_one_five(
         assert "no gateway runs" in result.output and f"decanter run --config {path}" in result.output
     data = json.loads(CliRunner().invoke(main, ["status", "--config", str(path), "--json"]).stdout)
     assert data["health"] == "absent" and not data["ok"]
-    monkeypatch.setattr(gateway.cli.top, "ANSWER_S", 0.05)
+    monkeypatch.setattr(gateway.cli.plant.top, "ANSWER_S", 0.05)
     with answering(tmp_path / "history.sock", []):
         result = CliRunner().invoke(main, ["status", "--config", str(path), "--json"])
     assert result.exit_code == 5 and json.loads(result.stdout)["health"] == "silent"
@@ -329,7 +338,7 @@ def test_the_word_for_a_gateway_names_what_is_wrong(changes: dict[str, Any], wor
 
 def test_the_page_has_the_exit_codes_that_the_command_has() -> None:
     page = (ROOT / "docs/watching.md").read_text(encoding="utf-8")
-    for word, (code, when) in gateway.cli.top.EXITS.items():
+    for word, (code, when) in gateway.cli.plant.top.EXITS.items():
         assert f"| {code:d} | {word} | {when} |" in page
 
 

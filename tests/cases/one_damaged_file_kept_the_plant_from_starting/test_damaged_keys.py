@@ -7,8 +7,8 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 
-from gateway import certificates
-from gateway.certificates import (
+from gateway.network import certificates
+from gateway.network.certificates import (
     OPC_UA_CERTIFICATE,
     OPC_UA_KEY,
     OPC_UA_TRUSTED,

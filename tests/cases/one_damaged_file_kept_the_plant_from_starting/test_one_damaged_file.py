@@ -19,8 +19,8 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from gateway.machine.model import loading
+from gateway.outside.status import connect
 from gateway.settings import Config, load_plant
-from gateway.status import connect
 from gateway.store.audit import DISARMED, arming_rows
 from tests.rig.broken_starts import Damage, drawn, files_of, seed, started, tried
 from tests.rig.memory import folder_in_memory

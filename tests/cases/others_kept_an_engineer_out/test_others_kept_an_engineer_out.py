@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import pytest
 
-from gateway.northbound.metrics_server import MOST_REQUESTS, MetricsServer
-from gateway.serving import PeerServer
+from gateway.outside.northbound.metrics_server import MOST_REQUESTS, MetricsServer
+from gateway.outside.serving import PeerServer
+from gateway.outside.web.access import AccountRole, Lockout
 from gateway.settings import MetricsSection
-from gateway.web.access import AccountRole, Lockout
 from tests.page.served import PAGE, Client, Served, eventually, served
 from tests.rig.servers import free_port
 

@@ -9,8 +9,8 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from gateway.lab.traces.load import load, warned_of
+from sim.lab.recordings import levels_of, load_map, load_traces
 from sim.sha import Bins, Trace
-from sim.traces import levels_of, load_map, load_traces
 
 MAP = """
 format = "wide"

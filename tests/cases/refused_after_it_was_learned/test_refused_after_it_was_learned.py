@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.lab import learn
+from gateway.lab.learning import learn
 from tests.cli.support import decanter, refused
 
 

@@ -3,7 +3,7 @@
 L*_SHA adds to the alphabet's names, and the running locations were looked up by the bare names of the product.
 """
 
-from sim.discrepancy.fitting.named import running_locations
+from sim.lab.discrepancy.fitting.named import running_locations
 from tests.effects.engines import model_of
 
 

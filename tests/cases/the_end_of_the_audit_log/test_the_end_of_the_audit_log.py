@@ -18,9 +18,9 @@ from click.testing import CliRunner
 from gateway.cli.main import main
 from gateway.machine.writing import ArmingError, clear_for_arming, countersign, places_of
 from gateway.machine.writing.witnessing import HeadWitnessing
+from gateway.outside.status import ControlError, connect
 from gateway.plant.app import run
 from gateway.settings import Config
-from gateway.status import ControlError, connect
 from gateway.store import examine, open_audit, places_beside
 from gateway.store.audit import ARMED, CONFIRMED, AuditEntry, read, verify
 from gateway.store.signing import SigningKeyError, load_key, load_or_make_key, public_path

@@ -24,16 +24,16 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from drivers.settings import ConfigError
-from gateway.certificates import application_problem, issue, make_all, make_application, make_authority, write
-from gateway.key_pair import load_pair
-from gateway.northbound import SinkUnreachable, opcua
-from gateway.northbound.influx import InfluxSink
-from gateway.northbound.mqtt import JsonSink
-from gateway.northbound.opcua import OpcUaServer
-from gateway.notify import UndeliveredError, make_senders
+from gateway.network.certificates import application_problem, issue, make_all, make_application, make_authority, write
+from gateway.network.key_pair import load_pair
+from gateway.outside.northbound import SinkUnreachable, opcua
+from gateway.outside.northbound.influx import InfluxSink
+from gateway.outside.northbound.mqtt import JsonSink
+from gateway.outside.northbound.opcua import OpcUaServer
+from gateway.outside.notify import UndeliveredError, make_senders
+from gateway.outside.web import check_page
+from gateway.outside.web import server as page_server
 from gateway.settings import InfluxRow, MqttRow, NotifySecrets, NotifySection, OpcUaSection
-from gateway.web import check_page
-from gateway.web import server as page_server
 from tests.gateway.support import EPOCH, config_in, logged, two_modes
 from tests.gateway.test_notify import MESSAGE
 from tests.page.served import PAGE, Client, eventually, served

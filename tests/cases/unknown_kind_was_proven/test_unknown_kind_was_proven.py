@@ -5,9 +5,9 @@ Measured then: its mean course ran to the clamp at 500 degC.
 
 from dataclasses import replace
 
-from sim.checking.proof.envelope import Assumptions
-from sim.checking.proof.verification import verify
 from sim.effects.kind import EffectRefusal
+from sim.proof.envelope import Assumptions
+from sim.proof.verification import verify
 from tests.effects.engines import automaton, model_of, named, trace_of, with_effects
 from tests.effects.made_up import HUMIDITY_HEATING, known
 

@@ -8,8 +8,8 @@ from typing import Any
 from click.testing import CliRunner
 
 from gateway.cli.main import main
+from gateway.outside.status import connect
 from gateway.plant.app import run
-from gateway.status import connect
 from gateway.store import ARMED, DISARMED, read
 from tests.gateway.support import TEMPERATURE, Bench, JumpClock, config_in, two_modes
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.traces import ColumnMap, load_traces
+from sim.lab.recordings import ColumnMap, load_traces
 
 TABLE = {"format": "wide", "temperature": "T", "clock": {"column": "t", "formats": ["seconds"]}}
 

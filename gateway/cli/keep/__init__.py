@@ -1,0 +1,1 @@
+"""What is kept: configurations, copies, and what is sent to support."""

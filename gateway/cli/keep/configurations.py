@@ -1,0 +1,198 @@
+"""The commands of `decanter config`: configurations that were taken over, what differs between them, the way back."""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+import click
+
+from drivers.named_files import place_of
+from drivers.settings import ConfigError, read_toml
+from gateway.cli.plant.plant_file import config_option
+from gateway.commission.session import login
+from gateway.console import SERVICE_FOLDER, SERVICE_RECORDS, emit, json_option, table
+from gateway.entry import Exit, fail, sentences
+from gateway.outside.status import ControlError, connect
+from gateway.plant import (
+    FOLDER,
+    KeptConfiguration,
+    differences,
+    history_folder,
+    keep_files,
+    kept_configurations,
+    require_named_places,
+    without_arming,
+)
+from gateway.replacement import draft_of, former_of, replaced, replacing, write_draft
+from gateway.settings import load_plant, read_plant
+from gateway.store import BackupError
+
+PATIENCE_S = 60.0
+"""A machine that is stopped for a reload takes back what stands in its PLC first."""
+
+_history_option = click.option(
+    "--history",
+    "folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="The folder of the kept configurations.  [default: configurations/ beside the historian]",
+)
+
+
+def _kept(path: Path, folder: Path | None) -> list[KeptConfiguration]:
+    """The configurations of a plant file; also where that cannot be used any more, which is when they are wanted.
+
+    Raises BackupError or OSError.
+    """
+    if folder is None:
+        try:
+            folder = history_folder(load_plant(path)[0])
+        except ConfigError:
+            folder = _beside(path)
+    found = kept_configurations(folder)
+    if not found:
+        raise BackupError(f"{folder}: no configuration is kept there; a gateway keeps each one that it takes over")
+    return found
+
+
+def _beside(path: Path) -> Path:
+    """The folder of a plant file that cannot be used: by what can be read of it, else where it is by default."""
+    records = SERVICE_RECORDS if path.absolute().parent == SERVICE_FOLDER else path.parent / "out"
+    with suppress(ConfigError, KeyError, TypeError):
+        records = path.parent / Path(str(read_toml(path)["historian"]["path"])).parent
+    return records / FOLDER
+
+
+def _numbered(found: Sequence[KeptConfiguration], number: int) -> KeptConfiguration:
+    for one in found:
+        if one.number == number:
+            return one
+    raise BackupError(f"there is no configuration {number}; there are {found[0].number} to {found[-1].number}")
+
+
+@click.command(short_help="List the configurations that were taken over.")
+@config_option
+@_history_option
+@json_option
+def history(path: Path, folder: Path | None, as_json: bool) -> None:
+    """List the configurations that a gateway has taken over at a start or a reload, the newest last. Times are UTC."""
+    with sentences():
+        found = _kept(path, folder)
+    rows = [
+        {
+            "number": one.number,
+            "time": one.manifest.made,
+            "note": one.manifest.note,
+            "program": one.manifest.program,
+            "files": [file.original for file in one.manifest.files],
+        }
+        for one in found
+    ]
+
+    def show() -> None:
+        cells = [
+            (str(one.number), _date(one.manifest.made), one.manifest.note, str(len(one.manifest.files)))
+            for one in found
+        ]
+        table(f"{found[0].folder.parent}", ("number", "taken over", "at", "files"), cells)
+
+    emit({"ok": True, "configurations": rows}, show, as_json_line=as_json)
+
+
+def _date(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S")
+
+
+@click.command(short_help="Show what differs between two configurations, or to the files now.")
+@click.argument("old", type=int, required=False)
+@click.argument("new", type=int, required=False)
+@config_option
+@_history_option
+def diff(path: Path, folder: Path | None, old: int | None, new: int | None) -> None:
+    """Show what differs between the configurations OLD and NEW; without NEW to the files as they are now, without OLD
+    from the newest one that was taken over.
+    """
+    with sentences():
+        found = _kept(path, folder)
+        before = _numbered(found, found[-1].number if old is None else old)
+        if new is None:
+            name, after = "now", {place: place.read_bytes() for place in before.files if place.is_file()}
+        else:
+            name, after = str(new), _numbered(found, new).files
+        lines = list(differences(before.files, after, (str(before.number), name)))
+    click.echo("\n".join(lines) if lines else "nothing differs")
+
+
+@click.command(short_help="Put the files of a former configuration back, never armed.")
+@click.argument("number", type=int)
+@click.option("--reason", required=True, help="Why, for the history.")
+@click.option("--by", default="", envvar="DECANTER_BY", help="Who does it.  [default: the login]")
+@config_option
+@_history_option
+@json_option
+def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str, as_json: bool) -> None:
+    """Put the plant and device files of configuration NUMBER back, and let a running gateway take them over.
+
+    What is in the files now is kept first. A configuration that cannot be used any more is refused, and nothing is
+    changed then; one that was armed comes back as 'shadow'.
+    """
+    with sentences():
+        found = _kept(path, folder)
+        wanted = _numbered(found, number)
+        now, note = time.time(), f"before going back to {number}: {reason} ({by or login()})"
+        plant, kept = place_of(path), wanted.files
+        if plant not in kept:
+            raise BackupError(
+                f"configuration {number} is of {next(iter(kept), 'nothing')}, not of {path}; give --config with that"
+            )
+        require_named_places(wanted.manifest, plant, kept, roles=("plant", "device"))
+        roles = {Path(file.original): file.role for one in found for file in one.manifest.files}
+        content = {place: without_arming(data) if place == plant else data for place, data in kept.items()}
+        modes = {Path(file.original): file.mode for file in wanted.manifest.files}
+        with replacing(plant):
+            present = [(role, place) for place, role in roles.items() if place.is_file()]
+            keep_files(wanted.folder.parent, present, now=now, note=note)
+            former = [(place, former_of(place)) for place in content if place.is_file()]
+            for _, file in former:
+                file.unlink(missing_ok=True)  # of one that was killed behind its last step
+            try:
+                with _drafts(content, modes), replaced(plant, content, former):
+                    machines = read_plant(path)
+            except ConfigError as error:
+                raise BackupError(
+                    f"configuration {number} cannot be used any more, and nothing is changed: {error}"
+                ) from None
+            for _, file in former:
+                file.unlink()  # it is kept, in the newest configuration
+        taken = "no gateway runs: it is taken over at the next start"
+        if (line := connect(machines[0].control_socket, PATIENCE_S)) is not None:
+            try:
+                line.ask("reload")
+                taken = "the running gateway has taken it over"
+            except ControlError as error:
+                fail(
+                    f"the files of configuration {number} are back, and the gateway goes on as it was: {error}",
+                    Exit.CHECK_FAILED,
+                )
+            finally:
+                line.close()
+    said = {"ok": True, "number": number, "files": list(map(str, content)), "said": taken}
+    emit(
+        said,
+        lambda: click.echo(f"{len(content)} files are as in configuration {number}; {taken}"),
+        as_json_line=as_json,
+    )
+
+
+@contextmanager
+def _drafts(content: Mapping[Path, bytes], modes: Mapping[Path, int]) -> Iterator[None]:
+    """Each file written beside its place, with the owner of what is there as far as this user may; none is left."""
+    try:
+        for place, data in content.items():
+            status = place.stat() if place.is_file() else None
+            write_draft(place, data, modes[place], None if status is None else (status.st_uid, status.st_gid))
+        yield
+    finally:
+        for place in content:
+            draft_of(place).unlink(missing_ok=True)

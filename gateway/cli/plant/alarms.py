@@ -1,0 +1,325 @@
+"""The commands of `decanter alarm`: asked of the running gateway, or read from its historian."""
+
+import getpass
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.cli.plant.plant_file import config_option, control_socket, machine_option
+from gateway.console import emit, json_option, table
+from gateway.entry import Exit, fail, sentences
+from gateway.machine.alarms import (
+    BY_PERSONS,
+    LETTERS,
+    MEANINGS,
+    PRIORITIES,
+    AlarmState,
+    Change,
+    alarm_rates,
+    read_journal,
+)
+from gateway.outside.status import ControlError, GatewayLine, connect
+from gateway.settings import ALARM_KINDS, OF_PLANT, alarm_subject, load_plant
+from gateway.store import moment_of, newest_scan, reading
+
+PATIENCE_S = 15.0
+"""What hides an alarm waits until it is on record."""
+
+_by_option = click.option("--by", default="", envvar="DECANTER_BY", help="Who does it.  [default: the login]")
+_reason_option = click.option("--reason", required=True, help="Why, for the audit log and the journal.")
+
+
+def _gateway(socket: Path, path: Path, machine: str | None = None) -> GatewayLine:
+    """The gateway that runs with a plant file, at its socket, to be closed; leaves with a sentence where none runs."""
+    if (line := connect(socket, PATIENCE_S, machine=machine)) is None:
+        fail(f"no gateway runs with {path} (nothing answers at {socket})", Exit.CANNOT_CONNECT)
+    return line
+
+
+def _machines(socket: Path, path: Path) -> list[str]:
+    """The names of the running gateway's machines, in its order: the file may have changed meanwhile."""
+    with closing(_gateway(socket, path)) as line:
+        return list(line.ask("plant")["statuses"])
+
+
+def _asked(path: Path, machine: str | None) -> dict[str, list[dict[str, Any]]]:
+    """The alarms by machine, of the one named or of all."""
+    socket = control_socket(path, None)
+    names = [machine] if machine is not None else _machines(socket, path)
+    found: dict[str, list[dict[str, Any]]] = {}
+    for name in names:
+        line = _gateway(socket, path, name)
+        try:
+            found[name] = line.ask("alarms")["alarms"]
+        except ControlError as error:
+            fail(str(error), Exit.CHECK_FAILED)
+        finally:
+            line.close()
+    return found
+
+
+def _date(seconds: float | None) -> str:
+    return "–" if seconds is None else datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S")
+
+
+@click.command("list", short_help="List the alarms that are not normal, the most urgent first.")
+@click.option("--all", "every", is_flag=True, help="Those that are normal too.")
+@config_option
+@machine_option
+@json_option
+def list_alarms(path: Path, machine: str | None, every: bool, as_json: bool) -> None:
+    """List the alarms that are not normal, the most urgent first, with what an operator shall do. Times are UTC.
+
+    Exit code 1 where one waits for an acknowledgement or stands.
+    """
+    with sentences():
+        found = _asked(path, machine)
+    rows = [
+        {"machine": name, **row}
+        for name, alarms in found.items()
+        for row in alarms
+        if every or row["state"] != AlarmState.NORMAL
+    ]
+    urgent = [row for row in rows if row["active"] or Change.ACKNOWLEDGE in row["possible"]]
+
+    def show_rows() -> None:
+        cells = [
+            [
+                row["priority"],
+                *([alarm_subject(row["name"], row["tag"], row["machine"])] if len(found) > 1 else []),
+                ("first: " if row["first_up"] else "") + row["name"],
+                row["state"] + (f" until {_date(row['until'])}" if row["until"] else ""),
+                _date(row["since"]),
+                row["response"] if row["active"] else row["reason"],
+            ]
+            for row in rows
+        ]
+        head = ("", *(("machine",) if len(found) > 1 else ()), "alarm", "state", "since", "what to do, or why")
+        table(f"{len(urgent)} to be dealt with, {len(rows)} in all", head, cells)
+
+    emit({"ok": not urgent, "alarms": rows}, show_rows, as_json_line=as_json)
+    raise SystemExit(Exit.CHECK_FAILED if urgent else Exit.OK)
+
+
+@click.command(short_help="Show one alarm: what it watches, what to do, what comes of not doing it.")
+@click.argument("name")
+@config_option
+@machine_option
+@json_option
+def show(name: str, path: Path, machine: str | None, as_json: bool) -> None:
+    """Show the alarm NAME: its state, what it watches, what an operator shall do, what comes of not doing it."""
+    with sentences():
+        found = _asked(path, machine)
+    rows = [{"machine": each, **row} for each, alarms in found.items() for row in alarms if row["name"] == name]
+    if not rows:
+        known = sorted({row["name"] for alarms in found.values() for row in alarms})
+        fail(f"there is no alarm {name!r}; there are {', '.join(known)}")
+
+    def show_rows() -> None:
+        for row in rows:
+            state, kind = AlarmState(row["state"]), ALARM_KINDS.get(row["kind"])
+            lines = {
+                "alarm": f"{name} ({alarm_subject(name, row['tag'], row['machine'])}), priority {row['priority']}",
+                "state": f"{LETTERS[state]} {state}: {MEANINGS[state]}",
+                "since": _date(row["since"]) + (f", by {row['by']}: {row['reason']}" if row["by"] else ""),
+                "until": _date(row["until"]) if row["until"] else "",
+                "stands": ("yes" if row["standing"] else "no")
+                + (f", last raised {_date(row['raised'])}" if row["raised"] else ""),
+                "acknowledged by": row["acknowledged_by"],
+                "watches": kind.watches if kind else "",
+                "NAMUR NE 107": kind.namur if kind else "",
+                "what to do": row["response"],
+                "otherwise": row["consequence"],
+                "can be done": ", ".join(row["possible"]),
+            }
+            for title, text in lines.items():
+                if text:
+                    click.echo(f"{title + ':':<17}{text}")
+
+    emit({"ok": True, "alarms": rows}, show_rows, as_json_line=as_json)
+
+
+def _change(
+    change: Change, path: Path, machine: str | None, names: Sequence[str], *, as_json: bool, by: str, **keys: Any
+) -> None:
+    """Ask the running gateway for a change, and say what became of it."""
+    with sentences():
+        socket = control_socket(path, None)
+        if machine is None and set(names) <= OF_PLANT and names:
+            machine = _machines(socket, path)[0]  # which looks after the plant's: nobody has to know which one that is
+        line = _gateway(socket, path, machine)
+        try:
+            answer = line.ask(change.value, alarms=list(names), by=by or getpass.getuser(), **keys)
+        except ControlError as error:
+            fail(str(error), Exit.CHECK_FAILED)
+        finally:
+            line.close()
+    states: dict[str, str] = answer["alarms"]
+
+    def show_states() -> None:
+        for name, state in states.items():
+            click.echo(f"{name}: {BY_PERSONS[change]}, now {state}")
+        if not states:
+            click.echo("no alarm waits for an acknowledgement")
+
+    emit({"ok": True, "alarms": states}, show_states, as_json_line=as_json)
+
+
+def _names(required: bool = True) -> Callable[[Any], Any]:
+    return click.argument("names", nargs=-1, required=required, metavar="NAME...")
+
+
+@click.command(short_help="Say that you know: of the named alarms, or of all that wait.")
+@_names(required=False)
+@_by_option
+@click.option("--reason", default="", help="A remark, for the audit log and the journal.")
+@config_option
+@machine_option
+@json_option
+def acknowledge(names: tuple[str, ...], by: str, reason: str, path: Path, machine: str | None, as_json: bool) -> None:
+    """Acknowledge the alarms NAME..., or all of the machine that wait for it."""
+    _change(Change.ACKNOWLEDGE, path, machine, names, by=by, reason=reason, as_json=as_json)
+
+
+@click.command(short_help="Put alarms aside for some minutes.")
+@_names()
+@click.option(
+    "--minutes", type=click.FloatRange(0, min_open=True), required=True, help="For how long (alarms.longest_shelving)."
+)
+@_by_option
+@_reason_option
+@config_option
+@machine_option
+@json_option
+def shelve(
+    names: tuple[str, ...], minutes: float, by: str, reason: str, path: Path, machine: str | None, as_json: bool
+) -> None:
+    """Put the alarms NAME... aside: neither shown nor sent until the time is over, when what stands is raised anew."""
+    _change(Change.SHELVE, path, machine, names, by=by, reason=reason, minutes=minutes, as_json=as_json)
+
+
+def _signed_command(change: Change, name: str, short_help: str, long_help: str) -> click.Command:
+    """The command of a change that takes names, a person and a reason."""
+
+    @_names()
+    @_by_option
+    @_reason_option
+    @config_option
+    @machine_option
+    @json_option
+    def command(names: tuple[str, ...], by: str, reason: str, path: Path, machine: str | None, as_json: bool) -> None:
+        _change(change, path, machine, names, by=by, reason=reason, as_json=as_json)
+
+    return click.command(name, short_help=short_help, help=long_help)(command)
+
+
+unshelve = _signed_command(
+    Change.UNSHELVE,
+    "unshelve",
+    "Take alarms back before their time is over.",
+    "Take the shelved alarms NAME... back before their time is over.",
+)
+remove = _signed_command(
+    Change.REMOVE,
+    "remove-from-service",
+    "Take alarms out for work on what they watch.",
+    "Take the alarms NAME... out of service: neither shown nor sent until they are returned.",
+)
+return_to_service = _signed_command(
+    Change.RETURN,
+    "return",
+    "Return alarms to service.",
+    "Return the alarms NAME... to service; what stands is raised anew.",
+)
+reset = _signed_command(
+    Change.RESET,
+    "reset",
+    "Let go of latched alarms.",
+    "Let go of the latched alarms NAME..., which are over and acknowledged.",
+)
+
+
+def _window(path: Path, since: str, machine: str | None) -> tuple[Path, float, float]:
+    """The historian, and the times (s UTC) from `since` to its newest scan."""
+    historian = load_plant(path)[0].historian.path
+    named = [machine] if machine is not None else [config.machine for config in load_plant(path)]
+    with reading(historian) as connection:
+        newest = [newest_scan(connection, machine=name if len(named) > 1 else machine) for name in named]
+    end = max((time for time in newest if time is not None), default=None)
+    if end is None:
+        raise ValueError(f"{historian}: has no scan yet; let the gateway run first")
+    return historian, moment_of(since, end), end
+
+
+@click.command(short_help="Show what alarms did, and who did what with them.")
+@click.option("--since", default="8h", show_default=True, help="A time (2026-03-01T06:00, UTC) or a span back (7d).")
+@config_option
+@machine_option
+@json_option
+def journal(since: str, path: Path, machine: str | None, as_json: bool) -> None:
+    """Show every change of an alarm with its person and reason, in order. Times are UTC."""
+    with sentences():
+        historian, start, _ = _window(path, since, machine)
+        rows = read_journal(historian, machine=machine, start=start)
+
+    def show_rows() -> None:
+        several = len({row.subject for row in rows}) > 1
+        cells = [
+            [
+                _date(row.time),
+                *([row.subject] if several else []),
+                row.alarm,
+                row.state,
+                "–" if row.value is None else f"{row.value:g}",
+                f"{row.by}: {row.reason}" if row.reason else row.by,
+            ]
+            for row in rows
+        ]
+        head = ("time", *(("machine",) if several else ()), "alarm", "state", "value", "by")
+        table(f"{len(rows)} changes since {_date(start)}", head, cells)
+
+    emit({"ok": True, "journal": [asdict(row) for row in rows]}, show_rows, as_json_line=as_json)
+
+
+@click.command(short_help="Hold the alarms against what a person can deal with (EEMUA 191).")
+@click.option("--since", default="7d", show_default=True, help="A time (2026-03-01T06:00, UTC) or a span back (8h).")
+@config_option
+@machine_option
+@json_option
+def rates(since: str, path: Path, machine: str | None, as_json: bool) -> None:
+    """Count the alarms up to the newest scan: average, peak, floods, chattering, standing, stale, priorities.
+
+    Of several machines all are counted together, as one person has to deal with them. Exit code 1 where it is more
+    than a person can deal with.
+    """
+    with sentences():
+        historian, start, end = _window(path, since, machine)
+        found = alarm_rates(read_journal(historian, machine=machine, end=end + 1e-6), start, end)
+
+    def show_rates() -> None:
+        cells: list[list[object]] = [
+            ["alarms", found.announced, f"{_date(start)} to {_date(end)}"],
+            ["in ten minutes, on average", f"{found.per_ten_minutes:.2f}", found.verdict],
+            ["in ten minutes, at most", found.peak, _date(found.peak_at)],
+            ["floods", len(found.floods), f"{found.flooded:.1%} of the time"],
+            ["chattering", len(found.chattering), ", ".join(found.chattering) or "–"],
+            ["standing", len(found.standing), ", ".join(found.standing) or "–"],
+            ["stale (a day and more)", len(found.stale), ", ".join(found.stale) or "–"],
+        ]
+        cells += [
+            [f"priority {priority}", found.priorities.get(priority, 0),
+             f"{found.shares.get(priority, 0.0):.0%}, advised {advised:.0%}"]
+            for priority, advised in PRIORITIES.items()
+        ]  # fmt: skip
+        cells += [[name, count, "most frequent"] for name, count in found.frequent.items()]
+        table("alarms against EEMUA 191 and ISA-18.2", ("what", "count", ""), cells)
+        for sentence in found.findings:
+            click.echo(sentence)
+
+    emit({"ok": found.ok, **asdict(found)}, show_rates, as_json_line=as_json)
+    raise SystemExit(Exit.OK if found.ok else Exit.CHECK_FAILED)

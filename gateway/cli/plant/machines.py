@@ -1,0 +1,119 @@
+"""The commands of `decanter machine`: the machines of a plant file, and of the gateway that runs with it."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.cli.plant.plant_file import config_option
+from gateway.commission.files import DRY_RUN, Edit, commit, with_machine, without_machine
+from gateway.console import emit, json_option, table
+from gateway.entry import sentences
+from gateway.outside.status import ControlError, connect, health_of, read_status
+from gateway.settings import load_plant
+
+RELOAD = "a gateway that runs takes it over with `decanter reload`"
+
+
+@click.command("list", short_help="List the machines, and how they are where a gateway runs.")
+@config_option
+@json_option
+def list_machines(path: Path, as_json: bool) -> None:
+    """List the machines with their devices and temperatures, and how they are where the gateway runs."""
+    with sentences():
+        configs = load_plant(path)
+        health = _health(configs[0].control_socket)
+    rows = [
+        {
+            "machine": config.machine,
+            "device": config.map.name,
+            "place": "; ".join(link.place for link in config.links),
+            "temperatures": [row.tag for row in config.temperatures],
+            "models": [row.model and str(row.model) for row in config.temperatures],
+            "mode": config.writeback.mode,
+            "health": health.get(config.machine),
+        }
+        for config in configs
+    ]
+
+    def show() -> None:
+        cells = [
+            [
+                config.machine,
+                "; ".join(link.place for link in config.links),
+                ", ".join(row.tag for row in config.temperatures),
+                config.writeback.mode,
+                health.get(config.machine, "–"),
+            ]
+            for config in configs
+        ]
+        count = f"{len(rows)} machine{'' if len(rows) == 1 else 's'}"
+        table(f"{path}: {count}", ("machine", "place", "temperatures", "write-back", "now"), cells)
+
+    emit({"ok": True, "machines": rows}, show, as_json_line=as_json)
+
+
+def _health(socket: Path) -> dict[str, str]:
+    """How the machines of a running gateway are; nothing where none runs."""
+    if (line := connect(socket)) is None:
+        return {}
+    try:
+        statuses = line.ask("plant")["statuses"]
+        return {name: str(health_of(read_status(plain))) for name, plain in statuses.items()}
+    except (OSError, ControlError):
+        return {}
+    finally:
+        line.close()
+
+
+@click.command(short_help="Add a machine to the plant file.")
+@click.argument("name")
+@click.option("--host", help="Its PLC's name or address.")
+@click.option("--port", type=click.IntRange(1, 65535), help="Its TCP port.")
+@click.option("--unit", type=click.IntRange(0, 255), help="Its Modbus unit, behind a gateway for several.")
+@click.option("--node", type=click.IntRange(1, 127), help="Its CANopen node.")
+@click.option("--device", "device_file", help="Its device file, relative to the plant file; the common one without it.")
+@click.option(
+    "--temperature", "temperatures", multiple=True, metavar="TAG[=MODEL]", help="A temperature that is predicted."
+)
+@config_option
+@DRY_RUN
+@json_option
+def add(
+    name: str,
+    path: Path,
+    device_file: str | None,
+    temperatures: tuple[str, ...],
+    dry_run: bool,
+    as_json: bool,
+    **place: Any,
+) -> None:
+    """Add the machine NAME to the plant file; what is not given is as for the others."""
+    device = {"file": device_file, **place}
+    predicted = [dict(zip(("tag", "model"), text.split("=", 1), strict=False)) for text in temperatures]
+    with sentences():
+        edit = with_machine(path, name, {key: value for key, value in device.items() if value is not None}, predicted)
+        _carry_out(edit, dry_run=dry_run, as_json=as_json)
+
+
+@click.command(short_help="Take a machine out of the plant file; its records stay.")
+@click.argument("name")
+@config_option
+@DRY_RUN
+@json_option
+def remove(name: str, path: Path, dry_run: bool, as_json: bool) -> None:
+    """Take the machine NAME out of the plant file; its records stay."""
+    with sentences():
+        _carry_out(without_machine(path, name), dry_run=dry_run, as_json=as_json)
+
+
+def _carry_out(edit: Edit, *, dry_run: bool, as_json: bool) -> None:
+    backup = None if dry_run else commit(edit, load_plant)
+
+    def show() -> None:
+        for line in edit.diff().splitlines():
+            click.secho(line, fg={"+": "green", "-": "red", "@": "cyan"}.get(line[:1]))
+        click.echo("dry run: nothing was written" if dry_run else f"written (before: {backup}); {RELOAD}")
+
+    data = {"ok": True, "diff": edit.diff(), "written": not dry_run, "backup": backup and str(backup)}
+    emit(data, show, as_json_line=as_json)

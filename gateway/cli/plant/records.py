@@ -1,0 +1,284 @@
+"""The commands of `decanter historian`: the records as CSV, Parquet, JSON or a table on the terminal."""
+
+import json
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import import_module
+from itertools import islice
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.csv_rows import write_rows
+from gateway.cli.plant.plant_file import config_option, machine_option
+from gateway.console import emit, json_option, table
+from gateway.entry import sentences
+from gateway.extras import missing
+from gateway.settings import load_plant
+from gateway.store import (
+    TABLE_COLUMNS,
+    Cells,
+    FollowedRow,
+    TableColumn,
+    cells_of,
+    machines,
+    moment_of,
+    newest_scan,
+    reading,
+    rows_between,
+    sync_folder,
+    trend,
+)
+
+Writer = Callable[[Sequence[Cells]], None]
+TOGETHER = 20_000
+"""Rows that are written at a time."""
+PARQUET = {"text": "string", "real": "float64", "whole": "int64", "flag": "bool_"}
+"""pyarrow's types of the kinds of columns, by the names of their functions."""
+TREND_COLUMNS = ("start", "count", "low", "mean", "high")
+
+_since_option = click.option(
+    "--since", default="1d", show_default=True, help="A time (2026-03-01T06:00, UTC), a span back (7d, 36h), or `all`."
+)
+_until_option = click.option("--until", default=None, help="A time (UTC).  [default: the newest scan, and after]")
+_tag_option = click.option("--tag", default=None, metavar="TAG", help="Only this tag's rows, or this alarm's.")
+
+
+@dataclass(frozen=True, slots=True)
+class RecordsWindow:
+    """Whose rows are meant: these `machines` of the historian at `path`, with start <= time < end (s UTC)."""
+
+    path: Path
+    machines: Sequence[str]
+    start: float
+    end: float
+
+
+def _window(plant: Path, machine: str | None, since: str, until: str | None) -> RecordsWindow:
+    """Raises ConfigError, HistorianError, and ValueError for a time that is none, or a machine that is not there."""
+    path = load_plant(plant)[0].historian.path
+    with reading(path) as connection:
+        there = [name for name, _ in machines(connection)]
+        if machine is not None and machine not in there:
+            raise ValueError(f"{path}: has no rows of a machine {machine!r}; it has those of {', '.join(there)}")
+        named = there if machine is None else [machine]
+        newest = [time for name in named if (time := newest_scan(connection, machine=name)) is not None]
+    if not newest:
+        raise ValueError(f"{path}: has no scan yet; let the gateway run first")
+    start = -inf if since == "all" else moment_of(since, max(newest))
+    end = inf if until is None else moment_of(until, max(newest))
+    if end <= start:
+        raise ValueError(f"--until {until} is not after --since {since}; give a later one")
+    return RecordsWindow(path, named, start, end)
+
+
+def _rows(window: RecordsWindow, name: str, tag: str | None) -> Iterator[FollowedRow]:
+    """The rows of a table; with a `tag` those that name it: a sample's, a predicted temperature's, an alarm's."""
+    with reading(window.path) as connection:
+        for row in rows_between(connection, window.machines, name, window.start, window.end):
+            own = (row.values.get("tag"), row.values.get("condition"), row.stream.temperature or None)
+            if tag is None or tag in own:
+                yield row
+
+
+# -------------------------------------------------------------------- export
+
+
+@click.command(short_help="Write a table of the records as CSV or Parquet.")
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "--table",
+    "name",
+    type=click.Choice(list(TABLE_COLUMNS)),
+    default="samples",
+    show_default=True,
+    help="Which; `decanter historian tables` describes them.",
+)
+@_tag_option
+@_since_option
+@_until_option
+@config_option
+@machine_option
+@json_option
+def export(
+    file: Path,
+    name: str,
+    tag: str | None,
+    since: str,
+    until: str | None,
+    path: Path,
+    machine: str | None,
+    as_json: bool,
+) -> None:
+    """Write rows of the records to FILE, which ends in .csv or .parquet (needs the package decanter-gateway-parquet).
+
+    The file is there whole or not at all. Rows come machine by machine, in the order in which they were recorded; times
+    are UTC.
+    """
+    with sentences():
+        if file.suffix not in WRITERS:
+            raise ValueError(f"{file}: ends neither in .csv nor in .parquet; name it so")
+        window = _window(path, machine, since, until)
+        draft = file.with_name(f".{file.name}.{os.getpid()}")
+        count = 0
+        try:
+            with WRITERS[file.suffix](draft, TABLE_COLUMNS[name]) as write:
+                rows = map(cells_of, _rows(window, name, tag))
+                while batch := list(islice(rows, TOGETHER)):
+                    write(batch)
+                    count += len(batch)
+            with draft.open("rb") as written:
+                os.fsync(written.fileno())
+            draft.replace(file)
+            sync_folder(file.absolute().parent)
+        except OSError as error:
+            raise ValueError(f"{file}: cannot be written ({(error.strerror or str(error)).lower()})") from None
+        finally:
+            draft.unlink(missing_ok=True)
+    size = file.stat().st_size
+    data = {"file": str(file), "table": name, "rows": count, "bytes": size}
+    sentence = f"{file}: {count} rows of {name}, {size / 1e6:.2f} MB"
+    emit({"ok": True, **data}, lambda: click.echo(sentence), as_json_line=as_json)
+
+
+@contextmanager
+def _csv_writer(path: Path, columns: Sequence[TableColumn]) -> Iterator[Writer]:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        write_rows(file, [[column.name for column in columns]])
+        kinds = [column.kind for column in columns]
+
+        def write(rows: Sequence[Cells]) -> None:
+            write_rows(file, ([_as_text(kind, cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows))
+
+        yield write
+
+
+@contextmanager
+def _parquet_writer(path: Path, columns: Sequence[TableColumn]) -> Iterator[Writer]:
+    try:
+        arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
+    except ImportError as error:
+        raise ValueError(f"Parquet {missing('parquet', error)}; or export .csv") from None
+
+    types = {kind: getattr(arrow, name)() for kind, name in PARQUET.items()}
+    types |= {"moment": arrow.timestamp("us", tz="UTC"), "reals": arrow.list_(arrow.float64())}
+    schema = arrow.schema(
+        [arrow.field(one.name, types[one.kind], metadata={"meaning": one.meaning}) for one in columns]
+    )
+    with parquet.ParquetWriter(path, schema) as writer:
+
+        def write(rows: Sequence[Cells]) -> None:
+            cells = [
+                [round(1e6 * cell) for cell in of_column] if column.kind == "moment" else list(of_column)
+                for column, of_column in zip(columns, zip(*rows, strict=True), strict=True)
+            ]
+            arrays = [
+                arrow.array(of_column, arrow.int64()).cast(field.type)
+                if column.kind == "moment"
+                else arrow.array(of_column, field.type)
+                for column, of_column, field in zip(columns, cells, schema, strict=True)
+            ]
+            writer.write_table(arrow.Table.from_arrays(arrays, schema=schema))
+
+        yield write
+
+
+WRITERS = {".csv": _csv_writer, ".parquet": _parquet_writer}
+"""How a file is written, by its ending."""
+
+
+def _as_text(kind: str, cell: Any) -> Any:
+    """A cell as CSV has it: times by ISO 8601, lists as JSON, nothing where there is nothing."""
+    if kind == "moment":
+        return _date(cell)
+    if kind == "reals":
+        return json.dumps(cell)
+    return ("true" if cell else "false") if kind == "flag" else cell
+
+
+def _date(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+# -------------------------------------------------------------------- query
+
+
+@click.command(short_help="Show the newest rows of a table, or a tag's means.")
+@click.argument("name", metavar="TABLE", type=click.Choice(list(TABLE_COLUMNS)))
+@_tag_option
+@_since_option
+@_until_option
+@click.option("--last", type=click.IntRange(1, 100_000), default=20, show_default=True, help="How many rows.")
+@click.option(
+    "--every",
+    type=click.Choice(["60", "3600"]),
+    default=None,
+    help="Instead of rows a tag's count, least, mean and greatest value of each minute or hour.",
+)
+@config_option
+@machine_option
+@json_option
+def query(
+    name: str,
+    tag: str | None,
+    since: str,
+    until: str | None,
+    last: int,
+    every: str | None,
+    path: Path,
+    machine: str | None,
+    as_json: bool,
+) -> None:
+    """Show the newest rows of TABLE: samples, predictions, forecasts, events or alarms. Times are UTC."""
+    with sentences():
+        window = _window(path, machine, since, until)
+        head: Sequence[str]
+        if every is None:
+            head = [column.name for column in TABLE_COLUMNS[name]]
+            found = [cells_of(row) for row in deque(_rows(window, name, tag), last)]
+        else:
+            head, found = TREND_COLUMNS, _means(window, name, tag, int(every))[-last:]
+    moment = next(place for place, column in enumerate(head) if column in ("time", "start"))
+    shown = [[_date(cell) if place == moment else cell for place, cell in enumerate(row)] for row in found]  # type: ignore[arg-type]
+    rows = [dict(zip(head, row, strict=True)) for row in shown]
+
+    def show_rows() -> None:
+        table(f"{len(rows)} rows", head, [["–" if cell is None else cell for cell in row] for row in shown])
+
+    emit({"ok": True, "rows": rows}, show_rows, as_json_line=as_json)
+
+
+def _means(window: RecordsWindow, name: str, tag: str | None, width: int) -> list[Cells]:
+    if name != "samples" or tag is None:
+        raise ValueError("--every is of a tag's samples; give `samples --tag TAG --every 60`")
+    if len(window.machines) > 1:
+        raise ValueError(f"--every is of one machine; name one of {', '.join(window.machines)} (--machine NAME)")
+    with reading(window.path) as connection:
+        newest = newest_scan(connection, machine=window.machines[0])
+    end = window.end if isfinite(window.end) else (newest or 0.0) + width
+    start = window.start if isfinite(window.start) else 0.0
+    found = trend(window.path, tag, start, end, width=width, machine=window.machines[0])
+    columns = (found.starts, found.count.astype(int), found.low, found.mean, found.high)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+@click.command(short_help="List the tables and what their columns mean.")
+@json_option
+def tables(as_json: bool) -> None:
+    """List the tables of `decanter historian export`, which are those of the PostgreSQL sink too."""
+    data = {
+        name: [{"column": one.name, "kind": one.kind, "key": one.key, "meaning": one.meaning} for one in columns]
+        for name, columns in TABLE_COLUMNS.items()
+    }
+
+    def show_tables() -> None:
+        for name, columns in TABLE_COLUMNS.items():
+            table(name, ("column", "kind", "what it is"), [[one.name, one.kind, one.meaning] for one in columns])
+
+    emit({"ok": True, "tables": data}, show_tables, as_json_line=as_json)

@@ -1,0 +1,59 @@
+"""`decanter reload`: a running gateway takes over what its plant file says now."""
+
+from pathlib import Path
+
+import click
+
+from gateway.cli.plant.plant_file import config_option
+from gateway.console import emit, json_option, socket_option
+from gateway.entry import Exit, fail, sentences
+from gateway.outside.status import ControlError, connect
+from gateway.settings import load_plant
+
+PATIENCE_S = 60.0
+"""A machine that is stopped for it takes back what stands in its PLC first."""
+
+
+@click.command(short_help="Let a running gateway read its plant file anew.")
+@config_option
+@click.option("--dry-run", is_flag=True, help="Only say what would change.")
+@socket_option
+@json_option
+def reload(path: Path, dry_run: bool, socket: Path | None, as_json: bool) -> None:
+    """Let the running gateway read its plant file anew; machines that it does not touch lose no scan.
+
+    A file that cannot be used is refused, and so is a change of what all machines have in common; the former
+    configuration goes on then. What the next start would go without, as a file that it reads is damaged, is said too.
+    """
+    with sentences():
+        # A file that cannot be used is refused here and now: nobody has to run for that.
+        place = load_plant(path)[0].control_socket if socket is None else socket
+        if (line := connect(place, PATIENCE_S)) is None:
+            fail(
+                f"no gateway runs with {path} (nothing answers at {place}); where historian.path or control.path were "
+                "changed in the file, the gateway is still at its former socket (--socket), and only a restart takes "
+                "over such a change: stop it and start it anew",
+                Exit.CANNOT_CONNECT,
+            )
+        try:
+            answer = line.ask("reload", dry_run=dry_run)
+        except ControlError as error:
+            fail(str(error), Exit.CHECK_FAILED)
+        finally:
+            line.close()
+    changes: dict[str, list[str]] = answer["changes"]
+    next_start: list[str] = answer["next_start"]
+
+    def show() -> None:
+        for name, sentences_of in changes.items():
+            for sentence in sentences_of:
+                click.echo(f"{name}: {sentence}")
+        if not changes:
+            click.echo("nothing has changed")
+        else:
+            click.echo("dry run: nothing was taken over" if dry_run else "taken over")
+        for sentence in next_start:
+            click.secho(sentence, fg="yellow")
+
+    data = {"ok": True, "changes": changes, "applied": answer["applied"], "next_start": next_start}
+    emit(data, show, as_json_line=as_json)

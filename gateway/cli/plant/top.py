@@ -1,0 +1,136 @@
+"""`decanter top` and `decanter status`: how a running gateway is, live or once, asked over its control socket."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from threading import Event, Thread
+from types import FrameType
+from typing import Any, NoReturn
+
+import click
+from rich.console import Console
+
+from gateway.cli.plant.plant_file import config_option, control_socket, machine_option
+from gateway.console import emit, json_option, socket_option
+from gateway.entry import Exit, fail, sentences
+from gateway.outside.panel import follow, panel
+from gateway.outside.status import GatewayStatus, GatewayWatch, Health, Sighting, findings, health_of
+from sim.strict_json import strict
+
+ANSWER_S = 5.0
+"""How long (s) a gateway has for its first answer."""
+REFRESH_S = 0.5
+EXITS: dict[Health, tuple[Exit, str]] = {
+    Health.WELL: (Exit.OK, "readings arrive and no check finds anything"),
+    Health.ATTENTION: (
+        Exit.CHECK_FAILED,
+        "an alarm, a reading, the model, the write-back, the records, a part, the clock, the device",
+    ),
+    Health.ABSENT: (Exit.CANNOT_CONNECT, "no gateway runs with this plant file"),
+    Health.NO_READINGS: (Exit.DEVICE_EXCEPTION, "it runs, and its device gives no good reading"),
+    Health.SILENT: (Exit.TIMEOUT, "it is there and does not answer"),
+}
+"""The exit code of `decanter status` by the gateway's health, and when it is that."""
+WORSE = (Health.WELL, Health.ATTENTION, Health.NO_READINGS)
+"""The words of machines that answer, each worse than the one before."""
+_EXIT_LINES = "\n\n".join(f"{code:d}  {word}: {when}" for word, (code, when) in EXITS.items())
+
+
+@click.command(short_help="Watch a running gateway: the live panel, or a line a change.")
+@config_option
+@machine_option
+@click.option(
+    "--every",
+    type=click.FloatRange(0.1, 60.0),
+    default=REFRESH_S,
+    show_default=True,
+    help="Seconds between two looks.",
+)
+@socket_option
+def top(path: Path, machine: str | None, every: float, socket: Path | None) -> None:
+    """Watch a running gateway until Ctrl-C: value, age, quality, state, prediction, alarms, records, arming.
+
+    On a terminal a panel, elsewhere three lines and then one for each change. An old number is never shown as a
+    present one: without an answer the panel says so, and for how long. Several may watch one gateway.
+    """
+    with sentences(), closing(_watch(path, machine, socket)) as watch:
+        sighting = watch.look(ANSWER_S)
+        if sighting.gone:
+            fail(_absent(sighting, path), EXITS[Health.ABSENT][0])
+        # Ctrl-C is the way to end it.
+        with suppress(KeyboardInterrupt), _ended_by(signal.SIGTERM, signal.SIGHUP):
+            follow(watch, Console(), seconds=every, stop=Event())
+
+
+@click.command(
+    short_help="Show once how a running gateway is, by an exit code too.",
+    epilog=f"Exit codes:\n\n{_EXIT_LINES}",
+)
+@config_option
+@machine_option
+@socket_option
+@json_option
+def status(path: Path, machine: str | None, socket: Path | None, as_json: bool) -> None:
+    """Show once how a running gateway is, by an exit code too."""
+    with sentences(), closing(_watch(path, machine, socket)) as watch:
+        sighting = watch.look(ANSWER_S)
+        if sighting.silence or not sighting.machines:
+            word = Health.ABSENT if sighting.gone else Health.SILENT
+            reason = _absent(sighting, path)
+            emit({"ok": False, "health": word, "reason": reason}, lambda: None, as_json_line=as_json)
+            fail(reason, EXITS[word][0])
+        answers = {name: _answer(status) for name, status in sighting.machines.items()}
+        # The worst word of all machines is the gateway's.
+        word = max((answer["health"] for answer in answers.values()), key=WORSE.index)
+        if sighting.status is not None:
+            data = next(iter(answers.values()))
+        else:
+            data = {"ok": word is Health.WELL, "health": word, "machines": answers}
+        emit(data, lambda: Console().print(panel(sighting)), as_json_line=as_json)
+    raise SystemExit(EXITS[word][0])
+
+
+def _watch(path: Path, machine: str | None, socket: Path | None) -> GatewayWatch:
+    return GatewayWatch(control_socket(path, socket), machine=machine)
+
+
+def _answer(status: GatewayStatus) -> dict[str, Any]:
+    word, found = health_of(status), findings(status)
+    sentences = {finding.check: finding.sentence for finding in found}
+    return {"ok": word is Health.WELL, "health": word, "findings": sentences, "status": strict(status)}
+
+
+@contextmanager
+def watched(socket_path: Path) -> Iterator[None]:
+    """The panel of the gateway that this very process runs, as `decanter top` shows it, while the block lasts."""
+    stop, watch = Event(), GatewayWatch(socket_path)
+    thread = Thread(
+        target=follow, args=(watch, Console()), kwargs={"seconds": REFRESH_S, "stop": stop}, name="panel", daemon=True
+    )
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join(timeout=ANSWER_S)
+        watch.close()
+
+
+def _absent(sighting: Sighting, plant: Path) -> str:
+    return f"{sighting.silence}; start one: decanter run --config {plant}" if sighting.gone else sighting.silence
+
+
+@contextmanager
+def _ended_by(*numbers: signal.Signals) -> Iterator[None]:
+    """Let these signals end the block as Ctrl-C does: with the terminal as it was."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt
+
+    before = [(number, signal.signal(number, interrupt)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)

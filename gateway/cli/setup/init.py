@@ -1,0 +1,335 @@
+"""`decanter init`: from nothing to a folder that runs, by questions on a terminal or by options."""
+
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.driver import capabilities
+from drivers.settings import ConfigError
+from gateway.commission.files import (
+    HEARTBEAT,
+    FileChange,
+    FirstFolder,
+    IoList,
+    Reading,
+    find_files,
+    pairs,
+    read_io_list,
+    template,
+)
+from gateway.commission.import_list import bindings
+from gateway.commission.read import ORDERS
+from gateway.commission.session import SharedOptions, link_options
+from gateway.console import SERVICE_FOLDER, SERVICE_LOG, SERVICE_RECORDS, emit, make_folder, shipped
+from gateway.entry import sentences
+from gateway.lab.traces.map import asked_map
+from gateway.settings import load_device
+from sim.lab.recordings import parse_map
+from sim.lab.recordings.mapping import RUNNING, Answers, Undecided
+
+_PATH = click.Path(path_type=Path)
+_LIST_ENDINGS = (".csv", ".xlsx", ".txt", ".tsv")
+_NO_NUMBERS = ("bool", "string")
+_OF_SERVICE = {
+    "historian.path": str(SERVICE_RECORDS / "historian.sqlite"),
+    "log.path": str(SERVICE_LOG / "gateway.log.jsonl"),
+    "page.enabled": True,
+}
+"""What is other in the folder of the installed service, which may write nothing beside its plant file."""
+_HEARTBEAT = re.compile("heart ?beat|life ?(bit|counter|word)|watchdog|contatore ?vita|lebens", re.IGNORECASE)
+
+
+@click.command(short_help="Make a folder that runs, from an address and an I/O list.")
+@click.argument("folder", type=_PATH, default=".")
+@click.option("--list", "list_path", type=_PATH, help="The PLC's I/O list (CSV, XLSX).")
+@click.option(
+    "--order", type=click.Choice(ORDERS), default="ABCD", show_default=True, help="Of the list's wide values."
+)
+@click.option("--shift", type=int, default=0, help="Add this to every address of the list, such as -1 or 1.")
+@click.option("--without", multiple=True, metavar="TAG", help="Leave this tag of the list out; may be given again.")
+@click.option("--skip-bad", is_flag=True, help="Leave out rows of the list that cannot be used.")
+@click.option(
+    "--temperature",
+    "temperatures",
+    multiple=True,
+    metavar="TAG",
+    help="A tag that is predicted and watched; may be given again.  [default: those that the device takes blocks of]",
+)
+@click.option("--trace", type=_PATH, help="A recorded CSV, for which a column map is drafted.")
+@click.option(
+    "--rename", multiple=True, metavar="COLUMN=TAG", callback=pairs, help="Which tag a column of the trace is."
+)
+@click.option("--overwrite", is_flag=True, help="Replace files that are there.")
+@HEARTBEAT
+@link_options
+def init(given: SharedOptions, folder: Path, **options: Any) -> None:
+    """Make FOLDER (this one by default) a plant's: plant.toml, devices/plc.toml, columns.toml, models/, README.md.
+
+    On a terminal it asks for what is not given. Where the PLC is, --host or --serial say, or any other option of
+    `decanter plc`; where its tags lie, --list or --device FILE, which may be a shipped one such as decanter_plc. In
+    /etc/decanter it is the plant of the installed service: records in /var/lib/decanter, the page enabled. The PLC is
+    not asked, and nothing is written where something is wrong: what is made is checked as `decanter run` does.
+    """
+    with sentences():
+        asked = _Asked(terminal())
+        how = Reading(order=options["order"], shift=options["shift"])
+        described = _described(given.device, options["list_path"], how, asked, skip=options["skip_bad"])
+        described = _without(described, options["without"])
+        device, io_list, known = described.device, described.io_list, described.names
+        given = _placed(given, described.device, asked)
+        files = find_files(folder / ".init" / "plant.toml", device, given.link, given.settings)
+        trace = options["trace"]
+        if trace is None and asked.here:
+            answer = asked.text("a recorded trace (CSV), or none", "--trace FILE", default="none")
+            trace = None if answer == "none" else Path(answer)
+        temperatures = _temperatures(described, options["temperatures"], asked)
+        heartbeat = options["heartbeat"] or (_heartbeat(known) if device is None else None)
+        map_text, unknown = "", list[str]()
+        if trace is not None:
+            map_text, unknown = _column_map(trace, known, temperatures[0], options["rename"], asked)
+        wanted = FirstFolder(
+            folder=folder,
+            files=files,
+            change=FileChange(
+                tags=bindings(io_list) if io_list is not None else (),
+                heartbeat=heartbeat,
+                plant={
+                    "model.temperature": temperatures[0],
+                    # A second one makes tables of them.
+                    **{f"temperature.{tag}.tag": tag for tag in temperatures[1:]},
+                    "alarms.tags": list(temperatures),
+                    **(_OF_SERVICE if folder.absolute() == SERVICE_FOLDER else {}),
+                },
+            ),
+            template=template(),
+            device=device,
+            map_text=map_text,
+            place=" ".join(
+                str(files.place[key]) for key in ("host", "port", "serial", "channel") if key in files.place
+            ),
+        )
+        if wanted.in_the_way and not options["overwrite"]:
+            there = ", ".join(map(str, wanted.in_the_way))
+            raise ValueError(f"{there}: is there already; give another folder, or --overwrite")
+        make_folder(folder)
+        made = wanted.write()
+    warnings = [
+        f"{name!r} of the trace is no tag of the device: a model learned with it cannot run here; "
+        f"say which tag it is: --overwrite --rename {name!r}=TAG"
+        for name in unknown
+    ]
+    if heartbeat is None and device is None:
+        warnings.append("no heartbeat is known: a PLC that stands still would look alive; give --heartbeat TAG")
+    if io_list is not None:
+        warnings += [f"left out: {problem}" for problem in io_list.problems]
+    following = _next(folder, trace, temperatures)
+
+    def show() -> None:
+        predicted = f"temperature{'s' if len(temperatures) > 1 else ''} {', '.join(temperatures)}"
+        click.echo("\n".join([*(f"made {path}" for path in made), f"{len(known)} tags, {predicted}"]))
+        for sentence in warnings:
+            click.secho(sentence, fg="yellow", err=True)
+        click.echo("next:\n" + "\n".join(f"  {line}" for line in following))
+
+    data = {"files": list(map(str, made)), "tags": len(known), "temperature": temperatures[0], "heartbeat": heartbeat}
+    data |= {"temperatures": list(temperatures), "warnings": warnings, "next": following}
+    emit(data, show, as_json_line=given.as_json)
+
+
+def terminal() -> bool:
+    """Whether a person is there to be asked."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+class _Asked:
+    """A person who is asked, if one is there (`here`); else what is missing is refused with its option."""
+
+    def __init__(self, here: bool) -> None:
+        self.here = here
+
+    def text(self, question: str, option: str, *, default: str | None = None, choices: Sequence[str] = ()) -> str:
+        """The answer. Raises ConfigError where nobody is there."""
+        if not self.here:
+            among = f": {', '.join(choices)}" if choices else ""
+            raise ConfigError([f"{question} is not said{among}; give {option}, or call `decanter init` on a terminal"])
+        kind = click.Choice(list(choices)) if choices else None
+        return str(click.prompt(question, default=default, type=kind))
+
+
+def _placed(given: SharedOptions, device: Path | None, asked: _Asked) -> SharedOptions:
+    """The options with where the PLC is, asked for where neither they nor the device file say it."""
+    there = load_device(device) if device is not None else None
+    settings = {**(there.settings if there is not None else {}), **given.settings}
+    if {"host", "serial", "channel"} & set(settings) or not (there is None or capabilities(there.driver).networked):
+        return given
+    answer = asked.text("address of the PLC (host, host:port, or a serial port)", "--host HOST or --serial PATH")
+    if answer.startswith(("/", "COM")):
+        return replace(given, settings={**given.settings, "serial": answer})
+    host, colon, port = answer.rpartition(":")
+    if not (colon and port.isdecimal()):
+        return replace(given, settings={**given.settings, "host": answer})
+    return replace(given, settings={**given.settings, "host": host, "port": int(port)})
+
+
+@dataclass(frozen=True, slots=True)
+class _Described:
+    """Where the tags lie: a device file or an I/O list; the tags' names, and the units of those that are numbers.
+
+    `blocks` are the temperatures that the device takes blocks of.
+    """
+
+    device: Path | None
+    io_list: IoList | None
+    names: Sequence[str]
+    numbers: Mapping[str, str]
+    blocks: tuple[str, ...] = ()
+
+
+def _described(device: Path | None, list_path: Path | None, how: Reading, asked: _Asked, *, skip: bool) -> _Described:
+    """The tags, asked for where neither is given.
+
+    Raises ConfigError or ListError; of a list with a sentence for each row that cannot be used, unless `skip`.
+    """
+    if device is None and list_path is None:
+        path = Path(asked.text("I/O list (CSV, XLSX) or device file (TOML)", "--list FILE or --device FILE"))
+        device, list_path = (None, path) if path.suffix.lower() in _LIST_ENDINGS else (path, None)
+    if list_path is None:
+        device = shipped("devices", str(device))
+        there = load_device(device)
+        numbers = {tag.name: tag.unit for tag in there.tags if tag.dtype not in _NO_NUMBERS}
+        blocks = tuple(layout.temperature for layout in there.writebacks if layout.temperature in numbers)
+        return _Described(device, None, [tag.name for tag in there.tags], numbers, blocks)
+    if device is not None:
+        raise ValueError("--list and --device exclude each other: `decanter plc import` adds a list to a device file")
+    io_list = read_io_list(list_path, how)
+    if io_list.problems and not skip:
+        count = len(io_list.problems)
+        raise ConfigError(
+            [
+                *io_list.problems,
+                f"{list_path}: {count} to be corrected, or left out with --skip-bad; nothing was written",
+            ]
+        )
+    numbers = {tag.name: str(tag.keys["unit"] or "") for tag in io_list.tags if tag.keys["dtype"] not in _NO_NUMBERS}
+    return _Described(None, io_list, [tag.name for tag in io_list.tags], numbers)
+
+
+def _without(described: _Described, names: Sequence[str]) -> _Described:
+    """The tags but for these. Raises ConfigError for one that no list has."""
+    listed = described.io_list
+    if strange := [name for name in names if listed is None or name not in described.names]:
+        known = ", ".join(described.names)
+        raise ConfigError([f"--without {strange[0]}: is no tag of the list" + (f"; it has {known}" if listed else "")])
+    return replace(
+        described,
+        io_list=listed and replace(listed, tags=tuple(tag for tag in listed.tags if tag.name not in names)),
+        names=[name for name in described.names if name not in names],
+        numbers={name: unit for name, unit in described.numbers.items() if name not in names},
+    )
+
+
+def _temperatures(described: _Described, wanted: Sequence[str], asked: _Asked) -> tuple[str, ...]:
+    """The tags that are predicted: those named, those of the device's blocks, the only one in degC, or the answer.
+
+    Raises ConfigError.
+    """
+    numbers = described.numbers
+    degrees = [name for name, unit in numbers.items() if unit in ("degC", "°C", "C")]
+    if strange := [tag for tag in wanted if tag not in numbers]:
+        known = ", ".join(degrees or numbers)
+        raise ConfigError([f"--temperature {strange[0]}: is no number of the device; give one of {known}"])
+    if wanted:
+        return tuple(dict.fromkeys(wanted))
+    if described.blocks:
+        return described.blocks
+    if len(degrees) == 1:
+        return (degrees[0],)
+    if not numbers:
+        raise ConfigError(["no tag is a number, so that there is nothing to predict; complete the list or the file"])
+    return (asked.text("temperature to be predicted", "--temperature TAG", choices=degrees or list(numbers)),)
+
+
+def _heartbeat(tags: Sequence[str]) -> str | None:
+    """The tag that is called a heartbeat, if one is."""
+    named = [tag for tag in tags if _HEARTBEAT.search(tag.replace("_", " "))]
+    return named[0] if len(named) == 1 else None
+
+
+def _column_map(
+    trace: Path, known: Sequence[str], temperature: str, rename: Mapping[str, str], asked: _Asked
+) -> tuple[str, list[str]]:
+    """The column map of a trace, its signals called as the tags are; and the events' signals that are no tag.
+
+    Raises TraceError, or ConfigError for a tag of `rename` that is not there.
+    """
+    if strange := [tag for tag in rename.values() if tag not in known]:
+        raise ConfigError([f"--rename: {strange[0]!r} is no tag of the device; it has {', '.join(known)}"])
+    answers = Answers()
+    try:
+        first = asked_map(trace, answers)
+    except Undecided as open_point:
+        # Which temperature the model is to predict was said already.
+        mine = [choice for choice in open_point.choices if _tag_of(choice, known) == temperature]
+        if open_point.field != "temperature" or len(mine) != 1:
+            raise ValueError(f"{open_point}: to `decanter trace map {trace} -o {trace.stem}.toml`") from None
+        answers = answers.with_answer("temperature", mine[0])
+        first = asked_map(trace, answers)
+    drafted = parse_map(first.text, str(trace))
+    headers = [drafted.names_of(signal)[0] for signal in drafted.signals]
+    names = {header: tag for header in headers if (tag := rename.get(header) or _tag_of(header, known))}
+    if temperature in names.values():
+        answers = answers.with_answer("temperature", temperature)
+    else:
+        names[first.temperature] = temperature
+    # The events come from the other two parts: those must be tags, or a gateway has no events.
+    open_parts = {"the motor's current": first.current, "whether the machine runs": first.running or RUNNING}
+    unknown = []
+    for part, header in open_parts.items():
+        if not header or header in names:
+            continue
+        tag = rename.get(header, "")
+        if not tag and asked.here:
+            left = [name for name in known if name not in names.values()]
+            answer = asked.text(f"the tag of {part} ({header!r} in the trace)", "--rename", choices=[*left, "none"])
+            tag = "" if answer == "none" else answer
+        if tag:
+            names[header] = tag
+        else:
+            unknown.append(header)
+    return asked_map(trace, answers, names).text, unknown
+
+
+def _tag_of(header: str, tags: Sequence[str]) -> str:
+    """The longest tag whose letters and digits the header's contain, whatever stands around it; "" for none."""
+    plain = _letters(header)
+    fitting = [tag for tag in tags if len(_letters(tag)) > 2 and _letters(tag) in plain]
+    return max(fitting, key=len, default="")
+
+
+def _letters(text: str) -> str:
+    return "".join(letter for letter in text.casefold() if letter.isalnum())
+
+
+def _next(folder: Path, trace: Path | None, temperatures: Sequence[str]) -> list[str]:
+    """What to type next; the trace's column map speaks of the first temperature."""
+    service = folder.absolute() == SERVICE_FOLDER
+    lines = [] if folder.resolve() == Path.cwd() else [f"cd {folder}"]
+    lines += [
+        "decanter plc check      # every tag, read once",
+        "systemctl restart decanter   # and the page: http://127.0.0.1:8080"
+        if service
+        else "decanter run            # and `decanter top` in another terminal",
+    ]
+    if trace is not None:
+        path = trace.absolute() if lines[0].startswith("cd ") else trace
+        key = "model.path" if len(temperatures) == 1 else f"temperature.{temperatures[0]}.model"
+        lines += [
+            f"decanter model learn --traces {path} --map columns.toml --out models/first",
+            f"decanter plc bind --keep {key}=models/first",
+        ]
+    return lines

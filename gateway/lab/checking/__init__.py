@@ -1,0 +1,1 @@
+"""Models checked, proven and run."""

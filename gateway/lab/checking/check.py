@@ -1,0 +1,237 @@
+"""`decanter model check`: a query put to a model, answered by runs or decided over its locations."""
+
+from math import inf, isfinite, nan, nextafter
+from pathlib import Path
+
+import click
+
+from drivers.csv_rows import write_rows
+from drivers.named_files import writing
+from gateway.console import emit, finite, historian_machine_option, json_option, map_option, progress, table
+from gateway.entry import Exit, sentences
+from gateway.lab.checking.answer_picture import draw_answer
+from gateway.lab.traces.load import load
+from gateway.store import newest_scan, reading, to_trace
+from sim.lab.checking.language import parse_query
+from sim.lab.checking.query import Simulation, Symbolic
+from sim.lab.checking.smc import Answer, QuerySettings, Rule, Start, answer, believed, decided, initial
+from sim.lab.formats import find_model
+from sim.lab.pictures import ENDINGS
+from sim.sha import DEGREES, Model, Trace, encoded, shown_unit
+
+HISTORY = 24 * 3600.0
+"""Seconds of a historian that are filtered to know what is believed at its end; a stay is seldom longer."""
+
+
+def _share(_: click.Context, parameter: click.Parameter, number: float) -> float:
+    finite(_, parameter, number)
+    if not 0.0 < number < 0.5:
+        raise click.BadParameter(f"{number} is not between 0 and 0.5")
+    return number
+
+
+def _picture(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    if path is None:
+        return None
+    if path.suffix.lower() not in ENDINGS:
+        raise click.BadParameter(
+            f"{path} is no picture; give a name that ends in {', '.join(ENDINGS)}", param=parameter
+        )
+    return _place(context, parameter, path)
+
+
+def _place(_: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    """A file in a folder that is there: an answer must not be lost because it cannot be written."""
+    if path is not None and not path.absolute().parent.is_dir():
+        raise click.BadParameter(f"{path.parent} is no folder; make it first, or name another one", param=parameter)
+    return path
+
+
+@click.command(short_help="Answer a query: how probable, how hot, whether it can.")
+@click.argument("model_name", metavar="MODEL")
+@click.argument("query_text", metavar="QUERY")
+@click.option("--events", "events", metavar="TRACE", help="A recorded trace whose events and inputs drive the runs.")
+@map_option
+@click.option(
+    "--from",
+    "origin",
+    default="initial",
+    show_default=True,
+    metavar="initial|location:NAME|trace:TIME|historian:FILE",
+    help="Where runs start: as the model does, in a location, or from what is believed then.",
+)
+@click.option(
+    "--future",
+    type=click.Choice(["recorded", "semi-markov"]),
+    help="What drives the runs after trace:TIME: the trace's own events (the default), or the semi-Markov law.",
+)
+@click.option(
+    "--rule",
+    type=click.Choice(["sequential", "fixed", "anytime"]),
+    default="sequential",
+    show_default=True,
+    help="When there are enough runs: see docs/checking.md.",
+)
+@click.option("--runs", type=click.IntRange(1, 100_000_000), help="Exactly so many runs (for a test: at most).")
+@click.option("--alpha", type=float, default=0.05, show_default=True, callback=_share, help="1 - confidence.")
+@click.option("--epsilon", type=float, default=0.05, show_default=True, callback=_share, help="Interval's half-width.")
+@click.option(
+    "--delta", type=float, default=0.01, show_default=True, callback=_share, help="A test's indifference: p ± delta."
+)
+@click.option("--rare", is_flag=True, help="Importance splitting: for probabilities of 1e-4 and less.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Equal seeds, equal answers.")
+@click.option(
+    "--csv",
+    "courses",
+    type=click.Path(path_type=Path, dir_okay=False),
+    callback=_place,
+    help="Write the courses of a simulation there.",
+)
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    callback=_picture,
+    help="Draw the courses of a simulation, or how the probability grows with time.",
+)
+@historian_machine_option
+@json_option
+def check(
+    model_name: str,
+    query_text: str,
+    events: str | None,
+    map_name: str,
+    origin: str,
+    future: str | None,
+    rule: Rule,
+    runs: int | None,
+    alpha: float,
+    epsilon: float,
+    delta: float,
+    rare: bool,
+    seed: int,
+    courses: Path | None,
+    picture: Path | None,
+    machine: str | None,
+    as_json: bool,
+) -> None:
+    """Answer QUERY about MODEL: Pr[<=T](...), a test >= p, a comparison, E[<=T; N](max: ...), simulate, E<>, A[] ...
+
+    docs/checking.md has the language, and says how answers come about and how exact they are. Times are
+    seconds from where the runs start.
+
+    Exit codes: 0 answered or it holds, 1 a test, comparison or symbolic query whose answer is no, or stays open within
+    the runs allowed, 2 wrong usage or input.
+    """
+    settings = QuerySettings(alpha, epsilon, rule, runs, delta, seed=seed, rare=rare)
+    with sentences(), progress("checking") as report:
+        report("model and query", 0.0)
+        trace = None
+        if events is None:
+            found_model = find_model(model_name)
+        else:
+            # The trace comes first: a set of artefacts is read by its column map's alphabet.
+            traces, column_map = load([events], map_name)
+            if len(traces) != 1:
+                raise ValueError(
+                    f"{events} holds {len(traces)} traces; --events takes one, whose events drive the runs"
+                )
+            trace = traces[0]
+            found_model = find_model(model_name, alphabet=column_map.alphabet, temperature=column_map.temperature)
+        query = parse_query(query_text, found_model.model if found_model.model is not None else found_model.structure)
+        unit = shown_unit(found_model.model.unit if found_model.model is not None else DEGREES)
+        if isinstance(query, Symbolic):
+            result = decided(query, found_model.structure)
+        else:
+            start = _start(found_model.runnable(), trace, origin=origin, future=future, machine=machine)
+            result = answer(query, start, settings, report)
+        if courses is not None:
+            if not result.courses:
+                raise ValueError("--csv writes the courses of a simulate query; this query has none")
+            labels = result.query.labels if isinstance(result.query, Simulation) else ()
+            with writing(courses), courses.open("w", encoding="utf-8", newline="") as file:
+                write_rows(file, [("run", "time", *labels)])
+                for number, course in enumerate(result.courses):
+                    moments = enumerate(course.times.tolist())
+                    write_rows(file, ((number, time, *course.values[:, row].tolist()) for row, time in moments))
+        if picture is not None:
+            draw_answer(result, query_text, picture, unit)
+    data = {
+        "query": query_text,
+        "kind": result.kind,
+        "answer": result.sentence,
+        "verdict": result.verdict,
+        "numbers": dict(result.numbers),
+        "rule": result.rule,
+        "runs": result.runs,
+        "seed": result.seed,
+        "start": result.start,
+        "levels": [{"temperature": level, "chance": chance} for level, chance in result.levels],
+        "notes": list(result.notes),
+        "csv": courses and str(courses),
+        "picture": picture and str(picture),
+    }
+    emit(data, lambda: _show(result, query_text, courses, picture, unit=unit), as_json_line=as_json)
+    if result.kind in ("hypothesis", "comparison", "symbolic") and result.verdict is not True:
+        raise SystemExit(int(Exit.CHECK_FAILED))
+
+
+def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None, machine: str | None) -> Start:
+    """Where the runs start, by --from and --future. Raises ValueError for options that do not go together."""
+    trace = trace and encoded(trace, model.alphabet)
+    kind, _, value = origin.partition(":")
+    if kind == "initial" and not value:
+        if future == "semi-markov" and trace is not None:
+            raise ValueError("--events gives the events to come: leave it or --future semi-markov out")
+        return initial(model, trace)
+    if kind == "location" and value:
+        if trace is not None:
+            raise ValueError("--from location:NAME goes on by the semi-Markov law: leave --events out")
+        return initial(model, location=value)
+    if kind == "trace":
+        if trace is None:
+            raise ValueError("--from trace:TIME needs the trace: name it with --events")
+        try:
+            seconds = float(value)
+        except ValueError:
+            seconds = nan
+        if not (isfinite(seconds) and seconds >= 0):
+            raise ValueError(f"--from trace:{value}: give the seconds since the trace's first row, such as trace:600")
+        recorded = future != "semi-markov"
+        return believed(model, trace, float(trace.times[0]) + seconds, recorded=recorded)
+    if kind == "historian" and value:
+        if trace is not None or future == "recorded":
+            raise ValueError("what comes after a historian's end is not recorded: leave --events and --future out")
+        path = Path(value)
+        with reading(path) as connection:
+            last = newest_scan(connection, machine=machine)
+        if last is None:
+            raise ValueError(f"{path}: this historian has no scans yet; let the gateway run first")
+        past = to_trace(path, path.name, start=last - HISTORY, end=nextafter(last, inf), machine=machine)
+        return believed(model, encoded(past, model.alphabet))
+    raise ValueError(f"--from {origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")
+
+
+def _show(result: Answer, text: str, courses: Path | None, picture: Path | None, *, unit: str) -> None:
+    """The answer on one screen: what was asked, the answer, how it came about, what limits it."""
+    click.echo(text)
+    click.secho(f"  {result.sentence}", bold=True)
+    if isinstance(result.query, Simulation):
+        kinds = ("least", "greatest", "mean at the end")
+        named = [(label, [result.numbers[f"{label}: {kind}"] for kind in kinds]) for label in result.query.labels]
+        rows = [[label, *(f"{number:.5g}" for number in numbers)] for label, numbers in named]
+        table("courses", ["expression", *kinds], rows)
+    if result.levels:
+        # The levels lead to the event; of an invariant that is its violation, and `probability` is the complement.
+        chance = result.numbers.get("violation", result.numbers["probability"])
+        rows = [[f"{level:.4g} {unit}", f"{share:.2e}"] for level, share in result.levels]
+        table("way", ["level", "chance to reach it"], [*rows, ["the event", f"{chance:.2e}"]])
+    click.echo(f"  method   {result.rule}")
+    if result.runs:
+        click.echo(f"  runs     {result.runs}, seed {result.seed}")
+    if result.start:
+        click.echo(f"  start    {result.start}")
+    for note in result.notes:
+        click.echo(f"  note     {note}")
+    for name, path in (("csv", courses), ("picture", picture)):
+        if path is not None:
+            click.echo(f"{name}: {path}")

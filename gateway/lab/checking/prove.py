@@ -1,0 +1,220 @@
+"""`decanter model prove`: what is certain about a model before it runs, and the word that shows what is wrong."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from drivers.named_files import writing
+from gateway.console import emit, finite, json_option, map_option, shipped, table
+from gateway.entry import Exit, sentences
+from gateway.lab.traces.load import load
+from sim.engine import Policy
+from sim.lab.formats import FoundModel, find_model
+from sim.lab.recordings import load_map
+from sim.proof import DAY, Assumptions, Sojourn, TimedWord, Verification, verify, word_text
+from sim.sha import encoded
+
+GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
+NEXT = "Read the evidence above; learn anew with more traces, or with another --method."
+STAYS, CASES, WIDTH = 12, 4, 150
+"""What the text shows of a counterexample and of a check's cases, and signs a case; --json has all of them."""
+
+
+def pair(text: str) -> tuple[float, float]:
+    """LOW..HIGH as two numbers. Raises click.BadParameter."""
+    low, dots, high = text.partition("..")
+    try:
+        return (float(low), float(high)) if dots else (float(text), float(text))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no range; write LOW..HIGH, as 0..600") from None
+
+
+def _sojourn(_: click.Context, __: click.Parameter, text: str) -> Sojourn:
+    if text == "any" or text == "law":
+        return "any" if text == "any" else "law"
+    return pair(text)
+
+
+def _inputs(_: click.Context, __: click.Parameter, texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    ranges = {}
+    for text in texts:
+        name, sign, value = text.rpartition("=")
+        if not (sign and name):
+            raise click.BadParameter(f"{text!r} is no signal's range; write SIGNAL=LOW..HIGH")
+        ranges[name] = pair(value)
+    return ranges
+
+
+@click.command(short_help="Prove or refute what a model can do; say whether it may be deployed.")
+@click.argument("model")
+@click.option("--traces", "paths", multiple=True, help="Must be accepted: a file, a folder or a glob; may be repeated.")
+@map_option
+@click.option("--bounds", type=(float, float), metavar="LOW HIGH", help="Claim that T stays within these (°C).")
+@click.option(
+    "--sojourn",
+    default="any",
+    callback=_sojourn,
+    metavar="any|law|LOW..HIGH",
+    show_default=True,
+    help="How long stays last: any time, as the model's own laws allow, or LOW to HIGH seconds.",
+)
+@click.option(
+    "--z", type=click.FloatRange(0), default=3.0, show_default=True, callback=finite, help="Standard deviations."
+)
+@click.option(
+    "--inputs", multiple=True, callback=_inputs, metavar="SIGNAL=LOW..HIGH", help="Range of an input; may be repeated."
+)
+@click.option("--start", type=(float, float), metavar="LOW HIGH", help="Where runs begin (°C).")
+@click.option(
+    "--policy",
+    type=click.Choice(["reject", "ignore", "resync"]),
+    default="resync",
+    show_default=True,
+    help="An event without an edge.",
+)
+@click.option("--known", is_flag=True, help="No gap ever: UNKNOWN, which leads to the initial location, never comes.")
+@click.option(
+    "--wear",
+    type=click.FloatRange(0),
+    callback=finite,
+    metavar="DAYS",
+    help="Follow a wear for so long; else 7 to 365.",
+)
+@click.option("--word", "out", type=click.Path(path_type=Path, dir_okay=False), help="Write the first counterexample.")
+@json_option
+def prove(
+    model: str,
+    paths: Sequence[str],
+    map_name: str,
+    bounds: tuple[float, float] | None,
+    sojourn: Sojourn,
+    z: float,
+    inputs: dict[str, tuple[float, float]],
+    start: tuple[float, float] | None,
+    policy: Policy,
+    known: bool,
+    wear: float | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Verify a model's structure, and what its temperature can do under any sequence of events.
+
+    Every check is proven, refuted with its evidence, or not decided. Leaves with 1 when the model is not deployable; a
+    range given by --bounds must be proven too. `decanter model simulate MODEL --word ...` replays a counterexample.
+    """
+    with sentences():
+        traces, column_map = load(paths, map_name) if paths else ([], None)
+        # Artefacts take their alphabet from a column map that was named, also without a trace; --map has a default,
+        # which says nothing about a model that has an alphabet of its own.
+        source = click.get_current_context().get_parameter_source("map_name")
+        if not paths and source is ParameterSource.COMMANDLINE:
+            column_map = load_map(shipped("traces", map_name))
+        if column_map is None:
+            found = find_model(model)
+        else:
+            found = find_model(model, alphabet=column_map.alphabet, temperature=column_map.temperature)
+        if found.model is not None:
+            alphabet = found.model.alphabet
+            traces = [encoded(trace, alphabet) for trace in traces]
+        assumptions = Assumptions(
+            z=z,
+            sojourn=sojourn,
+            inputs=inputs,
+            start=start,
+            policy=policy,
+            unknown=not known,
+            horizon=None if wear is None else wear * DAY,
+        )
+        # The alphabet of artefacts is the one that their report lists, if it lists one.
+        reported = tuple(name for name, _ in found.artefacts.report.events) if found.artefacts else ()
+        result = verify(
+            found.model or found.structure,
+            symbols=reported or None,
+            traces=traces,
+            bounds=bounds,
+            assumptions=assumptions,
+            refusal=found.refusal,
+            clock=perf_counter,
+        )
+        worst = _counterexample(result)
+        if out is not None and worst is not None:
+            with writing(out):
+                out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
+    emit(plain(result, found), lambda: _show(result, found, model, out), as_json_line=as_json)
+    if not result.deployable:
+        sys.exit(Exit.CHECK_FAILED)
+
+
+def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
+    """The verification as plain values for JSON."""
+    rows = [
+        {
+            "check": row.name,
+            "verdict": row.verdict,
+            "blocking": row.blocking,
+            "evidence": row.evidence,
+            "details": list(row.details),
+            "words": [word_text(word) for word in row.words],
+            "seconds": row.seconds,
+        }
+        for row in result.checks
+    ]
+    return {
+        "model": found.name,
+        "fitness": "fit" if result.deployable else "unfit",
+        "deployable": result.deployable,
+        "reasons": list(result.reasons),
+        "assumptions": list(result.assumptions),
+        "checks": rows,
+        "intervals": {name: list(row) for name, row in result.bounds.intervals.items()} if result.bounds else {},
+        "notes": list(found.notes),
+    }
+
+
+def _show(result: Verification, found: FoundModel, model: str, out: Path | None) -> None:
+    seconds = sum(each.seconds for each in result.checks)
+    rows = [
+        [each.name, each.verdict, "" if each.blocking else "no", f"{1e3 * each.seconds:.1f}"] for each in result.checks
+    ]
+    table(f"{found.name}: verified in {seconds:.2f} s", ("check", "verdict", "decides", "ms"), rows)
+    for each in result.checks:
+        click.echo(f"{each.name}: {each.evidence}")
+        # The cases, where there is something to look for; those of `bounds` are its intervals, and are long.
+        if each.verdict == "proven" or each.name == "bounds" or len(each.details) < 2:
+            continue
+        for detail in each.details[:CASES]:
+            click.echo(f"    {detail if len(detail) <= WIDTH else detail[:WIDTH] + ' ...'}")
+        if len(each.details) > CASES:
+            click.echo(f"    ... and {len(each.details) - CASES} more (--json has them all)")
+    if result.bounds is not None:
+        click.echo(f"assumed: {'; '.join(result.assumptions)}")
+    worst = _counterexample(result)
+    if worst is not None:
+        name, word = worst
+        size = f"{len(word.steps)} stays"
+        if out is not None:
+            replayed = f"decanter model simulate {model} --word {out}"
+            click.echo(f"counterexample to {name}, of {size}: {out}; replay it: {replayed}")
+        elif len(word.steps) <= STAYS:
+            click.echo(f"counterexample to {name}: decanter model simulate {model} --word '{word_text(word)}'")
+        else:
+            click.echo(f"a counterexample to {name}, of {size}, was found; --word FILE writes it, for model simulate")
+    against = [each.name for each in result.checks if each.blocking and each.verdict != "proven"]
+    # What is not decided is not proven: promotion refuses both alike.
+    sentence = f"unfit: not proven: {', '.join(against)}" if against else "fit: every check that decides is proven"
+    click.secho(sentence, fg="red" if against else "green", bold=True)
+    if "growth" in against and result.executable:
+        click.echo(f"next: {GROWS}")
+    elif against:
+        click.echo(f"next: {NEXT}")
+
+
+def _counterexample(result: Verification) -> tuple[str, TimedWord] | None:
+    """(check, word) of the first counterexample: one that decides comes before one that only informs."""
+    ordered = sorted(result.checks, key=lambda row: not row.blocking)
+    return next(((row.name, word) for row in ordered for word in row.words), None)

@@ -1,0 +1,180 @@
+"""`decanter model simulate`: a model let run along measured traces, and how far off it comes out; or along a word."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from gateway.console import emit, json_option, map_option, progress, seed_option, table
+from gateway.entry import fail, sentence, sentences
+from gateway.lab.checking.word import replay_word
+from gateway.lab.traces.load import load
+from gateway.lab.traces.picture import picture_option
+from sim.engine import Policy, Start, errors, measured, open_loop, open_loop_schedule, start_law
+from sim.engine import simulate as sample_runs
+from sim.forecast import beyond, standardised
+from sim.lab.formats import find_model
+from sim.lab.validation import Curve, Picture, draw
+from sim.sha import Model, Trace, encoded, shown_unit, unit_of
+
+BAND = (0.05, 0.95)
+
+
+def simulate_traces(
+    model: Model,
+    traces: Sequence[Trace],
+    *,
+    runs: int,
+    policy: Policy,
+    start: Start,
+    seed: int,
+    picture: Path | None,
+    report: Callable[[str, float], None],
+) -> list[dict[str, Any]]:
+    """One row a trace; a trace that fails has `error` and does not stop the others."""
+    rows = []
+    for index, trace in enumerate(traces):
+        report(trace.name, index / len(traces))
+        wanted = picture if index == 0 else None
+        try:
+            rows.append(
+                _simulate_one(
+                    model,
+                    trace,
+                    runs,
+                    policy=policy,
+                    start=start,
+                    rng=np.random.default_rng([seed, index]),
+                    picture=wanted,
+                )
+            )
+        except ValueError as error:
+            rows.append({"trace": trace.name, "error": sentence(error)})
+    return rows
+
+
+def _simulate_one(
+    model: Model, trace: Trace, runs: int, policy: Policy, start: Start, rng: np.random.Generator, picture: Path | None
+) -> dict[str, Any]:
+    unit = unit_of([trace], model.temperature, model.unit)
+    mean = open_loop(model, trace, policy, start)
+    missed = errors(mean, trace, model.temperature)
+    steps = open_loop_schedule(model, trace, policy)
+    sampled = sample_runs(steps, start_law(model, trace, start), runs, rng)
+    noisy = sampled.temperatures + model.sensor_sigma * rng.normal(size=sampled.temperatures.shape)
+    low, high = np.quantile(noisy, BAND, axis=0)
+    times, values = measured(trace, model.temperature)
+    place = np.searchsorted(sampled.times, times)
+    inside = (values >= low[place]) & (values <= high[place])
+    outside = beyond(*standardised(mean, trace, model))
+    if picture is not None:
+        # The band is of the runs' moments, the line of the exact mean's: it is drawn at the latter.
+        edges = (np.interp(mean.times, sampled.times, edge) for edge in (low, high))
+        driving = [channel.signal for channel in model.alphabet.channels if channel.signal in trace.signals]
+        inputs = [
+            Curve(name, trace.times[present], trace.signals[name][present])
+            for name in driving
+            if (present := np.isfinite(trace.signals[name])).any() and np.nanmax(trace.signals[name]) > 1
+        ]
+        drawn = Picture(
+            f"{model.sha.name} along {trace.name}, open loop",
+            Curve(f"measured {model.temperature}", times, values),
+            open_loop=Curve("simulated, 90 % band", mean.times, mean.mean, *edges),
+            inputs=inputs,
+            events=trace.events,
+            note="SYNTHETIC: not measured on a plant" if trace.synthetic else trace.origin,
+            units=trace.units,
+            unit=unit,
+        )
+        draw(drawn, picture)
+    return {
+        "trace": trace.name,
+        "unit": unit,
+        "synthetic": trace.synthetic,
+        "events": len(trace.events),
+        "rmse": missed.at_samples.rmse,
+        "mae": missed.at_samples.mae,
+        "rmse at events": missed.at_events.rmse,
+        "mae at events": missed.at_events.mae,
+        "final": missed.final,
+        "final %": missed.final_percent,
+        "coverage 90 %": float(np.mean(inside)),
+        "clamps": mean.clamps,
+        "limited": mean.limited,
+        "beyond 3 sigma": outside.share,
+        "longest run beyond 3 sigma": outside.run,
+        "review": outside.review,
+        "flags": ", ".join((*mean.flags, *(["review"] if outside.review else []))),
+    }
+
+
+@click.command(short_help="Let a model run along measured traces; say how far off it is.")
+@click.argument("directory")
+@click.option("--trace", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@click.option("--word", help="Instead of traces: a timed word, as 'W_ON@0 A_2@30 @600', or a file with one.")
+@map_option
+@click.option(
+    "--runs", type=click.IntRange(2, 1_000_000), default=1000, show_default=True, help="Stochastic runs a trace."
+)
+@click.option(
+    "--policy",
+    type=click.Choice(["reject", "ignore", "resync"]),
+    default="resync",
+    show_default=True,
+    help="An event without an edge.",
+)
+@click.option(
+    "--start", type=click.Choice(["measured", "law"]), default="measured", show_default=True, help="First temperature."
+)
+@seed_option
+@picture_option
+@json_option
+def simulate(
+    directory: str,
+    paths: Sequence[str],
+    word: str | None,
+    map_name: str,
+    runs: int,
+    policy: Policy,
+    start: Start,
+    seed: int,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """Let a model run along measured traces (open loop) and say how far off it comes out.
+
+    Errors are given at all readings, at the events (the thesis's way) and for the last reading, apart; the band is
+    that of the stochastic runs, the sensor's noise included.
+
+    With --word the model runs without noise and without clamps along a timed word, such as a counterexample of
+    `decanter model prove`: each stay's m, inputs and temperature may stand behind its event (docs/checking.md).
+    """
+    if bool(paths) == (word is not None):
+        raise click.UsageError("give --trace or --word, one of the two")
+    if word is not None:
+        replay_word(directory, word, policy, as_json=as_json)
+        return
+    with sentences(), progress("simulating") as report:
+        traces, column_map = load(paths, map_name)
+        found_model = find_model(directory, alphabet=column_map.alphabet, temperature=column_map.temperature)
+        chosen = found_model.runnable()
+        traces = [encoded(trace, chosen.alphabet) for trace in traces]
+        rows = simulate_traces(
+            chosen, traces, runs=runs, policy=policy, start=start, seed=seed, picture=picture, report=report
+        )
+    data = {"model": chosen.sha.name, "traces": rows, "picture": picture and str(picture)}
+    emit(data, lambda: _show_rows(rows, picture), as_json_line=as_json)
+    if any("error" in row for row in rows):
+        fail("; ".join(str(row["error"]) for row in rows if "error" in row))
+
+
+def _show_rows(rows: Sequence[Mapping[str, Any]], picture: Path | None) -> None:
+    columns = ("trace", "events", "rmse", "mae", "rmse at events", "final", "coverage 90 %", "clamps", "flags")
+    done = [[row[name] for name in columns] for row in rows if "error" not in row]
+    if done:
+        units = " and ".join(dict.fromkeys(shown_unit(row["unit"]) for row in rows if "error" not in row))
+        table(f"open loop ({units})", columns, done)
+    if picture is not None:
+        click.echo(f"picture: {picture}")

@@ -1,0 +1,1 @@
+"""Where a model and measured data disagree, and why."""

@@ -1,0 +1,417 @@
+"""`decanter diagnose`: where model and measurement disagree, which effect is missing, and the model that has it."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.console import (
+    emit,
+    historian_machine_option,
+    json_option,
+    map_option,
+    progress,
+    seed_option,
+    shipped,
+    table,
+)
+from gateway.entry import sentences
+from gateway.lab.models.adopt import adopt
+from gateway.lab.models.propose import propose, recorded_drift, store_of
+from gateway.lab.traces.load import load
+from gateway.store import reading, recent
+from sim.artefacts import model_hash, read_effect_lines
+from sim.effects import ROLES
+from sim.lab.discrepancy import (
+    Diagnosis,
+    DiagnosisOutcome,
+    ProposedExperiment,
+    augmented,
+    experiment_lines,
+    held_out_sentence,
+    law_sentence,
+    look_at,
+    overlap_sentence,
+    propose_experiment,
+    span,
+)
+from sim.lab.discrepancy import diagnose as diagnose_model
+from sim.lab.discrepancy.fitting import overlapping, patiently
+from sim.lab.discrepancy.output import MISSING_HEAT, MODEL, Occasion, check_folder, document, write_diagnosis
+from sim.lab.formats import find_model
+from sim.lab.recordings import ColumnMap, load_map, write_trace
+from sim.proof import verify
+from sim.sha import EffectLine, Model, Trace, joint_hash, shown_unit
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiagnosisRequest:
+    """What is to be diagnosed, and where the result goes. `created` is the time for the report, in seconds UTC.
+
+    `source` says where the traces are from, as it stands in the report; `most` is how many effects may be named.
+    Without `report` there are no page and no pictures. `lines` are effects of the engineer's own that may be named too.
+    With `experiment` the experiment is proposed that tells rivals apart.
+    """
+
+    where: str
+    out: Path
+    source: str
+    seed: int
+    most: int
+    created: float
+    temperature: str | None = None
+    report: bool = True
+    lines: tuple[EffectLine, ...] = ()
+    experiment: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisResult:
+    """What came out: the diagnosis as it was written, the new model, and why that is not deployable (None, None: there
+    is none)."""
+
+    diagnosis: Diagnosis
+    model: Model | None
+    verification: tuple[str, ...] | None
+
+
+def model_of(request: DiagnosisRequest, column_map: ColumnMap) -> Model:
+    """The model to be diagnosed. Raises ValueError where there is none, or `request.out` cannot take the result."""
+    check_folder(request.out, Path(request.where))
+    temperature = request.temperature or column_map.temperature
+    model = find_model(request.where, alphabet=column_map.alphabet, temperature=temperature).runnable()
+    if request.temperature not in (None, model.temperature):
+        raise ValueError(
+            f"{request.where}: this model predicts {model.temperature!r}; leave --temperature out, it is for models "
+            f"that do not say what they predict"
+        )
+    return model
+
+
+def roles_of(column_map: ColumnMap | None) -> Mapping[str, str]:
+    """role -> signal: the map's own table, else the plant's names."""
+    return ROLES if column_map is None or column_map.effects is None else column_map.effects.roles
+
+
+def check_traces(model: Model, traces: Sequence[Trace], source: str) -> None:
+    """Raises ValueError, in one sentence, where the traces have not what the model needs at least."""
+    present = dict.fromkeys(name for trace in traces for name in trace.signals)
+    needed = [model.temperature, *(channel.signal for channel in model.alphabet.channels)]
+    missing = [name for name in dict.fromkeys(needed) if name not in present]
+    if missing:
+        raise ValueError(
+            f"{source}: the model needs {missing[0]!r}, which no trace has (they have "
+            f"{', '.join(list(present)[:12])}); give traces of the same plant, or the --map that names their columns"
+        )
+
+
+def run(
+    request: DiagnosisRequest,
+    model: Model,
+    traces: Sequence[Trace],
+    roles: Mapping[str, str],
+    progress: Progress,
+    *,
+    experiments: Sequence[Trace] = (),
+) -> DiagnosisResult:
+    """Diagnose and write everything. Raises ValueError or OSError; then nothing in the folder has changed.
+
+    `experiments` are traces of an experiment that was proposed: they are fitted and never held out.
+    """
+    check_traces(model, traces, request.source)
+    if experiments:
+        check_traces(model, experiments, "--with-experiment")
+    # For the new model too, whose stays learn from them what the effects' signals are like.
+    traces, experiments = ([patiently(trace, model.alphabet) for trace in those] for those in (traces, experiments))
+    outcome = diagnose_model(
+        model,
+        traces,
+        seed=request.seed,
+        roles=roles,
+        lines=request.lines,
+        most=request.most,
+        experiments=experiments,
+        progress=progress,
+    )
+    if request.experiment and outcome.path is not None:
+        progress("the experiment that tells rivals apart", 0.97)
+        proposed = propose_experiment(outcome.path, traces, roles)
+        outcome = replace(outcome, diagnosis=replace(outcome.diagnosis, experiment=proposed))
+    progress("writing the report", 0.97)
+    new = new_model(request, model, [*traces, *experiments], outcome)
+    reasons = None if new is None else verify(new).reasons
+    after = None if new is None else str(request.out / MODEL)
+    diagnosis = replace(outcome.diagnosis, model_before=request.where, model_after=after)
+    count = sum(trace.synthetic for trace in traces)
+    synthetic = [f"{count} of {len(traces)} traces are synthetic"] if count else []
+    synthetic += ["the model was learned from synthetic traces"] if model.provenance.synthetic else []
+    rows = sum(trace.times.size for trace in traces)
+    occasion = Occasion(
+        name=model.sha.name,
+        temperature=model.temperature,
+        created=datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        facts={
+            "model": request.where,
+            "traces": f"{len(traces)} with {rows} rows from {request.source}",
+            "seed": str(request.seed),
+            "decanter": version("decanter-gateway"),
+        },
+        roles={role: signal for role, signal in roles.items() if any(signal in trace.signals for trace in traces)},
+        folder=request.out,
+        synthetic="; ".join(synthetic),
+        verification=reasons,
+    )
+    write_diagnosis(diagnosis, occasion, new, report=request.report)
+    return DiagnosisResult(diagnosis, new, reasons)
+
+
+def new_model(
+    request: DiagnosisRequest, model: Model, traces: Sequence[Trace], outcome: DiagnosisOutcome
+) -> Model | None:
+    """The model with what was found and its lineage; None where nothing is added."""
+    if outcome.fitted is None or not outcome.diagnosis.effects:
+        return None
+    names = tuple(trace.name for trace in traces)
+    new = augmented(outcome.fitted, data_hash=joint_hash(traces), traces=names, readings=traces)
+    held_out = outcome.diagnosis.held_out
+    scores = (
+        {} if held_out is None else {"held_out_rmse": held_out.rmse_after, "held_out_noise_floor": held_out.noise_floor}
+    )
+    origin = replace(
+        new.provenance,
+        synthetic=model.provenance.synthetic or any(trace.synthetic for trace in traces),
+        settings={**new.provenance.settings, "seed": request.seed},
+        scores={**new.provenance.scores, **scores},
+        parent=model_hash(model),
+    )
+    return replace(new, provenance=origin)
+
+
+RECENT = "14d"
+"""What of a historian is read where nobody says how much."""
+
+
+class DiagnoseCommand(click.Command):
+    """`decanter diagnose [TRACES]...`, with one word of its own in the first place: `decanter diagnose adopt`."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """That of the other command where its word comes first; a trace of that name is given as ./adopt."""
+        # No group: its first argument is a trace's path, which a group would take for a command.
+        if args[:1] == ["adopt"]:
+            return adopt.make_context(f"{info_name} adopt", args[1:], parent=parent, **extra)
+        return super().make_context(info_name, args, parent=parent, **extra)
+
+
+@click.command(cls=DiagnoseCommand, short_help="Find where model and traces disagree; name what is missing.")
+@click.argument("more", nargs=-1, metavar="[TRACES]...")
+@click.option("--model", "where", required=True, help="A model directory, a store, a model.json, or DIR/NAME.")
+@click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@click.option("--historian", type=click.Path(path_type=Path), help="A gateway's historian instead of --traces.")
+@click.option("--since", help="Of the historian: from this time (2026-03-01T06:00) or span (7d, 36h) on [14d].")
+@historian_machine_option
+@map_option
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder for the diagnosis.")
+@click.option(
+    "--effects", "effects", type=click.Path(path_type=Path), help="A TOML file of your own effects, to be named too."
+)
+@click.option("--max-names", "most", type=click.IntRange(1, 3), default=3, show_default=True, help="Effects at most.")
+@click.option("--temperature", help="The signal that a set of artefacts predicts, which does not say it itself.")
+@click.option(
+    "--propose", "proposes", is_flag=True, help="Save the new model as a candidate in the store that --model is."
+)
+@click.option("--if-drifting", is_flag=True, help="Only while the drift alarm stands in the historian; for schedules.")
+@click.option("--no-report", is_flag=True, help="No page and no pictures: half of the time, for programs.")
+@click.option("--experiment", is_flag=True, help="Propose set-points and times that tell rival effects apart.")
+@click.option(
+    "--experiment-trace",
+    "schedule",
+    type=click.Path(path_type=Path),
+    help="Write the proposed set-points as CSV.",
+)
+@click.option("--with-experiment", "made", multiple=True, help="Traces of an experiment made: fitted, never held out.")
+@seed_option
+@json_option
+def diagnose(
+    more: Sequence[str],
+    where: str,
+    paths: Sequence[str],
+    historian: Path | None,
+    since: str | None,
+    machine: str | None,
+    map_name: str,
+    out: Path,
+    effects: Path | None,
+    most: int,
+    temperature: str | None,
+    proposes: bool,
+    if_drifting: bool,
+    no_report: bool,
+    experiment: bool,
+    schedule: Path | None,
+    made: Sequence[str],
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Diagnose a model on measured traces: find where they disagree, name the missing effect, add it, prove it.
+
+    --out gets diagnosis.json, report.html, pictures, and model/ where an effect was named: an ordinary model that can
+    be verified, promoted and diagnosed again. Nothing is named that chance, moved parameters or a rough plant could
+    make: the verdict may be "agree", "unexplained" or "too-little-data". The exit code is 0 whatever the verdict.
+
+    What has no name gets laws to look at; `decanter diagnose adopt OUT --name NAME --effects FILE` makes one of them an
+    effect of your own, and --effects FILE has such effects named too.
+
+    --propose keeps a new model that verifies as a version of the store, with the experiment that would confirm it;
+    nothing is promoted, and a finding that waits already is not proposed again.
+
+    --experiment proposes what to set and for how long, so that effects which these traces cannot tell apart are told
+    apart; --experiment-trace writes it as a trace that `decanter emulate` replays. Once it was made, its recording goes
+    to --with-experiment.
+    """
+    sources = (*paths, *more)
+    if bool(sources) == (historian is not None):
+        raise click.UsageError("give either --traces or --historian")
+    for option, given in (("--since", since), ("--machine", machine), ("--if-drifting", if_drifting or None)):
+        if given is not None and historian is None:
+            raise click.UsageError(f"{option} belongs to --historian")
+    with sentences(), progress("diagnosing") as report:
+        request = DiagnosisRequest(
+            where=where,
+            out=out,
+            source=", ".join(sources) if historian is None else str(historian),
+            seed=seed,
+            most=most,
+            created=time.time(),
+            temperature=temperature,
+            report=not no_report,
+            lines=() if effects is None else read_effect_lines(effects),
+            experiment=experiment or schedule is not None,
+        )
+        report("reading", 0.0)
+        # The model before the traces: it is refused in a moment, and a historian of weeks takes its time.
+        store = store_of(where) if proposes else None
+        model = model_of(request, load_map(shipped("traces", map_name)))
+        if historian is not None and if_drifting:
+            with reading(historian) as connection:
+                drift = recorded_drift(connection, historian, machine=machine, temperature=model.temperature)
+            if not drift.stands:
+                said = (
+                    f"not due: the free run was beyond its limit on {drift.cycles} cycles running, fewer than "
+                    f"{drift.alarm_cycles}"
+                )
+                emit({"due": False, "drifting": drift.cycles}, lambda: click.echo(said), as_json_line=as_json)
+                return
+        column_map: ColumnMap | None = None  # a historian's signals have the plant's own names
+        if historian is None:
+            traces, column_map = load(sources, map_name)
+        else:
+            traces = [recent(historian, since or RECENT, machine=machine)]
+        if overlap := overlapping(traces):
+            click.echo(f"{overlap}: the traces are taken one after the other, as given (a folder by names)", err=True)
+        experiments = load(made, map_name)[0] if made else ()
+        result = run(request, model, traces, roles_of(column_map), report, experiments=experiments)
+        proposed = result.diagnosis.experiment
+        if schedule is not None and proposed is not None:
+            write_trace(proposed.trace, schedule)
+        candidate: tuple[str, bool] | None = None
+        if store is not None and result.model is not None and not result.verification:
+            candidate = propose(store, result.model, result.diagnosis, created=request.created)
+    page = out / "report.html"
+    data: dict[str, Any] = {"out": str(out), "report": str(page) if page.exists() else None}
+    if result.verification is not None:
+        data |= {"verified": not result.verification, "refused": list(result.verification)}
+    if proposes:
+        data |= {"proposed": None if candidate is None else candidate[0], "new": candidate is not None and candidate[1]}
+
+    def shown() -> None:
+        show(result, out)
+        if request.experiment:
+            show_experiment(proposed)
+        if candidate is not None:
+            name, fresh = candidate
+            click.echo(f"{'proposed' if fresh else 'waits already for the same finding'}: {where}@{name}")
+            click.echo(f"to run it once it is confirmed: decanter model promote {where} {name}")
+
+    emit(document(result.diagnosis) | data, shown, as_json_line=as_json)
+
+
+def show(result: DiagnosisResult, out: Path) -> None:
+    """Print the verdict with its evidence."""
+    diagnosis = result.diagnosis
+    unit = shown_unit(diagnosis.unit)
+    click.echo(f"{diagnosis.verdict}: {diagnosis.sentence}")
+    for reason in diagnosis.reasons:
+        click.echo(f"  {reason}")
+    for look in look_at(diagnosis):
+        click.echo(f"look at {look}")
+    if diagnosis.places:
+        rows = [
+            [
+                place.location,
+                place.after,
+                span(*place.seconds),
+                place.share,
+                place.heat,
+                f"{place.cycles[0]} of {place.cycles[1]}",
+                place.p,
+                place.when or place.correlates,
+            ]
+            for place in diagnosis.places[:5]
+        ]
+        columns = ("location", "after", "seconds", "share", f"heat ({unit}/h)", "cycles", "p", "goes with")
+        table("where the unexplained heat is", columns, rows)
+        if overlap := overlap_sentence(diagnosis.places[:5]):
+            click.echo(overlap)
+    for number, law in enumerate(diagnosis.laws, start=1):
+        click.echo(f"law {number}, {law_sentence(law)}")
+    if diagnosis.effects:
+        rows = [
+            [effect.name, ", ".join(effect.members), effect.confidence, effect.gain, dict(effect.params)]
+            for effect in diagnosis.effects
+        ]
+        table("added to the model", ("effect", "class", "confidence", "nats", "parameters"), rows)
+        for effect in diagnosis.effects:
+            click.echo(f"to tell {effect.name} from its twins: {effect.experiment}")
+    if diagnosis.shifts:
+        rows = [
+            [
+                s.location,
+                s.parameter,
+                s.before,
+                s.after,
+                shown_unit(s.unit),
+                "–" if s.change is None else s.change,
+                s.sigma,
+            ]
+            for s in diagnosis.shifts
+        ]
+        table("parameters that moved", ("location", "parameter", "before", "after", "unit", "change", "sigma"), rows)
+    if said := held_out_sentence(diagnosis):
+        click.echo(f"held out: {said}")
+    if diagnosis.untested:
+        click.echo(f"not tested: {', '.join(diagnosis.untested)} (the report says why)")
+    if diagnosis.missing_heat is not None:
+        click.echo(f"missing heat over time: {out / MISSING_HEAT}")
+    if (out / "report.html").exists():
+        click.echo(f"report: {out / 'report.html'}")
+    if diagnosis.model_after is not None:
+        verdict = f"it DOES NOT VERIFY: {'; '.join(result.verification)}" if result.verification else "it verifies"
+        click.echo(f"new model: {diagnosis.model_after}; {verdict}")
+
+
+def show_experiment(proposed: ProposedExperiment | None) -> None:
+    """Print an experiment as a numbered list for whoever stands at the machine."""
+    if proposed is None:
+        click.echo("experiment: none; there are no two effects to be told apart, or nothing that could be set for it")
+        return
+    for line in experiment_lines(proposed):
+        click.echo(line)

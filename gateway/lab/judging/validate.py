@@ -1,0 +1,355 @@
+"""`decanter model validate`: models along measured traces in nine stages, with a report each."""
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+
+import click
+
+from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.entry import Exit, fail, interruptible, sentences
+from gateway.lab.judging.facts import facts_of
+from gateway.lab.judging.judged_forecasts import judged_forecasts, skill_options
+from gateway.lab.traces.load import warned_of
+from sim.engine import Policy
+from sim.lab.formats import write_model_directory
+from sim.lab.ranking import METHODS, Task
+from sim.lab.recordings import ColumnMap, load_map, load_traces, units
+from sim.lab.skill import ForecastSkill
+from sim.lab.validation import (
+    LEARNED,
+    CampaignPlan,
+    CampaignSummary,
+    Facts,
+    Prepared,
+    Progress,
+    TraceResult,
+    TraceRunSettings,
+    Wanted,
+    check_folder,
+    claim_folder,
+    conduct,
+    findings_of,
+    fitness_sentence,
+    gain,
+    held,
+    load_stage,
+    natural,
+    prepare,
+    relabelled,
+    run_here,
+    run_there,
+    summaries,
+    unread,
+    verdict,
+)
+from sim.sha import Trace, shown_unit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValidationRequest:
+    """The options of `decanter model validate`. `created` is the time for the report, in seconds UTC."""
+
+    models: Sequence[str]
+    paths: Sequence[str]
+    map_file: Path
+    out: Path
+    overwrite: bool
+    wanted: Wanted
+    training: Sequence[str]
+    settings: TraceRunSettings
+    jobs: int | None
+    address: str | None
+    pictures: bool
+    created: float
+    skill: bool
+    rivals: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignFindings:
+    """The results of all models; by label the skill of their forecasts, if asked for, and what else is known."""
+
+    results: list[TraceResult]
+    skill: Mapping[str, ForecastSkill]
+    facts: Mapping[str, Mapping[str, Facts]]
+
+    @property
+    def fitness(self) -> dict[str, dict[str, str]]:
+        """The answer to "may I use this model" with its reason and the next step, by label and semantics."""
+        sentences = {}
+        for name in dict.fromkeys(result.model for result in self.results):
+            found = findings_of([result for result in self.results if result.model == name], self.facts.get(name, {}))
+            sentences[name] = {semantics: fitness_sentence(each) for semantics, each in found.items()}
+        return sentences
+
+
+def campaign(request: ValidationRequest, tell: Callable[[str], None], progress: Progress) -> CampaignFindings:
+    """What came out; the folder is complete then.
+
+    Raises ValueError or OSError, before anything is written, for a folder, a map, a model, a set of traces or a cluster
+    that cannot be used. Models that are to be learned (see `methods_in`) are learned once all that is known to be good.
+    """
+    check_folder(request.out, overwrite=request.overwrite)
+    column_map = load_map(request.map_file)
+    workers = request.jobs or len(os.sched_getaffinity(0))
+    with nullcontext(run_here(workers)) if request.address is None else run_there(request.address) as run:
+        # The models come before the traces and the learning after both: what can be refused at once is refused first.
+        unlearned = to_learn(request.models)
+        if unlearned and not request.training:
+            raise ValueError(
+                f"{unlearned[0]}: there is no such model; to learn one by this method give --training TRACES"
+            )
+        training = None
+        if request.training:
+            training, learned_from = load_traces(list(request.training), column_map)
+            column_map = column_map.model_copy(update={"alphabet": learned_from.alphabet})
+            if unlearned:
+                warned_of(training, column_map.alphabet)
+        ready: list[tuple[str, Prepared | None]] = []
+        for number, where in enumerate(request.models):
+            progress(where, number / len(request.models))
+            ready.append((where, None if where in unlearned else _prepared(where, request, column_map, training)))
+        progress("reading traces", 0.0)
+        begin = perf_counter()
+        traces, report = load_traces(list(request.paths), column_map)
+        loading = load_stage(report, perf_counter() - begin)
+        facts = {
+            "traces": f"{len(traces)} from {', '.join(request.paths)}",
+            "map": request.map_file.stem,
+            "runs": str(request.settings.runs),
+            "policy": request.settings.policy,
+            "semantics": request.wanted,
+            "seed": str(request.settings.seed),
+            "decanter": version("decanter-gateway"),
+        }
+        created = datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC")
+        plan = CampaignPlan(
+            settings=request.settings,
+            run=run,
+            workers=workers,
+            pictures=request.pictures,
+            units=units(column_map),
+            campaign=CampaignSummary(created, facts),
+        )
+        with held(request.out):
+            stale = check_folder(request.out, overwrite=request.overwrite)  # again: nobody else can write there now
+            folder = claim_folder(request.out, stale, (), {"created": created, **facts})
+            known = training or ()
+            models = [model or _learned(where, request, column_map, known, progress) for where, model in ready]
+            prepared = relabelled(models)
+            folder.assign([model.label for model in prepared])
+            skill = {}
+            if request.skill:
+                seed = request.settings.seed
+                rivals = training if request.rivals else None
+                made = judged_forecasts(prepared, traces, training=rivals, seed=seed, report=progress)
+                skill = {model.label: made.skill(model.label, seed=seed) for model in prepared}
+            known_facts = {model.label: facts_of(model) for model in prepared}
+            results = conduct(
+                prepared,
+                traces,
+                unread(report, traces),
+                loading=loading,
+                plan=plan,
+                folder=folder,
+                tell=tell,
+                progress=progress,
+                skill=skill,
+                facts=known_facts,
+            )
+            return CampaignFindings(results, skill, known_facts)
+
+
+def to_learn(models: Sequence[str]) -> list[str]:
+    """Those of the MODEL arguments that name a method of learning and nothing that is there."""
+    return [name for name in models if name in METHODS and not Path(name).exists()]
+
+
+def _prepared(
+    where: str, request: ValidationRequest, column_map: ColumnMap, training: Sequence[Trace] | None
+) -> Prepared:
+    return prepare(
+        where,
+        column_map.alphabet,
+        column_map.temperature,
+        wanted=request.wanted,
+        training=training,
+        seed=request.settings.seed,
+    )
+
+
+def _learned(
+    name: str, request: ValidationRequest, column_map: ColumnMap, training: Sequence[Trace], progress: Progress
+) -> Prepared:
+    """A model learned by the method `name` with its defaults, written to the campaign's folder, and then prepared."""
+    progress(f"learning by {name}", 0.0)
+    # The method encodes the events itself, by the alphabet that it is given.
+    silent = [replace(trace, events=()) for trace in training]
+    task = Task(silent, column_map.alphabet, column_map.temperature, request.settings.seed, name)
+    learned = METHODS[name].learn(task, {})
+    place = request.out / LEARNED / name
+    write_model_directory(place, learned.model, learned.values)
+    return _prepared(str(place), request, column_map, training)
+
+
+MOST_REASONS = 5
+"""Reasons that are printed for each model."""
+
+
+@click.command(short_help="Validate models along measured traces in nine stages; write a report for each.")
+@click.argument("models", nargs=-1, required=True, metavar="MODEL...")
+@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@map_option
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder for reports and results.")
+@click.option("--overwrite", is_flag=True, help="Replace the results of an earlier campaign in --out.")
+@click.option(
+    "--semantics",
+    "wanted",
+    type=click.Choice(["written", "carried", "resampled", "both"]),
+    default="written",
+    show_default=True,
+    help="The temperature is carried over events or resampled on entry (the thesis); both side by side.",
+)
+@click.option(
+    "--training",
+    multiple=True,
+    help="Traces to learn `bins` or `lsha` from, to give the resampled semantics its entry laws, and to fit rivals to.",
+)
+@skill_options
+@click.option(
+    "--policy",
+    type=click.Choice(["reject", "ignore", "resync"]),
+    default="resync",
+    show_default=True,
+    help="An event without an edge.",
+)
+@click.option("--runs", type=click.IntRange(100, 100_000), default=1000, show_default=True, help="Runs a trace.")
+@click.option("--jobs", type=click.IntRange(1), help="Worker processes.  [default: one a core]")
+@click.option("--cluster", "address", help="Run on the Dask cluster whose scheduler is at this address (tcp://...).")
+@click.option("--pictures/--no-pictures", default=True, show_default=True, help="A PNG and a PDF a trace.")
+@seed_option
+@json_option
+def validate(
+    models: Sequence[str],
+    paths: Sequence[str],
+    map_name: str,
+    out: Path,
+    overwrite: bool,
+    wanted: Wanted,
+    training: Sequence[str],
+    skill: bool,
+    rivals: bool,
+    policy: Policy,
+    runs: int,
+    jobs: int | None,
+    address: str | None,
+    pictures: bool,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Validate models along measured traces: artefacts checked, every event followed, open-loop runs compared.
+
+    MODEL is a model directory, a store, STORE@VERSION, a model.json, or DIR/NAME of a set of artefacts; `bins` or
+    `lsha`, where nothing of that name is there, is learned from --training first. --out gets the record of each of the
+    nine stages, results as JSON and CSV, pictures, one HTML report a model and an index. A trace that fails is reported
+    and the others go on; the exit code is 1 only when nothing could be simulated. With --skill the models' forecasts
+    along the traces are scored too, beside persistence, and it is said where they are not worth it.
+    """
+    if rivals and not training:
+        raise click.UsageError("--rivals are fitted to traces: name them with --training")
+    try:
+        with sentences(), progress("validating") as bar, interruptible(bar) as report:
+            place, settings = shipped("traces", map_name), TraceRunSettings(runs, policy, seed)
+            request = ValidationRequest(
+                models=models,
+                paths=paths,
+                map_file=place,
+                out=out,
+                overwrite=overwrite,
+                wanted=wanted,
+                training=training,
+                settings=settings,
+                jobs=jobs,
+                address=address,
+                pictures=pictures,
+                created=time.time(),
+                skill=skill or rivals,
+                rivals=rivals,
+            )
+            # With --json the stages are in the folder alone.
+            found = campaign(request, (lambda _: None) if as_json else click.echo, report)
+    except KeyboardInterrupt:
+        begun = (out / "campaign.json").is_file()
+        left = f"what was done lies in {out}, and --overwrite begins anew there" if begun else "nothing was written"
+        fail(f"stopped before the end; {left}", Exit.INTERRUPTED)
+    results = found.results
+    names = dict.fromkeys(run.model for run in results)
+    gains = {name: gain([run for run in results if run.model == name]) for name in names}
+    data = {
+        "out": str(out),
+        "report": str(out / "index.html"),
+        "summaries": [asdict(summary) for summary in summaries(results)],
+        "gains": {name: asdict(gained) | {"sentence": gained.sentence} for name, gained in gains.items() if gained},
+        "fitness": found.fitness,
+        "forecasts": {name: each.as_plain() for name, each in found.skill.items()},
+        "results": [asdict(run) | {"verdict": asdict(verdict(run))} for run in results],
+    }
+    emit(data, lambda: _show(out, found), as_json_line=as_json)
+    if all(result.failure for result in results):
+        fail(f"no model could be run along any trace; {results[0].trace}: {results[0].failure}", Exit.CHECK_FAILED)
+
+
+def _show(out: Path, found: CampaignFindings) -> None:
+    results = found.results
+    columns = (
+        "model",
+        "semantics",
+        "traces",
+        "good",
+        "review",
+        "failed",
+        "MAE",
+        "RMSE",
+        "at events",
+        "dense",
+        "final %",
+    )
+    more = ("coverage", "CRPS", "persistence")
+    names = ("mae", "rmse", "at_events", "dense", "final_percent", "coverage", "crps", "persistence")
+    rows = [
+        [summary.model, summary.semantics, summary.sample, summary.good, summary.review, summary.failed]
+        + [getattr(summary, name) for name in names]
+        for summary in summaries(results)
+    ]
+    units = " and ".join(dict.fromkeys(shown_unit(result.unit) for result in results))
+    table(f"validation, means over traces ({units})", (*columns, *more), rows)
+    for name, by_semantics in found.fitness.items():
+        own = [result for result in results if result.model == name]
+        for semantics, sentence in by_semantics.items():
+            click.echo(f"{name}{f' ({semantics})' if len(by_semantics) > 1 else ''}: {sentence}")
+        gained = gain(own)
+        if gained is not None:
+            click.echo(f"{name}: {gained.sentence}")
+        # Why traces failed or are to be looked at, the failed ones first; the report has all of them.
+        judged = [(result, verdict(result)) for result in sorted(own, key=lambda result: natural(result.trace))]
+        lines = [
+            f"{judgement.word}: {result.trace} ({result.semantics}): {'; '.join(judgement.reasons)}"
+            for word in ("failed", "review")
+            for result, judgement in judged
+            if judgement.word == word
+        ]
+        for sentence in lines[:MOST_REASONS]:
+            click.echo(f"{name}: {sentence}")
+        if len(lines) > MOST_REASONS:
+            click.echo(f"{name}: {len(lines) - MOST_REASONS} more of these are in the report")
+    for name, each in found.skill.items():
+        for sentence in (*each.sentences, *(f"note: {note}" for note in each.notes)):
+            click.echo(f"{name}: {sentence}")
+    click.echo(f"report: {out / 'index.html'}")

@@ -1,0 +1,1 @@
+"""Models learned, tuned and corrected."""

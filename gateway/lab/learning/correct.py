@@ -1,0 +1,114 @@
+"""`decanter model correct`: a calibration correction of a model, learned from traces that it was not fitted to."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.console import emit, json_option, map_option, progress, table
+from gateway.entry import Exit, fail, sentences
+from gateway.lab.traces.load import load
+from sim.artefacts import STORE_FILE, model_hash
+from sim.lab.formats import find_model, save, write_model_directory
+from sim.lab.learning import (
+    FORMS,
+    bite,
+    corrected_model,
+    learn_correction,
+    learn_max_rate,
+    with_max_rate,
+)
+from sim.sha import encoded, joint_hash, shown_unit, unit_of
+
+
+@click.command(short_help="Learn T' = k T + b from traces and write the corrected model.")
+@click.argument("name")
+@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@map_option
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory or store to write to.")
+@click.option(
+    "--form",
+    type=click.Choice(["best", "gain", "affine"]),
+    default="best",
+    show_default=True,
+    help="gain: T' = k T; affine: T' = k T + b; best: the simplest one as good as the best.",
+)
+@click.option("--max-rate", "limit_rate", is_flag=True, help="Also limit the flows by the greatest rate in the traces.")
+@json_option
+def correct(
+    name: str, paths: Sequence[str], map_name: str, out: Path, form: str, limit_rate: bool, as_json: bool
+) -> None:
+    """Learn the calibration correction T' = k T (+ b) of a model and write the corrected model.
+
+    T is the automaton's temperature, T' what the sensor reads. Give traces that the model was not learned from. The
+    correction is accepted when the error of held-out traces falls by more than its standard error; where nothing is
+    accepted nothing is written, and the exit code is 1.
+    """
+    with sentences(), progress("correcting") as report:
+        traces, column_map = load(paths, map_name)
+        model = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature).runnable()
+        parent = model_hash(model)
+        # Artefacts of the public learner know no unit: then that of the traces is the model's.
+        model = replace(model, unit=unit_of(traces, model.temperature, model.unit))
+        traces = [encoded(trace, model.alphabet) for trace in traces]
+        wanted = [candidate for candidate in FORMS if form in ("best", candidate)]
+        learned = learn_correction(model, traces, forms=wanted, progress=report)
+        rate = bites = None
+        if limit_rate:
+            rate = learn_max_rate(traces, model.temperature)
+            bites = bite(with_max_rate(replace(model, correction=learned.correction), rate), traces)
+        accepted = learned.chosen is not None or (bites is not None and bites.accepted)
+        written = None
+        if accepted:
+            new = corrected_model(model, learned, traces, parent)
+            if rate is not None and bites is not None and bites.accepted:
+                new = with_max_rate(new, rate)
+            is_store = (out / STORE_FILE).is_file()
+            written = save(out, new, created=time.time()) if is_store else str(write_model_directory(out, new))
+    fits = []
+    for fit in learned.fits:
+        row = asdict(fit)
+        fits.append({"form": fit.form, **row.pop("correction"), **{k: v for k, v in row.items() if k != "form"}})
+    data = {
+        "chosen": learned.chosen,
+        "correction": asdict(learned.correction),
+        "fits": fits,
+        "unit": model.unit,
+        "skipped": list(learned.skipped),
+        "max_rate": None if rate is None or bites is None else asdict(rate) | asdict(bites),
+        # Of the very traces that the model was learned from, the held-out error is none.
+        "training traces": model.provenance.data_hash == joint_hash(traces),
+        "written": written,
+        "out": str(out) if written else None,
+    }
+    emit(data, lambda: _show(data), as_json_line=as_json)
+    if not accepted:
+        fail(f"nothing was accepted, so nothing was written: {learned.best.reason}", Exit.CHECK_FAILED)
+
+
+def _show(data: dict[str, Any]) -> None:
+    unit = shown_unit(data["unit"])
+    columns = ("form", "gain", "gain_error", "offset", "offset_error", "before", "after", "improvement_error", "runs")
+    table(
+        f"T' = gain T + offset; mean absolute error of held-out runs ({unit})",
+        columns,
+        [[fit[key] for key in columns] for fit in data["fits"]],
+    )
+    for fit in data["fits"]:
+        click.echo(f"{fit['form']}: {'accepted' if fit['accepted'] else 'not accepted'}, {fit['reason']}")
+    if data["max_rate"] is not None:
+        limit = data["max_rate"]
+        verdict = "accepted" if limit["accepted"] else "not accepted, as it makes the model worse"
+        click.echo(
+            f"max rate: {limit['rate']:.3g} {unit}/s, {limit['margin']:g} times what was seen; {limit['limited']} "
+            f"steps meet it, error {limit['before']:.3g} without and {limit['after']:.3g} {unit} with it: {verdict}"
+        )
+    if data["training traces"]:
+        click.echo("these are the traces that the model was learned from: held out here, but not for the model")
+    if data["skipped"]:
+        click.echo(f"left out, with too few readings: {', '.join(data['skipped'])}")
+    if data["written"]:
+        click.echo(f"written: {data['written']}")

@@ -1,0 +1,134 @@
+"""`decanter model tune`: the best settings of a learning method by cross-validation over traces, resumable."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.console import emit, json_option, map_option, progress, seed_option, table
+from gateway.entry import Exit, interruptible, sentences
+from gateway.lab.traces.load import load, warned_of
+from sim.lab.formats import write_model_directory
+from sim.lab.ranking import Objective, StudyPlan, Tuning, final_model
+from sim.lab.ranking import tune as searched
+from sim.lab.recordings import split_cycles
+from sim.sha import shown_unit, unit_of
+
+SHOWN = 10
+
+
+@click.command(short_help="Search a learning method's best settings by cross-validation over traces.")
+@click.option("--method", type=click.Choice(["bins", "lsha"]), default="bins", show_default=True)
+@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@map_option
+@click.option("--cycles", is_flag=True, help="Cut each trace into cycles first, for one long recording.")
+@click.option(
+    "--study",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    help="The file of the search; one that is there is gone on with.",
+)
+@click.option("--trials", type=click.IntRange(1), default=30, show_default=True, help="Trials of the study in all.")
+@click.option("--folds", type=click.IntRange(2), default=5, show_default=True, help="Parts that are held out in turn.")
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
+@click.option(
+    "--objective",
+    type=click.Choice(["crps", "likelihood"]),
+    default="crps",
+    show_default=True,
+    help="Of held-out traces, open loop: CRPS (in what is followed), or minus the log-likelihood per reading.",
+)
+@click.option("--prune", is_flag=True, help="Give a trial up when its first folds are worse than the median's.")
+@click.option("--out", type=click.Path(path_type=Path), help="Learn with the best settings from all traces; write it.")
+@click.option("--name", default="decanter", show_default=True, help="The name of the model for --out.")
+@seed_option
+@json_option
+def tune(
+    method: str,
+    paths: Sequence[str],
+    map_name: str,
+    cycles: bool,
+    study: Path,
+    trials: int,
+    folds: int,
+    jobs: int,
+    objective: Objective,
+    prune: bool,
+    out: Path | None,
+    name: str,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Search a learning method's best settings by cross-validation over traces.
+
+    The first trial has the method's defaults; the result says whether the best settings beat them by more than one
+    standard error, paired by trace. A search that was stopped or killed goes on with the same command; a study of
+    other traces, another method or other settings is refused.
+    """
+    with sentences(), progress(f"tuning ({method})") as bar, interruptible(bar) as report:
+        traces, column_map = load(paths, map_name)
+        warnings = warned_of(traces, column_map.alphabet)
+        if cycles:
+            traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
+        unit = unit_of(traces, column_map.temperature)
+        plan = StudyPlan(method, objective, folds, seed)
+        tuning = searched(
+            traces,
+            column_map.alphabet,
+            column_map.temperature,
+            plan,
+            study,
+            trials=trials,
+            jobs=jobs,
+            prune=prune,
+            progress=report,
+        )
+        written = None
+        if out is not None and not tuning.stopped:
+            report("learning with the best settings", 1.0)
+            if tuning.best is None:
+                raise ValueError(f"{tuning.sentence}; nothing is written to {out}")
+            alphabet, temperature = column_map.alphabet, column_map.temperature
+            learned = final_model(traces, alphabet, temperature, plan=plan, trial=tuning.best, name=name)
+            write_model_directory(out, learned.model, learned.values)
+            written = out
+    data = {
+        "method": method,
+        "objective": objective,
+        "unit": unit,
+        "warnings": warnings,
+        "study": str(study),
+        **asdict(tuning),
+        "model": written and str(written),
+    }
+    emit(data, lambda: _show(tuning, plan, study, written, shown_unit(unit)), as_json_line=as_json)
+    if tuning.stopped:
+        click.secho(f"stopped after {len(tuning.trials)} trials; the same command goes on with {study}", err=True)
+        raise SystemExit(Exit.INTERRUPTED)
+
+
+def _show(tuning: Tuning, plan: StudyPlan, study: Path, written: Path | None, unit: str) -> None:
+    figure = f"CRPS ({unit})" if plan.objective == "crps" else "minus log-likelihood per reading"
+    complete = sorted((trial for trial in tuning.trials if trial.state == "complete"), key=lambda trial: trial.value)
+    rows = [[trial.number, trial.value, trial.error, trial.settings or "defaults"] for trial in complete[:SHOWN]]
+    if tuning.default is not None and tuning.default not in complete[:SHOWN]:
+        rows.append([tuning.default.number, tuning.default.value, tuning.default.error, "defaults"])
+    others: dict[str, Any] = {}
+    for trial in tuning.trials:
+        if trial.state != "complete":
+            others[trial.state] = others.get(trial.state, 0) + 1
+    more = "".join(f", {count} {state}" for state, count in others.items())
+    title = f"{plan.method}: {len(tuning.trials)} trials{more}; the best by held-out {figure}"
+    if rows:
+        table(title, ("trial", "value", "standard error", "settings"), rows)
+    click.echo(tuning.sentence)
+    failed = next((trial for trial in tuning.trials if trial.state == "failed"), None)
+    if failed is not None and tuning.best is not None:
+        click.echo(f"trial {failed.number} failed: {failed.reason}")
+    for note in tuning.notes:
+        click.echo(f"note: {note}")
+    click.echo(f"study: {study}")
+    if written is not None:
+        click.echo(f"model directory: {written}")

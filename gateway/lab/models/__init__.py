@@ -1,0 +1,1 @@
+"""Models shown, exported, proposed, adopted and promoted."""

@@ -1,0 +1,46 @@
+"""`decanter model promote`: makes a version of a store the one that runs, if its model verifies."""
+
+import time
+from pathlib import Path
+
+import click
+
+from gateway.console import emit, json_option
+from gateway.entry import sentences
+from sim.artefacts import FAMILIARITY_FILE, Force, forced, read_familiarity
+from sim.artefacts import promote as promote_version
+from sim.lab.formats import find_model, save
+
+
+@click.command(short_help="Make a version of a store current, if its model verifies.")
+@click.argument("store", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("version", required=False)
+@click.option("--add", "model", help="Save this model (a directory or JSON file) as a new version and promote that.")
+@click.option("--force", "reason", metavar="REASON", help="Promote a model that is not deployable; recorded.")
+@click.option("--by", help="Who forces it; recorded.")
+@json_option
+def promote(
+    store: Path, version: str | None, model: str | None, reason: str | None, by: str | None, as_json: bool
+) -> None:
+    """Make VERSION of STORE the current one: what a gateway runs whose model.path is the store.
+
+    A model that does not verify (see `decanter model prove`) is refused, in one sentence with the reasons. --force
+    with --by promotes it all the same, if it can be run at all: name and reason are kept in the store, the gateway
+    warns at each start, and it does not run armed on such a model.
+    """
+    if (version is None) == (model is None):
+        raise click.UsageError("name a VERSION of the store, or --add a model; one of the two")
+    if (reason is None) != (by is None) or (reason is not None and not (reason.strip() and str(by).strip())):
+        raise click.UsageError("--force REASON and --by NAME belong together, and neither is empty")
+    with sentences():
+        now = time.time()
+        if model is not None:
+            familiar = read_familiarity(Path(model)) if Path(model).is_dir() else None
+            more = {} if familiar is None else {FAMILIARITY_FILE: familiar.text()}
+            version = save(store, find_model(model).runnable(), created=now, more=more)
+        chosen = str(version)
+        promote_version(store, chosen, Force(str(by), reason, now) if reason is not None else None)
+        force = forced(store)
+    data = {"store": str(store), "current": chosen, "forced": force is not None}
+    sentence = f"{store}: {chosen} is current" + (f", forced by {force.by}: {force.reason}" if force else "")
+    emit(data, lambda: click.echo(sentence), as_json_line=as_json)

@@ -1,0 +1,105 @@
+"""A diagnosis on a schedule: whether the drift alarm asks for one, and its model as a candidate in the store."""
+
+import json
+import sqlite3
+from dataclasses import dataclass
+from pathlib import Path
+
+from gateway.settings import AlarmSection
+from gateway.store import newest_scan, stored_rows
+from sim.artefacts import (
+    FINDING_FILE,
+    DiagnosisFinding,
+    FoundEffect,
+    current,
+    is_store,
+    read_finding,
+    version_directory,
+    versions,
+)
+from sim.lab.discrepancy import Diagnosis
+from sim.lab.formats import save
+from sim.sha import Model
+
+HOUR = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedDrift:
+    """On how many `cycles` running the model's free run was beyond its limit, and from how many on the alarm comes.
+
+    `alarm_cycles` is the plant's own number (`alarms.drift_cycles`), which its gateway puts on record.
+    """
+
+    cycles: int
+    alarm_cycles: int
+
+    @property
+    def stands(self) -> bool:
+        """Whether the drift alarm's condition holds."""
+        return self.cycles >= self.alarm_cycles
+
+
+def recorded_drift(
+    connection: sqlite3.Connection, historian: Path, *, machine: str | None, temperature: str
+) -> RecordedDrift:
+    """The guards' last word about the model of a `temperature`, in the newest hour of the `historian` that is open.
+
+    Raises HistorianError, or ValueError where the historian has no scan yet.
+    """
+    last = newest_scan(connection, machine=machine)
+    if last is None:
+        raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
+    rows = stored_rows(connection, "guards", ("time", "content"), last - HOUR, machine=machine, temperature=temperature)
+    said = json.loads(rows[-1][1] or "{}").get("drift", {}) if rows else {}
+    # A gateway of a former release does not say from how many cycles on its alarm comes.
+    alarm = said.get("alarm_cycles", AlarmSection.model_fields["drift_cycles"].default)
+    return RecordedDrift(int(said.get("cycles", 0)), int(alarm))
+
+
+def store_of(where: str) -> Path:
+    """The store at `where`, in which a candidate can be saved. Raises ValueError where it is none."""
+    store = Path(where)
+    if not is_store(store):
+        raise ValueError(
+            f"{where}: --propose saves a candidate in a store of versions, and this is none; give --model the store"
+        )
+    return store
+
+
+def finding_of(diagnosis: Diagnosis, diagnosed: str) -> DiagnosisFinding:
+    """What is kept beside the candidate of a diagnosis of the version `diagnosed`. Raises ValueError without a name."""
+    held = diagnosis.held_out
+    if held is None or not diagnosis.effects:
+        raise ValueError("a diagnosis that names nothing has no finding")
+    effects = tuple(
+        FoundEffect(name=each.name, members=each.members, plain=each.plain, experiment=each.experiment)
+        for each in diagnosis.effects
+    )
+    return DiagnosisFinding(
+        diagnosed=diagnosed,
+        effects=effects,
+        before=held.rmse_before,
+        after=held.rmse_after,
+        floor=held.noise_floor,
+        unit=diagnosis.unit,
+    )
+
+
+def propose(store: Path, new: Model, diagnosis: Diagnosis, *, created: float) -> tuple[str, bool]:
+    """(the candidate, whether it is new): the model saved as a version with its finding, and promoted by nobody.
+
+    One that waits already for the same finding about the version that runs stays the only one: a schedule would
+    else add one a night until somebody decides. Raises ArtefactError.
+    """
+    running = current(store)
+    finding = finding_of(diagnosis, running)
+    for name in versions(store):
+        known = read_finding(version_directory(store, name))
+        if known is not None and (known.diagnosed, _names(known)) == (running, _names(finding)):
+            return name, False
+    return save(store, new, created=created, parent=running, more={FINDING_FILE: finding.text()}), True
+
+
+def _names(finding: DiagnosisFinding) -> frozenset[str]:
+    return frozenset(effect.name for effect in finding.effects)

@@ -1,0 +1,185 @@
+"""`decanter model show`: a model as text or JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from math import nan
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.console import emit, json_option, table
+from gateway.entry import sentences
+from sim.artefacts import model_hash
+from sim.effects import effect_summary
+from sim.lab.formats import find_model
+from sim.sha import SHA, Model, Stay, distributions, shown_unit
+
+if TYPE_CHECKING:
+    from sim.lab.formats import FoundModel
+    from sim.lab.learning import MachineSpread
+
+
+@click.command(short_help="Show a model and where it comes from.")
+@click.argument("name")
+@json_option
+def show(name: str, as_json: bool) -> None:
+    """Show a model: locations, flows, laws of parameters and stays, where it comes from.
+
+    Of artefacts that cannot be run the structure is shown, and why they cannot.
+    """
+    with sentences():
+        found_model = find_model(name)
+        if found_model.model is None or found_model.artefacts is not None:
+            structure = found_model.structure
+            data = {
+                "name": found_model.name,
+                "initial": structure.initial,
+                "locations": _location_rows(structure, {}),
+                "edges": [
+                    {"source": edge.source, "symbol": edge.symbol, "target": edge.target, "guard": edge.guard}
+                    for edge in structure.edges
+                ],
+                "runnable": found_model.model is not None,
+                "refusal": found_model.refusal,
+                "notes": list(found_model.notes),
+            }
+            emit(data, lambda: _show_artefacts(found_model), as_json_line=as_json)
+            return
+        shown = found_model.model
+        emit(summary(shown), lambda: show_model(shown), as_json_line=as_json)
+
+
+def _show_artefacts(found_model: FoundModel) -> None:
+    sha = found_model.structure
+    if found_model.model is None:
+        table(
+            f"{found_model.name}: {len(sha.locations)} locations", ["location"], [[each.name] for each in sha.locations]
+        )
+    else:
+        rows = _location_rows(sha, {})
+        table(f"{found_model.name}: {len(rows)} locations", list(rows[0]), [list(row.values()) for row in rows])
+    table(f"{len(sha.edges)} edges", ["from", "symbol", "to"], [[e.source, e.symbol, e.target] for e in sha.edges])
+    for note in found_model.notes:
+        click.echo(note)
+    if found_model.refusal:
+        click.secho(f"it cannot be run: {found_model.refusal}", fg="yellow")
+
+
+def summary(shown: Model) -> dict[str, Any]:
+    """The model as plain values for JSON."""
+    return {
+        "name": shown.sha.name,
+        "hash": model_hash(shown),
+        "temperature": shown.temperature,
+        "sensor_sigma": shown.sensor_sigma,
+        "sensor_memory": shown.sensor_memory,
+        "correction": {"gain": shown.correction.gain, "offset": shown.correction.offset},
+        "machines": {name: asdict(own) for name, own in sorted(shown.machines.items())},
+        "locations": _location_rows(shown.sha, shown.semi_markov),
+        "edges": len(shown.sha.edges),
+        "effects": [
+            {
+                "kind": effect.kind,
+                "params": dict(effect.params),
+                "signals": dict(effect.signals),
+                "locations": list(effect.locations),
+                "event": effect.event,
+                **({"heat": effect.line.heat} if effect.line is not None else {}),
+            }
+            for effect in shown.sha.effects
+        ],
+        "borrowed": sorted(shown.borrowed),
+        "plain": [asdict(member) for member in shown.plain],
+        "provenance": {
+            "method": shown.provenance.method,
+            "data_hash": shown.provenance.data_hash,
+            "traces": list(shown.provenance.traces),
+            "synthetic": shown.provenance.synthetic,
+            "settings": dict(shown.provenance.settings),
+            "scores": dict(shown.provenance.scores),
+        },
+    }
+
+
+def _location_rows(sha: SHA, stays: Mapping[str, Stay]) -> list[dict[str, Any]]:
+    rows = []
+    for location in sha.locations:
+        law: Mapping[str, float] = location.distribution.params if location.distribution else {}
+        stay = stays.get(location.name)
+        row: dict[str, Any] = {"location": location.name, "flow": location.flow.kind}
+        row |= {name: law.get(name, nan) for name in ("mu", "sigma")}
+        row |= {name: location.flow.params.get(name, nan) for name in ("k", "noise")}
+        row["gain"] = location.flow.inputs[0].gain if location.flow.inputs else nan
+        row["stay_s"] = distributions.mean(stay.law) if stay else nan
+        row["next"] = max(stay.to, key=lambda name: stay.to[name]) if stay and stay.to else ""
+        rows.append(row)
+    return rows
+
+
+def show_model(shown: Model) -> None:
+    """Print the model's locations, its effects and where it comes from."""
+    rows = _location_rows(shown.sha, shown.semi_markov)
+    columns = list(rows[0])
+    table(
+        f"{shown.sha.name}: {len(rows)} locations, {len(shown.sha.edges)} edges",
+        columns,
+        [list(row.values()) for row in rows],
+    )
+    unit = shown_unit(shown.unit)
+    for effect in shown.sha.effects:
+        match effect.kind:
+            case "heat-disturbance":
+                sigma, memory = effect.params["sigma"], effect.params["memory"]
+                click.echo(
+                    f"disturbance: heat that comes and goes by {sigma:.3g} {unit}/s, with a memory of {memory:.4g} s"
+                )
+            case "machine-offset":
+                click.echo(
+                    f"machines: the next one's targets lie off the model's by {effect.params['sigma']:.3g} {unit}"
+                )
+            case _:
+                click.echo(f"effect {effect_summary(effect)}")
+    if shown.machines:
+        rows_of_machines = [
+            [name, f"{own.targets:+.3g} ± {own.targets_error:.2g}", f"{own.gain:.4g}", f"{own.offset:+.3g}"]
+            for name, own in sorted(shown.machines.items())
+        ]
+        click.echo(f"a model of a type of machine; of its targets ({unit}) and sensor (T' = k T + b) each has its own:")
+        table("machines", ("machine", "targets", "k", "b"), rows_of_machines)
+    elif "machine" in shown.provenance.settings:
+        click.echo(f"of the machine {shown.provenance.settings['machine']}, of the type that it was learned with")
+    if shown.borrowed:
+        click.echo(f"borrowed, as no data have shown them: {', '.join(sorted(shown.borrowed))}")
+    for member in shown.plain:
+        odds = ", ".join(f"{horizon:g} s {value:.3g}" for horizon, value in sorted(member.odds.items()))
+        click.echo(
+            f"plain member {member.name}: {f'odds against the model {odds}' if odds else 'no odds were learned'}"
+        )
+    origin = shown.provenance
+    lasts = f" (errors last {shown.sensor_memory:g} s)" if shown.sensor_memory else ""
+    click.echo(
+        f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} {unit}{lasts}, method {origin.method}"
+    )
+    if shown.calibration:
+        click.echo("calibration " + ", ".join(f"{h:g} s x {f:.2f}" for h, f in sorted(shown.calibration.items())))
+    if not shown.correction.identity:
+        click.echo(f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} {unit}")
+    synthetic = ", SYNTHETIC: not learned from a plant" if origin.synthetic else ""
+    click.echo(f"{len(origin.traces)} traces, content {origin.data_hash[:12]}{synthetic}")
+
+
+def spread_sentence(spread: MachineSpread, unit: str) -> str:
+    """What the training says of the spread between machines, in words; `unit` as people read it."""
+    count = len(spread.offsets)
+    if count < 2:
+        return "machines: fewer than two are told apart in the training, so nothing is known of how they differ"
+    if spread.sigma == 0:
+        return f"machines: the {count} of the training differ by no more than their errors tell"
+    few = {2: "two machines only: wide bands; ", 3: "three machines only: wide bands; "}.get(count, "")
+    offsets = ", ".join(f"{name} {offset:+.3g}" for name, offset in spread.offsets.items())
+    return (
+        f"machines: {few}targets off the model's by {offsets} {unit}, {spread.between:.3g} {unit} between machines, "
+        f"{spread.sigma:.3g} {unit} for the next one"
+    )

@@ -1,0 +1,82 @@
+"""What a running gateway says of itself: the picture, how well that is, what changed in it, and who asks for it.
+
+It needs neither numpy nor a model, so that a command that only looks begins at once.
+"""
+
+from gateway.outside.status.changes import (
+    SAID_BY_CHANGES,
+    ChangeLines,
+    arming_text,
+    clock_text,
+    date_text,
+    model_text,
+    opening,
+)
+from gateway.outside.status.client import ControlError, GatewayLine, connect, short
+from gateway.outside.status.health import (
+    Health,
+    HealthFinding,
+    findings,
+    health_of,
+    link_sentence,
+    records_sentence,
+    unfamiliar_sentence,
+    virtual_sentence,
+)
+from gateway.outside.status.picture import (
+    AlarmStatus,
+    FamiliarityStatus,
+    ForecastStatus,
+    GatewayStatus,
+    HistorianStatus,
+    LinkStatus,
+    ModelStatus,
+    PredictionStatus,
+    ScanStatus,
+    StatusError,
+    StrangeStatus,
+    TagStatus,
+    TemperatureStatus,
+    VirtualStatus,
+    read_status,
+)
+from gateway.outside.status.watch import GatewayWatch, Sighting
+
+__all__ = [
+    "SAID_BY_CHANGES",
+    "AlarmStatus",
+    "ChangeLines",
+    "ControlError",
+    "FamiliarityStatus",
+    "ForecastStatus",
+    "GatewayLine",
+    "GatewayStatus",
+    "GatewayWatch",
+    "Health",
+    "HealthFinding",
+    "HistorianStatus",
+    "LinkStatus",
+    "ModelStatus",
+    "PredictionStatus",
+    "ScanStatus",
+    "Sighting",
+    "StatusError",
+    "StrangeStatus",
+    "TagStatus",
+    "TemperatureStatus",
+    "VirtualStatus",
+    "arming_text",
+    "clock_text",
+    "connect",
+    "date_text",
+    "findings",
+    "health_of",
+    "link_sentence",
+    "model_text",
+    "opening",
+    "read_status",
+    "records_sentence",
+    "short",
+    "unfamiliar_sentence",
+    "virtual_sentence",
+]

@@ -1,0 +1,167 @@
+"""How well a running gateway is: one table of checks over its status, and one word that a script can act on."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from gateway.outside.status.picture import GatewayStatus, TagStatus, TemperatureStatus
+from sim.units import shown_unit
+
+MOST_NAMED = 3
+"""How many tags, alarms or parts one sentence names; the rest is counted."""
+
+
+class Health(StrEnum):
+    """The word for a gateway; `decanter status` has an exit code for each."""
+
+    WELL = "well"
+    ATTENTION = "attention"
+    NO_READINGS = "no readings"
+    ABSENT = "absent"
+    SILENT = "silent"
+
+
+@dataclass(frozen=True, slots=True)
+class HealthFinding:
+    """What a check found wrong, in a sentence."""
+
+    check: str
+    sentence: str
+
+
+def named(names: list[str]) -> str:
+    """The first names, and how many more there are."""
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(names[:MOST_NAMED]) + more
+
+
+def not_good(status: GatewayStatus) -> list[tuple[str, TagStatus]]:
+    """The tags whose reading is not good, in the order of the device file."""
+    return [(name, tag) for name, tag in status.values.items() if tag.quality != "GOOD"]
+
+
+def readings_sentence(status: GatewayStatus) -> str:
+    """Which readings are not good and why; "" if all are."""
+    bad = not_good(status)
+    if not bad:
+        return ""
+    tags = named([f"{name} {tag.quality}" for name, tag in bad])
+    reason = f": {bad[0][1].reason}" if bad[0][1].reason else ""
+    return f"{len(bad)} of {len(status.values)} readings are not good, {tags}{reason}"
+
+
+def link_sentence(status: GatewayStatus) -> str:
+    """Why no present reading is to be had; "" while there is one."""
+    scan, link = status.scan, status.link
+    if scan.age is None:
+        return "the device has not been read yet"
+    if scan.late:
+        return f"the device has not been read for {scan.age / status.speed:.1f} s"
+    if link.alive:
+        return ""
+    gone = None if link.last_good is None else (status.time - link.last_good) / status.speed
+    since = "since the start" if gone is None else f"for {gone:.1f} s"
+    return f"no good reading {since}: {link.reason}" if link.reason else f"no good reading {since}"
+
+
+def model_sentence(status: GatewayStatus) -> str:
+    """Why the prediction is not to be relied on; "" if it is, and without a model."""
+    p, model = status.prediction, status.model
+    if model is not None and model.refused:
+        return f"the promoted model is refused: {model.refused}"
+    if p is None or link_sentence(status):
+        return ""
+    if not p.known:
+        return "the state of the plant is not known, so that nothing is predicted"
+    if strange := unfamiliar_sentence(status):
+        return strange
+    if p.zone in ("yellow", "red"):
+        return f"the confidence is {p.zone}: the readings do not follow the model (anomaly {p.anomaly or 0.0:.1f})"
+    return ""
+
+
+def unfamiliar_sentence(one: GatewayStatus | TemperatureStatus) -> str:
+    """Why the confidence is lowered where it is the present cycle that the training never had; "" elsewhere."""
+    p = one.prediction
+    f = None if p is None else p.familiarity
+    # Readings that do not follow the model are the worse news.
+    if p is None or f is None or not f.outside or p.zone != f.zone:
+        return ""
+    return f"the confidence is {p.zone}: the present cycle is unlike the training: {f.sentence}"
+
+
+def virtual_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStatus) -> str:
+    """What the model says of a temperature in place of its bad sensor, or why it does not; "" while that is good."""
+    v = None if one.prediction is None else one.prediction.virtual
+    if v is None or link_sentence(status):
+        return ""
+    gone = (status.time - v.since) / status.speed
+    lasting = f"{gone:.0f} s" if gone < 120.0 else f"{gone / 60.0:.0f} min"
+    if v.mean is None or v.low is None or v.high is None:
+        return f"{one.temperature}: sensor bad for {lasting} ({v.reason}); not known by the model either: {v.stopped}"
+    said = f"{v.mean:.1f} {shown_unit(one.unit)} ({v.low:.1f} to {v.high:.1f})"
+    whom = f"the model and {v.twin}" if v.twin else "the model"
+    return f"{one.temperature}: sensor bad ({v.reason}); by {whom} {said}, for {lasting}"
+
+
+def _virtual(status: GatewayStatus) -> str:
+    own = virtual_sentence(status, status)
+    return "; ".join(filter(None, (own, *(virtual_sentence(status, one) for one in status.further))))
+
+
+def records_sentence(status: GatewayStatus) -> str:
+    """Why the records cannot be relied on; "" if they can."""
+    audit: str = (status.writeback.get("audit") or {}).get("complaint") or ""
+    return status.historian.failure or status.historian.complaint or audit
+
+
+def _alarms(status: GatewayStatus) -> str:
+    # The plant's are found at the machine that looks after them.
+    standing = [alarm for alarm in status.alarm_summary if alarm.active]
+    return named([f"{'plant: ' if alarm.of_plant else ''}{alarm.name} ({alarm.state})" for alarm in standing])
+
+
+def _writeback(status: GatewayStatus) -> str:
+    w = status.writeback
+    if w.get("mode") != "armed" or w.get("last_verdict") in (None, "written"):
+        return ""
+    return f"armed, and the newest block was not written ({w['last_verdict']}): {w.get('last_reason') or 'no reason'}"
+
+
+def _parts(status: GatewayStatus) -> str:
+    stopped = [
+        (name, part["failure"]) for name, part in status.parts.items() if part["failure"] and not part["running"]
+    ]
+    return named([f"{name}: {failure}" for name, failure in stopped])
+
+
+CHECKS: dict[str, Callable[[GatewayStatus], str]] = {
+    "link": link_sentence,
+    "readings": readings_sentence,
+    "alarms": _alarms,
+    "model": model_sentence,
+    "sensors": _virtual,
+    "write-back": _writeback,
+    "records": records_sentence,
+    "parts": _parts,
+    "clock": lambda status: str(status.clock.get("complaint") or ""),
+    "device": lambda status: named(list(status.complaints)),
+}
+"""All that is looked at, in the order in which it is said; "" is well."""
+
+
+def findings(status: GatewayStatus) -> tuple[HealthFinding, ...]:
+    """All that is wrong with a gateway that answers; none if it is well."""
+    found = {name: check(status) for name, check in CHECKS.items()}
+    # Without a link nothing is good: that the readings are not says nothing more.
+    if found["link"]:
+        found["readings"] = ""
+    return tuple(HealthFinding(name, sentence) for name, sentence in found.items() if sentence)
+
+
+def health_of(status: GatewayStatus) -> Health:
+    """The word for a gateway that answers."""
+    found = findings(status)
+    if any(finding.check == "link" for finding in found):
+        return Health.NO_READINGS
+    return Health.ATTENTION if found else Health.WELL

@@ -1,0 +1,43 @@
+"""Who may do what at the page: accounts made at the box, sessions that end, lock-out."""
+
+from typing import TYPE_CHECKING
+
+from sim.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from gateway.outside.web.access.accounts import (
+        ROLES,
+        AccountRole,
+        Accounts,
+        AccountsError,
+        PageAccount,
+        PasswordChecks,
+        accounts_problem,
+        add_account,
+        change_password,
+        password_problem,
+        read_accounts,
+        remove_account,
+    )
+    from gateway.outside.web.access.lockout import Lockout
+    from gateway.outside.web.access.sessions import Session, Sessions
+else:
+    __getattr__ = opened_at_use(__name__)
+
+__all__ = [
+    "ROLES",
+    "AccountRole",
+    "Accounts",
+    "AccountsError",
+    "Lockout",
+    "PageAccount",
+    "PasswordChecks",
+    "Session",
+    "Sessions",
+    "accounts_problem",
+    "add_account",
+    "change_password",
+    "password_problem",
+    "read_accounts",
+    "remove_account",
+]

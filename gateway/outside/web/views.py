@@ -1,0 +1,223 @@
+"""What a browser is shown of a machine: its status, and the sentences that people read first. Pure; no clock, no file.
+
+Numbers are made into sentences here and nowhere else; who reads the REST interface gets the same ones.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from math import isfinite
+from typing import Any
+
+from gateway.outside.status import (
+    AlarmStatus,
+    FamiliarityStatus,
+    ForecastStatus,
+    GatewayStatus,
+    TemperatureStatus,
+    findings,
+    health_of,
+    link_sentence,
+    unfamiliar_sentence,
+)
+from gateway.outside.texts import Words, strange_sentence
+from sim.units import shown_unit
+
+LEVELS = ("normal", "attention", "unknown", "alarm")
+"""What a row asks of people, the least first; only beyond the first it has a colour (ISA-101: grey is normal)."""
+DOUBTFUL_ZONES = ("yellow", "red")
+PUT_ASIDE = ("shelved", "suppressed by design", "out of service")
+
+
+def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) -> dict[str, Any]:
+    """A machine as plain values: `status` whole, `temperatures` with a sentence each, its level and what is wrong.
+
+    Those that are only watched come after those that are predicted; `labels` are words for people by tags.
+    """
+    first = TemperatureStatus(**{field.name: getattr(status, field.name) for field in fields(TemperatureStatus)})
+    watched = (_only_watched(status, tag, limit) for tag, limit in status.watched.items())
+    temperatures = [_temperature(words, labels, status, one) for one in (first, *status.further, *watched)]
+    alarms = [_alarm(words, labels, status, alarm) for alarm in status.alarm_summary]
+    own = [alarm for alarm in alarms if not alarm["of_plant"]]
+    return {
+        "label": labels.get(status.machine, status.machine),
+        "level": max((row["level"] for row in (*temperatures, *own)), key=LEVELS.index),
+        "health": health_of(status).value,
+        "findings": [asdict(finding) for finding in findings(status)],
+        "temperatures": temperatures,
+        "labels": {name: labels[name] for name in status.values if name in labels},
+        "alarms": alarms,
+        "status": status,
+    }
+
+
+def _only_watched(status: GatewayStatus, tag: str, limit: float) -> TemperatureStatus:
+    """A temperature that has a limit and is not predicted."""
+    unit = status.values[tag].unit if tag in status.values else status.unit
+    return TemperatureStatus(
+        temperature=tag,
+        unit=unit,
+        limit=limit,
+        prediction=None,
+        forecast=None,
+        model=None,
+        guards=None,
+        writeback={"mode": "off"},
+    )
+
+
+def _alarm(words: Words, labels: Mapping[str, str], status: GatewayStatus, alarm: AlarmStatus) -> dict[str, Any]:
+    """An alarm that is not normal; one that was acknowledged or is over asks for attention, one put aside for none.
+
+    `of` is whose it is in the plant's words; one of the whole plant says nothing of the machine. What to do is said in
+    this language, unless the plant file has words of its own.
+    """
+    of = words.say("nav.plant") if alarm.of_plant else labels.get(status.machine, status.machine)
+    label = of if alarm.of_plant else labels.get(alarm.tag, alarm.tag)
+    urgent = alarm.active and alarm.state == "unacknowledged" and alarm.priority == 1
+    level = "alarm" if urgent else "normal" if alarm.state in PUT_ASIDE else "attention"
+    return {
+        **asdict(alarm),
+        "label": label,
+        "level": level,
+        "of": of,
+        "response": _response(words, labels, status, alarm),
+    }
+
+
+def _response(words: Words, labels: Mapping[str, str], status: GatewayStatus, alarm: AlarmStatus) -> str:
+    """What an operator shall do."""
+    key = f"response.{alarm.kind.replace(' ', '_')}"
+    if alarm.own_response or key not in words.texts or alarm.limit is None:
+        return alarm.response
+    tag = status.values.get(alarm.tag)
+    limit = words.number(alarm.limit, 0 if alarm.limit == int(alarm.limit) else 1)
+    unit = "" if tag is None else shown_unit(tag.unit)
+    return words.say(key, tag=labels.get(alarm.tag, alarm.tag), limit=limit, unit=unit)
+
+
+def _temperature(
+    words: Words, labels: Mapping[str, str], status: GatewayStatus, one: TemperatureStatus
+) -> dict[str, Any]:
+    """A followed temperature: its newest value if that is a present one, the sentence, and what that is worth."""
+    tag, unit = status.values.get(one.temperature), shown_unit(one.unit)
+    label = labels.get(one.temperature, one.temperature)
+    what = f"{labels.get(status.machine, status.machine)}: {label}"
+    silence = link_sentence(status)
+    present = not silence and tag is not None and tag.quality == "GOOD" and isinstance(tag.value, int | float)
+    v = one.prediction.virtual if one.prediction is not None and not silence else None
+    value = float(tag.value) if present and tag is not None and isinstance(tag.value, int | float) else None
+    row: dict[str, Any] = {
+        "tag": one.temperature,
+        "label": label,
+        "predicted": one.temperature not in status.watched,
+        "unit": unit,
+        "limit": one.limit,
+        "value": value,
+        "quality": "" if tag is None else tag.quality,
+        "age": None if tag is None else tag.age / status.speed,
+        "valid": "none",
+        "familiarity": None if one.prediction is None else _familiarity(words, one.prediction.familiarity),
+    }
+    # What a faulty sensor shows is no measurement; but above the limit nobody leaves it at that.
+    if v is not None and (value is None or value <= one.limit):
+        age = duration(words, (status.time - v.since) / status.speed)
+        if v.mean is None or v.low is None or v.high is None:
+            why = words.say(f"why.{v.stopped.replace(' ', '_')}")
+            sentence = words.say("sentence.virtual_stopped", what=what, age=age, why=why)
+            own = {"level": "unknown", "sentence": sentence, "validity": words.say("validity.none")}
+        else:
+            mean, low, high = (words.number(x, 0 if v.high - v.low >= 2.0 else 1) for x in (v.mean, v.low, v.high))
+            value_of_model = f"{mean}\u00a0{unit}"
+            key = "sentence.virtual_twin" if v.twin else "sentence.virtual"
+            sentence = words.say(key, what=what, age=age, value=value_of_model, low=low, high=high)
+            own = {"level": "attention", "sentence": sentence, "validity": words.say("validity.virtual")}
+            own["valid"] = "doubtful"
+        return {**row, "value": None, **own}
+    if value is None:
+        if silence and status.link.last_good is not None:
+            gone = (status.time - status.link.last_good) / status.speed
+            sentence = words.say("sentence.no_reading", what=what, age=duration(words, gone))
+        elif silence or tag is None:
+            sentence = words.say("sentence.never_read", what=what)
+        else:
+            sentence = words.say("sentence.bad", what=what, reason=tag.reason or tag.quality)
+        return {**row, "level": "unknown", "sentence": sentence, "validity": words.say("validity.none")}
+    shown = f"{words.number(value, 1)}\u00a0{unit}"  # never broken between number and unit
+    limit = f"{words.number(one.limit, 0 if one.limit == int(one.limit) else 1)}\u00a0{unit}"
+    forecast = one.forecast
+    known = one.prediction is not None and one.prediction.known
+    if forecast is None or not forecast.usable or not known:
+        why = "no_model" if one.model is None else "unknown_state" if not known else "old_forecast"
+        sentence = words.say("sentence.no_forecast", what=what, value=shown, why=words.say(f"why.{why}"))
+        worth: tuple[str, str] = ("none", words.say("validity.measured"))
+    else:
+        sentence = _foreseen(words, forecast, what=what, shown=shown, limit=limit)
+        zone = one.prediction.zone if one.prediction is not None else "none"
+        worth = ("doubtful" if zone in DOUBTFUL_ZONES else "good", words.say(f"validity.{zone}"))
+        if unfamiliar_sentence(one) and row["familiarity"] is not None:
+            worth = ("doubtful", f"{words.say('validity.unfamiliar')}: {row['familiarity']['sentence']}")
+    level = "normal"
+    if value > one.limit:
+        level, sentence = "alarm", words.say("sentence.over", what=what, value=shown, limit=limit)
+    elif worth[0] != "none" and forecast is not None and minutes_to_limit(forecast)[1] is not None:
+        level = "attention"
+    return {**row, "level": level, "sentence": sentence, "valid": worth[0], "validity": worth[1]}
+
+
+def _familiarity(words: Words, f: FamiliarityStatus | None) -> dict[str, Any] | None:
+    """How like its training the present cycle is: zone, word, and the sentence of what is strange; None unasked."""
+    if f is None:
+        return None
+    if f.strangeness is None:
+        return {"zone": f.zone, "word": words.say("familiarity.unknown"), "sentence": "", "detail": ""}
+    parts = {"value": words.number(f.strangeness, 2), "limit": words.number(f.limit, 2)}
+    detail = [words.say("familiarity.strangeness", **parts)]
+    if f.expected_error is not None:
+        detail.append(words.say("familiarity.expected", percent=words.number(100.0 * f.expected_error, 0)))
+    word = words.say("familiarity.unfamiliar" if f.outside else "familiarity.familiar")
+    return {"zone": f.zone, "word": word, "sentence": strange_sentence(words, f.thing), "detail": "; ".join(detail)}
+
+
+def minutes_to_limit(forecast: ForecastStatus) -> tuple[float | None, float | None, float | None]:
+    """The low, median and high minutes to the limit; None for those beyond the last horizon."""
+    most = forecast.horizons[-1] / 60.0
+    low, median, high = (
+        minutes if minutes is not None and isfinite(minutes) and minutes <= most else None
+        for minutes in (forecast.block.get(f"minutes_{which}") for which in ("low", "median", "high"))
+    )
+    return low, median, high
+
+
+def _foreseen(words: Words, forecast: ForecastStatus, *, what: str, shown: str, limit: str) -> str:
+    """What comes if it goes on so, within the horizons of the forecast."""
+    low, median, high = minutes_to_limit(forecast)
+    horizon = words.number(forecast.horizons[-1] / 60.0, 0)
+    if median is not None:
+        latest = words.say("sentence.beyond", minutes=horizon) if high is None else _minutes(words, high)
+        earliest = _minutes(words, low or 0.0)
+        return words.say(
+            "sentence.reaches",
+            what=what,
+            value=shown,
+            limit=limit,
+            median=_minutes(words, median),
+            low=earliest,
+            high=latest,
+        )
+    chance = forecast.p_limit[-1]
+    if low is not None:
+        percent = "–" if chance is None else words.number(100.0 * chance, 0)
+        parts = {"low": _minutes(words, low), "percent": percent, "horizon": horizon}
+        return words.say("sentence.may_reach", what=what, value=shown, limit=limit, **parts)
+    return words.say("sentence.stays", what=what, value=shown, limit=limit, horizon=horizon)
+
+
+def _minutes(words: Words, minutes: float) -> str:
+    return "< 1" if minutes < 1.0 else words.number(minutes, 0)
+
+
+def duration(words: Words, seconds: float) -> str:
+    """Seconds as a person says them: in minutes or hours once they are many."""
+    if seconds < 120.0:
+        return f"{words.number(seconds, 1 if seconds < 10.0 else 0)} s"
+    return f"{words.number(seconds / 60.0, 0)} min" if seconds < 7200.0 else f"{words.number(seconds / 3600.0, 1)} h"

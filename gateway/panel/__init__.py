@@ -1,6 +1,0 @@
-"""The live panel of a running gateway: its rows, the whole of it, and following a gateway with it."""
-
-from gateway.panel.draw import framed, number, panel, status_rows
-from gateway.panel.following import follow
-
-__all__ = ["follow", "framed", "number", "panel", "status_rows"]

@@ -1,6 +1,0 @@
-"""What the gateway has read, served to peers beside it as a read-only Modbus TCP server of its own."""
-
-from gateway.serving.image import DeviceImage, ServedRow, served_rows
-from gateway.serving.server import PeerServer
-
-__all__ = ["DeviceImage", "PeerServer", "ServedRow", "served_rows"]

@@ -1,6 +1,0 @@
-"""What people read in their own language: one table of texts, and the sentences that more than the page shows."""
-
-from gateway.texts.strange import strange_sentence
-from gateway.texts.words import LANGUAGES, Words, all_words, preferred
-
-__all__ = ["LANGUAGES", "Words", "all_words", "preferred", "strange_sentence"]

@@ -1,7 +1,0 @@
-"""The query language: text to tree and back, against the names of one model."""
-
-from sim.checking.language.grammar import QueryError
-from sim.checking.language.parse import parse_query
-from sim.checking.language.printing import query_text, uppaal_refusal
-
-__all__ = ["QueryError", "parse_query", "query_text", "uppaal_refusal"]

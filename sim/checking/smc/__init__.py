@@ -1,6 +1,0 @@
-"""Queries answered by runs of the model."""
-
-from sim.checking.smc.answers import Answer, QuerySettings, Rule, answer, decided
-from sim.checking.smc.start import Start, believed, initial
-
-__all__ = ["Answer", "QuerySettings", "Rule", "Start", "answer", "believed", "decided", "initial"]

@@ -1,6 +1,0 @@
-"""Rare events by importance splitting."""
-
-from sim.checking.smc.splitting.estimator import refusal, split
-from sim.checking.smc.splitting.pilot import PilotFailed
-
-__all__ = ["PilotFailed", "refusal", "split"]

@@ -1,7 +1,0 @@
-"""A diagnosis written: document, report, pictures, the folder that holds them."""
-
-from sim.discrepancy.output.diagnosis_json import MISSING_HEAT, document
-from sim.discrepancy.output.folder import MODEL, check_folder, write_diagnosis
-from sim.discrepancy.output.report import Occasion
-
-__all__ = ["MISSING_HEAT", "MODEL", "Occasion", "check_folder", "document", "write_diagnosis"]

@@ -1,0 +1,85 @@
+"""A step's evidence as the report shows it: every candidate with its fate, and the effects that are added."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim.lab.discrepancy.diagnosis import NamedEffect, TraceOfEffect, TriedEffect
+from sim.lab.discrepancy.fitting import Fitted
+from sim.lab.discrepancy.judging import NamingResult, immaterial
+from sim.lab.discrepancy.naming import EffectEvidence, NamingStep
+
+
+def candidates_of(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[TriedEffect, ...]:
+    """Every entry of every step, in the order of their gains; `kept` says whether the names were given in the end."""
+    tried = []
+    for number, (step, refusal) in enumerate(steps, start=1):
+        same, near = step.rules.same_least_cosine, step.rules.near_least_cosine
+        size = {name: abs(cosine) for name, cosine in step.cosines.items()}
+        for evidence in step.evidence:
+            top = evidence is step.best
+            refit = evidence.fitted
+            tried.append(
+                TriedEffect(
+                    name=evidence.entry.name,
+                    plain=evidence.entry.plain,
+                    step=number,
+                    gain=evidence.gain,
+                    confirmed=evidence.confirmed,
+                    visible=evidence.visible,
+                    z=evidence.z,
+                    robust=evidence.robust,
+                    cycles=evidence.cycles,
+                    params=dict(refit.state.named[-1].params if refit is not None else evidence.shape.params),
+                    twins=tuple(name for name, cosine in size.items() if cosine >= same) if top else (),
+                    rivals=tuple(name for name, cosine in size.items() if near <= cosine < same) if top else (),
+                    needs=tuple(evidence.shape.signals.values()),
+                    experiment=evidence.entry.experiment,
+                    fate=fate(evidence, step, refusal, kept),
+                )
+            )
+    return tuple(tried)
+
+
+def fate(evidence: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -> str:
+    """Why an entry of a step was named or not, in words."""
+    if evidence is step.best:
+        return refusal or ("named" if kept else "the best of all, but the name is withheld")
+    if evidence.visible < step.rules.invisible_most_share:
+        return "not visible in these data: the model's own parameters imitate it"
+    if evidence.entry.name in step.members:
+        return "these data cannot tell it from the best"
+    if step.best is not None and not refusal:
+        return f"explains {step.best.gain - evidence.gain:.1f} nats less than the best"
+    return "adds nothing that chance does not"
+
+
+def traces_of(path: NamingResult) -> tuple[TraceOfEffect, ...]:
+    """What the path met that is certain and does not matter."""
+    best = [step.best for step, refusal in path.looks if refusal and immaterial(step)]
+    return tuple(TraceOfEffect(each.entry.name, each.gain, each.amplitude) for each in best if each is not None)
+
+
+def effect_of(step: NamingStep, after: Fitted, confidence: float) -> NamedEffect:
+    """The step's best entry as it stands in the last fit."""
+    best = step.best
+    if best is None:
+        raise ValueError("a step without evidence names nothing")
+    number = next(n for n, named in enumerate(after.state.named) if named.entry.name == best.entry.name)
+    named = after.state.named[number]
+    place = after.own + sum(len(other.free) for other in after.state.named[:number])
+    error = float(np.sqrt(max(after.covariance[place, place], 0.0)))
+    return NamedEffect(
+        name=best.entry.name,
+        members=step.members,
+        confidence=confidence,
+        gain=best.gain,
+        margin=step.margin,
+        params=dict(named.params),
+        errors={named.entry.strength: error},
+        signals=dict(named.signals),
+        signal_to_noise=best.amplitude / max(after.frame.record.model.sensor_sigma, 1e-6),
+        plain=best.entry.plain,
+        experiment=best.entry.experiment,
+        look=best.entry.candidate.look,
+    )

@@ -1,0 +1,450 @@
+"""The model's parameters, the effects' strengths and the plant's noise of greatest likelihood on a record.
+
+Steps of Gauss and Newton on the free run, the residuals weighed by the noise's inverse covariance; between them the
+noise is fitted with the model's own parameters taken out (restricted likelihood: Harville 1974). The likelihoods of two
+fits on the same record can be compared: the same parameters are integrated out under the same belief in both, and the
+strengths of the effects are maximised.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from sim.effects import of_feature
+from sim.engine import repeat_factor
+from sim.lab.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
+from sim.lab.discrepancy.fitting.course import CourseState, at, grid_at, window_sensitivity
+from sim.lab.discrepancy.fitting.named import Named, named_of
+from sim.lab.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise, vector
+from sim.lab.discrepancy.fitting.record import Record
+from sim.lab.discrepancy.fitting.scattering import spans_of
+from sim.sha import Array, Model
+
+ROUNDS, NEWTON = 4, 8
+LARGEST_TARGET, LARGEST_SHARE = 15.0, 0.7
+"""A step of Newton's is shortened to this: degC of a target (other parameters in proportion to their belief), and the
+share of itself by which a strength may change."""
+STRIDE = 2.0
+"""degC by which such a step may move a threshold."""
+RUNAWAY, SOFTENED = 20.0, 12
+"""Times the range of the readings (and 1 degC) from which a free run has run away, and how often the strengths that it
+begins with are halved then."""
+AT_REST = 0.95
+"""The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
+SLIGHT = 3e-4
+"""degC/s of rough heat: that of a slightly rough plant. A model's own heat that is less says nothing of what acts at
+rest."""
+LEAST_STILL = 0.02
+"""Times the process noise while the machine runs that is believed of it at rest at least."""
+MOVING = 0.5
+"""The share of readings that differ from the one before, up to which a course is a staircase."""
+LEAST_SCATTER = 1e-5
+"""The relative scatter of the friction below which there is none."""
+SETTLED = 0.05
+"""The fit ends when no part of the noise moves by more than this (log)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fitted:
+    """A fit: the free run `state`, the `noise` under which it is judged, and the linear problem around it.
+
+    `residual` (m,) degC is measured - free run in windows, `columns` (m, p + r + e) the sensitivities there, `prior`
+    (p + r + e,) the precision of the belief in each parameter, `off` how far the state lies from the belief's centre,
+    `covariance` that of the parameters. `likelihood` is the restricted log-likelihood with the noise's belief.
+    """
+
+    frame: Frame
+    state: CourseState
+    start: Array
+    noise: NoiseModel
+    grid: Grid
+    residual: Array
+    columns: Array
+    prior: Array
+    off: Array
+    covariance: Array
+    likelihood: float
+
+    @property
+    def own(self) -> int:
+        """How many parameters are the model's own: p + r."""
+        return sum(self.frame.count)
+
+    @property
+    def sensor_sigma(self) -> float:
+        """degC the standard deviation of a single reading."""
+        return float(self.noise.sensor * np.sqrt(averaged_readings(self.frame.record)))
+
+
+def averaged_readings(record: Record) -> float:
+    """How many readings the windows' means are worth in the mean square over all windows, the short ones after a switch
+    among them; fewer where the sensor's error lasts."""
+    count = np.diff(np.append(record.begins, record.rows.size))
+    memory = record.model.sensor_memory
+    if not memory:
+        return 1.0 / float(np.mean(1.0 / count))
+    # The variance of the mean of n readings whose neighbours are correlated by r (Bartlett 1946), as a share of one's:
+    # repeat_factor / n for many of them, 1 for a single one.
+    between = float(np.median(np.diff(record.runs.time[record.rows])))
+    r, factor = np.exp(-max(between / memory, 1e-3)), repeat_factor(memory, between)
+    share = (factor - 2.0 * r * (1.0 - r**count) / (count * (1.0 - r) ** 2)) / count
+    return 1.0 / float(np.mean(share))
+
+
+def readings_in_window(record: Record) -> float:
+    """How many readings that err by themselves a usual window's mean is worth: fewer where the sensor's error lasts."""
+    count = float(np.median(np.diff(np.append(record.begins, record.rows.size))))
+    memory = record.model.sensor_memory
+    between = float(np.median(np.diff(record.runs.time[record.rows]))) if memory else 0.0
+    return count / repeat_factor(memory, between) if memory else count
+
+
+def first_noise(model: Model, record: Record) -> NoiseModel:
+    """The belief's centre: the given model's sensor, process and heat with a memory.
+
+    A model without such heat is taken for that of a slightly rough plant, which it holds for white noise.
+    """
+    white, at_rest = stated_process(record)
+    sensor = max(model.sensor_sigma, 0.02) / np.sqrt(readings_in_window(record))
+    step = rounding(model, record)
+    sensor = max(float(sensor), step)
+    heats = of_feature(model.sha, "disturbance")
+    still = min(max(at_rest / white, LEAST_STILL), 1.0)
+    if not heats:
+        return NoiseModel(sensor=sensor, process=white / 2, rough=SLIGHT, cycle=0.01, still=still, lasting=step)
+    learned = heats[0].params  # an automaton has one at most
+    return NoiseModel(
+        sensor=sensor,
+        process=white,
+        rough=max(learned["sigma"], LEAST_HEAT),
+        cycle=0.01,
+        memory=learned["memory"],
+        rest=AT_REST if learned["sigma"] >= SLIGHT else 0.5,
+        still=still,
+        lasting=step,
+    )
+
+
+def belief_of(record: Record) -> WindowBelief:
+    """What is believed of the noise before a record's windows are looked at."""
+    return WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+
+
+def begin_noise(centre: NoiseModel) -> NoiseModel:
+    """Where the search for the noise begins: at the belief's centre, but never from next to no rough heat.
+
+    What is too little to be seen has no slope: the process noise would take all that a rough plant does.
+    """
+    return centre if centre.rough >= SLIGHT else replace(centre, rough=SLIGHT, process=centre.process / 2)
+
+
+def stated_process(record: Record) -> tuple[float, float]:
+    """(while the machine runs, at rest) degC/sqrt(s): the process noise that the model states, the mean square over the
+    steps of each; where it states none, or none of these steps are such, the other's."""
+    locations = record.model.sha.locations
+    # A constant flow holds a temperature of which nothing is known: its noise is that of not knowing.
+    told = [location.flow.params.get("noise", 0.0) * (location.flow.kind != "constant") for location in locations]
+    stated, running = np.array(told)[record.runs.place], record.running > 0.5
+    found = []
+    for those in (running, ~running):
+        those = those & (stated > 0) & ~record.runs.first
+        found.append(
+            float(np.sqrt(np.average(stated[those] ** 2, weights=record.runs.dt[those]))) if those.any() else 0.0
+        )
+    white, at_rest = found
+    white = white or at_rest or 0.006
+    return white, at_rest or white
+
+
+def rounding(model: Model, record: Record) -> float:
+    """degC that rounding alone is off by in the mean of a window: 0 where the sensor's noise blurs the steps.
+
+    Readings that stand on one step for a window's length are all wrong by the same; their mean is no better than one.
+    """
+    change = np.abs(np.diff(record.runs.reading[record.rows]))
+    moves = change[change > 0]
+    if moves.size == 0 or moves.size > MOVING * change.size:
+        return 0.0
+    step = float(np.median(moves))
+    # A rounding error spread evenly over one step has the standard deviation step / sqrt(12).
+    return step / float(np.sqrt(12.0)) if model.sensor_sigma < step / 2.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    """The linear problem around one state."""
+
+    state: CourseState
+    grid: Grid
+    residual: Array
+    columns: Array
+    off: Array
+
+
+def _around(frame: Frame, state: CourseState, start: Array, reading: Array) -> _Point:
+    record = frame.record
+    own = sum(frame.count)
+    off = np.concatenate([state.parameters[:own] - frame.centre, np.zeros(state.parameters.size - own)])
+    return _Point(
+        state,
+        grid_at(frame, state),
+        reading - record.windowed(state.mean),
+        window_sensitivity(frame, state, start),
+        off,
+    )
+
+
+def fit(
+    frame: Frame,
+    named: Sequence[Named] = (),
+    begin: Fitted | None = None,
+    *,
+    moved: Array | None = None,
+    rounds: int = ROUNDS,
+    iterations: int = 12,
+) -> Fitted:
+    """The fit with the effects `named`, from another fit on the same frame or from the belief.
+
+    `moved` (p + r,) is by how much the other fit's own parameters are moved before.
+    """
+    record = frame.record
+    reading = record.reading
+    start = reading[record.window_first] if begin is None else begin.start
+    own = frame.centre if begin is None else begin.state.parameters[: begin.own]
+    own = own if moved is None else own + moved
+    added = [value for effect in named for value in effect.point]
+    prior = np.concatenate([frame.prior, np.zeros(len(added))])
+    # Parameters under fixed noise, then the noise under fixed parameters, until the noise stands still: a wrong target
+    # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
+    belief = belief_of(record)
+    noise = begin_noise(belief.centre) if begin is None else begin.noise
+    first = _allowed(named, np.concatenate([own, added]))
+    point = _around(frame, at(frame, first, start, named), start, reading)
+    # The linear problem knows no end of a loss: where less of it than none was asked for, less of the effect is begun
+    # with.
+    for _ in range(SOFTENED):
+        if not _runs_away(point.residual, reading):
+            break
+        first = _allowed(named, np.concatenate([own, _halved(named, first[own.size :])]))
+        point = _around(frame, at(frame, first, start, named), start, reading)
+    for _ in range(rounds):
+        point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
+        before = noise
+        noise, cost = noise_around(point, frame, belief, noise, iterations)
+        if largest_change(before, noise) < SETTLED:
+            break
+    return _fitted(frame, point, start=start, noise=noise, prior=prior, cost=cost)
+
+
+def given_fit(fitted: Fitted) -> Fitted:
+    """The given model's own numbers on the same record, none of them fitted; the noise is that of greatest likelihood
+    beside them."""
+    frame, named = fitted.frame, named_of(fitted.frame.record.model)
+    record = frame.record
+    numbers = np.concatenate([frame.centre, *(np.array(each.point) for each in named)])
+    prior = np.concatenate([frame.prior, np.zeros(numbers.size - frame.centre.size)])
+    point = _around(frame, at(frame, numbers, fitted.start, named), fitted.start, record.reading)
+    belief = belief_of(record)
+    noise, cost = noise_around(point, frame, belief, fitted.noise, 12)
+    return _fitted(frame, point, start=fitted.start, noise=noise, prior=prior, cost=cost)
+
+
+def slim(fitted: Fitted) -> Fitted:
+    """The fit without what its free run gives again (`restored`): of many fits of a long record, most of the memory."""
+    state, nothing = fitted.state, np.empty(0)
+    bare = replace(state, mean=nothing, decay=nothing, k=nothing, target=nothing, loss=nothing, heat=nothing)
+    return replace(fitted, state=bare, grid=replace(fitted.grid, heats=np.empty((0, 0))))
+
+
+def restored(fitted: Fitted) -> Fitted:
+    """A fit that may be `slim`, whole."""
+    before = fitted.state
+    if before.mean.size:
+        return fitted
+    state = at(fitted.frame, before.parameters, fitted.start, before.named, before.course)
+    return replace(fitted, state=state, grid=grid_at(fitted.frame, state))
+
+
+def _fitted(frame: Frame, point: _Point, *, start: Array, noise: NoiseModel, prior: Array, cost: float) -> Fitted:
+    whitener = Whitener(point.grid, noise)
+    inverse = np.linalg.inv(whitener.gram(point.columns) + np.diag(np.maximum(prior, 1e-12)))
+    covariance = np.asarray(inverse, dtype=float)
+    return Fitted(
+        frame=frame,
+        state=point.state,
+        start=start,
+        noise=noise,
+        grid=point.grid,
+        residual=point.residual,
+        columns=point.columns,
+        prior=prior,
+        off=point.off,
+        covariance=covariance,
+        likelihood=-cost,
+    )
+
+
+def noise_around(
+    point: _Point, frame: Frame, belief: WindowBelief, noise: NoiseModel, iterations: int
+) -> tuple[NoiseModel, float]:
+    """(the noise of greatest restricted likelihood around a point, minus that likelihood), searched from `noise`."""
+    # Only the model's own parameters are integrated out. The strengths of the effects are maximised, so that fits with
+    # different effects have the same integral and their likelihoods differ by what the effects explain.
+    own = sum(frame.count)
+    columns, prior, off = point.columns[:, :own], frame.prior, point.off[:own]
+    grid, spans = point.grid, spans_of(point.grid.heats)
+
+    def cost(trial: NoiseModel) -> tuple[float, Array]:
+        whitener = Whitener(grid, trial, spans=spans)
+        value, slopes = restricted(whitener, columns, point.residual, prior, off)
+        return -value, -slopes
+
+    return fit_noise(cost, belief, noise, iterations)
+
+
+def with_heats(before: Fitted, heats: Array, iterations: int = 8) -> Fitted:
+    """The fit with further random heats in its noise, which is fitted anew; its course stays.
+
+    `heats` (m, c) degC is what a heat of one standard deviation of each does to the windows, at the noise's `cycle`:
+    they scatter together with the cycles' friction.
+    """
+    columns = np.column_stack([before.grid.heats, heats / max(before.noise.cycle, LEAST_SCATTER)])
+    # In the order in which they begin, as the cycles are.
+    begins = np.where((columns != 0.0).any(axis=0), np.argmax(columns != 0.0, axis=0), columns.shape[0])
+    grid = replace(before.grid, heats=columns[:, np.argsort(begins, kind="stable")])
+    frame, record = before.frame, before.frame.record
+    belief = belief_of(record)
+    point = _Point(before.state, grid, before.residual, before.columns, before.off)
+    noise, cost = noise_around(point, frame, belief, before.noise, iterations)
+    return replace(before, grid=grid, noise=noise, likelihood=-cost)
+
+
+def with_column(before: Fitted, column: Array, rounds: int = 2) -> tuple[Fitted, float]:
+    """(The fit with `column` (m,) degC, times its likeliest strength, taken out of its residual; that strength).
+
+    The noise is fitted anew, the parameters make room in the linear problem, and the course stays.
+    """
+    frame, record = before.frame, before.frame.record
+    belief = belief_of(record)
+    noise, strength, cost = before.noise, 0.0, 0.0
+    prior, off = np.append(np.maximum(before.prior, 1e-12), 0.0), np.append(before.off, 0.0)
+    columns = np.column_stack([before.residual, before.columns, column])
+    for _ in range(rounds):
+        gram = Whitener(before.grid, noise).gram(columns)
+        strength = float(np.linalg.solve(gram[1:, 1:] + np.diag(prior), gram[1:, 0] - prior * off)[-1])
+        point = _Point(before.state, before.grid, before.residual - strength * column, before.columns, before.off)
+        noise, cost = noise_around(point, frame, belief, noise, 8)
+    return replace(before, residual=point.residual, noise=noise, likelihood=-cost), strength
+
+
+def largest_change(before: NoiseModel, after: NoiseModel) -> float:
+    """The change of the part that moved most, in logarithms; the share at rest (a logit) is not asked."""
+    pairs = zip(
+        (before.sensor, before.process, before.rough, before.cycle, before.memory),
+        (after.sensor, after.process, after.rough, after.cycle, after.memory),
+        strict=True,
+    )
+    lasts = [(before.lasting, after.lasting), (before.fades, after.fades)] if after.lasting > 0 else []
+    return max(abs(float(np.log(new / old))) for old, new in (*pairs, *lasts))
+
+
+def _newton_steps(
+    frame: Frame, point: _Point, *, start: Array, reading: Array, noise: NoiseModel, prior: Array
+) -> _Point:
+    """A few damped Gauss-Newton steps (Nocedal & Wright 2006, ch. 10): a step limit, then backtracking.
+
+    The penalised squares r' V^-1 r + (b - b0)' P (b - b0) go down with every step that is taken. Second derivatives are
+    left out: the free run is linear in most parameters, and its residual is small where it matters.
+    """
+    for _ in range(NEWTON):
+        state, whitener = point.state, Whitener(point.grid, noise)
+        gram = whitener.gram(np.column_stack([point.residual, point.columns]))
+        normal = gram[1:, 1:] + np.diag(np.maximum(prior, 1e-12))
+        root = lower_root(normal)
+        if root is None:
+            break
+        step = scipy.linalg.cho_solve((root, True), gram[1:, 0] - prior * point.off)
+        # The whole step is shortened, not single parts of it: it must stay a descent direction.
+        strengths = [size for named in state.named for size in _longest(named)]
+        longest = np.concatenate([LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior), strengths])
+        step = step * min(1.0, 1.0 / float(np.max(np.abs(step) / longest, initial=1.0)))
+        # Backtracking, five lengths at most. If none helps, the linear problem does not describe the plant here.
+        before = float(gram[0, 0] + point.off @ (prior * point.off))
+        for _half in range(5):
+            moved = at(frame, _allowed(state.named, state.parameters + step), start, state.named, state.course)
+            residual = reading - frame.record.windowed(moved.mean)
+            off = point.off + np.where(np.arange(step.size) < sum(frame.count), step, 0.0)
+            after = float(whitener.gram(residual[:, None])[0, 0] + off @ (prior * off))
+            lost = not np.isfinite(after) or _runs_away(residual, reading)
+            if not lost and after <= before + 1e-6:
+                break
+            step = 0.5 * step
+        if lost or after > before:
+            break
+        point = _around(frame, moved, start, reading)
+        if before - after < 0.02:  # a hundredth of a nat: no decision is that fine
+            break
+    return point
+
+
+def _runs_away(residual: Array, reading: Array) -> bool:
+    """Whether a free run has left the readings as no plant does: a sign in front of a loss that is less than none."""
+    return not bool(np.max(np.abs(residual), initial=0.0) <= RUNAWAY * (np.ptp(reading) + 1.0))
+
+
+def _halved(effects: Sequence[Named], point: Array) -> Array:
+    """The parameters of effects with half of each strength."""
+    out, number = point.copy(), 0
+    for named in effects:
+        out[number] *= 0.5
+        number += len(named.free)
+    return out
+
+
+def _longest(named: Named) -> list[float]:
+    """How far a step of Newton's may move the free parameters of an effect."""
+    return [max(LARGEST_SHARE * abs(named.strength), 1e-15), *[STRIDE] * (len(named.free) - 1)]
+
+
+def _allowed(effects: Sequence[Named], point: Array) -> Array:
+    """The point with strengths of the wrong sign put to a tiny one of the right sign: a loss below 0 runs away."""
+    out = point.copy()
+    number = point.size - sum(len(named.free) for named in effects)
+    # A strength at 0 or beyond would stay there: the sensitivity to an effect that is off tells nothing of its shape.
+    for named in effects:
+        least = 1e-3 * abs(named.strength)
+        if named.entry.sign > 0:
+            out[number] = min(max(out[number], least), named.entry.candidate.most)
+        number += len(named.free)
+    return out
+
+
+def lower_root(matrix: Array) -> Array | None:
+    """The lower Cholesky factor of a symmetric matrix; None where it is not positive definite (LAPACK's `potrf`)."""
+    if not np.isfinite(matrix).all():
+        return None
+    root, failed = scipy.linalg.lapack.dpotrf(matrix, lower=True)
+    return None if failed else np.asarray(root)
+
+
+def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array, off: Array) -> tuple[float, Array]:
+    """The log-likelihood with the parameters integrated out around the free run (their belief included), and its
+    derivatives by the noise's coordinates (`noise.vector`)."""
+    # Laplace's integral, exact for the linear problem around the free run: with N = C' V^-1 C + P the parameters'
+    # posterior precision and g the score at the state, -2 ln L = ln |V| + ln |N| - ln |P| + misfit - g' N^-1 g.
+    gram = whitener.gram(np.column_stack([residual, columns]))
+    score = gram[1:, 0] - prior * off
+    root = lower_root(gram[1:, 1:] + np.diag(prior))
+    if root is None:
+        # A candidate that has run away (less cooling than none at all: the free run grows) explains nothing.
+        return -np.inf, np.zeros(vector(whitener.noise).size)
+    best = scipy.linalg.cho_solve((root, True), score)
+    misfit = float(gram[0, 0] + off @ (prior * off) - score @ best)
+    determinant = 2.0 * float(np.log(np.diag(root)).sum()) - float(np.log(prior).sum())
+    # d ln |N| = tr(N^-1 C' dV^-1 C): the columns C R^-T, with N = R R', each weighed by itself. The misfit's derivative
+    # is that of the residual left by the best parameters, which are where it does not change with them.
+    mixed = scipy.linalg.solve_triangular(root, columns.T, lower=True).T
+    slopes = whitener.slopes(np.column_stack([mixed, residual - columns @ best]))
+    return -0.5 * (whitener.logdet + determinant + misfit), -0.5 * slopes

@@ -1,0 +1,127 @@
+"""What a diagnosis stands on: traces laid out, roles of their signals, cycles to fit and for the proof."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.effects import in_sensor_scale, signals_of
+from sim.lab.discrepancy.consequence import follows
+from sim.lab.discrepancy.fitting import (
+    Frame,
+    Record,
+    anchored,
+    first_cycle_after,
+    frame_of,
+    in_order,
+    on,
+    patiently,
+    record_of,
+)
+from sim.lab.discrepancy.rules import DecisionRules
+from sim.lab.learning import Indices
+from sim.sha import Model, Trace, unit_of
+
+TEMPERATURE_ROLES = ("ambient", "feed", "sink")
+"""Roles of temperatures, which may as well be warmed by the machine as warm it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataLayout:
+    """Traces laid out under a model: its `record`, with the encoded `traces` in their order, experiments last.
+
+    `roles` gives the signal of each role that was asked for, `present` those of them that the traces have, `following`
+    the roles whose signal follows the temperature. `cycles` are the pieces of evidence in which something was read, but
+    for experiments, which begin with the piece `first_made` (inf where there are none).
+    """
+
+    model: Model
+    traces: Sequence[Trace]
+    roles: Mapping[str, str]
+    present: Mapping[str, str]
+    following: frozenset[str]
+    record: Record
+    cycles: Indices
+    first_made: float
+
+
+@dataclass(frozen=True, slots=True)
+class SplitCycles:
+    """The `training` cycles, with the structure of the parameters, and the `held_out` ones, from the piece of evidence
+    `first` on."""
+
+    training: Frame
+    held_out: Record
+    first: int
+
+
+def lay_out(
+    model: Model, traces: Sequence[Trace], experiments: Sequence[Trace], roles: Mapping[str, str], rules: DecisionRules
+) -> DataLayout:
+    """The layout of traces, with those of experiments behind them. Raises ValueError where they cannot be followed."""
+    # Artefacts of the public learner know no unit: then that of the traces is the model's.
+    model = replace(in_sensor_scale(model), unit=unit_of(traces, model.temperature, model.unit))
+    usual = in_order(traces)
+    laid_out = [patiently(trace, model.alphabet) for trace in (*usual, *in_order(experiments))]
+    following = following_roles(model, laid_out, roles, rules)
+    present = present_roles(laid_out, {role: each for role, each in roles.items() if role not in following})
+    record = record_of(model, laid_out, signals_needed(model, present))
+    first_made = first_cycle_after(record, usual)
+    cycles = np.unique(record.window_cycle)  # those in which something was read
+    return DataLayout(
+        model=model,
+        traces=laid_out,
+        roles=roles,
+        present=present,
+        following=following,
+        record=record,
+        cycles=cycles[cycles < first_made],
+        first_made=first_made,
+    )
+
+
+def split_cycles(layout: DataLayout, rules: DecisionRules) -> SplitCycles:
+    """The last cycles held out from everything but the proof: not even the screen may have seen them."""
+    record, cycles = layout.record, layout.cycles
+    first = cycles[max(round((1.0 - rules.held_out_share) * cycles.size), rules.least_cycles - 1)]
+    to_fit = (record.cycle < first) | (record.cycle >= layout.first_made)
+    training = anchored(on(frame_of(record), record.where(to_fit)))
+    return SplitCycles(training, record.where(~to_fit).by_cycles(), int(first))
+
+
+def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str, str]:
+    """The roles whose signal some trace has with at least two different values."""
+    present = {}
+    for role, signal in roles.items():
+        columns = [trace.signals[signal] for trace in traces if signal in trace.signals]
+        known = np.concatenate([column[np.isfinite(column)] for column in columns]) if columns else np.empty(0)
+        if known.size and np.ptp(known) > 0:
+            present[role] = signal
+    return present
+
+
+def following_roles(
+    model: Model, traces: Sequence[Trace], roles: Mapping[str, str], rules: DecisionRules
+) -> frozenset[str]:
+    """The roles of temperatures whose signal follows the model's own (`follows`); one that the model reads is kept."""
+    read = set(_inputs(model)) | {*signals_of(model.sha)}
+    asked = {role: roles[role] for role in TEMPERATURE_ROLES if role in roles and roles[role] not in read}
+    return frozenset(role for role, signal in asked.items() if follows(traces, model.temperature, signal, rules))
+
+
+def _inputs(model: Model) -> tuple[str, ...]:
+    """The signals that the model's flows are driven by, each as often as it drives one."""
+    return tuple(driving.signal for location in model.sha.locations for driving in location.flow.inputs)
+
+
+def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
+    """The inputs of the model's flows and the signals of the roles, each once."""
+    return tuple(dict.fromkeys([*_inputs(model), *present.values()]))
+
+
+def measured_signals(model: Model, traces: Sequence[Trace], rules: DecisionRules) -> tuple[str, ...]:
+    """All signals that some trace has with at least two different values, none of which follows the temperature."""
+    names = dict.fromkeys(name for trace in traces for name in trace.signals if name != model.temperature)
+    present = present_roles(traces, {name: name for name in names})
+    causes = [name for name in present if not follows(traces, model.temperature, name, rules)]
+    return tuple(dict.fromkeys([*_inputs(model), *causes]))

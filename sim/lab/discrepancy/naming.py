@@ -1,0 +1,381 @@
+"""One step towards a name: the catalogue screened, the likeliest confirmed by joint refits and weighed."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+import scipy
+
+from sim.effects import UNMEASURED
+from sim.lab.discrepancy.fitting import (
+    CatalogueEntry,
+    Fitted,
+    Named,
+    catalogue,
+    effects_of,
+    fit,
+    restored,
+    rivals,
+    slim,
+    with_heats,
+)
+from sim.lab.discrepancy.rules import DecisionRules
+from sim.lab.discrepancy.screen import (
+    Projector,
+    Screen,
+    Shape,
+    columns_of,
+    judged,
+    refined,
+    screen,
+    smooth_course,
+)
+from sim.lab.discrepancy.unmeasured import slow_heat
+from sim.sha import Array, Effect
+
+CONFIRMED, WORTH = 4, 1.0
+"""Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
+ONE_CHAIN = frozenset({"dead-time", "sensor-lag", "late-current-heating"})
+"""What lies between what is done and the reading is named once: a second name would mend the first one's shape."""
+RIVALLED = 2
+"""The likeliest of the others that an unmeasured neighbour is held against together."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EffectEvidence:
+    """An entry against what a fit leaves: its best shape, its gain (nats), and the joint refit where there was one,
+    which is `slim` but for the best of a step.
+
+    `visible`, `z`, `robust` and `cycles` are those of `diagnosis.TriedEffect`. `spread` is over how many cycles its
+    information is spread, `carried` the gain (nats, linearised) when each cycle's strength is that of the others.
+    `amplitude` is its rms (degC) beyond what the parameters imitate.
+    """
+
+    entry: CatalogueEntry
+    shape: Shape
+    gain: float
+    visible: float
+    z: float
+    robust: float
+    cycles: tuple[int, int]
+    spread: float
+    carried: float
+    amplitude: float
+    fitted: Fitted | None
+
+    @property
+    def confirmed(self) -> bool:
+        """True when the gain is that of the joint refit."""
+        return self.fitted is not None
+
+
+@dataclass(frozen=True, slots=True)
+class NamingStep:
+    """A step from a fit: the evidence of every entry with its signals, best first; cosines; the rules.
+
+    `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
+    projected out of both. `rules` are those that it was made by and is judged by. `rivals` are the gains (nats) of what
+    has no name, also where it is left out of the evidence since it does no better than the names.
+    """
+
+    before: Fitted
+    evidence: tuple[EffectEvidence, ...]
+    cosines: Mapping[str, float]
+    rules: DecisionRules
+    rivals: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def best(self) -> EffectEvidence | None:
+        """The entry of the greatest gain."""
+        return self.evidence[0] if self.evidence else None
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """The best entry's name and those of its class that do not lie a whole margin behind it."""
+        if self.best is None:
+            return ()
+        top, same = self.best.gain, self.rules.same_least_cosine
+        twins = [twin for twin in self.evidence[1:] if abs(self.cosines.get(twin.entry.name, 0.0)) >= same]
+        near = (twin.entry.name for twin in twins if top - twin.gain < margin_of_class(top, self.rules))
+        return (self.best.entry.name, *near)
+
+    @property
+    def margin(self) -> float:
+        """Nats by which the best beats every entry outside its members."""
+        if self.best is None:
+            return 0.0
+        others = [rival.gain for rival in self.evidence[1:] if rival.entry.name not in self.members]
+        return self.best.gain - max(others, default=0.0)
+
+
+def step(
+    before: Fitted,
+    entries: Sequence[CatalogueEntry],
+    roles: Mapping[str, str],
+    told: Callable[[str], None] = lambda _: None,
+    *,
+    rules: DecisionRules,
+) -> NamingStep:
+    """Screen and confirm `entries` on top of a fit; each that is fitted is `told` by its name before."""
+    screened = screen(before, entries, roles)
+    evidence = [_evidence(screened, number) for number in screened.best().values()]
+    # The screen orders well but judges too low (its noise has swallowed a part of the effect): the first few are fitted
+    # jointly, and only a gain of a joint refit can become a name.
+    # So are rivals that would be among them; they take no name's place.
+    names = [each for each in evidence if not each.entry.rival]
+    first = {each.entry.name for each in (*names[:CONFIRMED], *evidence[:CONFIRMED])}
+    likely = [each for each in evidence if each.entry.name in first and each.gain >= WORTH]
+    confirmed = list[EffectEvidence]()
+    for each in likely:
+        told(each.entry.name)
+        confirmed = _slim_but_best([*confirmed, confirm(before, each)])
+    # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
+    top = max((each.gain for each in confirmed), default=0.0)
+    near = top - margin_of_class(top, rules)
+    special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.special}
+    behind = [each for each in names[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
+    for each in behind:
+        confirmed = _slim_but_best([*confirmed, confirm(before, each)])
+    done = {each.entry.name for each in confirmed}
+    rest = [other for other in evidence if other.entry.name not in done]
+    everything = [*confirmed, *rest, *_unmeasured(before, confirmed, entries, rules.least_gain_nats)]
+    order = tuple(sorted(without_idle(everything, rules), key=lambda each: -each.gain))
+    if order and order[0].fitted is not None:
+        order = (replace(order[0], fitted=restored(order[0].fitted)), *order[1:])
+    nameless = {each.entry.name: each.gain for each in everything if each.entry.rival}
+    return NamingStep(before, order, _cosines(before, order), rules, nameless)
+
+
+def _slim_but_best(confirmed: Sequence[EffectEvidence]) -> list[EffectEvidence]:
+    """The evidence with the refits slim, but for that of the greatest gain, which may become a name."""
+    top = max(each.gain for each in confirmed)
+    return [
+        replace(each, fitted=slim(each.fitted)) if each.gain < top and each.fitted is not None else each
+        for each in confirmed
+    ]
+
+
+def _unmeasured(
+    before: Fitted, confirmed: Sequence[EffectEvidence], entries: Sequence[CatalogueEntry], threshold: float
+) -> list[EffectEvidence]:
+    """The evidence of a neighbour that nobody measures, where it explains more than anything else, and all of that.
+
+    What is beyond chance beside it, too, is no part of it: a heat that may be anything takes nothing's place.
+    """
+    entry = next((each for each in entries if each.name == UNMEASURED), None)
+    # Beside a name it would take up what the name's shape, which is never quite the plant's, leaves behind.
+    if entry is None or any(named.existing is None for named in before.state.named):
+        return []
+    found = slow_heat(before)
+    gain = found.fitted.likelihood - before.likelihood - entry.burden
+    others = sorted((each for each in confirmed if each.gain >= threshold), key=lambda each: -each.gain)
+    if gain < max([threshold, *(each.gain for each in others)]):
+        return []
+    for other in others[:RIVALLED]:
+        if other.fitted is not None:
+            both = with_heats(restored(other.fitted), found.heats).likelihood - other.entry.burden
+            if both - found.fitted.likelihood >= threshold:
+                return []
+    shape = Shape(entry, {}, {"memory": found.spacing})
+    named = shape.named(found.sigma)
+    z = float(np.sqrt(2.0 * gain))
+    return [
+        EffectEvidence(
+            entry=entry,
+            shape=shape,
+            gain=gain,
+            visible=1.0,
+            z=z,
+            robust=z,
+            cycles=found.cycles,
+            spread=float(found.cycles[1]),
+            carried=gain,
+            amplitude=_visible_size(before, found.course),
+            fitted=_with_name(found.fitted, named),
+        )
+    ]
+
+
+def _with_name(fitted: Fitted, named: Named) -> Fitted:
+    """A fit that has in its noise what `named` stands for, with its name: it moves nothing by its strength."""
+    return replace(
+        fitted,
+        state=replace(fitted.state, named=(*fitted.state.named, named)),
+        columns=np.column_stack([fitted.columns, np.zeros(fitted.residual.size)]),
+        prior=np.append(fitted.prior, 1.0),
+        off=np.append(fitted.off, 0.0),
+        covariance=scipy.linalg.block_diag(fitted.covariance, np.eye(1)),
+    )
+
+
+def margin_of_class(gain: float, rules: DecisionRules) -> float:
+    """nats that one of the class of a name with that gain must lie behind it."""
+    return max(rules.margin_nats, rules.margin_share * gain)
+
+
+def without_idle(evidence: Sequence[EffectEvidence], rules: DecisionRules) -> list[EffectEvidence]:
+    """The evidence without what does no better than a special case of itself, and a rival no better than the names."""
+    names = [each for each in evidence if not each.entry.rival]
+
+    def idle(wider: EffectEvidence) -> bool:
+        special = wider.entry.candidate.special
+        of = [each.gain for each in names if wider.entry.rival or each.entry.name in special]
+        return wider.gain - max(of, default=-np.inf) < margin_of_class(wider.gain, rules)
+
+    return [each for each in evidence if not idle(each)]
+
+
+def _evidence(screened: Screen, number: int) -> EffectEvidence:
+    """What the screen says of one shape, and whether many cycles say it or a few.
+
+    The score is a sum over cycles, and so is its information. `spread` is the effective number of cycles (Kish 1965:
+    the squared sum by the sum of squares), `robust` the score in units of its scatter from cycle to cycle (the
+    sandwich's z, which needs no noise model), `carried` the log-likelihood of each cycle under the strength that the
+    others give: what one cycle alone made up is lost in it.
+    """
+    shape = screened.shapes[number]
+    parts, shares = screened.by_cycle[:, number], np.maximum(screened.information[:, number], 0.0)
+    total, mass = float(parts.sum()), float(shares.sum())
+    spread = mass**2 / max(float(np.sum(shares**2)), 1e-300)
+    # A cycle with less than a fiftieth of the usual share has no vote: its sign would be chance.
+    speaking = shares > 0.02 * mass / max(spread, 1.0)
+    same = np.sign(parts[speaking]) == np.sign(total)
+    others = (total - parts) / np.maximum(mass - shares, 1e-300)
+    carried = float(np.sum(parts * others - 0.5 * shares * others**2))
+    return EffectEvidence(
+        entry=shape.entry,
+        shape=shape,
+        gain=float(screened.gain[number]),
+        visible=float(screened.visible[number]),
+        z=float(screened.signed[number]),
+        robust=total / max(float(np.sqrt(np.sum(parts**2))), 1e-300),
+        cycles=(int(same.sum()), int(speaking.sum())),
+        spread=float(spread),
+        carried=carried,
+        amplitude=0.0,
+        fitted=None,
+    )
+
+
+def confirm(before: Fitted, evidence: EffectEvidence) -> EffectEvidence:
+    """The evidence with its shape refined and everything fitted anew together: the likeliest of its alternatives."""
+    shapes = _alternatives(before, evidence)
+    # The three answers below are all taken in the linear problem around `before`: strength, shape, and how far the
+    # model's own parameters move to make room. The joint refit starts from there.
+    smooth, projector = smooth_course(before), Projector(before)
+    rates = before.own - before.frame.count[1]
+    alternatives = []
+    for shape in shapes:
+        strength = float(judged(before, (shape,), columns_of(before, (shape,), smooth)).strength[0])
+        named = refined(before, shape, strength)
+        unit = Shape(named.entry, named.signals, _without_strength(named))
+        column = columns_of(before, (unit,), smooth)[:, 0] * (1.0 if named.entry.whole else named.strength)
+        moved = projector.made_room(column)[: before.own]
+        # The linear problem does not hold for a rate that changes by more than a factor e; Newton's steps go on.
+        moved[rates:] = np.clip(moved[rates:], -1.0, 1.0)
+        together, starts, left = [*before.state.named, named], begins(before), 3
+        if len(starts) > 1:
+            # Where there are two, one round tells which of them leads to the higher top.
+            tried = [fit(before.frame, together, start, moved=moved, rounds=1, iterations=8) for start in starts]
+            best = max(tried, key=lambda each: each.likelihood)
+            together, starts, moved, left = list(best.state.named), (best,), np.zeros(before.own), 2
+        fitted = fit(before.frame, together, starts[0], moved=moved, rounds=left, iterations=8)
+        last = fitted.state.named[-1]
+        shape = Shape(evidence.entry, shape.signals, _without_strength(last))
+        gain = fitted.likelihood - before.likelihood - evidence.entry.burden
+        size = amplitude(before, shape, last)
+        alternatives.append(replace(evidence, shape=shape, gain=gain, amplitude=size, fitted=fitted))
+    return max(alternatives, key=lambda alternative: alternative.gain)
+
+
+def _alternatives(before: Fitted, evidence: EffectEvidence) -> list[Shape]:
+    """The evidence's shape with every value of the parameters that are fitted either way, but those that come to the
+    same effect (walls of the room's temperature where no room is measured)."""
+    either = evidence.entry.either
+    shapes = list[Shape]()
+    seen = list[tuple[Effect, ...]]()
+    for values in product(*either.values()):
+        shape = replace(evidence.shape, params={**evidence.shape.params, **dict(zip(either, values, strict=True))})
+        effects = effects_of(shape.named(1.0), before.frame.record.model)
+        if effects not in seen:
+            seen.append(effects)
+            shapes.append(shape)
+    return shapes
+
+
+def begins(before: Fitted) -> tuple[Fitted, ...]:
+    """The fits that a joint refit begins from: the one before, and where that is of a rough plant, of a quiet one too.
+
+    Where an error of the reading may last, the likelihood has two tops: a rough plant with a good sensor, and a quiet
+    plant with a poor one. From the first no step would see what the effects do together in the second.
+    """
+    noise, rates = before.noise, before.grid.k[before.grid.k > 0]
+    # A process that moves the plant, at its own rate, by no more than a window's mean errs by.
+    process = noise.sensor * float(np.sqrt(2.0 * np.median(rates))) if rates.size else 0.0
+    if noise.lasting <= 0 or noise.process <= process:
+        return (before,)
+    lasting = max(float(np.sqrt(np.mean(before.residual**2))), noise.sensor)
+    return before, replace(before, noise=replace(noise, process=process, lasting=lasting))
+
+
+def amplitude(before: Fitted, shape: Shape, named: Named) -> float:
+    """degC rms over the windows of what an effect does that the parameters of the fit before cannot imitate."""
+    column = columns_of(before, (shape,), smooth_course(before))[:, 0]
+    return abs(1.0 if named.entry.whole else named.strength) * _visible_size(before, column)
+
+
+def _visible_size(before: Fitted, column: Array) -> float:
+    # What the model's own parameters can imitate would be fitted away and is nobody's effect.
+    left = column - before.columns @ np.linalg.lstsq(before.columns, column, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2)))
+
+
+def _without_strength(named: Named) -> dict[str, float]:
+    if named.entry.whole:
+        return dict(named.params)
+    return {name: value for name, value in named.params.items() if name != named.entry.strength}
+
+
+def _cosines(before: Fitted, evidence: Sequence[EffectEvidence]) -> dict[str, float]:
+    """Cosines in the inverse covariance's product, under the noise of the best entry's refit where there is one.
+
+    Without the refit the noise would still hold what the effect does, and everything would look alike in it.
+    """
+    if not evidence:
+        return {}
+    top = evidence[0]
+    around = before if top.fitted is None else replace(before, noise=top.fitted.noise)
+    smooth = smooth_course(around)
+    shapes = tuple(each.shape for each in evidence)
+    normal = judged(around, shapes, columns_of(around, shapes, smooth)).normal
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    cosine: Array = normal[0] / (size * size[0])
+    return {each.entry.name: float(cosine[number]) for number, each in enumerate(evidence) if number}
+
+
+def likeness(step: NamingStep, further: EffectEvidence) -> float:
+    """The size of the cosine of a step's best effect with the shape that a later step found of another one."""
+    if step.best is None:
+        return 0.0
+    # A name that is looked at again is in the fit before those after it: projected out of itself, nothing is left of it
+    # but rounding, which is like anything.
+    before = _without_columns(step.before, further.entry.name)
+    return abs(_cosines(before, (step.best, further))[further.entry.name])
+
+
+def _without_columns(fitted: Fitted, name: str) -> Fitted:
+    """The linear problem around a fit in which the parameters of the effect `name` do not move."""
+    widths = [(named.entry.name, len(named.free)) for named in fitted.state.named]
+    free = np.array(
+        [*(True for _ in range(fitted.own)), *(each != name for each, width in widths for _ in range(width))]
+    )
+    return replace(fitted, columns=fitted.columns[:, free], prior=fitted.prior[free], off=fitted.off[free])
+
+
+def entries_besides(named: Sequence[Named], entries: Sequence[CatalogueEntry] = ()) -> tuple[CatalogueEntry, ...]:
+    """Of the entries (the catalogue, without any) those that are neither named already nor ruled out by a name; and the
+    rivals of all names."""
+    taken = {each.entry.name for each in named}
+    taken |= ONE_CHAIN if taken & ONE_CHAIN else set()
+    return tuple(entry for entry in (*(entries or catalogue()), *rivals()) if entry.name not in taken)

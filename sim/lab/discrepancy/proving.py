@@ -1,0 +1,291 @@
+"""What the held-out cycles prove: which names stand, whether there is a gap without one, since when; the verdict."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.lab.discrepancy.beginning import beginning
+from sim.lab.discrepancy.ceiling import ceiling
+from sim.lab.discrepancy.diagnosis import CandidateLaw, Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
+from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on
+from sim.lab.discrepancy.gap import Excess, at_most, excess, floor_of, sensor_noise, stated_errors
+from sim.lab.discrepancy.held_out import HeldOutRun, RunsBefore, compared, let_run, runs_before, surely_nearer
+from sim.lab.discrepancy.judging import (
+    NamingResult,
+    above,
+    description,
+    doubts,
+    evidence_of,
+    felt,
+    foreseen_better,
+    least_told,
+    left_over,
+    matters,
+    undeserved,
+)
+from sim.lab.discrepancy.layout import DataLayout
+from sim.lab.discrepancy.onset import acting_since
+from sim.lab.discrepancy.posterior import NamesEvidence, names_evidence
+from sim.lab.discrepancy.rules import DecisionRules
+from sim.lab.discrepancy.story import beginning_reason, little_sentence
+from sim.sha import Array, shown_unit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NamesSearched:
+    """What the fitted cycles gave: the refit `base`, what a free learner could still explain of it, and the path of
+    names with its beginnings, the longest first; `allowed` is how many names there may be."""
+
+    base: Fitted
+    ceiling: Ceiling | None
+    paths: Sequence[NamingResult]
+    allowed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """What names are judged by: held-out cycles with their floor and the `runs` over them before there are names, what
+    the model states, excess and ceiling before."""
+
+    held_out: Record
+    runs: RunsBefore
+    floor: NoiseFloor
+    stated: Array
+    before: Excess | None
+    ceiling: Ceiling | None
+    seed: int
+    rules: DecisionRules
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedPath:
+    """A path of names with the reasons against them (none: they are given), and what the reasons were drawn from;
+    `floor` is the one that `held` was told with."""
+
+    path: NamingResult
+    reasons: tuple[str, ...]
+    floor: NoiseFloor
+    held: HeldOutProof
+    second: HeldOutRun
+    ceiling: Ceiling | None
+    excess: Excess | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToldFits:
+    """The fits of the report: `base` before anything was added (the refit, or the model as given where the refit is
+    refused), `after` with the names, where they are kept; `first` and `second` are their held-out runs."""
+
+    base: Fitted
+    after: Fitted
+    held: HeldOutProof
+    first: HeldOutRun
+    second: HeldOutRun
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProvenFindings:
+    """What was proved: the `verdict` with its `reasons`, and the figures that it follows from.
+
+    `kept`: the names of the judged path are given; `against` is what speaks against them. `excess` is that of the
+    fitted cycles before, and `stated` (degC rms) what the given model allows itself on them. `gap`: the error is beyond
+    the floor's interval. `little` says why agreement would say nothing, "" where it does.
+    """
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    judged: JudgedPath
+    kept: bool
+    against: NamesEvidence
+    told: ToldFits
+    floor: NoiseFloor
+    excess: Excess | None
+    stated: float
+    began: GapBeginning | None
+    gap: bool
+    material: bool
+    little: str
+
+
+def prove(
+    layout: DataLayout,
+    search: NamesSearched,
+    held_out: Record,
+    entries: Sequence[CatalogueEntry],
+    *,
+    seed: int,
+    rules: DecisionRules,
+) -> ProvenFindings:
+    """The names that stand on held-out cycles, or what else there is, with the verdict."""
+    base, paths = search.base, search.paths
+    training = base.frame.record
+    sensor = sensor_noise(training)
+    stated = stated_errors(layout.model, layout.traces, base)
+    floor = floor_of(stated, paths[0].explained, held_out, seed, rules)
+    proof = Proof(
+        held_out=held_out,
+        runs=runs_before(base, held_out),
+        floor=floor,
+        stated=stated,
+        before=excess(stated, base, rules),
+        ceiling=search.ceiling,
+        seed=seed,
+        rules=rules,
+    )
+    with_gap = with_the_gap_itself(proof, paths[0])
+    paths = paths if with_gap is paths[0] else (with_gap, *paths)
+    if not search.allowed:
+        few = f"would be named from fewer than {rules.first_name_least_cycles} cycles"
+        paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], few),)) for path in paths[:1])
+    judged = longest_that_passes(proof, paths)
+    path, kept = judged.path, bool(judged.path.taken) and not judged.reasons
+    floor = judged.floor if kept else floor
+    told = told_fits(proof, base, judged, kept=kept)
+    gap = above(told.held, floor, sensor, rules)
+    # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
+    # Of an experiment nothing is told: what a machine lacks shows there as it never did, and would begin with it.
+    usual = training.where(training.cycle < layout.first_made)
+    trials = let_run(told.after, usual.by_cycles()), told.second
+    since = with_all_cycles(told.after, layout)
+    began = acting_since(since, entries, layout.present, rules.material_sigmas * sensor, rules)
+    began = began or beginning(trials, rules.material_sigmas * sensor, rules)
+    covered = told.held.rmse_before <= rules.covered_most_times * floor.error
+    evidence = evidence_of(path, search.ceiling, proof.before, covered=covered)
+    material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))
+    # What has no name need not act while the last cycles run: a greasing fades, a neighbour comes and goes.
+    material = material or bool(description(judged.path))
+    unit, little = shown_unit(layout.model.unit), ""
+    if kept:
+        verdict: Verdict = "named" if all(len(step.members) == 1 for step in path.taken) else "class"
+        reasons = judged.reasons
+    elif material or began is not None:
+        verdict = "unexplained"
+        # Names that held-out cycles contradict are no evidence by themselves. Where only the beginning shows a gap,
+        # what is said against names is that there is none but for that.
+        reasons = (judged.reasons if material else ()) or evidence
+        reasons = reasons if began is None else (beginning_reason(began, unit), *reasons)
+        # The free run says it by itself: further off than chance makes of the noise.
+        if gap:
+            error, limit = f"{told.held.rmse_before:.3g}", f"{floor.interval[1]:.3g} {unit}"
+            reasons = (*reasons, f"over held-out cycles the free run is off by {error}, noise alone by {limit} at most")
+    else:
+        verdict, reasons = "agree", ()
+        readings = layout.record.reading
+        least = least_told(readings, sensor, rules)
+        if floor.interval[1] > least:
+            verdict = "too-little-data"
+            little = little_sentence(floor, told.held, float(np.std(readings)), least, unit)
+            reasons = (f"noise alone would have to be less than {least:.3g} {unit} for that",)
+    return ProvenFindings(
+        verdict=verdict,
+        reasons=reasons,
+        judged=judged,
+        kept=kept,
+        against=names_evidence(judged.held, search.ceiling, judged.ceiling, rules),
+        told=told,
+        floor=floor,
+        excess=proof.before,
+        stated=float(np.sqrt(np.mean(stated**2))),
+        began=began,
+        gap=gap,
+        material=material,
+        little=little,
+    )
+
+
+def with_laws(found: ProvenFindings, laws: Sequence[CandidateLaw]) -> ProvenFindings:
+    """The findings, with a gap where a law foresees what the model's own noise does not cover: noise follows none."""
+    if found.verdict == "unexplained" or found.excess is None or not laws:
+        return found
+    words = f"{found.excess.words()}, and a law of what is measured foresees it"
+    return replace(found, verdict="unexplained", reasons=(words,), material=True, little="")
+
+
+def with_all_cycles(after: Fitted, layout: DataLayout) -> Fitted:
+    """The fit, with its names, of all cycles, the held-out ones included: what begins may begin with any of them."""
+    record = layout.record
+    if np.isfinite(layout.first_made):
+        record = record.where(record.cycle < layout.first_made)
+    begin = replace(after, start=record.reading[record.window_first])
+    return fit(on(after.frame, record), after.state.named, begin, rounds=2)
+
+
+def told_fits(proof: Proof, base: Fitted, judged: JudgedPath, *, kept: bool) -> ToldFits:
+    """The fits before and after that the report shows: with the names, where these are `kept`.
+
+    Where nothing is added, both are the refit itself, or the model as given, if held-out cycles say that it is better.
+    """
+    runs = proof.runs
+    if kept:
+        return ToldFits(base=base, after=judged.path.fitted, held=judged.held, first=runs.refit, second=judged.second)
+    refit, sensor = judged.held.rmse_before, sensor_noise(base.frame.record)
+    worse = felt(refit, judged.held.rmse_given, sensor, proof.rules)
+    refused = worse and surely_nearer(runs.given, runs.refit, proof.seed)
+    if refused:
+        base = given_fit(base)
+        runs = runs_before(base, proof.held_out)
+    held, first, second = compared(base, base, proof.held_out, proof.seed, proof.floor, runs=runs)
+    held = replace(held, rmse_refit=refit if refused else None)
+    return ToldFits(base=base, after=base, held=held, first=first, second=second)
+
+
+def longest_that_passes(proof: Proof, paths: Sequence[NamingResult]) -> JudgedPath:
+    """The first of the paths, the longest first, whose names pass on held-out cycles; the first one where none does."""
+    judged = []
+    for path in paths:
+        shorter = next((each for each in paths if len(each.taken) == len(path.taken) - 1 and each.taken), None)
+        judged.append(_judge_path(proof, path, shorter))
+        if not judged[-1].reasons:
+            return judged[-1]
+    return judged[0]
+
+
+def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) -> JudgedPath:
+    held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor, runs=proof.runs)
+    floor = proof.floor
+    foreseen = foreseen_better(first, second)
+    if path.taken and foreseen >= proof.rules.margin_nats:
+        floor = at_most(floor, held.rmse_after)
+        held, *_ = compared(path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second)
+    left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
+    excess_after = excess(proof.stated, path.fitted, proof.rules) if path.taken else proof.before
+    reasons = (
+        *doubts(
+            path,
+            first,
+            second=second,
+            held=held,
+            before=proof.ceiling,
+            left=left,
+            shorter=None if shorter is None else let_run(shorter.fitted, proof.held_out),
+        ),
+        *left_over(path, foreseen, proof.before, excess_after),
+    )
+    return JudgedPath(
+        path=path, reasons=reasons, floor=floor, held=held, second=second, ceiling=left, excess=excess_after
+    )
+
+
+def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
+    """The path with the effect beyond chance that was refused as too small, as a leftover of the names before or since
+    the fitted cycles contradict one another, where the gap of the held-out cycles is that effect.
+
+    What it does to the fitted cycles says little of what the model's parameters, which have made room for it there, are
+    off by elsewhere; and what grows is greatest in the cycles that were kept.
+    """
+    step = path.nuisances[0] if path.nuisances and not path.taken else path.steps[-1][0]
+    best, rules = step.best, step.rules
+    names = [each.best.entry.name for each in path.taken if each.best is not None]
+    before = [named.entry.name for named in step.before.state.named if named.existing is None]
+    if best is None or best.fitted is None or best.gain < rules.least_gain_nats or undeserved(step) or names != before:
+        return path
+    held, first, second = compared(path.fitted, best.fitted, proof.held_out, proof.seed, proof.floor)
+    removed, interval = held.excess_removed, held.ci95
+    if not matters(held, sensor_noise(path.base.frame.record), rules) or removed is None or interval is None:
+        return path
+    if removed < rules.gap_itself_least_share or interval[0] <= 0:
+        return path
+    if foreseen_better(first, second) < rules.least_gain_nats:
+        return path
+    return replace(path, fitted=best.fitted, steps=(*((each, "") for each in path.taken), (step, "")))

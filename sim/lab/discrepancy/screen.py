@@ -1,0 +1,313 @@
+"""Which effects would explain what the model leaves: every shape of every entry against the fitted noise.
+
+The columns are what an effect of unit strength does to the windows; the model's own parameters (and the effects that it
+has already) are projected out of them, in the product that the noise gives (generalised least squares). A shape's gain
+is the log-likelihood ratio of its best strength, 0 where the sign is not physics; that of an entry is the best of its
+shapes. The screen is conservative: the noise was fitted without the effect and has swallowed some of it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from sim.effects import MachineLog
+from sim.lab.discrepancy.fitting import (
+    CatalogueEntry,
+    Fitted,
+    Named,
+    Record,
+    Whitener,
+    as_read,
+    as_sensed,
+    effects_of,
+    heat_filter,
+    held,
+    net_heat,
+    on_sensor,
+    signals_of,
+)
+from sim.sha import Array
+
+VISIBLE = 0.05**2
+"""Of a column's square that the fit's own parameters must leave where it is weighed by itself: 1/20 of its size."""
+TOGETHER = 16
+"""Columns that are weighed at a time: the states behind them take several times their memory."""
+SIMPLEX = 60
+"""Evaluations at most when the shape of an effect is refined."""
+TIMES = ("tau", "delay", "lag")
+"""Parameters of a shape that are a time (s) over which something happens."""
+VISIBLE_ROWS = 2.0
+"""Rows that something must last to be seen in them: between two of them it could be anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """One shape of an entry: signals by role, `params` without (in a `whole` entry: with) the strength."""
+
+    entry: CatalogueEntry
+    signals: Mapping[str, str]
+    params: Mapping[str, float]
+
+    def named(self, strength: float) -> Named:
+        """The effect at a strength; a `whole` entry keeps the one of its shape."""
+        own = {} if self.entry.whole else {self.entry.strength: strength}
+        return Named(self.entry, self.signals, self.entry.candidate.settled({**self.params, **own}))
+
+
+class Projector:
+    """The linear problem around a fit with the fit's own parameters taken out of everything."""
+
+    def __init__(self, fitted: Fitted) -> None:
+        self.fitted = fitted
+        # Frisch, Waugh and Lovell: regressing on what is left after the fit's own parameters gives an effect the same
+        # strength and gain as a joint fit would. The factor of the normal matrix is made once for all columns.
+        self._whitener = Whitener(fitted.grid, fitted.noise)
+        stacked = np.column_stack([fitted.residual, fitted.columns])
+        weighed = self._whitener.weigh(stacked)
+        prior = np.maximum(fitted.prior, 1e-12)
+        self._weighed = weighed[:, 1:]
+        self._factor = scipy.linalg.cho_factor(fitted.columns.T @ self._weighed + np.diag(prior))
+        best = scipy.linalg.cho_solve(self._factor, fitted.columns.T @ weighed[:, 0] - fitted.prior * fitted.off)
+        self.residual = fitted.residual - fitted.columns @ best
+        self.weighed_residual = weighed[:, 0] - self._weighed @ best
+
+    def made_room(self, column: Array) -> Array:
+        """(p + r + e,) how the fit's parameters move when `column` (m,) degC is added to its course."""
+        fitted = self.fitted
+        score = self._weighed.T @ (fitted.residual - column) - fitted.prior * fitted.off
+        return np.asarray(scipy.linalg.cho_solve(self._factor, score))
+
+    def clean(self, columns: Array) -> tuple[Array, Array, Array]:
+        """(columns without what the fit's parameters imitate, the same weighed, V^-1-size of the columns before)."""
+        weighed = self._whitener.weigh(columns)
+        part = scipy.linalg.cho_solve(self._factor, self._weighed.T @ columns)
+        before = np.einsum("ij,ij->j", columns, weighed)
+        return columns - self.fitted.columns @ part, weighed - self._weighed @ part, before
+
+
+def alone(projector: Projector, columns: Array, signs: Array) -> tuple[Array, Array, Array]:
+    """(gains (c,) nats, strengths (c,), the columns weighed (m, c)) of columns (m, c) degC, each by itself.
+
+    0 where nothing is visible beside the fit's own parameters, or where the sign that physics allows (`signs` (c,), 0:
+    either) is another.
+    """
+    _, weighed, before = projector.clean(columns)
+    size, score = np.einsum("ij,ij->j", columns, weighed), columns.T @ projector.weighed_residual
+    allowed = (size > VISIBLE * np.maximum(before, 1e-300)) & ((signs == 0) | (signs * score > 0))
+    strength = np.where(allowed, score / np.where(allowed, size, 1.0), 0.0)
+    return 0.5 * strength * score, strength, weighed
+
+
+@dataclass(frozen=True, slots=True)
+class Screen:
+    """c shapes with their projected problem: `normal` (c, c) = C'PC and `score` (c,) = C'Pr, P the projected V^-1.
+
+    `visible` (c,) is the share of each column's size that is left after projection. `by_cycle` (cycles, c) are the
+    parts of the scores and `information` (cycles, c) those of the normal matrix's diagonal. Columns are scaled to a
+    root mean square of 1 degC, `scale` (c,) being their own: degC for one unit of strength.
+    """
+
+    shapes: tuple[Shape, ...]
+    scale: Array
+    normal: Array
+    score: Array
+    visible: Array
+    by_cycle: Array
+    information: Array
+
+    @property
+    def signed(self) -> Array:
+        """(c,) the best strengths over their standard errors."""
+        return np.asarray(self.score / np.sqrt(np.maximum(np.diag(self.normal), 1e-300)))
+
+    @property
+    def strength(self) -> Array:
+        """(c,) the best strength of each shape alone, in the parameter's unit."""
+        return np.asarray(self.score / np.maximum(np.diag(self.normal) * self.scale, 1e-300))
+
+    @property
+    def gain(self) -> Array:
+        """(c,) nats of each shape alone, 0 where its sign is not physics or where nothing of it is visible."""
+        return self.gains(self.signed)
+
+    def gains(self, z: Array) -> Array:
+        """(..., c) nats of signed strengths over standard errors."""
+        sign = np.array([shape.entry.sign for shape in self.shapes])
+        allowed = (self.visible > 0) & ((sign == 0) | (sign * z > 0))
+        burden = np.array([shape.entry.burden for shape in self.shapes])
+        return np.where(allowed, np.maximum(0.5 * z**2 - burden, 0.0), 0.0)
+
+    def best(self) -> dict[str, int]:
+        """entry name -> its best shape's number, in the order of their gains."""
+        gain = self.gain
+        order = np.argsort(-gain, kind="stable").tolist()
+        chosen: dict[str, int] = {}
+        for number in order:
+            chosen.setdefault(self.shapes[number].entry.name, number)
+        return chosen
+
+
+def smooth_course(fitted: Fitted) -> Array:
+    """(n,) degC the temperature at the knots without the sensor's noise: free run plus the smoothed residual."""
+    record = fitted.frame.record
+    smoothed = Whitener(fitted.grid, fitted.noise).smoothed(fitted.residual)
+    # The residual is smoothed on windows and carried to the knots between them; the free run has the knots' own shape.
+    out = fitted.state.mean.copy()
+    runs, run = record.runs, record.runs.run[record.rows[record.begins]]
+    times = record.times
+    for number in np.unique(run):
+        windows, knots = run == number, runs.run == number
+        out[knots] += np.interp(runs.time[knots], times[windows], smoothed[windows])
+    return out
+
+
+def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
+    """(m, c) degC what one unit of strength of each shape does to the windows."""
+    record, state = fitted.frame.record, fitted.state
+    added = heat_filter(fitted.frame, state)
+    out = []
+    for shape in shapes:
+        effects = effects_of(shape.named(1.0), record.model)
+        if on_sensor(effects[0]):
+            sensed = state.mean
+            for effect in effects:
+                sensed = as_sensed(record, effect, sensed)
+            out.append(record.windowed(sensed - state.mean))
+            continue
+        # A heat that depends on the temperature is taken along the smoothed reading, not along the free run: where
+        # something is missing the free run is wrong, and a thermostat would open in it at the wrong times.
+        out.append(record.windowed(as_read(fitted.frame, state, added(net_heat(record, effects, smooth)))))
+    return np.column_stack(out)
+
+
+def shapes_of(
+    fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], smooth: Array
+) -> Iterator[Shape]:
+    """Every shape of every entry whose signals are there, but those too short to be seen between the rows."""
+    record = fitted.frame.record
+    shortest = shortest_visible(record)
+    score = Projector(fitted).weighed_residual
+    for entry in entries:
+        signals = signals_of(entry, roles)
+        if signals is None:
+            continue
+        log = MachineLog(
+            time=record.runs.time,
+            dt=record.runs.dt,
+            running=record.running,
+            smooth=smooth,
+            signals={role: held(record, signal) for role, signal in signals.items()},
+        )
+        further = entry.candidate.scan(record.times, score) if entry.candidate.scan is not None else []
+        for params in [*entry.candidate.shapes(log), *further]:
+            if all(params[name] >= shortest for name in TIMES if name in params):
+                yield Shape(entry, signals, params)
+
+
+def shortest_visible(record: Record) -> float:
+    """s below which nothing that happens is visible in the record's readings."""
+    between = np.diff(record.runs.time[record.rows])
+    return VISIBLE_ROWS * float(np.median(between)) if between.size else 0.0
+
+
+def screen(fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str]) -> Screen:
+    """Every shape of every entry against what the fit leaves."""
+    smooth = smooth_course(fitted)
+    shapes = tuple(shapes_of(fitted, entries, roles, smooth))
+    return judged(fitted, shapes, columns_of(fitted, shapes, smooth))
+
+
+def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
+    """The projected problem of the shapes' columns (m, c)."""
+    projector = Projector(fitted)
+    # Columns of unit size: strengths run from degC to 1/s, and one normal matrix of them all would lose its digits.
+    scale = np.sqrt(np.mean(columns**2, axis=0))
+    scaled = columns / np.where(scale > 1e-12, scale, 1.0)
+    # np.add.at, not a fancy +=, because windows of one cycle share a row and each of them must count.
+    cycles = np.unique(fitted.grid.cycle, return_inverse=True)[1]
+    count, width = int(cycles.max()) + 1, columns.shape[1]
+    parts, shares, before = np.zeros((count, width)), np.zeros((count, width)), np.empty(width)
+    normal = np.empty((width, width))
+    for begin in range(0, width, TOGETHER):
+        some = slice(begin, begin + TOGETHER)
+        cleaned, weighed, before[some] = projector.clean(scaled[:, some])
+        normal[:, some] = scaled.T @ weighed
+        np.add.at(parts[:, some], cycles, cleaned * projector.weighed_residual[:, None])
+        np.add.at(shares[:, some], cycles, cleaned * weighed)
+    left = np.maximum(np.diag(normal), 0.0)
+    visible = np.where((scale > 1e-12) & (before > 0), np.sqrt(left / np.maximum(before, 1e-300)), 0.0)
+    return Screen(
+        shapes=shapes,
+        scale=scale,
+        normal=0.5 * (normal + normal.T),
+        score=scaled.T @ projector.weighed_residual,
+        visible=visible,
+        by_cycle=parts,
+        information=shares,
+    )
+
+
+def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
+    """The effect with its shape where the gain is greatest, searched from a shape of the screen."""
+    smooth = smooth_course(fitted)
+    projector = Projector(fitted)
+    shortest = shortest_visible(fitted.frame.record)
+    names = [name for name in shape.entry.candidate.refine if name in shape.params]
+    if not names:
+        return shape.named(strength)
+    best: list[tuple[float, Shape, float]] = []
+
+    def loss(point: Array) -> float:
+        trial = _at(shape, names, point, shortest)
+        column = columns_of(fitted, [trial], smooth)
+        _, weighed, _ = projector.clean(column)
+        size = float(column[:, 0] @ weighed[:, 0])
+        score = float(column[:, 0] @ projector.weighed_residual)
+        if size <= 0:
+            return 0.0
+        wrong = shape.entry.sign * score < 0
+        # ln L along the column is c score - c^2 size / 2: at c = 1 for an effect that is there once, else at its top.
+        gain = 0.0 if wrong else score - 0.5 * size if shape.entry.whole else 0.5 * score**2 / size
+        best.append((gain, trial, score / size))
+        return -gain
+
+    values = [(name, shape.params[name]) for name in names]
+    widths = shape.entry.candidate.widths
+    begin = np.array([np.log(max(v, 1.0)) if _is_time(name) else v / widths.get(name, 10.0) for name, v in values])
+    # Nelder and Mead (1965), without derivatives: bounds and switching points leave kinks in the gain. The best point
+    # that was ever tried is kept, not the last simplex, since the search may be cut off by its evaluations.
+    simplex = np.vstack([begin, begin + np.diag(np.full(begin.size, 0.3))])
+    scipy.optimize.minimize(
+        loss,
+        begin,
+        method="Nelder-Mead",
+        options={"maxfev": SIMPLEX, "xatol": 0.02, "fatol": 0.05, "initial_simplex": simplex},
+    )
+    _, top, value = max(best, key=lambda trial: trial[0])
+    return top.named(value)
+
+
+def _at(shape: Shape, names: Sequence[str], point: Array, shortest: float) -> Shape:
+    """The shape at coordinates of the search: logarithms of times, else steps of a width or of ten, within bounds.
+
+    No time is made shorter than `shortest` (s).
+    """
+    values = {}
+    for name, coordinate in zip(names, point.tolist(), strict=True):
+        low, high = shape.entry.candidate.refine[name]
+        low = max(low, shortest) if _is_time(name) else low
+        # A simplex may step anywhere; beyond e^20 s the exponential would overflow before the bound could hold it.
+        value = (
+            float(np.exp(min(coordinate, 20.0)))
+            if _is_time(name)
+            else shape.entry.candidate.widths.get(name, 10.0) * coordinate
+        )
+        values[name] = min(max(value, low), high)
+    settled = shape.entry.candidate.settled({**shape.params, **values})
+    return Shape(shape.entry, shape.signals, settled)
+
+
+def _is_time(name: str) -> bool:
+    return name in TIMES

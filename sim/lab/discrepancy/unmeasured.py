@@ -1,0 +1,85 @@
+"""A neighbour that nobody measures: heat that comes and goes slowly by itself, tied to no signal and to no cycle.
+
+Straight pieces between knots so many hours apart, random and independent at each knot. It is a part of the noise, so it
+has no course that could be foreseen, and its likelihood is the one with all that it may have been integrated out: it is
+held against a name's as that is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.lab.discrepancy.fitting import Fitted, Whitener, as_read, heat_filter, with_heats
+from sim.lab.discrepancy.heat import HOUR
+from sim.sha import Array
+
+HOURS = (1.0, 2.0, 4.0)
+"""Hours between knots that are tried."""
+MOST_KNOTS = 200
+"""Knots at most: in a long record they lie further apart."""
+BESIDE_ROUGH = (0.5, 0.2, 1.2)
+"""Times the plant's own rough heat that it may be before it is fitted, together with the scatter of the cycles: the
+first at each distance of the knots, the others at the best."""
+FADED = 1e-4
+"""The share of a column's greatest value below which it is over."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlowHeat:
+    """Such a heat beside a fit: `fitted` has it in its noise, `sigma` degC/s at a knot, `spacing` s between two.
+
+    `heats` (m, c) is what it was fitted with (`with_heats`), `course` (m,) degC what it most likely did to the windows.
+    `cycles` says in how many the fit errs less with it, of all.
+    """
+
+    fitted: Fitted
+    sigma: float
+    spacing: float
+    heats: Array
+    course: Array
+    cycles: tuple[int, int]
+
+
+def slow_heat(before: Fitted) -> SlowHeat:
+    """The likeliest heat that comes and goes over hours."""
+    sizes = [share * before.noise.rough for share in BESIDE_ROUGH]
+    spacings = dict.fromkeys(_spacing(before, hours * HOUR) for hours in HOURS)
+    columns = {spacing: _knot_columns(before, spacing) for spacing in spacings}
+    tried = [(with_heats(before, sizes[0] * columns[spacing]), spacing, sizes[0]) for spacing in spacings]
+    _, spacing, _ = max(tried, key=lambda each: each[0].likelihood)
+    tried += [(with_heats(before, sigma * columns[spacing]), spacing, sigma) for sigma in sizes[1:]]
+    fitted, spacing, sigma = max(tried, key=lambda each: each[0].likelihood)
+    heats = sigma * columns[spacing]
+    size = fitted.noise.cycle / before.noise.cycle
+    weighed = Whitener(fitted.grid, fitted.noise).weigh(fitted.residual[:, None])[:, 0]
+    old = before.residual * Whitener(before.grid, before.noise).weigh(before.residual[:, None])[:, 0]
+    place = np.unique(before.grid.cycle, return_inverse=True)[1]
+    less = np.bincount(place, old - fitted.residual * weighed)
+    return SlowHeat(
+        fitted=fitted,
+        sigma=float(size * sigma),
+        spacing=spacing,
+        heats=heats,
+        course=size**2 * heats @ (heats.T @ weighed),
+        cycles=(int(np.count_nonzero(less > 0)), int(less.size)),
+    )
+
+
+def _spacing(before: Fitted, spacing: float) -> float:
+    times = before.frame.record.runs.time
+    return max(spacing, float(times[-1] - times[0]) / MOST_KNOTS)
+
+
+def _knot_columns(before: Fitted, spacing: float) -> Array:
+    """(m, c) degC what 1 degC/s at each knot, fading to none at its neighbours, does to the windows."""
+    record = before.frame.record
+    middle = record.runs.time - record.runs.dt / 2.0
+    count = max(round(float(middle[-1] - middle[0]) / spacing), 1)
+    knots, step = np.linspace(middle[0], middle[-1], count + 1, retstep=True)
+    added, columns = heat_filter(before.frame, before.state), []
+    for knot in knots:
+        heat = np.maximum(1.0 - np.abs(middle - knot) / step, 0.0)
+        columns.append(record.windowed(as_read(before.frame, before.state, added(heat))))
+    out = np.column_stack(columns)
+    top = np.abs(out).max(axis=0)
+    return np.where(np.abs(out) < FADED * top, 0.0, out)[:, top > 0]

@@ -1,0 +1,226 @@
+"""By how much a model's bands must be widened, learned from forecasts of what the model was not fitted to."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import exp, inf, log, nan
+
+import numpy as np
+
+from sim.engine import Belief, Tracker, compiled, observe, on_event, start, with_inputs
+from sim.forecast import LEVELS, Z90, forecast, weighted
+from sim.lab.learning.outcomes import Outcomes, outcomes_of
+from sim.lab.learning.plain import PERSISTENCE
+from sim.scores import crps_quantiles
+from sim.sha import UNKNOWN, Event, Model, PlainMember, Trace, plain_model
+
+HORIZONS = (60.0, 300.0, 900.0)
+ORIGINS = 100
+"""Forecasts that are made in all, spread evenly over the time that may be used."""
+RUNS = 128
+MOST_ROWS = 10_000
+"""Rows filtered in all; more are thinned evenly, the forecasts' outcomes are not."""
+SURE, UNSURE = 4.0, 1.25
+"""A factor of 1.25 counts for four independent forecasts: the model does not know how wrong its own flows may be."""
+PLAIN_ROWS = 4_000
+"""The same of a plain member: what it was worth at training is only where its weight begins."""
+PRIOR = 6.0
+"""Independent forecasts at most that a plain member's odds at training count for: another machine is not this one."""
+LEAST_ODDS = 1e-3
+LEAST, MOST = 0.5, 5.0
+"""Bounds of a factor: what lies outside is a model that does not fit, which a band cannot mend."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """What was seen at one `horizon` (s): `forecasts`, worth so many `independent` ones (they overlap), the share
+    `covered` by the 90 % band as the model gave it, the `factor` that comes of it, their mean CRPS (degC), and that of
+    `persistence` at the same moments (NaN where none stood beside the model)."""
+
+    horizon: float
+    forecasts: int
+    independent: float
+    covered: float
+    factor: float
+    crps: float
+    persistence: float = nan
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """One forecast for one horizon: when it was due, its error in units of the band (1.645 is its edge), its CRPS."""
+
+    horizon: float
+    due: float
+    z: float
+    crps: float
+
+
+def score_forecasts(
+    model: Model,
+    traces: Sequence[Trace],
+    since: Sequence[float],
+    rng: np.random.Generator,
+    *,
+    origins: int = ORIGINS,
+    most_rows: int = MOST_ROWS,
+) -> list[Scored]:
+    """`origins` forecasts with unknown events from moments at or after `since` (one per trace, absolute s), scored.
+
+    The belief is filtered over each whole trace, as it would be on the plant; isolated spikes are no outcomes.
+    """
+    # The factors of an earlier calibration would widen the very bands that are judged here.
+    tracker = compiled(replace(model, calibration={}))
+    usable = [max(float(trace.times[-1]) - first, 0.0) for trace, first in zip(traces, since, strict=True)]
+    every = max(sum(usable) / origins, 1e-9)
+    stride = max(sum(trace.times.size for trace in traces) // most_rows, 1)
+    scored: list[Scored] = []
+    for trace, first in zip(traces, since, strict=True):
+        raw = trace.signals[tracker.model.temperature]
+        outcomes = outcomes_of(trace, tracker.model.temperature, tracker.model.alphabet.gap)
+        rows = np.arange(0, trace.times.size, stride)
+        inputs = {name: trace.signals[name][rows].tolist() for name in sorted(tracker.inputs) if name in trace.signals}
+        # The last event never comes: it spares the loop a look at the end of the list.
+        events, upcoming = [*trace.events, Event(inf, UNKNOWN)], 0
+        belief = start(tracker, min(float(trace.times[0]), events[0].time))
+        following = max(first, float(trace.times[0]) + every / 2)
+        for row, (time, value) in enumerate(zip(trace.times[rows].tolist(), raw[rows].tolist(), strict=True)):
+            while events[upcoming].time <= time:
+                belief = on_event(tracker, belief, events[upcoming])
+                upcoming += 1
+            belief = with_inputs(tracker, belief, time, {name: column[row] for name, column in inputs.items()})
+            # The filter gets the raw reading, spikes included: on the plant nobody takes them out beforehand.
+            belief = observe(tracker, belief, time, value)
+            if time >= following and belief.seen:
+                scored += _score(tracker, belief, outcomes, rng)
+                following = max(following + every, time)
+    return scored
+
+
+def _score(tracker: Tracker, belief: Belief, readings: Outcomes, rng: np.random.Generator) -> list[Scored]:
+    """The forecast from `belief` at every horizon whose outcome is among the `readings`."""
+    outcomes = {horizon: readings.at(belief.time + horizon) for horizon in HORIZONS}
+    horizons = [horizon for horizon, value in outcomes.items() if value is not None]
+    if not horizons:
+        return []
+    fan = forecast(tracker, belief, horizons, rng, runs=RUNS)
+    low, median, high = (fan.quantiles[LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
+    scored = []
+    for column, horizon in enumerate(horizons):
+        error = (outcomes[horizon] or 0.0) - median[column]
+        # The law need not be symmetric: an error counts in units of the half of the band on whose side it lies.
+        edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
+        z = float(Z90 * abs(error) / max(edge, 1e-9))
+        crps = float(crps_quantiles(LEVELS, fan.quantiles[:, column], outcomes[horizon] or 0.0))
+        scored.append(Scored(horizon, belief.time + horizon, z, crps))
+    return scored
+
+
+@dataclass(slots=True)
+class HeldOutForecasts:
+    """What models of the same kind forecast beyond what they were fitted to, and the `plain` members beside them.
+
+    `seed` draws the plain members' runs; the model's are drawn by whoever adds it.
+    """
+
+    plain: Sequence[PlainMember]
+    seed: int
+    scored: list[Scored] = field(default_factory=list)
+    of_plain: dict[str, list[Scored]] = field(default_factory=dict)
+
+    def add(
+        self,
+        model: Model,
+        traces: Sequence[Trace],
+        since: Sequence[float],
+        rng: np.random.Generator,
+        *,
+        origins: int = ORIGINS,
+    ) -> None:
+        """Score the forecasts of a part (`score_forecasts`), the plain members' along the same traces."""
+        self.scored += score_forecasts(model, traces, since, rng, origins=origins)
+        for number, member in enumerate(self.plain):
+            own = np.random.default_rng((self.seed, number + 1, len(self.scored)))
+            beside = replace(plain_model(model, member), calibration={})
+            self.of_plain.setdefault(member.name, []).extend(
+                score_forecasts(beside, traces, since, own, origins=origins, most_rows=PLAIN_ROWS)
+            )
+
+    @property
+    def coverage(self) -> tuple[Coverage, ...]:
+        """The model's own coverage and factors, and its CRPS beside persistence's."""
+        beside = _mean_crps(self.of_plain.get(PERSISTENCE, []))
+        return tuple(replace(row, persistence=beside.get(row.horizon, nan)) for row in coverage_of(self.scored))
+
+    @property
+    def members(self) -> tuple[PlainMember, ...]:
+        """The plain members with their factors, and with their odds against the model at each horizon.
+
+        The odds are those that a pool would have come to over as many independent forecasts, PRIOR at most.
+        """
+        independent = {row.horizon: row.independent for row in self.coverage}
+        own = _mean_crps(self.scored)
+        members = []
+        for member in self.plain:
+            scored = self.of_plain.get(member.name, [])
+            losses, odds = _mean_crps(scored), {}
+            for horizon in own.keys() & losses.keys():
+                pair = np.array([own[horizon], losses[horizon]])
+                weight = weighted(np.ones(2), pair / max(pair.min(), 1e-3), min(independent[horizon], PRIOR))
+                odds[horizon] = float(min(max(weight[1] / weight[0], LEAST_ODDS), 1.0 / LEAST_ODDS))
+            factors = {row.horizon: row.factor for row in coverage_of(scored)}
+            members.append(replace(member, calibration=factors, odds=dict(sorted(odds.items()))))
+        return tuple(members)
+
+
+def _mean_crps(scored: Sequence[Scored]) -> dict[float, float]:
+    """horizon -> mean CRPS, degC."""
+    by_horizon: dict[float, list[float]] = {}
+    for each in scored:
+        by_horizon.setdefault(each.horizon, []).append(each.crps)
+    return {horizon: float(np.mean(values)) for horizon, values in by_horizon.items()}
+
+
+def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
+    """The factor of each horizon, from the 90 % quantile of z.
+
+    Forecasts whose spans overlap err together: n of them that span T seconds count as T / horizon. The quantile is
+    taken a little above 90 % (split-conformal: 0.9 (1 + 1/n)), and the factor is drawn towards 1.25 on the scale
+    of logarithms as if four independent forecasts had said so.
+    """
+    table = []
+    for horizon in HORIZONS:
+        forecasts = sorted((forecast for forecast in scored if forecast.horizon == horizon), key=lambda each: each.due)
+        if not forecasts:
+            continue
+        due, z = np.array([each.due for each in forecasts]), np.array([each.z for each in forecasts])
+        # The span that the forecasts cover, gaps cut to one horizon: beyond that they have nothing in common anyway.
+        independent = 1.0 + float(np.minimum(np.diff(due), horizon).sum()) / horizon
+        level = min(0.9 * (1.0 + 1.0 / independent), 0.97)
+        seen = min(max(float(np.quantile(z, level)) / Z90, LEAST), MOST)
+        factor = exp((independent * log(seen) + SURE * log(UNSURE)) / (independent + SURE))
+        covered, crps = float(np.mean(z <= Z90)), float(np.mean([each.crps for each in forecasts]))
+        table.append(
+            Coverage(
+                horizon=horizon,
+                forecasts=len(forecasts),
+                independent=independent,
+                covered=covered,
+                factor=factor,
+                crps=crps,
+            )
+        )
+    return tuple(table)
+
+
+def calibrate(
+    model: Model, traces: Sequence[Trace], rng: np.random.Generator, since: Sequence[float] | None = None
+) -> Mapping[float, float]:
+    """Horizon (s) -> factor of the forecast's standard deviation, from encoded traces that `model` was not fitted to.
+
+    Only forecasts from `since` on count (absolute s, one per trace; default: from the start). Horizons that no trace
+    is long enough for are left out.
+    """
+    begins = [-inf] * len(traces) if since is None else since
+    first = [max(begin, float(trace.times[0])) for trace, begin in zip(traces, begins, strict=True)]
+    coverage = coverage_of(score_forecasts(model, traces, first, rng))
+    return {row.horizon: row.factor for row in coverage}

@@ -1,0 +1,24 @@
+"""Method `lsha`: L*_SHA, a learner with an observation table and a teacher who answers from traces."""
+
+from typing import TYPE_CHECKING
+
+from sim.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from sim.lab.learning.lsha.hypothesis import ObservationTable, TableRow
+    from sim.lab.learning.lsha.learn import LearnedLsha, learn_lsha
+    from sim.lab.learning.lsha.report import report_document, report_text
+    from sim.lab.learning.lsha.settings import FLOW_KINDS, LshaSettings
+else:
+    __getattr__ = opened_at_use(__name__)
+
+__all__ = [
+    "FLOW_KINDS",
+    "LearnedLsha",
+    "LshaSettings",
+    "ObservationTable",
+    "TableRow",
+    "learn_lsha",
+    "report_document",
+    "report_text",
+]

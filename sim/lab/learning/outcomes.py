@@ -1,0 +1,35 @@
+"""What came true: the readings of a trace that a forecast is held against when it is due."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.lab.learning.data import resolution, without_spikes
+from sim.sha import Array, Trace
+
+
+@dataclass(frozen=True, slots=True)
+class Outcomes:
+    """Readings `values` (n,) (degC) at ascending `times` (n,), absolute s; steps above `gap` s are not bridged."""
+
+    times: Array
+    values: Array
+    gap: float
+
+    def at(self, due: float) -> float | None:
+        """The temperature at `due` (absolute s), linear between the readings around it; None without them."""
+        after = int(np.searchsorted(self.times, due))
+        if after == 0 or after == self.times.size or self.times[after] - self.times[after - 1] > self.gap:
+            return None
+        return float(np.interp(due, self.times[after - 1 : after + 1], self.values[after - 1 : after + 1]))
+
+
+def outcomes_of(trace: Trace, temperature: str, gap: float) -> Outcomes:
+    """The good readings of the signal `temperature` in a trace, isolated spikes left out.
+
+    A spike is a fault of the measurement: no forecast is right or wrong for having missed it.
+    """
+    raw = trace.signals[temperature]
+    reading = without_spikes(raw, resolution(raw))
+    finite = np.isfinite(reading)
+    return Outcomes(trace.times[finite], reading[finite], gap)

@@ -1,0 +1,137 @@
+"""Clocks of recorded files: texts to seconds, local time to UTC, midnight, and the fewest rows to refuse.
+
+Pandas, which knows date formats and time zones, takes longer to import than most files to read, so it is imported where
+a file has such a clock; our own CSV counts in seconds.
+"""
+
+import re
+from bisect import bisect_right
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim.lab.recordings.cells import Decimal, numbers
+from sim.lab.recordings.column_map import SECONDS, ClockColumns, Names, TimeOfDay
+from sim.sha import Array, Mask
+
+if TYPE_CHECKING:
+    from pandas import DatetimeIndex
+
+_OFFSET = re.compile(r":.*(?:[Zz]|[+-]\d\d(?::?\d\d)?)\s*$")
+_DAY = 86400.0
+
+
+def clock_columns(clock: ClockColumns) -> tuple[Names, ...]:
+    """The columns that the clock needs, in the order in which `read_clock` wants their cells."""
+    day = clock.time_of_day
+    if day is None:
+        return (clock.column, *([clock.date] if clock.date else []))
+    return (day.hour, day.minute, day.second, *((day.fraction,) if day.fraction else ()))
+
+
+def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: Decimal) -> tuple[Array, Mask]:
+    """Seconds for each row (NaN: no time there), and a mask of the rows whose time needs the map's time zone yet."""
+    if clock.time_of_day is not None:
+        seconds = _time_of_day(clock.time_of_day, columns, decimal)
+        return seconds, np.zeros(seconds.shape, dtype=bool)
+    cells = [cell.strip() for cell in columns[0]]
+    if clock.date:
+        cells = [f"{day.strip()} {cell}" for day, cell in zip(columns[1], cells, strict=True)]
+    seconds, local = np.full(len(cells), np.nan), np.zeros(len(cells), dtype=bool)
+    for format_ in clock.formats:
+        left = np.flatnonzero(np.isnan(seconds))
+        if not left.size:
+            break
+        texts = [cells[index] for index in left] if left.size < len(cells) else cells
+        if format_ in SECONDS:
+            seconds[left] = numbers(texts, decimal)[0] / SECONDS[format_]
+        else:
+            seconds[left], local[left] = _dates(texts, format_)
+    return seconds, local
+
+
+def _time_of_day(day: TimeOfDay, columns: Sequence[Sequence[str]], decimal: Decimal) -> Array:
+    parts = [numbers(cells, decimal)[0] for cells in columns]
+    hour, minute, second = parts[:3]
+    usable = (hour >= 0) & (hour < 24) & (minute >= 0) & (minute < 60) & (second >= 0) & (second < 61)
+    whole = hour * 3600.0 + minute * 60.0 + second
+    if len(parts) == 4:
+        usable &= (parts[3] >= 0) & (parts[3] * day.fraction_unit < 1)
+        # The count of fractions first: 31 s and 9 tenths are 319 / 10, the nearest double to 31.9.
+        per_second = 1.0 / day.fraction_unit
+        exact = per_second == round(per_second)
+        whole = (whole * per_second + parts[3]) / per_second if exact else whole + parts[3] * day.fraction_unit
+    return np.where(usable, whole, np.nan)
+
+
+def _dates(texts: list[str], format_: str) -> tuple[Array, Mask]:
+    import pandas as pd
+
+    if format_ == "ISO8601":
+        # A bare number is no date here, though ISO 8601 would read 1999 as a year.
+        texts = [text if "-" in text or ":" in text else "" for text in texts]
+        offset = np.array([_OFFSET.search(text) is not None for text in texts], dtype=bool)
+    else:
+        offset = np.full(len(texts), "%z" in format_)
+    stamps = pd.DatetimeIndex(pd.to_datetime(pd.Series(texts), format=format_, errors="coerce", utc=True))
+    return _seconds(stamps), ~offset
+
+
+def _seconds(stamps: "DatetimeIndex") -> Array:
+    micros = stamps.as_unit("us")
+    return np.where(micros.isna(), np.nan, micros.asi8 / 1e6)
+
+
+def to_utc(seconds: Array, local: Mask, timezone: str) -> Array:
+    """Seconds since 1970 from local readings of a clock in file order; NaN where that local time never was.
+
+    In the hour that autumn repeats, rows are summer time until the clock is seen to go back by more than half an hour.
+    """
+    if timezone == "UTC" or not local.any():
+        return seconds
+    import pandas as pd
+
+    naive = pd.DatetimeIndex(np.round(seconds[local] * 1e6).astype("datetime64[us]"))
+    ambiguous = naive.tz_localize(timezone, ambiguous="NaT", nonexistent="shift_forward").isna()
+    summer = np.ones(naive.shape, dtype=bool)
+    # Each run of ambiguous rows is an autumn night of its own.
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], np.asarray(ambiguous), [False])).astype(np.int8)))
+    for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        summer[start:end] = np.cumsum(np.diff(seconds[local][start:end], prepend=-np.inf) < -1800.0) == 0
+    utc = naive.tz_localize(timezone, ambiguous=summer, nonexistent="NaT").tz_convert("UTC")
+    result = seconds.copy()
+    result[local] = _seconds(utc)
+    return result
+
+
+def unroll_midnight(seconds: Array) -> Array:
+    """A time of day that goes on over midnight: a step back of more than half a day is a midnight passed.
+
+    A step forward of almost a day is the same midnight passed backwards, by a clock that stutters; a long stop is not.
+    """
+    steps = np.diff(seconds)
+    days = np.cumsum((steps < -_DAY / 2).astype(float) - (steps > _DAY - 600.0))
+    return seconds + _DAY * np.concatenate(([0.0], days)) if steps.size else seconds
+
+
+def longest_rising(times: Array) -> Mask:
+    """A mask that keeps as many rows as can be kept so that the clock never goes back (patience sorting)."""
+    if not np.any(np.diff(times) < 0):
+        return np.ones(times.shape, dtype=bool)
+    # tails[n] is the earliest time at which a rising row of n + 1 rows can end, ends[n] that row, and before[row] the
+    # row that stands before it there: followed backwards from the longest one, these are the rows to keep.
+    tails: list[float] = []
+    ends: list[int] = []
+    before = np.full(times.shape, -1)
+    for row, time in enumerate(times.tolist()):
+        place = bisect_right(tails, time)
+        before[row] = ends[place - 1] if place else -1
+        tails[place : place + 1] = [time]
+        ends[place : place + 1] = [row]
+    keep = np.zeros(times.shape, dtype=bool)
+    row = ends[-1]
+    while row >= 0:
+        keep[row] = True
+        row = int(before[row])
+    return keep

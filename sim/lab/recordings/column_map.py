@@ -1,0 +1,292 @@
+"""Column maps: which column of somebody's CSV is which signal, which is the clock, and what is done about faults."""
+
+import tomllib
+from collections.abc import Collection
+from pathlib import Path
+from typing import Annotated, Literal, Self
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from drivers.errors import did_you_mean
+from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
+from drivers.settings import first_sentence
+from sim.lab.recordings.alphabet_table import DECANTER_AUTO, alphabet_from_table
+from sim.lab.recordings.load_report import TraceError
+from sim.sha import Alphabet
+
+
+def _listed(value: object) -> object:
+    return (value,) if isinstance(value, str) else value
+
+
+Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+"""One name or several: the first that the file has is taken."""
+
+
+SECONDS = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+"""Formats of a clock that counts, and how many of their units a second has."""
+
+
+class _MapPart(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class TimeOfDay(_MapPart):
+    """The columns of a clock without a date. `fraction` counts in `fraction_unit` seconds."""
+
+    hour: Names
+    minute: Names
+    second: Names
+    fraction: Names = ()
+    fraction_unit: Annotated[float, Field(gt=0, lt=1)] = 0.1
+
+
+class ClockColumns(_MapPart):
+    """One `column`, in one of the `formats`, or a `time_of_day` that rolls over at midnight.
+
+    Formats, tried in order: `seconds`, `milliseconds`, `microseconds` and `nanoseconds` (elapsed or since 1970),
+    `ISO8601`, or a strptime pattern. Where the day stands in a column `date` of its own, its cell, a blank and that of
+    `column` are what the formats read. A time without an offset is read in `timezone`. A time of day becomes seconds
+    since midnight of the first row's day.
+    """
+
+    column: Names = ()
+    date: Names = ()
+    formats: Names = ("ISO8601",)
+    timezone: str = "UTC"
+    time_of_day: TimeOfDay | None = None
+
+    @field_validator("timezone")
+    @classmethod
+    def _zone_exists(cls, zone: str) -> str:
+        try:
+            ZoneInfo(zone)
+        except (ZoneInfoNotFoundError, ValueError):
+            meant = did_you_mean(zone, available_timezones()) or "give a name like 'UTC' or 'Europe/Rome'"
+            raise ValueError(f"there is no time zone {zone!r}; {meant}") from None
+        return zone
+
+    @field_validator("formats")
+    @classmethod
+    def _formats_are_known(cls, formats: tuple[str, ...]) -> tuple[str, ...]:
+        for format_ in formats:
+            if format_ not in (*SECONDS, "ISO8601") and "%" not in format_:
+                known = f"{', '.join(map(repr, SECONDS))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
+                raise ValueError(f"{format_!r} is no format; give {known}")
+        return formats
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if bool(self.column) == (self.time_of_day is not None):
+            raise ValueError("give either column or time_of_day")
+        if self.date and self.time_of_day is not None:
+            raise ValueError("date belongs to column; a time_of_day has none")
+        return self
+
+
+class SignalColumn(_MapPart):
+    """Where a signal's readings are: value = cell * scale + offset, in `unit`.
+
+    `column` is the header's name (in a long file, the name in the column of names); the signal's own name if not given.
+    Cells in `missing` (before scaling) and values outside `low`..`high` are of bad quality. `hold`: sent on change, the
+    last value holds until the next reading, a bad one or a gap. `on` and `off` are words of a two-valued signal, in any
+    case of their letters, besides those that are known anyway; where they are given, `boolean` need not be.
+    """
+
+    column: Names = ()
+    unit: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+    boolean: bool = False
+    on: Names = ()
+    off: Names = ()
+    hold: bool = False
+    low: float | None = None
+    high: float | None = None
+    missing: tuple[float, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _words_make_a_switch(cls, table: object) -> object:
+        if isinstance(table, dict) and (table.get("on") or table.get("off")):
+            return {"boolean": True, **table}
+        return table
+
+    @model_validator(mode="after")
+    def _words_are_opposites(self) -> Self:
+        both = {word.casefold() for word in self.on} & {word.casefold() for word in self.off}
+        if both:
+            raise ValueError(f"{sorted(both)[0]!r} stands in both on and off; leave it in the one that it means")
+        if (self.on or self.off) and not self.boolean:
+            raise ValueError("on and off are words of a two-valued signal; leave out boolean = false")
+        return self
+
+
+class Derived(_MapPart):
+    """What a signal is when the file has no column for it: `signal` > `above`, a `constant`, or a `product`.
+
+    A product is `scale` times the signals that it names, in `unit`. It is known in each row with a reading of one of
+    them, the others as they were read last (not across a gap, nor over a bad reading).
+    """
+
+    signal: str | None = None
+    above: float | None = None
+    constant: float | None = None
+    product: tuple[str, ...] = ()
+    scale: float = 1.0
+    unit: str = ""
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The signals that it is made of."""
+        return self.product if self.signal is None else (self.signal,)
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        forms = (self.signal is not None, self.constant is not None, bool(self.product))
+        if sum(forms) != 1 or (self.signal is None) != (self.above is None):
+            raise ValueError("give either signal and above, or constant, or product")
+        if len(self.product) == 1:
+            raise ValueError("product needs two signals or more")
+        if not self.product and self.scale != 1.0:
+            raise ValueError("scale belongs to product")
+        return self
+
+
+class Effects(_MapPart):
+    """Which signal plays which part for `decanter diagnose`, where signals do not have the plant's names.
+
+    Where the map has this table, a role without a signal is not there, and the effects that need it are not tested.
+    """
+
+    current: str | None = None
+    torque: str | None = None
+    speed: str | None = None
+    vibration: str | None = None
+    pump: str | None = None
+    feed: str | None = None
+    ambient: str | None = None
+
+    @property
+    def roles(self) -> dict[str, str]:
+        """role -> signal, of the roles that are given."""
+        return {role: signal for role, signal in self.model_dump().items() if signal is not None}
+
+
+class Long(_MapPart):
+    """The columns of a long file: one row a reading. Rows of objects that are not in `objects` are left aside."""
+
+    name: Names
+    value: Names
+    object: Names = ()
+    objects: tuple[str, ...] = ()
+
+
+def _one_of(word: str, known: Collection[str]) -> str:
+    return f"it must be one of {', '.join(known)}; {did_you_mean(word, known)}".rstrip("; ")
+
+
+class ColumnMap(_MapPart):
+    """How to read one kind of CSV.
+
+    `separator` is tried first; another of `, ; tab |` is taken only if the header's names fit under it alone. `decimal`
+    `auto` takes a comma inside a cell for a decimal comma unless the column also has decimal points. `columns` are the
+    names of a file without header. `parts` is a pattern of file names: all such files of one folder make one trace.
+    `duplicates` says what becomes of rows with the same time: the `average` of the readings (of booleans the last), the
+    `last` reading of each signal, or `keep`. `clock_back`: `refuse` the fewest rows that leave a clock which never goes
+    back, `split` into traces there, or `sort`. `extra`: columns that the map does not name become signals too.
+    `machine` says which machine a trace is of: each `folder` of files is one, each `file` is, or all are the one that
+    it names; models learn how much machines differ.
+    """
+
+    format: Literal["wide", "long"]
+    temperature: str
+    clock: ClockColumns
+    signals: dict[str, SignalColumn]
+    derived: dict[str, Derived] = {}
+    long: Long | None = None
+    separator: Literal["auto", ",", ";", "tab", "|"] = "auto"
+    decimal: Literal["auto", ".", ","] = "auto"
+    encoding: str = "auto"
+    comment: str = "#"
+    columns: tuple[str, ...] = ()
+    parts: str = ""
+    duplicates: Literal["average", "last", "keep"] = "last"
+    clock_back: Literal["refuse", "split", "sort"] = "refuse"
+    extra: bool = False
+    synthetic: bool = False
+    machine: Annotated[str, Field(min_length=1)] = "folder"
+    effects: Effects | None = None
+    alphabet: Alphabet = DECANTER_AUTO
+
+    @field_validator("alphabet", mode="before")
+    @classmethod
+    def _alphabet(cls, table: object) -> object:
+        if not isinstance(table, dict):
+            return table
+        try:
+            return alphabet_from_table(table, "its")
+        except ValueError as error:
+            raise ValueError(str(error).removeprefix("its: ")) from None
+
+    @field_validator("encoding")
+    @classmethod
+    def _encoding_exists(cls, encoding: str) -> str:
+        try:
+            "".encode("utf-8" if encoding == "auto" else encoding)
+        except LookupError:
+            raise ValueError(
+                f"there is no encoding {encoding!r}; give 'auto' or a name like 'utf-8' or 'cp1252'"
+            ) from None
+        return encoding
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if (self.format == "long") != (self.long is not None):
+            raise ValueError("format 'long' needs a table [long], format 'wide' has none")
+        if self.format == "long" and (self.clock_back != "sort" or self.duplicates == "keep" or self.extra):
+            raise ValueError("a long map needs clock_back = 'sort', duplicates 'last' or 'average', and no extra")
+        if self.temperature not in self.signals:
+            raise ValueError(f"temperature names {self.temperature!r}; {_one_of(self.temperature, self.signals)}")
+        for name, derived in self.derived.items():
+            strange = [source for source in derived.sources if source not in self.signals]
+            if strange:
+                raise ValueError(f"derived.{name} needs {strange[0]!r}; {_one_of(strange[0], self.signals)}")
+        self._check_roles()
+        return self
+
+    def _check_roles(self) -> None:
+        known = (*self.signals, *self.derived)
+        for role, signal in ({} if self.effects is None else self.effects.roles).items():
+            if signal not in known and not self.extra:
+                raise ValueError(f"effects.{role} names {signal!r}; {_one_of(signal, known)}")
+
+    def names_of(self, signal: str) -> tuple[str, ...]:
+        """The column names under which a signal may come."""
+        return self.signals[signal].column or (signal,)
+
+
+def load_map(path: str | Path) -> ColumnMap:
+    """The column map in a TOML file. Raises TraceError: file, key, reason and what would be right in one sentence."""
+    try:
+        text = contents(Path(path), MOST_TOML_BYTES).decode()
+    except FileNotFoundError:
+        beside = sorted(file.stem for file in Path(path).parent.glob("*.toml"))
+        meant = did_you_mean(Path(path).stem, beside) or "the project's own are in config/traces"
+        raise TraceError(f"{path}: there is no such column map; {meant}") from None
+    except OSError as error:
+        raise TraceError(f"{path}: this column map cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise TraceError(f"{path}: this is not TOML: {error}") from None
+    return parse_map(text, str(path))
+
+
+def parse_map(text: str, where: str) -> ColumnMap:
+    """The column map in a TOML text. Raises TraceError: one sentence that begins with `where`."""
+    try:
+        return ColumnMap.model_validate(parse_toml(text))
+    except tomllib.TOMLDecodeError as error:
+        raise TraceError(f"{where}: this is not TOML: {error}") from None
+    except ValidationError as error:
+        raise TraceError(first_sentence(ColumnMap, error, where)) from None

@@ -1,0 +1,122 @@
+"""Columns of an undescribed table: which hold numbers, switches with their words, or nothing that can be used."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from sim.lab.recordings import SWITCH_WORDS, booleans, numbers
+from sim.lab.recordings.mapping.words import unit_of
+from sim.sha import Array
+
+Kind = Literal["number", "switch", "text", "empty"]
+_ENOUGH = 0.8
+"""Share of the filled cells that must be numbers: exports write words where they have no value."""
+_NO_VALUE = frozenset({"", "null", "none", "nan", "n/a", "na", "-", "--", "no data", "bad", "bad input", "undefined"})
+_OPPOSITES = {word: value for pair in SWITCH_WORDS for words, value in zip(pair, (1, 0), strict=True) for word in words}
+_ON = frozenset(
+    {"active", "aktiv", "attivo", "actif", "activo", "open", "auf", "started", "gestartet", "läuft", "lauf"}
+)
+_OFF = frozenset({
+    "inactive", "inaktiv", "inattivo", "inactif", "inactivo", "closed", "zu", "steht", "stillstand", "halt", "idle",
+})  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class FoundColumn:
+    """A signal's column: the `header` it is read from, a `name` for the signal, its `unit`, `kind` and sample `values`.
+
+    `words` are (on, off) of a switch whose words are not known anyway; `undecided` are two words of `cells` of which
+    nobody knows which is on.
+    """
+
+    header: str
+    name: str
+    unit: str
+    kind: Kind
+    values: Array
+    words: tuple[str, str] | None = None
+    undecided: tuple[str, str] | None = None
+    cells: tuple[str, ...] = ()
+
+
+def decimal_of(columns: Sequence[Sequence[str]], separator: str) -> Literal["auto", ".", ","]:
+    """The decimal mark of a file; "auto" where nothing shows it."""
+    cells = [cell for column in columns for cell in column]
+    comma = sum(_is_number(cell, ",") for cell in cells if "," in cell) if separator != "," else 0
+    point = sum(_is_number(cell, ".") for cell in cells if "." in cell and "," not in cell)
+    # 1.234,5 has both: a comma that stands after a point is the decimal one.
+    if comma > 0 and comma >= point:
+        return ","
+    return "." if point else "auto"
+
+
+def _is_number(cell: str, decimal: Literal[".", ","]) -> bool:
+    return bool(np.isfinite(numbers([cell], decimal)[0][0])) and cell.strip() != ""
+
+
+def column_of(
+    header: str, title: str, unit: str, cells: Sequence[str], decimal: Literal["auto", ".", ","]
+) -> FoundColumn:
+    """What a column (or one signal of a long file) holds. `unit` is the one that a row of units gives, or ""."""
+    bare, own_unit = unit_of(title)
+    name = signal_name(bare)
+    unit = unit or own_unit
+    filled = [cell for cell in cells if cell.casefold() not in _NO_VALUE]
+    if not filled:
+        return FoundColumn(header, name, unit, "empty", np.full(len(cells), np.nan))
+    values, _ = numbers(cells, decimal)
+    distinct = Counter(filled)
+    as_switch, wrong = booleans(cells)
+    if len(distinct) <= 2 and not wrong.any() and not (unit and unit != "degC"):
+        return FoundColumn(header, name, "", "switch", as_switch)
+    if np.isfinite(values).sum() >= _ENOUGH * len(filled):
+        return FoundColumn(header, name, unit, "number", values)
+    if len(distinct) == 2 and all(len(word) <= 24 for word in distinct):
+        on, off = _opposites(*distinct)
+        if on:
+            return FoundColumn(header, name, "", "switch", booleans(cells, (on,), (off,))[0], words=(on, off))
+        first, second = distinct
+        return FoundColumn(header, name, "", "text", values, undecided=(first, second), cells=tuple(cells))
+    return FoundColumn(header, name, "", "text", values)
+
+
+def _opposites(first: str, second: str) -> tuple[str, str]:
+    """(on, off) of two words, or ("", "") where neither is known."""
+    known = {**_OPPOSITES, **dict.fromkeys(_ON, 1), **dict.fromkeys(_OFF, 0)}
+    meant = [
+        {known[part] for part in (word.casefold(), *word.casefold().replace("_", " ").split()) if part in known}
+        for word in (first, second)
+    ]
+    if meant[0] <= {1} and meant[1] <= {0} and meant[0] | meant[1]:
+        return first, second
+    if meant[0] <= {0} and meant[1] <= {1} and meant[0] | meant[1]:
+        return second, first
+    return "", ""
+
+
+def signal_name(header: str) -> str:
+    """A signal's name from a header: one that can be a column of our own CSV and a bare key's text in TOML."""
+    kept = "".join(mark if mark.isprintable() and mark not in ',"#\\' else " " for mark in header)
+    return "_".join(kept.split()) or "column"
+
+
+def is_slow(values: Array) -> bool:
+    """Whether readings move as a temperature in degC does: within -40 to 200, each near the one before, all apart."""
+    finite = values[np.isfinite(values)]
+    if finite.size < 10 or finite.min() < -40 or finite.max() > 200 or np.ptp(finite) < 1.0:
+        return False
+    span = float(np.ptp(finite))
+    return float(np.median(np.abs(np.diff(finite)))) <= 0.02 * span and span <= 150.0
+
+
+def has_levels(values: Array) -> bool:
+    """Whether readings dwell at standstill and at work, as a motor's current does: near 0 and far from it, in turn."""
+    finite = values[np.isfinite(values)]
+    if finite.size < 10 or finite.max() <= 0 or finite.min() < -0.1 * finite.max():
+        return False
+    low = finite < 0.1 * finite.max()
+    return 0.02 < float(low.mean()) < 0.98 and sum(a != b for a, b in pairwise(low.tolist())) < finite.size / 4

@@ -1,0 +1,283 @@
+"""A CSV as text: its encoding, separator and header found or refused in one sentence, its rows as cells.
+
+The standard library's reader splits the rows. What is added here: the line on which each row begins, comments and blank
+lines between rows, and the rule that one bad row costs one row, a quotation mark that is never closed included.
+"""
+
+import codecs
+import csv
+import io
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from operator import itemgetter
+from pathlib import Path
+
+from drivers.csv_rows import unguarded
+from drivers.errors import did_you_mean
+from drivers.named_files import regular
+from sim.lab.recordings.cells import numbers
+from sim.lab.recordings.column_map import ColumnMap, Names
+from sim.lab.recordings.load_report import FileReport, TraceError, listed
+
+SEPARATORS = {",": ",", ";": ";", "tab": "\t", "|": "|"}
+_HEAD = 262_144
+_CHUNK = 100_000
+_BLOCK = 500
+"""Lines that are split in one call where none of them has a quotation mark. One mark costs its block the short way."""
+MOST_LINES = 50
+"""Lines that one row may take. A quotation mark that stays open for longer is a fault of its line."""
+MOST_BEFORE = 60
+"""Lines among which a header is looked for, comments not counted."""
+_BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+
+
+@dataclass(frozen=True, slots=True)
+class TextLayout:
+    """How a file is written. `skip` lines come before its first row; `comments` are those of them, without the mark."""
+
+    encoding: str
+    separator: str
+    header: tuple[str, ...]
+    skip: int
+    comments: tuple[str, ...]
+
+
+def place_of(header: Sequence[str], names: Names) -> int | None:
+    """Where the first of `names` that the header has stands; upper and lower case matter only if both are there."""
+    folded = [name.casefold() for name in header]
+    for name in names:
+        if name in header:
+            return header.index(name)
+        if folded.count(name.casefold()) == 1:
+            return folded.index(name.casefold())
+    return None
+
+
+def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], report: FileReport) -> TextLayout:
+    """Encoding, separator and header of `path`. Raises TraceError, saying what is there, unless all `needed` are."""
+    with regular(path).open("rb") as stream:
+        head = stream.read(_HEAD)
+    if not head:
+        raise TraceError(f"{path}: the file is empty; give one with a header and rows")
+    encoding, text, note = decode_head(path, head, column_map.encoding)
+    report.notes += [note] if note else []
+    lines = list(io.StringIO(text, newline=None))
+    comments: list[str] = []
+    first = 0
+    for line in lines:
+        if column_map.comment and line.startswith(column_map.comment):
+            comments.append(line[len(column_map.comment) :].strip())
+        elif line.strip():
+            break
+        first += 1
+    else:
+        raise TraceError(
+            f"{path}: there is nothing in it but comments and blank lines; give a file with a header and rows"
+        )
+    # The map's own separator first; of the others any under which the header's names fit.
+    own = SEPARATORS.get(column_map.separator)
+    marks = sorted(SEPARATORS.values(), key=lambda mark: mark != own)
+    # An export may begin with a title, its query or a list of columns: the header is the first row that has the names.
+    at, fits = first, list[str]()
+    for at in range(first, min(first + MOST_BEFORE, len(lines))):
+        headers = {mark: _header(lines[at : at + MOST_LINES], mark) for mark in marks}
+        fits = [mark for mark in marks if all(place_of(headers[mark][0], group) is not None for group in needed)]
+        if fits:
+            break
+    if fits and at > first:
+        report.notes.append(f"lines {first + 1} to {at} come before its header")
+    if not fits:
+        headers = {mark: _header(lines[first : first + MOST_LINES], mark) for mark in marks}
+    # Without a header: only where the map names the columns and the first line has one number for each.
+    bare: list[str] = []
+    for mark, (cells, _) in headers.items():
+        if cells and len(cells) == len(column_map.columns):
+            values, _ = numbers(cells, column_map.decimal)
+            if (values == values).all():
+                bare.append(mark)
+    if fits:
+        separator, (header, span) = fits[0], headers[fits[0]]
+        skip = at + span
+    elif len(bare) == 1:
+        separator, header, skip = bare[0], column_map.columns, first
+    else:
+        raise TraceError(_no_header(path, first + 1, [names for names, _ in headers.values()], needed, column_map))
+    if own is not None and separator != own:
+        report.notes.append(f"its separator is {separator!r}, not {column_map.separator!r} as the map says")
+    if not fits:
+        report.notes.append(f"it has no header; its columns are taken for {listed(column_map.columns)}")
+    report.columns = header
+    return TextLayout(encoding, separator, header, skip, tuple(comments))
+
+
+def decode_head(path: Path, head: bytes, encoding: str) -> tuple[str, str, str]:
+    """(encoding, text of the head, a note if it is not what `encoding` says).
+
+    A byte order mark says more than the map. Raises TraceError for what is no text.
+    """
+    bom = next((name for mark, name in _BOMS if head.startswith(mark)), None)
+    chosen, note = bom or (encoding if encoding != "auto" else "utf-8"), ""
+    try:
+        # Incrementally: the head may end in the middle of a character, which is no fault.
+        text = codecs.getincrementaldecoder(chosen)("strict").decode(head, False)
+    except UnicodeDecodeError:
+        # cp1252 has a character for nearly every byte: umlauts and degree signs of old Windows files come out right.
+        chosen = "cp1252" if encoding == "auto" and bom is None else chosen
+        text = head.decode(chosen, "replace")
+        note = f"it is not clean {encoding if bom is None else bom} text; read as {chosen}"
+    strange = sum(char < " " and char not in "\t\r\n\f" for char in text[:4096])
+    if "\x00" in text[:4096] or strange * 20 > len(text[:4096]):
+        raise TraceError(f"{path}: this is not a text file; give the CSV, unpacked")
+    return chosen, text, note
+
+
+def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]:
+    """The names in the row that begins with the first of `lines`, and how many lines it takes; no names: no row."""
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
+    try:
+        names = [cell.strip() for cell in unguarded(next(reader))]
+    except csv.Error:
+        return (), 1
+    while names and not names[-1]:
+        names.pop()
+    return tuple(names), reader.line_num
+
+
+def _no_header(
+    path: Path, number: int, headers: Sequence[Sequence[str]], needed: Sequence[Names], column_map: ColumnMap
+) -> str:
+    names = max(headers, key=len)
+    lacking = [" or ".join(map(repr, group)) for group in needed if place_of(names, group) is None]
+    if len(names) > 1:
+        present = f"its columns are {listed(names)}"
+    else:
+        present = f"its only column is {repr(names[0][:60]) if names else 'blank'}"
+    # The nearest name of what is lacking, if there is one: most often a letter or a blank is the whole difference.
+    questions = (did_you_mean(name, names) for group in needed if place_of(names, group) is None for name in group)
+    meant = next(filter(None, questions), "")
+    bare = f", and it is no row of {len(column_map.columns)} numbers without header" if column_map.columns else ""
+    return (
+        f"{path}: line {number}: there is no column {', '.join(lacking)}; {present}{bare}; "
+        f"{meant}{' ' if meant else ''}give the file for which the column map was written, or correct the map"
+    )
+
+
+def read_rows(
+    path: Path, layout: TextLayout, comment: str, report: FileReport
+) -> Iterator[tuple[list[int], list[list[str]]]]:
+    """The rows of a file in chunks: line numbers (from 1) and cells, as many as the header has; the others refused."""
+    numbers_: list[int] = []
+    rows: list[list[str]] = []
+    width = len(layout.header)
+    # A byte that does not decode makes its cell no number, which is then reported; it must not end the reading.
+    with path.open(encoding=layout.encoding, errors="replace", newline=None) as stream:
+        lines = islice(stream, layout.skip, None)
+        below = layout.skip + 1  # the number of the next line
+
+        def further() -> Iterator[tuple[int, str]]:
+            nonlocal below
+            for line in lines:
+                below += 1
+                yield below - 1, line
+
+        # No block is longer than the room in the chunk, so that chunks end at the same rows whatever way they came.
+        while block := list(islice(lines, min(_BLOCK, _CHUNK - len(rows)))):
+            # Most files have no quotation mark: their lines are rows, and one call of the reader splits a whole block.
+            # Where anything is unusual, each row is looked at by itself.
+            first, below = below, below + len(block)
+            plain = _plain_rows(block, layout, comment)
+            if plain is not None:
+                report.rows += len(plain)
+                numbers_ += range(first, below)
+                rows += plain
+                if len(rows) == _CHUNK:
+                    yield numbers_, rows
+                    numbers_, rows = [], []
+                continue
+            singly = split_rows(
+                enumerate(block, first), further(), separator=layout.separator, comment=comment, width=width
+            )
+            for number, cells, fault in singly:
+                report.rows += 1
+                if fault:
+                    report.refuse([number], "it cannot be split into cells", [fault])
+                elif len(cells) != width:
+                    detail = f"{len(cells)}, not {width}"
+                    report.refuse([number], "it has another number of cells than the header", [detail])
+                elif cells[0] == layout.header[0] and tuple(cell.strip() for cell in cells) == layout.header:
+                    report.refuse([number], "it is the header again")
+                else:
+                    numbers_.append(number)
+                    rows.append(cells)
+                if len(rows) == _CHUNK:
+                    yield numbers_, rows
+                    numbers_, rows = [], []
+    if rows:
+        yield numbers_, rows
+
+
+def _plain_rows(lines: Sequence[str], layout: TextLayout, comment: str) -> list[list[str]] | None:
+    """The rows of lines of which each is a row of the header's width; None where one may be anything else."""
+    text = "".join(lines)
+    if '"' in text or (comment and comment in text) or any(map(str.isspace, lines)):
+        return None
+    try:
+        rows = list(csv.reader(lines, delimiter=layout.separator, skipinitialspace=True, strict=True))
+    except csv.Error:  # a cell beyond csv.field_size_limit
+        return None
+    # A row of another width is refused, or loses blank cells; the header may come again. Both are looked at singly.
+    if set(map(len, rows)) != {len(layout.header)} or layout.header[0] in map(itemgetter(0), rows):
+        return None
+    return list(map(unguarded, rows)) if "'" in text else rows
+
+
+def split_rows(
+    block: Iterable[tuple[int, str]], lines: Iterator[tuple[int, str]], *, separator: str, comment: str, width: int
+) -> Iterator[tuple[int, list[str], str]]:
+    """(number of its first line, cells, what is wrong with it) of each row; blank cells beyond `width` are dropped.
+
+    The rows that begin in `block`; the last of them may go on in `lines`, which come after it.
+
+    A quoted cell may go on over several lines (RFC 4180), and so may its row. But a quotation mark that somebody forgot
+    to close must not swallow the rows below it. So a row of several lines only counts if the mark is closed within
+    MOST_LINES and `width` cells come out; if not, its first line alone is the bad row, and reading resumes on the next.
+    """
+    ahead = deque(block)  # lines to be split, those included that a bad row had taken beyond its first
+    taken: list[tuple[int, str]] = []  # those of the row that is being split
+
+    def feed() -> Iterator[str]:
+        while ahead or taken:
+            numbered = ahead.popleft() if ahead else next(lines, None)
+            if numbered is None:
+                return  # the file ends inside a quoted cell, which the strict reader calls an unexpected end of data
+            line = numbered[1]
+            # Inside a quoted cell a blank line, or one that looks like a comment, is text.
+            if not taken and (line.isspace() or (comment and line.startswith(comment))):
+                continue
+            taken.append(numbered)
+            yield line
+            if len(taken) == MOST_LINES:
+                return  # inside a quoted cell, too: the same fault
+
+    while ahead:
+        try:
+            for cells in csv.reader(feed(), delimiter=separator, skipinitialspace=True, strict=True):
+                if len(cells) > width and not "".join(cells[width:]).strip():
+                    del cells[width:]
+                if len(taken) > 1 and len(cells) != width:
+                    fault = f"a quotation mark is open at its end; with the lines below it has {len(cells)} cells"
+                    break
+                number = taken[0][0]
+                taken.clear()
+                yield number, unguarded(cells), ""
+            else:
+                return
+        except csv.Error as error:
+            fault = str(error)
+        # The reader is in the middle of a row, or too far on: the next row gets a new one.
+        ahead.extendleft(reversed(taken[1:]))
+        number = taken[0][0]
+        taken.clear()
+        yield number, [], fault
