@@ -604,7 +604,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         finding=_worst_input,
         watches="whether the readings that a model needs, or that are watched, are good",
         response=Phrase(
-            "readings are stale or bad: see values and link in the status, then look at PLC and cable",
+            "readings are old or bad: see values and link in the status, then look at PLC and cable",
             it="le letture sono vecchie o non valide: vedere valori e collegamento, poi controllare PLC e cavo",
             de="Messwerte sind alt oder schlecht: siehe Werte und Verbindung, dann SPS und Kabel prüfen",
         ),
