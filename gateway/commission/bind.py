@@ -23,8 +23,9 @@ from gateway.commission.files import (
     template,
 )
 from gateway.commission.read import ORDERS, TYPES
-from gateway.commission.session import CommandResult, SharedOptions, link_options, read_records
+from gateway.commission.session import SharedOptions, link_options, read_records
 from gateway.commission.survey import parse_register
+from gateway.console import CommandResult
 
 _LIMITS = ("low", "high", "sentinel", "max_rate")
 

@@ -16,7 +16,6 @@ from drivers.errors import LinkDown
 from gateway.clock_sync import clock_error
 from gateway.commission.session import (
     CheckStep,
-    CommandResult,
     RecordsError,
     SharedOptions,
     Site,
@@ -28,13 +27,14 @@ from gateway.commission.session import (
     make_target,
     ok,
     perform,
+    result_of,
     running_gateway,
-    show_steps,
-    verdict,
+    step_lines,
     versions,
     warning,
 )
 from gateway.commission.survey import addresses_of, local_end
+from gateway.console import CommandResult
 from gateway.entry import sentences
 
 LEAST_FREE_MB = 500
@@ -96,8 +96,7 @@ async def examine_machine(site: Site, records: Path) -> CommandResult:
             )
             steps.append(failed("way", sentence, LinkDown(sentence)))
     steps += _files(target)
-    code, complaint = verdict(steps)
-    return CommandResult({"steps": [step.plain() for step in steps], "versions": installed}, code, complaint)
+    return result_of(steps, versions=installed)
 
 
 def _can(target: Target) -> CheckStep:
@@ -170,4 +169,4 @@ def doctor(given: SharedOptions) -> None:
         target = make_target(given.plant, given.device, given.link, given.settings, given.machine) if anything else None
         check_writable(given.records)
     place = target or Target("this machine", "", {})
-    perform(given, "doctor", {}, lambda site: examine_machine(site, given.records), show_steps, target=place)
+    perform(given, "doctor", {}, lambda site: examine_machine(site, given.records), step_lines, target=place)

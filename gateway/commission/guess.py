@@ -3,7 +3,7 @@
 import asyncio
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +16,6 @@ from drivers.survey import AsksRegisters, open_registers
 from drivers.tag import DType, Tag
 from gateway.commission.encodings import Observation, ShownNumber, advise, parse_shown, rank
 from gateway.commission.session import (
-    CommandResult,
     SharedOptions,
     Site,
     check_writable,
@@ -28,8 +27,8 @@ from gateway.commission.session import (
     running_gateway,
 )
 from gateway.commission.survey import LAST, Register, parse_register
-from gateway.console import table
-from gateway.entry import Exit, sentences
+from gateway.console import CommandResult, Part, Rows
+from gateway.entry import sentences
 
 BEFORE, AFTER = 2, 5
 """Registers read besides the one that was given: twice off by one, and a value of four registers."""
@@ -81,13 +80,11 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
         "advice": list(advice.sentences),
         "second_reading": {"below": advice.below, "above": advice.above},
     }
-    if not candidates:
-        sentence = (
-            f"nothing at or beside {register} explains {len(observations)} readings: is it the right register and "
-            "unit, did the value move while it was read? --fresh forgets earlier readings"
-        )
-        return CommandResult(data, Exit.CHECK_FAILED, sentence)
-    return CommandResult(data)
+    complaint = (
+        f"nothing at or beside {register} explains {len(observations)} readings: is it the right register and "
+        "unit, did the value move while it was read? --fresh forgets earlier readings"
+    )
+    return CommandResult(data, "" if candidates else complaint)
 
 
 async def _registers_around(site: Site, register: Register) -> tuple[int, list[int]]:
@@ -202,11 +199,7 @@ def _states(register: Register, readings: Sequence[dict[str, Any]], now: dict[st
         "settled": settled,
         "advice": advice,
     }
-    return (
-        CommandResult(data)
-        if bits
-        else CommandResult(data, Exit.CHECK_FAILED, f"no bit at or beside {register} agrees")
-    )
+    return CommandResult(data, "" if bits else f"no bit at or beside {register} agrees")
 
 
 @click.command(short_help="Find type, word order, scale and address from what the HMI shows.")
@@ -240,18 +233,18 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
     async def guessed(site: Site) -> CommandResult:
         return await guess_encoding(site, register, shown, earlier)
 
-    perform(given, "guess", arguments, guessed, _show, target=target)
+    perform(given, "guess", arguments, guessed, _view, target=target)
 
 
-def _show(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     words = " ".join(f"{word:04X}" for word in data["observation"]["words"])
-    click.echo(f"registers from {data['observation']['base']}: {words}")
+    yield f"registers from {data['observation']['base']}: {words}"
     if "bits" in data:
         places: dict[str, list[str]] = {}
         for bit in data["bits"]:
             places.setdefault(bit["address"], []).append(str(bit["bit"]))
         agreeing = [(place, " ".join(bits)) for place, bits in places.items()]
-        table(f"{data['readings']} readings, {len(data['bits'])} bits agree", ("address", "bits"), agreeing)
+        yield Rows(f"{data['readings']} readings, {len(data['bits'])} bits agree", ("address", "bits"), agreeing)
     else:
         columns = ("belief", "address", "reference", "type", "order", "scale", "offset", "it reads")
         rows = []
@@ -261,6 +254,5 @@ def _show(data: Mapping[str, Any]) -> None:
             numbers = (f"{candidate['scale']:.6g}", f"{candidate['offset']:g}")
             reads = " ".join(f"{value:.6g}" for value in candidate["values"])
             rows.append((f"{candidate['share']:.1%}", f"{candidate['address']}{moved}", *kind, *numbers, reads))
-        table(f"{data['readings']} readings", columns, rows)
-    for sentence in data["advice"]:
-        click.echo(sentence)
+        yield Rows(f"{data['readings']} readings", columns, rows)
+    yield from data["advice"]

@@ -14,7 +14,6 @@ from drivers.survey import AsksRegisters, open_registers
 from gateway.commission.session import (
     CONNECT_S,
     CheckStep,
-    CommandResult,
     SharedOptions,
     Site,
     failed,
@@ -22,8 +21,8 @@ from gateway.commission.session import (
     mention_gateway,
     ok,
     perform,
-    show_steps,
-    verdict,
+    result_of,
+    step_lines,
     warning,
 )
 from gateway.commission.survey import (
@@ -37,6 +36,7 @@ from gateway.commission.survey import (
     not_modbus,
     probe_bus,
 )
+from gateway.console import CommandResult
 
 ROUND_TRIPS = 10
 TIMEOUTS_S = (0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 60.0)
@@ -67,8 +67,7 @@ async def probe_device(site: Site) -> CommandResult:
                 site.count(driver.statistics())
         except DriverError as error:
             steps.append(failed("connection", str(error), error))
-    code, complaint = verdict(steps)
-    return CommandResult({"steps": [step.plain() for step in steps], **facts}, code, complaint)
+    return result_of(steps, **facts)
 
 
 async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -> None:
@@ -257,4 +256,4 @@ def probe(given: SharedOptions) -> None:
     Name, route, connection, first reply, identity, tables and round trip; for CAN the bus, its traffic and the node.
     Each step that fails has its own sentence. Nothing but reads is sent.
     """
-    perform(given, "probe", {}, probe_device, show_steps)
+    perform(given, "probe", {}, probe_device, step_lines)

@@ -3,7 +3,7 @@
 import asyncio
 import struct
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,6 @@ from drivers.driver import Explains, PlanKind
 from drivers.survey import Raw, open_bus_survey, open_registers
 from drivers.tag import DType, Order, Quality, Tag
 from gateway.commission.session import (
-    CommandResult,
     SharedOptions,
     Site,
     link_options,
@@ -23,7 +22,7 @@ from gateway.commission.session import (
     running_gateway,
 )
 from gateway.commission.survey import SDO_S, AddressTextError, parse_stretch, reference_of
-from gateway.console import table
+from gateway.console import CommandResult, Part, Rows
 from gateway.entry import Exit
 
 FIRST_WAIT_S = 3.0
@@ -118,9 +117,9 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
             row["bits"] = f"{words[0]:016b}"
         rows.append(row)
     bad = [raw.sample for raw in raws if not raw.sample.quality.is_good]
-    if not bad:
-        return CommandResult({"readings": rows})
-    sentence = f"{len(bad)} of {len(raws)} readings are not good, {bad[0].tag} the first: {bad[0].reason}"
+    sentence = (
+        f"{len(bad)} of {len(raws)} readings are not good, {bad[0].tag} the first: {bad[0].reason}" if bad else ""
+    )
     # A device that is away explains a timeout beside it, and a timeout a refusal: the first in this order is the code.
     qualities = {raw.sample.quality for raw in raws}
     code = Exit.CHECK_FAILED
@@ -132,7 +131,7 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
         code = Exit.TIMEOUT
     elif qualities & {Quality.CONFIGURATION_ERROR, Quality.DEVICE_FAILURE, Quality.NO_DATA}:
         code = Exit.DEVICE_EXCEPTION
-    return CommandResult({"readings": rows}, code, sentence)
+    return CommandResult({"readings": rows}, sentence, code)
 
 
 async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
@@ -220,19 +219,19 @@ def read(
         count=count,
     )
     arguments = {"what": list(what), "type": dtype, "order": order, "scale": scale, "offset": offset, "count": count}
-    perform(given, "read", arguments, lambda site: read_tags(site, what, how), show_readings)
+    perform(given, "read", arguments, lambda site: read_tags(site, what, how), _view)
 
 
-def show_readings(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     """The readings as a table; columns that say nothing are left out."""
     rows = data["readings"]
     keys = ["tag", "address", "reference", "hex", "value", "unit", "int16", "bits", "quality", "reason"]
     if all(row["tag"] == row["address"] for row in rows):
         keys.remove("tag")
     keys = [key for key in keys if any(row.get(key) not in (None, "") for row in rows)]
-    cells = [["" if row.get(key) is None else shown_value(row[key]) for key in keys] for row in rows]
     good = sum(row["quality"] == "GOOD" for row in rows)
-    table(f"{good} of {len(rows)} good", keys, cells)
+    cells = [{key: shown_value(cell) for key, cell in row.items()} for row in rows]
+    yield Rows(f"{good} of {len(rows)} good", keys, cells)
 
 
 def shown_value(cell: Any) -> Any:

@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from math import ceil, floor
@@ -18,7 +18,6 @@ from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.files import ScanRecorder
 from gateway.commission.session import (
-    CommandResult,
     SharedOptions,
     Site,
     device_of,
@@ -28,7 +27,7 @@ from gateway.commission.session import (
     running_for,
     words_of,
 )
-from gateway.console import progress, table
+from gateway.console import CommandResult, Part, Rows, progress
 from gateway.repeated import without_measured
 from gateway.store import percentile
 
@@ -141,7 +140,7 @@ def _summary(
 ) -> CommandResult:
     seconds, scans = tally.seconds, len(tally.seconds)
     if not seconds:
-        return CommandResult({"scans": 0}, 1, "no scan was finished; give a longer --seconds")
+        return CommandResult({"scans": 0}, "no scan was finished; give a longer --seconds")
     # A cycle with the write-back is longer than a scan, by the number of its requests.
     plan = read_plan(site.target.driver, site.target.settings, site.target.tags, words_of(site))
     factor = 1.0 if plan is None or not plan.requests else 1.0 + len(plan.writes) / len(plan.requests)
@@ -173,7 +172,7 @@ def _summary(
         complaint = f"{tally.missed} ticks were missed in {scans} scans: the period is too short for this device"
     if complaint and (cure := _cure_of_timeouts(site, data, counted)):
         complaint, data["recommended_period_s"] = f"{complaint}; {cure}", None
-    return CommandResult(data, int(bool(complaint)), complaint)
+    return CommandResult(data, complaint)
 
 
 def _cure_of_timeouts(site: Site, data: Mapping[str, Any], counted: Mapping[str, float]) -> str:
@@ -219,23 +218,21 @@ def soak(given: SharedOptions, seconds: float, period: float | None, record: Pat
             return await soak_device(site, seconds, period, record, report)
 
     arguments = {"seconds": seconds, "period": period, "record": record and str(record)}
-    perform(given, "soak", arguments, work, _show)
+    perform(given, "soak", arguments, work, _view)
 
 
-def _show(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     if not data["scans"]:
         return
     kinds = (("scan", "scan_ms"), ("age of a reading", "age_ms"))
     rows = [(name, *data[key].values()) for name, key in kinds if data.get(key)]
-    click.echo(f"{data['scans']} scans every {data['period_s']:g} s, {data['missed']} ticks missed")
-    table("", ("ms", "p50", "p95", "max"), rows)
+    yield f"{data['scans']} scans every {data['period_s']:g} s, {data['missed']} ticks missed"
+    yield Rows("", ("ms", "p50", "p95", "max"), rows)
     counts = f"{data['timeouts']} timeouts, {data['mismatches']} wrong replies, {data['reconnects']} reconnections"
-    click.echo(f"{data['scans_with_bad']} scans had a tag that was not good; {counts}")
-    for tag, times in list(data["bad_tags"].items())[:10]:
-        click.echo(f"  {tag}: {times} times")
-    for reason, times in data["reasons"].items():
-        click.echo(f"  {times} x {reason}")
+    yield f"{data['scans_with_bad']} scans had a tag that was not good; {counts}"
+    yield from (f"  {tag}: {times} times" for tag, times in list(data["bad_tags"].items())[:10])
+    yield from (f"  {times} x {reason}" for reason, times in data["reasons"].items())
     if data["recommended_period_s"]:
-        click.echo(f"recommended period: {data['recommended_period_s']:g} s or longer")
+        yield f"recommended period: {data['recommended_period_s']:g} s or longer"
     if data["recording"]:
-        click.echo(f"recording: {data['recording']}")
+        yield f"recording: {data['recording']}"

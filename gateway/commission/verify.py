@@ -3,7 +3,7 @@
 import asyncio
 import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,8 @@ from drivers.device_file import STATUS_TAGS
 from drivers.tag import Tag, Value
 from gateway.commission.files import ListError, SiteRecording, read_recording
 from gateway.commission.hmi import HmiReading, Point, compare, left_to_do, points_of, read_hmi_list
-from gateway.commission.read import read_raw
+from gateway.commission.read import read_raw, shown_value
 from gateway.commission.session import (
-    CommandResult,
     SharedOptions,
     Site,
     device_of,
@@ -24,7 +23,7 @@ from gateway.commission.session import (
     perform,
     read_records,
 )
-from gateway.console import table
+from gateway.console import CommandResult, Part, Rows
 from gateway.machine import ORDERS
 
 LOOK_S = 0.3
@@ -178,16 +177,14 @@ def outcome(tags: Sequence[Tag], points: Sequence[Point], before: Sequence[Point
         "left": left,
         "open_points": [f"verify: {name}: {todo}" for name, todo in left.items()],
     }
+    complaint = ""
     if wrong:
-        first = wrong[0]
-        sentence = (
-            f"{len(wrong)} of {len(points)} readings do not agree, the first: {first.tag}: the HMI shows {first.shown}"
-        )
-        return CommandResult(data, 1, f"{sentence}, {first.reason}")
-    if complete and left:
+        first = f"{wrong[0].tag}: the HMI shows {wrong[0].shown}, {wrong[0].reason}"
+        complaint = f"{len(wrong)} of {len(points)} readings do not agree, the first: {first}"
+    elif complete and left:
         name, todo = next(iter(left.items()))
-        return CommandResult(data, 1, f"{len(left)} of {len(tags)} tags are not proved, the first: {name}: {todo}")
-    return CommandResult(data)
+        complaint = f"{len(left)} of {len(tags)} tags are not proved, the first: {name}: {todo}"
+    return CommandResult(data, complaint)
 
 
 _FILE = click.Path(path_type=Path)
@@ -238,7 +235,7 @@ def verify(
         "tolerance": slack,
         "clock_offset": clock_offset,
     }
-    perform(given, "verify", arguments, work, _show)
+    perform(given, "verify", arguments, work, _view)
 
 
 def _ask(question: str) -> str:
@@ -249,22 +246,19 @@ def _ask(question: str) -> str:
         return "q"
 
 
-def _show(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     rows = [
-        ("agrees" if point["ok"] else "NOT", point["tag"], point["shown"], _text(point["read"]), point["reason"])
+        (
+            "agrees" if point["ok"] else "NOT",
+            point["tag"],
+            point["shown"],
+            str(shown_value(point["read"])),
+            point["reason"],
+        )
         for point in data["points"]
     ]
     if rows:
-        table(f"{sum(point['ok'] for point in data['points'])} of {len(rows)} agree", _COLUMNS, rows)
-    click.echo(f"{data['proved']} of {data['tags']} tags are proved")
-    for name, todo in data["left"].items():
-        click.echo(f"  {name}: {todo}")
-
-
-_COLUMNS = ("", "tag", "HMI", "PLC", "why")
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, bool):
-        return "on" if value else "off"
-    return f"{value:.7g}" if isinstance(value, float) else str(value)
+        agree = sum(point["ok"] for point in data["points"])
+        yield Rows(f"{agree} of {len(rows)} agree", ("", "tag", "HMI", "PLC", "why"), rows)
+    yield f"{data['proved']} of {data['tags']} tags are proved"
+    yield from (f"  {name}: {todo}" for name, todo in data["left"].items())

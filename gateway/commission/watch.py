@@ -21,7 +21,6 @@ from drivers.survey import Raw, open_registers
 from drivers.tag import Sample, Tag, Value
 from gateway.commission.read import How, shown_value, tags_of
 from gateway.commission.session import (
-    CommandResult,
     SharedOptions,
     Site,
     link_options,
@@ -30,8 +29,7 @@ from gateway.commission.session import (
     running_gateway,
 )
 from gateway.commission.survey import reference_of
-from gateway.console import table
-from gateway.entry import Exit
+from gateway.console import CommandResult, Part, Rows
 
 WIDTH = 48
 """Readings in a sparkline."""
@@ -181,7 +179,6 @@ def marked(seen: Sequence[WatchedTag], number: int, now: float) -> Mark:
 
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_COLUMNS = ("tag", "value", "unit", "quality", "min", "max", "good", "bad", "changes")
 _WIDE = 150
 """Columns of a terminal from which raw words and reference numbers are shown too."""
 
@@ -227,11 +224,9 @@ def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: flo
         rows = [watched.plain() for watched in seen]
         data = {"tags": rows, "marks": [{"number": m.number, "time": m.time, "values": dict(m.values)} for m in marks]}
         never = next((row for row in rows if not row["good"] and row["quality"] != "GOOD"), None)
-        if never is None:
-            return CommandResult(data)
-        return CommandResult(data, Exit.CHECK_FAILED, f"{never['tag']} was never good: {never['reason']}")
+        return CommandResult(data, f"{never['tag']} was never good: {never['reason']}" if never else "")
 
-    perform(given, "watch", arguments, work, _show_end)
+    perform(given, "watch", arguments, work, _view_at_the_end)
 
 
 @contextmanager
@@ -317,10 +312,9 @@ def _lines(changed: Sequence[WatchedTag]) -> None:
         click.echo("  ".join(filter(None, (*words, raw, sample.reason))))
 
 
-def _show_end(data: Mapping[str, Any]) -> None:
-    rows = [
-        [_cell(row[key]) if key in ("value", "min", "max") else row[key] for key in _COLUMNS] for row in data["tags"]
-    ]
-    table("watched", _COLUMNS, rows)
-    for mark in data["marks"]:
-        click.echo(f"mark {mark['number']} at {clock_time(mark['time'])}")
+def _view_at_the_end(data: Mapping[str, Any]) -> Iterator[Part]:
+    columns = ("tag", "value", "unit", "quality", "min", "max", "good", "bad", "changes")
+    yield Rows(
+        "watched", columns, [row | {key: _cell(row[key]) for key in ("value", "min", "max")} for row in data["tags"]]
+    )
+    yield from (f"mark {mark['number']} at {clock_time(mark['time'])}" for mark in data["marks"])

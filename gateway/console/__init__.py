@@ -19,11 +19,18 @@ from gateway.console.places import (
     plant_here,
     shipped,
 )
+from gateway.console.result import CommandResult, Line, Part, Rows, View, conclude
 
 __all__ = [
     "SERVICE_FOLDER",
     "SERVICE_LOG",
     "SERVICE_RECORDS",
+    "CommandResult",
+    "Line",
+    "Part",
+    "Rows",
+    "View",
+    "conclude",
     "config_dir",
     "emit",
     "find_plant_file",

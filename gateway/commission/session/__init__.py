@@ -12,8 +12,8 @@ from gateway.commission.session.records import (
     read_records,
     versions,
 )
-from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
-from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
+from gateway.commission.session.site import Site, device_of, period_of, words_of
+from gateway.commission.session.steps import CheckStep, failed, ok, result_of, step_lines, warning
 from gateway.commission.session.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, gateway_of, make_target
 
 __all__ = [
@@ -21,7 +21,6 @@ __all__ = [
     "DEFAULT_DRIVER",
     "CheckStep",
     "CommandRecord",
-    "CommandResult",
     "RecordsError",
     "SharedOptions",
     "Site",
@@ -46,10 +45,10 @@ __all__ = [
     "read_records",
     "read_through",
     "record_options",
+    "result_of",
     "running_for",
     "running_gateway",
-    "show_steps",
-    "verdict",
+    "step_lines",
     "versions",
     "warning",
     "words_of",

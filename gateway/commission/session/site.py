@@ -1,8 +1,7 @@
-"""What a command of the commissioning works with (`Site`), and what it gives (`CommandResult`)."""
+"""What a command of the commissioning works with."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from drivers.tag import Tag
 from gateway.commission.session.evidence import Exchanges, FrameEvidence
@@ -25,15 +24,6 @@ class Site:
     def count(self, statistics: Mapping[str, float]) -> None:
         """Take over a driver's counters."""
         self.exchanges.add(statistics, self.target.driver)
-
-
-@dataclass(frozen=True, slots=True)
-class CommandResult:
-    """A command's result: `data` for JSON and the records, the exit code, and a sentence where it is not 0."""
-
-    data: Mapping[str, Any]
-    code: int = 0
-    complaint: str = ""
 
 
 PERIOD_S = 1.0

@@ -8,10 +8,10 @@ from statistics import mean, pstdev
 from typing import Any
 
 from drivers.can import Dbc, frame_key, frame_name
-from drivers.errors import ReplyTimeout
 from drivers.survey import BusFrame, open_bus_survey
-from gateway.commission.session import CommandResult, Site
-from gateway.entry import exit_code
+from gateway.commission.session import Site
+from gateway.console import CommandResult
+from gateway.entry import Exit
 
 _CANOPEN: tuple[tuple[int, str], ...] = (
     (0x080, "EMCY of node {node}"),
@@ -48,10 +48,8 @@ async def scan_can(site: Site, seconds: float) -> CommandResult:
 
         bits = sum(frame_bits(len(frame.data), extended=frame.extended) for frame in frames)
         data["load_percent"] = 100.0 * bits / (bitrate * seconds)
-    if not frames:
-        error = ReplyTimeout(f"no frame in {seconds:g} s: another bit rate, nobody on the bus, or a broken wire")
-        return CommandResult(data, exit_code(error), str(error))
-    return CommandResult(data)
+    sentence = f"no frame in {seconds:g} s: another bit rate, nobody on the bus, or a broken wire"
+    return CommandResult(data, "" if frames else sentence, Exit.TIMEOUT)
 
 
 def rows_of(frames: Sequence[BusFrame], seconds: float, names: Mapping[int, str]) -> list[dict[str, Any]]:

@@ -9,10 +9,10 @@ from typing import Any
 
 from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_registers
-from gateway.commission.session import CommandResult, Site, Target, mention_gateway
+from gateway.commission.session import Site, Target, mention_gateway
 from gateway.commission.survey.addresses import Register, parse_register
 from gateway.commission.survey.register_map import ReadableMap, Stretch, search
-from gateway.entry import Exit
+from gateway.console import CommandResult
 
 Progress = Callable[[str, float], None]
 MOST_REGISTERS, MOST_BITS = 125, 2000
@@ -119,9 +119,7 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
     if readable.unknown:
         left = sum(stretch[1] for stretch in readable.unknown)
         site.notes.append(f"{left} addresses were not asked: {budget} requests were the bound; give --requests")
-    if not readable.readable:
-        return CommandResult(data, Exit.CHECK_FAILED, f"nothing of {first} count {count} can be read")
-    return CommandResult(data)
+    return CommandResult(data, "" if readable.readable else f"nothing of {first} count {count} can be read")
 
 
 def _range(start: Register, count: int) -> dict[str, Any]:

@@ -7,10 +7,11 @@ from typing import Any
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_bus_survey, open_registers
-from gateway.commission.session import CommandResult, Site, mention_gateway
+from gateway.commission.session import Site, mention_gateway
 from gateway.commission.survey.addresses import Register
 from gateway.commission.survey.bus_probe import HEARTBEAT, STATES, identity_of
 from gateway.commission.survey.registers import first_register
+from gateway.console import CommandResult
 from gateway.entry import Exit
 
 Progress = Callable[[str, float], None]
@@ -78,10 +79,8 @@ async def scan_units(site: Site, units: Sequence[int] | None, progress: Progress
             f"(`decanter plc scan units {wanted[asked]}-{wanted[-1]}` asks them)"
         )
     data = {"units": rows, "asked": asked, "ignores_unit": ignored}
-    if not rows:
-        sentence = f"none of {asked} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
-        return CommandResult(data, Exit.TIMEOUT, sentence)
-    return CommandResult(data)
+    sentence = f"none of {asked} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
+    return CommandResult(data, "" if rows else sentence, Exit.TIMEOUT)
 
 
 class _UnitScan:
@@ -161,7 +160,5 @@ async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, li
                     rows.append({"node": node, "heartbeat": sentence, "sdo": identity is not None, **(identity or {})})
         finally:
             site.count(survey.statistics())
-    if not rows:
-        sentence = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
-        return CommandResult({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, sentence)
-    return CommandResult({"nodes": rows, "asked": len(nodes)})
+    sentence = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
+    return CommandResult({"nodes": rows, "asked": len(nodes)}, "" if rows else sentence, Exit.TIMEOUT)

@@ -15,9 +15,9 @@ from drivers.device_file import STATUS_TAGS
 from drivers.driver import Driver, Writes, capabilities
 from drivers.errors import DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Sample
-from gateway.commission.session import CommandResult, SharedOptions, Site, audit_path, questions
+from gateway.commission.session import SharedOptions, Site, audit_path, questions
 from gateway.commission.writeback.suite import Account, Unable
-from gateway.console import progress
+from gateway.console import CommandResult, Rows, progress
 from gateway.machine.writing import (
     FAILED,
     REFUSED,
@@ -389,9 +389,13 @@ def joined(results: Sequence[tuple[str, CommandResult]]) -> CommandResult:
             data[key] = data.get(key, 0) + value if is_count else data.get(key, value)
     data["rows"] = [{**row, "block": name} for name, result in results for row in result.data["rows"]]
     failed = [f"{name}: {result.complaint}" for name, result in results if result.complaint]
-    return CommandResult(data, max(result.code for _, result in results), "; ".join(failed))
+    return CommandResult(data, "; ".join(failed), max(result.code for _, result in results))
 
 
-def block_column(data: Mapping[str, Any]) -> list[list[str]]:
-    """For each row of a result the cells that say of which block it is: one where there are several, else none."""
-    return [[row["block"]] if "block" in row else [] for row in data["rows"]]
+def rows_of_test(title: str, data: Mapping[str, Any], cells: Callable[[Mapping[str, Any]], dict[str, Any]]) -> Rows:
+    """A test's rows for a person: how each went, of which block where there are several, and its cells by columns."""
+    rows = []
+    for row in data["rows"]:
+        state = "skipped" if row.get("skipped") else "ok" if row["ok"] else "FAILED"
+        rows.append({"": state, **({"block": row["block"]} if "block" in row else {}), **cells(row)})
+    return Rows(title, list(rows[0]), rows)

@@ -11,9 +11,10 @@ import pytest
 
 from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyTimeout
 from drivers.survey import ReadWords
-from gateway.commission.session import CommandResult, Site, make_target
+from gateway.commission.session import Site, make_target
 from gateway.commission.session.evidence import FrameEvidence
 from gateway.commission.survey import scan_units, units
+from gateway.console import CommandResult
 
 
 @dataclass
