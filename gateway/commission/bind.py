@@ -22,8 +22,9 @@ from gateway.commission.files import (
     settings_of,
     template,
 )
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import ORDERS, TYPES
-from gateway.commission.session import SharedOptions, link_options, read_records
+from gateway.commission.session import read_records
 from gateway.commission.survey import parse_register
 from gateway.console import CommandResult
 

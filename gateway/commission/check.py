@@ -15,15 +15,14 @@ from drivers.settings import ConfigError
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.clock_sync import clock_error
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import read_raw
 from gateway.commission.session import (
     CheckStep,
-    SharedOptions,
     Site,
     check_writable,
     device_of,
     failed,
-    link_options,
     make_target,
     ok,
     perform,

@@ -14,16 +14,15 @@ from serial.tools.list_ports import comports
 from drivers.driver import Cautions
 from drivers.errors import LinkDown
 from gateway.clock_sync import clock_error
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import (
     CheckStep,
     RecordsError,
-    SharedOptions,
     Site,
     Target,
     broken_at,
     check_writable,
     failed,
-    link_options,
     make_target,
     ok,
     perform,

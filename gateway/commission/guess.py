@@ -15,11 +15,10 @@ from drivers.errors import DeviceException, LinkDown
 from drivers.survey import AsksRegisters, open_registers
 from drivers.tag import DType, Tag
 from gateway.commission.encodings import Observation, ShownNumber, advise, parse_shown, rank
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import (
-    SharedOptions,
     Site,
     check_writable,
-    link_options,
     make_target,
     perform,
     read_records,

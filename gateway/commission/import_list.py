@@ -23,8 +23,8 @@ from gateway.commission.files import (
     settings_of,
     template,
 )
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import ORDERS
-from gateway.commission.session import SharedOptions, link_options
 from gateway.console import CommandResult
 
 

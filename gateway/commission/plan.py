@@ -10,17 +10,8 @@ import click
 
 from drivers.driver import Explains, PlanKind
 from drivers.survey import read_plan
-from gateway.commission.session import (
-    SharedOptions,
-    Site,
-    audit_option,
-    audit_path,
-    device_of,
-    link_options,
-    perform,
-    period_of,
-    words_of,
-)
+from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.session import Site, audit_option, audit_path, device_of, perform, period_of, words_of
 from gateway.commission.survey import parse_register, reference_of
 from gateway.commission.writeback.write_plan import plan_writing, writing_view
 from gateway.console import CommandResult, Line, Part, Rows

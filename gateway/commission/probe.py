@@ -11,13 +11,12 @@ import click
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_registers
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import (
     CONNECT_S,
     CheckStep,
-    SharedOptions,
     Site,
     failed,
-    link_options,
     mention_gateway,
     ok,
     perform,

@@ -13,14 +13,8 @@ from drivers.codec import registers_needed
 from drivers.driver import Explains, PlanKind
 from drivers.survey import Raw, open_bus_survey, open_registers
 from drivers.tag import DType, Order, Quality, Tag
-from gateway.commission.session import (
-    SharedOptions,
-    Site,
-    link_options,
-    perform,
-    read_through,
-    running_gateway,
-)
+from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.session import Site, perform, read_through, running_gateway
 from gateway.commission.survey import SDO_S, AddressTextError, parse_stretch, reference_of
 from gateway.console import CommandResult, Part, Rows
 from gateway.entry import Exit

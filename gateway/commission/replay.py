@@ -16,7 +16,8 @@ import click
 
 from drivers.driver import open_driver
 from gateway.commission.files import SiteRecording, read_recording
-from gateway.commission.session import SharedOptions, Site, Target, check_writable, link_options, perform
+from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.session import Site, Target, check_writable, perform
 from gateway.console import CommandResult, Part, Rows, progress
 from gateway.entry import sentences
 from gateway.machine import Machine

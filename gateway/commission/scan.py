@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 from drivers.capabilities import Capabilities
-from gateway.commission.session import SharedOptions, Site, link_options, make_target, perform
+from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.session import Site, make_target, perform
 from gateway.commission.survey import parse_stretch, scan_can, scan_nodes, scan_registers, scan_units
 from gateway.console import CommandResult, Part, Rows, View, progress, renamed_option
 from gateway.entry import sentences

@@ -17,16 +17,8 @@ from drivers.errors import DriverError, LinkDown
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.files import ScanRecorder
-from gateway.commission.session import (
-    SharedOptions,
-    Site,
-    device_of,
-    link_options,
-    perform,
-    period_of,
-    running_for,
-    words_of,
-)
+from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.session import Site, device_of, perform, period_of, running_for, words_of
 from gateway.console import CommandResult, Part, Rows, progress
 from gateway.repeated import without_measured
 from gateway.store import percentile

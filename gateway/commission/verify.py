@@ -14,15 +14,9 @@ from drivers.device_file import STATUS_TAGS
 from drivers.tag import Tag, Value
 from gateway.commission.files import ListError, SiteRecording, read_recording
 from gateway.commission.hmi import HmiReading, Point, compare, left_to_do, points_of, read_hmi_list
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import read_raw, shown_value
-from gateway.commission.session import (
-    SharedOptions,
-    Site,
-    device_of,
-    link_options,
-    perform,
-    read_records,
-)
+from gateway.commission.session import Site, device_of, perform, read_records
 from gateway.console import CommandResult, Part, Rows
 from gateway.machine import ORDERS
 

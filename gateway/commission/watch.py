@@ -19,15 +19,9 @@ from rich.text import Text
 
 from drivers.survey import Raw, open_registers
 from drivers.tag import Sample, Tag, Value
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import How, shown_value, tags_of
-from gateway.commission.session import (
-    SharedOptions,
-    Site,
-    link_options,
-    perform,
-    read_through,
-    running_gateway,
-)
+from gateway.commission.session import Site, perform, read_through, running_gateway
 from gateway.commission.survey import reference_of
 from gateway.console import CommandResult, Part, Rows
 

@@ -9,7 +9,8 @@ import click
 
 from drivers.named_files import parse_toml
 from gateway.commission.files.plan_files import Files, find_files
-from gateway.commission.session import SharedOptions, Site, Target, check_writable, perform
+from gateway.commission.options import SharedOptions
+from gateway.commission.session import Site, Target, check_writable, perform
 from gateway.console import CommandResult, Line, Part, Rows, shipped
 from gateway.entry import sentences
 

@@ -3,7 +3,6 @@
 from gateway.commission.session.audit_log import at, audit_option, audit_path, questions
 from gateway.commission.session.execution import login, perform
 from gateway.commission.session.gateway_line import mention_gateway, read_through, running_for, running_gateway
-from gateway.commission.session.options import SharedOptions, link_options, record_options
 from gateway.commission.session.records import (
     CommandRecord,
     RecordsError,
@@ -22,7 +21,6 @@ __all__ = [
     "CheckStep",
     "CommandRecord",
     "RecordsError",
-    "SharedOptions",
     "Site",
     "Target",
     "TargetError",
@@ -34,7 +32,6 @@ __all__ = [
     "device_of",
     "failed",
     "gateway_of",
-    "link_options",
     "login",
     "make_target",
     "mention_gateway",
@@ -44,7 +41,6 @@ __all__ = [
     "questions",
     "read_records",
     "read_through",
-    "record_options",
     "result_of",
     "running_for",
     "running_gateway",

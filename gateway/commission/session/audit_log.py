@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from gateway.commission.session.options import SharedOptions
+from gateway.commission.options import SharedOptions
 from gateway.commission.session.target import Target
 from gateway.settings import load_plant
 

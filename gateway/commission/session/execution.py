@@ -13,8 +13,8 @@ import click
 
 from drivers.errors import DriverError
 from drivers.tap import listening
+from gateway.commission.options import SharedOptions
 from gateway.commission.session.evidence import FrameEvidence
-from gateway.commission.session.options import SharedOptions
 from gateway.commission.session.records import CommandRecord, append, check_writable, file_hashes, versions
 from gateway.commission.session.site import Site
 from gateway.commission.session.target import Target, make_target

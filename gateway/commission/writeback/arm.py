@@ -10,15 +10,14 @@ from typing import Any
 import click
 
 from drivers.errors import DriverError
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import (
-    SharedOptions,
     Site,
     Target,
     at,
     audit_option,
     audit_path,
     gateway_of,
-    link_options,
     login,
     perform,
     period_of,

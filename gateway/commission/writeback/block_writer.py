@@ -15,7 +15,8 @@ from drivers.device_file import STATUS_TAGS
 from drivers.driver import Driver, Writes, capabilities
 from drivers.errors import DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Sample
-from gateway.commission.session import SharedOptions, Site, audit_path, questions
+from gateway.commission.options import SharedOptions
+from gateway.commission.session import Site, audit_path, questions
 from gateway.commission.writeback.suite import Account, Unable
 from gateway.console import CommandResult, Rows, progress
 from gateway.machine.writing import (
