@@ -21,14 +21,13 @@ from gateway.commission.session import (
     Site,
     Target,
     broken_at,
-    check_writable,
     failed,
-    make_target,
     ok,
     perform,
     result_of,
     running_gateway,
     step_lines,
+    target_of,
     versions,
     warning,
 )
@@ -165,7 +164,5 @@ def doctor(given: SharedOptions) -> None:
     """
     with sentences():
         anything = given.plant or given.device or given.link or given.settings
-        target = make_target(given.plant, given.device, given.link, given.settings, given.machine) if anything else None
-        check_writable(given.records)
-    place = target or Target("this machine", "", {})
-    perform(given, "doctor", {}, lambda site: examine_machine(site, given.records), step_lines, target=place)
+        target = target_of(given) if anything else Target("this machine", "", {})
+    perform(given, "doctor", {}, lambda site: examine_machine(site, given.records), step_lines, target=target)

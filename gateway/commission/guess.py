@@ -12,18 +12,17 @@ from typing import Any
 import click
 
 from drivers.errors import DeviceException, LinkDown
-from drivers.survey import AsksRegisters, open_registers
+from drivers.survey import AsksRegisters
 from drivers.tag import DType, Tag
 from gateway.commission.encodings import Observation, ShownNumber, advise, parse_shown, rank
 from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import (
     Site,
-    check_writable,
-    make_target,
     perform,
     read_records,
     read_through,
     running_gateway,
+    target_of,
 )
 from gateway.commission.survey import LAST, Register, parse_register
 from gateway.console import CommandResult, Part, Rows
@@ -90,11 +89,8 @@ async def _registers_around(site: Site, register: Register) -> tuple[int, list[i
     """The registers around one: by the running gateway's connection where one runs, else by one of our own."""
     line = running_gateway(site.target)
     if line is None:
-        async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
-            try:
-                return await around(survey, register)
-            finally:
-                site.count(survey.statistics())
+        async with site.registers() as survey:
+            return await around(survey, register)
     places = [Register(register.table, number) for number in range(*_window(register))]
     tags = [Tag(str(place), str(place), DType.BOOL if register.is_bit else DType.UINT16) for place in places]
     try:
@@ -215,13 +211,12 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
     """
     with sentences():
         register = parse_register(address)
-        target = make_target(given.plant, given.device, given.link, given.settings, given.machine)
+        target = target_of(given)
         own = target.capabilities
         if not own.registers:
             raise ValueError(
                 f"link {target.kind!r}: types and orders stand in {own.described_in}; guess is for registers"
             )
-        check_writable(given.records)
         earlier = [] if fresh else earlier_readings(given.records, target.place, register, time.time())
         # Asked for last, when nothing that was given can be refused any more.
         if reading is None and not sys.stdin.isatty():

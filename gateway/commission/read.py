@@ -11,7 +11,7 @@ import click
 
 from drivers.codec import registers_needed
 from drivers.driver import Explains, PlanKind
-from drivers.survey import Raw, open_bus_survey, open_registers
+from drivers.survey import Raw
 from drivers.tag import DType, Order, Quality, Tag
 from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import Site, perform, read_through, running_gateway
@@ -143,30 +143,21 @@ async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
     if site.target.capabilities.nodes:
         # The node's objects as they stand, whatever its state; the gateway takes them from PDOs where it can.
         site.notes.append("asked by SDO; the gateway itself takes what TPDOs carry from those (decanter plc watch)")
-        async with open_bus_survey(site.target.driver, settings, clock=time.time) as bus:
-            try:
-                return await bus.tags(tags, int(settings.get("node", 1)), float(settings.get("timeout", SDO_S)))
-            finally:
-                site.count(bus.statistics())
-    if not site.target.capabilities.registers:
-        async with site.target.opened() as driver:
-            try:
-                # What speaks by itself may not have done so yet: it is waited for, at most FIRST_WAIT_S.
-                samples = await driver.read(tags)
-                until = time.monotonic() + FIRST_WAIT_S
-                while any(sample.quality is _WAITING for sample in samples) and time.monotonic() < until:
-                    await asyncio.sleep(_LOOK_S)
-                    samples = await driver.read(tags)
-                if isinstance(driver, Explains):
-                    site.notes.extend(line for line in driver.explain(tags) if line.kind is PlanKind.HEARD)
-            finally:
-                site.count(driver.statistics())
-        return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
-    async with open_registers(site.target.driver, settings, clock=time.time) as survey:
-        try:
+        async with site.bus() as bus:
+            return await bus.tags(tags, int(settings.get("node", 1)), float(settings.get("timeout", SDO_S)))
+    if site.target.capabilities.registers:
+        async with site.registers() as survey:
             return await survey.tags(tags)
-        finally:
-            site.count(survey.statistics())
+    async with site.driver() as driver:
+        # What speaks by itself may not have done so yet: it is waited for, at most FIRST_WAIT_S.
+        samples = await driver.read(tags)
+        until = time.monotonic() + FIRST_WAIT_S
+        while any(sample.quality is _WAITING for sample in samples) and time.monotonic() < until:
+            await asyncio.sleep(_LOOK_S)
+            samples = await driver.read(tags)
+        if isinstance(driver, Explains):
+            site.notes.extend(line for line in driver.explain(tags) if line.kind is PlanKind.HEARD)
+    return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
 
 
 TYPES = (

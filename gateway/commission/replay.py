@@ -3,7 +3,7 @@
 import asyncio
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import aclosing
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
@@ -17,8 +17,8 @@ import click
 from drivers.driver import open_driver
 from gateway.commission.files import SiteRecording, read_recording
 from gateway.commission.options import SharedOptions, link_options
-from gateway.commission.session import Site, Target, check_writable, perform
-from gateway.console import CommandResult, Part, Rows, progress
+from gateway.commission.session import Site, Target, perform
+from gateway.console import CommandResult, Part, Progress, Rows, progress
 from gateway.entry import sentences
 from gateway.machine import Machine
 from gateway.machine.reading import QualityRules, scans
@@ -26,7 +26,6 @@ from gateway.plant import open_log
 from gateway.settings import Config, HistorianSection, WritebackSection, load_config
 from gateway.store import scorecard
 
-Progress = Callable[[str, float], None]
 GAP_S = 60.0
 """Of a recording with a longer pause, nothing is known meanwhile."""
 
@@ -177,7 +176,6 @@ def replay(given: SharedOptions, recording: Path) -> None:
         if given.plant is None:
             raise ValueError("which gateway? Give its plant file (--config FILE)")
         config = load_config(given.plant, machine=given.machine)
-        check_writable(given.records)
         target = Target(
             kind="",
             driver="soft",

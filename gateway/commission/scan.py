@@ -8,7 +8,7 @@ import click
 
 from drivers.capabilities import Capabilities
 from gateway.commission.options import SharedOptions, link_options
-from gateway.commission.session import Site, make_target, perform
+from gateway.commission.session import Site, perform, target_of
 from gateway.commission.survey import parse_stretch, scan_can, scan_nodes, scan_registers, scan_units
 from gateway.console import CommandResult, Part, Rows, View, progress, renamed_option
 from gateway.entry import sentences
@@ -115,7 +115,7 @@ def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -
         else:
             arguments = {"stretch": stretch or "holding:0-999", "requests": options.get("requests", 3000)}
             first, count = parse_stretch(arguments["stretch"])
-        target = make_target(given.plant, given.device, given.link, given.settings, given.machine)
+        target = target_of(given)
         own = target.capabilities
         if not kind.offered(own):
             others = [f"decanter plc scan {other}" for other, each in KINDS.items() if each.offered(own)]
@@ -132,4 +132,4 @@ def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -
                 return await scan_can(site, arguments["seconds"])
             return await scan_registers(site, first, count, arguments["requests"], report)
 
-    perform(given, f"scan {what}", arguments, work, kind.view)
+    perform(given, f"scan {what}", arguments, work, kind.view, target=target)

@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from math import ceil, floor
@@ -18,12 +18,11 @@ from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.files import ScanRecorder
 from gateway.commission.options import SharedOptions, link_options
-from gateway.commission.session import Site, device_of, perform, period_of, running_for, words_of
-from gateway.console import CommandResult, Part, Rows, progress
+from gateway.commission.session import Site, device_of, mention_gateway, perform, period_of, words_of
+from gateway.console import CommandResult, Part, Progress, Rows, progress
 from gateway.repeated import without_measured
 from gateway.store import percentile
 
-Progress = Callable[[str, float], None]
 PERIODS_S = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 """Periods that are recommended."""
 SPARE = 2.0
@@ -62,8 +61,7 @@ async def soak_device(
 ) -> CommandResult:
     """Scan for `duration` seconds. A failed check where scans were lost or do not fit. Ctrl-C gives what there is."""
     device, period = device_of(site), period_of(site, given_period)
-    if sentence := running_for(site.target):
-        site.notes.append(sentence)
+    mention_gateway(site)
     recorder = ScanRecorder(record, device.tags) if record is not None else None
     tally, before = SoakTally(), {}
     try:

@@ -17,7 +17,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from drivers.survey import Raw, open_registers
+from drivers.survey import Raw
 from drivers.tag import Sample, Tag, Value
 from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import How, shown_value, tags_of
@@ -125,22 +125,16 @@ async def looking(site: Site, tags: Sequence[Tag]) -> AsyncIterator[Look]:
         finally:
             line.close()
     elif site.target.capabilities.registers:
-        async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
-            try:
-                yield lambda: survey.tags(tags)
-            finally:
-                site.count(survey.statistics())
+        async with site.registers() as survey:
+            yield lambda: survey.tags(tags)
     else:
-        async with site.target.opened() as driver:
+        async with site.driver() as driver:
 
             async def driven() -> list[Raw]:
                 samples = await driver.read(tags)
                 return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
 
-            try:
-                yield driven
-            finally:
-                site.count(driver.statistics())
+            yield driven
 
 
 async def watch_tags(

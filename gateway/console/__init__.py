@@ -9,7 +9,7 @@ from gateway.console.options import (
     seed_option,
     socket_option,
 )
-from gateway.console.output import emit, make_folder, progress, table
+from gateway.console.output import Progress, emit, make_folder, progress, table
 from gateway.console.places import (
     SERVICE_FOLDER,
     SERVICE_LOG,
@@ -28,6 +28,7 @@ __all__ = [
     "CommandResult",
     "Line",
     "Part",
+    "Progress",
     "Rows",
     "View",
     "conclude",

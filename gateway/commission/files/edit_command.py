@@ -10,7 +10,7 @@ import click
 from drivers.named_files import parse_toml
 from gateway.commission.files.plan_files import Files, find_files
 from gateway.commission.options import SharedOptions
-from gateway.commission.session import Site, Target, check_writable, perform
+from gateway.commission.session import Site, Target, perform
 from gateway.console import CommandResult, Line, Part, Rows, shipped
 from gateway.entry import sentences
 
@@ -59,7 +59,6 @@ def edit_files(
     """Carry out a change of files as every command is: recorded, shown, with its exit code."""
     with sentences():
         files = find_files(given.plant, given.device, given.link, given.settings, given.machine)
-        check_writable(given.records)
         paths = tuple(path for path in (files.plant, files.device) if path is not None)
         target = Target("", files.driver, {}, files=paths)
 

@@ -1,13 +1,12 @@
 """What all commissioning commands share: device, evidence, steps, records, the way through a running gateway."""
 
 from gateway.commission.session.audit_log import at, audit_option, audit_path, questions
-from gateway.commission.session.execution import login, perform
-from gateway.commission.session.gateway_line import mention_gateway, read_through, running_for, running_gateway
+from gateway.commission.session.execution import login, perform, target_of
+from gateway.commission.session.gateway_line import mention_gateway, read_through, running_gateway
 from gateway.commission.session.records import (
     CommandRecord,
     RecordsError,
     broken_at,
-    check_writable,
     read_records,
     versions,
 )
@@ -28,7 +27,6 @@ __all__ = [
     "audit_option",
     "audit_path",
     "broken_at",
-    "check_writable",
     "device_of",
     "failed",
     "gateway_of",
@@ -42,9 +40,9 @@ __all__ = [
     "read_records",
     "read_through",
     "result_of",
-    "running_for",
     "running_gateway",
     "step_lines",
+    "target_of",
     "versions",
     "warning",
     "words_of",

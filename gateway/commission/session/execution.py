@@ -40,10 +40,9 @@ def perform(
     traceback.
     `target` is the device where the command has found it already.
     """
-    if target is None:
-        with sentences():
-            target = make_target(given.plant, given.device, given.link, given.settings, given.machine)
-            check_writable(given.records)
+    with sentences():
+        target = target_of(given) if target is None else target
+        check_writable(given.records)
     begun, clock = time.time(), time.monotonic()
     with sentences(), closing(FrameEvidence(given.pcap, target.medium)) as evidence:
         site = Site(target, evidence)
@@ -82,6 +81,11 @@ def perform(
             yield f"evidence: {given.pcap} ({evidence.sent} frames sent, {evidence.received} received)"
 
     conclude(replace(outcome, data=whole), around, as_json=given.as_json)
+
+
+def target_of(given: SharedOptions) -> Target:
+    """The device that the options name. Raises TargetError or ConfigError."""
+    return make_target(given.plant, given.device, given.link, given.settings, given.machine)
 
 
 def _carried_out(site: Site, work: Work) -> CommandResult:

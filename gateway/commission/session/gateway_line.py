@@ -16,24 +16,18 @@ def running_gateway(target: Target) -> GatewayLine | None:
     return connect(target.config.control_socket, machine=target.config.machine)
 
 
-def running_for(target: Target) -> str:
-    """A sentence if a gateway runs with the same plant file: what this command does, it does beside it; else ""."""
-    line = running_gateway(target)
-    if line is None:
-        return ""
-    try:
-        pid = line.ask("status")["pid"]
-    except (OSError, ControlError):
-        return "a gateway runs with this plant file and does not answer: the device may have two clients"
-    finally:
-        line.close()
-    return f"a gateway runs with this plant file (pid {pid}): the device has two clients meanwhile"
-
-
 def mention_gateway(site: Site) -> None:
     """Note a gateway that runs with the same plant file, for a command that speaks to the device beside it."""
-    if sentence := running_for(site.target):
-        site.notes.append(sentence)
+    line = running_gateway(site.target)
+    if line is None:
+        return
+    try:
+        pid = line.ask("status")["pid"]
+        site.notes.append(f"a gateway runs with this plant file (pid {pid}): the device has two clients meanwhile")
+    except (OSError, ControlError):
+        site.notes.append("a gateway runs with this plant file and does not answer: the device may have two clients")
+    finally:
+        line.close()
 
 
 def read_through(line: GatewayLine, tags: Sequence[Tag], known: Sequence[Tag]) -> tuple[dict[str, Any], list[Sample]]:

@@ -18,7 +18,7 @@ from drivers.tag import Sample
 from gateway.commission.options import SharedOptions
 from gateway.commission.session import Site, audit_path, questions
 from gateway.commission.writeback.suite import Account, Unable
-from gateway.console import CommandResult, Rows, progress
+from gateway.console import CommandResult, Progress, Rows, progress
 from gateway.machine.writing import (
     FAILED,
     REFUSED,
@@ -56,7 +56,6 @@ _WITHOUT_HEARTBEAT_S = 0.5
 NOTHING: Mapping[str, float | None] = {"input_quality": 2.0, "zone": 0.0, "alarms": 0.0}
 """The values of a block that takes everything back."""
 Ask = Callable[[str], bool]
-Progress = Callable[[str, float], None]
 
 
 def in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arming:
@@ -313,7 +312,7 @@ async def open_block_writers(
     arming = arming_of(taking_back) if taking_back is not None else in_force(places, time.time(), subject)
     audit = open_audit(audit_path)
     try:
-        async with site.target.opened(device.block_words) as driver:
+        async with site.driver(device.block_words) as driver:
             if not isinstance(driver, Writes):
                 raise WriteForbidden("this driver cannot write")
             begun = int(time.time()) & 0xFFFF  # where the last command left off is not known
@@ -344,7 +343,6 @@ async def open_block_writers(
                         # The PLC's timer covers a last block that cannot be written; the audit log has the reason.
                         with suppress(DriverError, ValueError):
                             await writer.block()
-                site.count(driver.statistics())
     finally:
         audit.close()
 

@@ -11,10 +11,9 @@ from drivers.errors import WriteUnverified
 from gateway.commission.writeback.block_writer import NOTHING, SETTLE_S, BlockWriter, rows_of_test
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS
 from gateway.commission.writeback.suite import Account
-from gateway.console import CommandResult, Rows
+from gateway.console import CommandResult, Progress, Rows
 from gateway.machine.writing import Validity
 
-Progress = Callable[[str, float], None]
 BLOCKS = 5
 BEATS_SECONDS = 2.0
 TIMER_TOLERANCE_S = 0.5

@@ -20,19 +20,17 @@ from gateway.commission.writeback.block_writer import (
 from gateway.commission.writeback.loop import alarm_loop, heartbeat_loop, view_alarms, view_heartbeats
 from gateway.commission.writeback.suite import Result, put_through, put_together
 from gateway.commission.writeback.vectors import SuiteStep, together, vectors
-from gateway.console import CommandResult, Rows, View
+from gateway.console import CommandResult, Progress, Rows, View
 
 
-async def conform(
-    writer: BlockWriter, progress: Callable[[str, float], None], steps: tuple[SuiteStep, ...] = ()
-) -> CommandResult:
+async def conform(writer: BlockWriter, progress: Progress, steps: tuple[SuiteStep, ...] = ()) -> CommandResult:
     """Every step's result; `steps` are those of the device file's layout unless given. Raises DriverError."""
     names = [field.name for field in writer.layout.fields]
     results = await put_through(steps or vectors(writer.layout), writer, writer.device.refusals, names, progress)
     return outcome(results)
 
 
-async def conform_all(writers: Sequence[BlockWriter], progress: Callable[[str, float], None]) -> CommandResult:
+async def conform_all(writers: Sequence[BlockWriter], progress: Progress) -> CommandResult:
     """Every block's own suite, and where there are several the steps for all of them together. Raises DriverError."""
     if len(writers) == 1:
         return await conform(writers[0], progress)
@@ -40,7 +38,7 @@ async def conform_all(writers: Sequence[BlockWriter], progress: Callable[[str, f
     return joined([*results, ("together", await conform_together(writers, progress))])
 
 
-async def conform_together(writers: Sequence[BlockWriter], progress: Callable[[str, float], None]) -> CommandResult:
+async def conform_together(writers: Sequence[BlockWriter], progress: Progress) -> CommandResult:
     """What is sent to one block never makes another one usable: the result of each step. Raises DriverError."""
     first = writers[0]
     names = [field.name for field in first.layout.fields]
@@ -65,7 +63,7 @@ def view_conformance(data: Mapping[str, Any]) -> Iterator[Rows]:
     yield rows_of_test(title, data, lambda row: {"step": row["step"], "why": row["wrong"] or row["skipped"]})
 
 
-Test = Callable[[Sequence[BlockWriter], Callable[[str, float], None]], Awaitable[CommandResult]]
+Test = Callable[[Sequence[BlockWriter], Progress], Awaitable[CommandResult]]
 TESTS: dict[str, tuple[Test, View, tuple[str, ...]]] = {
     "alarms": (of_each_block(alarm_loop), view_alarms, ("ask",)),
     "heartbeat": (of_each_block(heartbeat_loop), view_heartbeats, ("watchdog",)),
