@@ -444,7 +444,7 @@ class Historian:
         )
 
     def _tended(self, table: str, step: Callable[[], bool | None]) -> None:
-        """Let `step` work as long as it says that there is more; alarms that come meanwhile are stored between its turns."""
+        """Let `step` work while it says that there is more; alarms that come meanwhile are stored between its turns."""
         try:
             while not self._stop.is_set() and step():
                 if self._at_once:
