@@ -1,11 +1,11 @@
 """What all commissioning commands share: device, evidence, steps, records, the way through a running gateway."""
 
-from gateway.commission.session.audit_log import at, audit_option, audit_path, questions
-from gateway.commission.session.execution import login, perform, target_of
+from gateway.commission.session.execution import audit_option, audit_path, login, perform, target_of
 from gateway.commission.session.gateway_line import mention_gateway, read_through, running_gateway
 from gateway.commission.session.records import (
     CommandRecord,
     RecordsError,
+    at,
     broken_at,
     read_records,
     versions,
@@ -36,7 +36,6 @@ __all__ = [
     "ok",
     "perform",
     "period_of",
-    "questions",
     "read_records",
     "read_through",
     "result_of",

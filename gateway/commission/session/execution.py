@@ -7,6 +7,7 @@ import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import click
@@ -20,6 +21,7 @@ from gateway.commission.session.site import Site
 from gateway.commission.session.target import Target, make_target
 from gateway.console import CommandResult, Part, View, conclude
 from gateway.entry import Exit, exit_code, sentence, sentences
+from gateway.settings import load_plant
 
 Work = Callable[[Site], Awaitable[CommandResult]]
 
@@ -86,6 +88,26 @@ def perform(
 def target_of(given: SharedOptions) -> Target:
     """The device that the options name. Raises TargetError or ConfigError."""
     return make_target(given.plant, given.device, given.link, given.settings, given.machine)
+
+
+def audit_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with --audit; it gets `audit`."""
+    option = click.option(
+        "--audit",
+        type=click.Path(path_type=Path),
+        help="The audit log.  [default: the plant file's; without one audit.sqlite beside the records]",
+    )
+    wrapped: Callable[..., Any] = option(command)
+    return wrapped
+
+
+def audit_path(audit: Path | None, given: SharedOptions, target: Target | None = None) -> Path:
+    """The audit log: the one that is named, the plant file's, or the one beside the records. Raises ConfigError."""
+    if audit is None and target is not None:
+        audit = target.audit
+    elif audit is None and given.plant is not None:
+        audit = load_plant(given.plant)[0].audit
+    return audit if audit is not None else given.records.with_name("audit.sqlite")
 
 
 def _carried_out(site: Site, work: Work) -> CommandResult:

@@ -6,17 +6,20 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from random import Random, SystemRandom
 from struct import pack
 from typing import Any
+
+import click
 
 from drivers.device_file import STATUS_TAGS
 from drivers.driver import Driver, Writes, capabilities
 from drivers.errors import DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Sample
 from gateway.commission.options import SharedOptions
-from gateway.commission.session import Site, audit_path, questions
+from gateway.commission.session import Site, audit_path
 from gateway.commission.writeback.suite import Account, Unable
 from gateway.console import CommandResult, Progress, Rows, progress
 from gateway.machine.writing import (
@@ -358,7 +361,8 @@ def with_block_writers(
     """The work with the writers of all blocks, and a bar on a terminal where nobody is asked."""
 
     async def carried_out(site: Site) -> CommandResult:
-        async with open_block_writers(site, audit_path(audit, given, site.target), questions(ask)) as writers:
+        asked = partial(click.confirm, default=False, err=True) if ask else None
+        async with open_block_writers(site, audit_path(audit, given, site.target), asked) as writers:
             if ask:
                 return await work(writers, lambda _name, _share: None)
             with progress(title) as report:
