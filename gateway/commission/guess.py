@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -223,11 +224,8 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
             raise ValueError("what does the HMI show? Give it as the second argument, such as: guess holding:100 72.4")
         shown = reading if reading is not None else str(click.prompt("The HMI shows"))
     arguments = {"address": str(register), "reading": shown, "earlier": len(earlier)}
-
-    async def guessed(site: Site) -> CommandResult:
-        return await guess_encoding(site, register, shown, earlier)
-
-    perform(given, "guess", arguments, guessed, _view, target=target)
+    work = partial(guess_encoding, register=register, text=shown, earlier=earlier)
+    perform(given, "guess", arguments, work, _view, target=target)
 
 
 def _view(data: Mapping[str, Any]) -> Iterator[Part]:

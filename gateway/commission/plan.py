@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
+from functools import partial
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,8 @@ import click
 
 from drivers.driver import Explains, PlanKind
 from drivers.survey import read_plan
-from gateway.commission.options import SharedOptions, link_options
-from gateway.commission.session import Site, audit_option, audit_path, device_of, perform, period_of, words_of
+from gateway.commission.options import SharedOptions, audit_option, link_options
+from gateway.commission.session import Site, audit_path, device_of, perform, period_of, words_of
 from gateway.commission.survey import parse_register, reference_of
 from gateway.commission.writeback.write_plan import plan_writing, writing_view
 from gateway.console import CommandResult, Line, Part, Rows
@@ -89,16 +90,11 @@ def plan(given: SharedOptions, period: float | None, write: bool, audit: Path | 
     if audit is not None and not write:
         raise click.UsageError("--audit is for --write")
 
-    async def scan(site: Site) -> CommandResult:
-        return await plan_scan(site, period)
-
-    async def writing(site: Site) -> CommandResult:
-        return await plan_writing(site, audit_path(audit, given, site.target))
-
     if write:
-        perform(given, "plan --write", {}, writing, writing_view)
+        place = partial(audit_path, audit, given)
+        perform(given, "plan --write", {}, lambda site: plan_writing(site, place(site.target)), writing_view)
     else:
-        perform(given, "plan", {"period": period}, scan, _view)
+        perform(given, "plan", {"period": period}, lambda site: plan_scan(site, period), _view)
 
 
 def _view(data: Mapping[str, Any]) -> Iterator[Part]:

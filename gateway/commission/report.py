@@ -9,8 +9,8 @@ import click
 
 from drivers.named_files import regular
 from gateway.commission.acceptance import gather, verify, write
-from gateway.commission.options import SharedOptions, record_options
-from gateway.commission.session import audit_option, audit_path, login
+from gateway.commission.options import SharedOptions, audit_option, record_options
+from gateway.commission.session import audit_path, login
 from gateway.console import CommandResult, Line, Part, Rows, conclude
 from gateway.entry import sentences
 from gateway.machine.writing import places_for

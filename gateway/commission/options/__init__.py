@@ -3,9 +3,10 @@
 from gateway.commission.options.shared import (
     SharedOption,
     SharedOptions,
+    audit_option,
     link_options,
     record_options,
     shared_options,
 )
 
-__all__ = ["SharedOption", "SharedOptions", "link_options", "record_options", "shared_options"]
+__all__ = ["SharedOption", "SharedOptions", "audit_option", "link_options", "record_options", "shared_options"]

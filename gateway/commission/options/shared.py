@@ -162,6 +162,13 @@ def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
+def audit_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with --audit; it gets `audit`."""
+    help_text = "The audit log.  [default: the plant file's; without one audit.sqlite beside the records]"
+    wrapped: Callable[..., Any] = click.option("--audit", type=_FILE, help=help_text)(command)
+    return wrapped
+
+
 def _given(options: dict[str, Any]) -> SharedOptions:
     """Take the shared options out of all options."""
     values = {name: options.pop(name, None) for name in _SETTINGS}

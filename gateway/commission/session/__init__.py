@@ -1,6 +1,6 @@
 """What all commissioning commands share: device, evidence, steps, records, the way through a running gateway."""
 
-from gateway.commission.session.execution import audit_option, audit_path, login, perform, target_of
+from gateway.commission.session.execution import audit_path, login, perform, target_of
 from gateway.commission.session.gateway_line import mention_gateway, read_through, running_gateway
 from gateway.commission.session.records import (
     CommandRecord,
@@ -24,7 +24,6 @@ __all__ = [
     "Target",
     "TargetError",
     "at",
-    "audit_option",
     "audit_path",
     "broken_at",
     "device_of",

@@ -90,17 +90,6 @@ def target_of(given: SharedOptions) -> Target:
     return make_target(given.plant, given.device, given.link, given.settings, given.machine)
 
 
-def audit_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with --audit; it gets `audit`."""
-    option = click.option(
-        "--audit",
-        type=click.Path(path_type=Path),
-        help="The audit log.  [default: the plant file's; without one audit.sqlite beside the records]",
-    )
-    wrapped: Callable[..., Any] = option(command)
-    return wrapped
-
-
 def audit_path(audit: Path | None, given: SharedOptions, target: Target | None = None) -> Path:
     """The audit log: the one that is named, the plant file's, or the one beside the records. Raises ConfigError."""
     if audit is None and target is not None:

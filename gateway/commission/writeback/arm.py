@@ -10,12 +10,11 @@ from typing import Any
 import click
 
 from drivers.errors import DriverError
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions, audit_option, link_options
 from gateway.commission.session import (
     Site,
     Target,
     at,
-    audit_option,
     audit_path,
     gateway_of,
     login,

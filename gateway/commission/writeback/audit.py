@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from gateway.commission.options import SharedOptions, record_options
-from gateway.commission.session import at, audit_option, audit_path
+from gateway.commission.options import SharedOptions, audit_option, record_options
+from gateway.commission.session import at, audit_path
 from gateway.console import CommandResult, Part, Rows, conclude
 from gateway.entry import sentences
 from gateway.machine.writing import places_for

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from gateway.commission.options import SharedOptions, link_options
-from gateway.commission.session import audit_option, perform
+from gateway.commission.options import SharedOptions, audit_option, link_options
+from gateway.commission.session import perform
 from gateway.commission.writeback.block_writer import (
     BlockWriter,
     joined,
