@@ -91,7 +91,7 @@ async def _registers_around(site: Site, register: Register) -> tuple[int, list[i
     line = running_gateway(site.target)
     if line is None:
         async with site.registers() as survey:
-            return await around(survey, register)
+            return await read_around(survey, register)
     places = [Register(register.table, number) for number in range(*_window(register))]
     tags = [Tag(str(place), str(place), DType.BOOL if register.is_bit else DType.UINT16) for place in places]
     try:
@@ -121,7 +121,7 @@ def _stretch(known: Mapping[int, int], number: int) -> tuple[int, int]:
     return low, high
 
 
-async def around(survey: AsksRegisters, register: Register) -> tuple[int, list[int]]:
+async def read_around(survey: AsksRegisters, register: Register) -> tuple[int, list[int]]:
     """The registers around one: the first one's number, and the words, of one moment where the device allows it.
 
     Where a neighbour is refused they are asked one by one, and those that follow one another nearest to the address are

@@ -225,12 +225,12 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
     facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
     sentence = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
     steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))
-    timeout, attempts = proposed(facts["round_trip_ms"]["max"] / 1e3)
+    timeout, attempts = propose_timeout(facts["round_trip_ms"]["max"] / 1e3)
     facts["proposed"] = {"timeout": timeout, "attempts": attempts}
     steps.append(ok("proposal", f"timeout = {timeout:g} and attempts = {attempts} in [device] of the plant file"))
 
 
-def proposed(slowest: float) -> tuple[float, int]:
+def propose_timeout(slowest: float) -> tuple[float, int]:
     """`timeout` (s) and `attempts` for a device whose slowest of ROUND_TRIPS answers took `slowest` seconds.
 
     Half as long again as that, but room for a busy moment: a device is not given up for one slow answer. A slow one is

@@ -104,7 +104,7 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
             log=config.log.model_copy(update={"path": kept.with_name("log.jsonl")}),
             links=(replace(first, map=replace(first.map, heartbeat=heartbeat)),),
         )
-        seen = await _through(shadow, recording, progress)
+        seen = await _replay(shadow, recording, progress)
         scores = scorecard(kept)
     data = {
         "recording": str(recording.path),
@@ -130,7 +130,7 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
     return CommandResult(data, complaint if needed else "")
 
 
-async def _through(config: Config, recording: SiteRecording, progress: Progress) -> ReplayTally:
+async def _replay(config: Config, recording: SiteRecording, progress: Progress) -> ReplayTally:
     clock = SteppedClock(recording.times[0])
     seen, stop = ReplayTally(), asyncio.Event()
     columns = {

@@ -54,7 +54,7 @@ def report(
     """
     if verifies:
         with sentences():
-            verified = _verified(out, seal)
+            verified = _check_files(out, seal)
         conclude(verified, _view_of_files, as_json=given.as_json)
         return
     with sentences():
@@ -92,7 +92,7 @@ def _view(result: Mapping[str, Any]) -> Iterator[Part]:
     yield f"seal: {result['seal']}"
 
 
-def _verified(folder: Path, seal: str) -> CommandResult:
+def _check_files(folder: Path, seal: str) -> CommandResult:
     actual, rows = verify(folder, seal)
     bad = next((row for row in rows if not row["ok"]), None)
     complaint = f"{folder / bad['file']}: {bad['problem']}" if bad else ""

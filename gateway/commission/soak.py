@@ -65,7 +65,7 @@ async def soak_device(
     recorder = ScanRecorder(record, device.tags) if record is not None else None
     tally, before = SoakTally(), {}
     try:
-        async with _opened(site) as driver:
+        async with _open_driver(site) as driver:
             try:
                 # A device that speaks by itself is heard out once before anything is counted.
                 until = time.monotonic() + FIRST_S
@@ -102,7 +102,7 @@ async def soak_device(
 
 
 @asynccontextmanager
-async def _opened(site: Site) -> AsyncIterator[Driver]:
+async def _open_driver(site: Site) -> AsyncIterator[Driver]:
     """The driver with a connection; one on a bus has FIRST_S to hear its device. Raises DriverError."""
     driver = site.target.make_driver()
     try:
@@ -145,7 +145,7 @@ def _summary(
         "timeouts": int(counted.get("timeouts", 0)),
         "mismatches": int(counted.get("mismatches", 0)),
         "reconnects": int(counted.get("reconnects", 0)),
-        "recommended_period_s": recommended(seconds, factor),
+        "recommended_period_s": recommend_period(seconds, factor),
         "recording": str(record) if record is not None else None,
     }
     if site.target.capabilities.speaks:
@@ -183,7 +183,7 @@ def _cure_of_timeouts(site: Site, data: Mapping[str, Any], counted: Mapping[str,
 _SHARES = {"p50": 0.5, "p95": 0.95, "max": 1.0}
 
 
-def recommended(seconds: Sequence[float], factor: float = 1.0) -> float:
+def recommend_period(seconds: Sequence[float], factor: float = 1.0) -> float:
     """The least usual period that leaves as much time again as 95 % of the scans take, and holds the longest one.
 
     `factor` is what a cycle takes beside the scan. Beyond the table it is whole minutes.

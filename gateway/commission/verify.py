@@ -27,7 +27,7 @@ Ask = Callable[[str], str]
 Tell = Callable[[str], None]
 
 
-def to_prove(site: Site, only: Sequence[str]) -> list[Tag]:
+def tags_to_prove(site: Site, only: Sequence[str]) -> list[Tag]:
     """The tags that an HMI shows: all but those of the write-back contract, which the loop tests prove.
 
     Raises ValueError for a name that is no tag.
@@ -41,14 +41,14 @@ def to_prove(site: Site, only: Sequence[str]) -> list[Tag]:
     return [tag for tag in device.tags if (tag.name in only if only else tag.name not in contract)]
 
 
-def earlier(path: Path) -> list[Point]:
+def earlier_points(path: Path) -> list[Point]:
     """The comparisons of all earlier verifications. Raises RecordsError."""
     if not path.exists():
         return []
     return [point for record in read_records(path) if record.command == "verify" for point in points_of(record.result)]
 
 
-async def against(
+async def compare_with_list(
     site: Site,
     path: Path,
     tags: Sequence[Tag],
@@ -71,7 +71,7 @@ async def against(
     if not shown:
         raise ListError(f"{path}: has no reading of a tag that is to be verified; give rows of tag and value")
     present = dict.fromkeys(reading.tag for reading in shown if reading.time is None)
-    live, missing = await _window(site, [known[name] for name in present]) if present else ({}, {})
+    live, missing = await _look_twice(site, [known[name] for name in present]) if present else ({}, {})
     times = [reading.time for reading in shown if reading.time is not None]
     config, past = site.target.config, SiteRecording(path, (), {})
     if times and readings is not None:
@@ -99,10 +99,10 @@ async def against(
             values = [column[at] for at in near if column[at] == column[at]] if column is not None else []
         why = missing.get(reading.tag, "") if reading.time is None else ""
         points.append(compare(known[reading.tag], reading, values, now, slack, missing=why))
-    return outcome(tags, points, before, complete=complete)
+    return conclude_points(tags, points, before, complete=complete)
 
 
-async def _window(site: Site, tags: Sequence[Tag]) -> tuple[dict[str, list[Value]], dict[str, str]]:
+async def _look_twice(site: Site, tags: Sequence[Tag]) -> tuple[dict[str, list[Value]], dict[str, str]]:
     """Two good looks at each tag, a moment apart: a value that moves passes through what the HMI showed.
 
     With them the reason of the last look that was not good, by tag.
@@ -123,7 +123,7 @@ async def _window(site: Site, tags: Sequence[Tag]) -> tuple[dict[str, list[Value
 # ---------------------------------------------------------------- by questions
 
 
-async def by_questions(
+async def ask_for_each(
     site: Site, tags: Sequence[Tag], before: Sequence[Point], ask: Ask, tell: Tell, *, slack: float, complete: bool
 ) -> CommandResult:
     """Ask for each tag what the HMI shows, round by round, until all are proved or the person ends it (q).
@@ -137,10 +137,10 @@ async def by_questions(
             unit = f" in {tag.unit}" if tag.unit else ""
             answer = (await asyncio.to_thread(ask, f"{tag.name}{unit} ({missing}): what does the HMI show?")).strip()
             if answer.lower() == "q":
-                return outcome(tags, points, before, complete=complete)
+                return conclude_points(tags, points, before, complete=complete)
             if not answer:
                 continue
-            values, reasons = await _window(site, [tag])
+            values, reasons = await _look_twice(site, [tag])
             try:
                 reading, why = HmiReading(tag.name, answer), reasons.get(tag.name, "")
                 point = compare(tag, reading, values[tag.name], time.time(), slack, missing=why)
@@ -153,10 +153,12 @@ async def by_questions(
         question = "bring the plant into another state, then press Enter (q ends)"
         if rest and (await asyncio.to_thread(ask, question)).strip().lower() == "q":
             break
-    return outcome(tags, points, before, complete=complete)
+    return conclude_points(tags, points, before, complete=complete)
 
 
-def outcome(tags: Sequence[Tag], points: Sequence[Point], before: Sequence[Point], *, complete: bool) -> CommandResult:
+def conclude_points(
+    tags: Sequence[Tag], points: Sequence[Point], before: Sequence[Point], *, complete: bool
+) -> CommandResult:
     """The comparisons, and what is still to be done for each tag; a failed check where one does not agree.
 
     With `complete` it is one too where something is to be done.
@@ -217,11 +219,11 @@ def verify(
         click.echo(sentence, err=True)
 
     async def work(site: Site) -> CommandResult:
-        tags, before = to_prove(site, only), [] if anew else earlier(given.records)
+        tags, before = tags_to_prove(site, only), [] if anew else earlier_points(given.records)
         if listed is None:
-            return await by_questions(site, tags, before, _ask, tell, slack=slack, complete=complete)
+            return await ask_for_each(site, tags, before, _ask, tell, slack=slack, complete=complete)
         past: dict[str, Any] = {"readings": readings, "within": within, "clock_offset": clock_offset}
-        return await against(site, listed, tags, before, slack=slack, complete=complete, **past)
+        return await compare_with_list(site, listed, tags, before, slack=slack, complete=complete, **past)
 
     arguments = {
         "against": listed and str(listed),

@@ -109,7 +109,7 @@ def sparkline(history: Sequence[float | None], width: int = WIDTH) -> str:
 
 
 @asynccontextmanager
-async def looking(site: Site, tags: Sequence[Tag]) -> AsyncIterator[Look]:
+async def open_look(site: Site, tags: Sequence[Tag]) -> AsyncIterator[Look]:
     """A way to read the tags again and again: through the running gateway, or by one connection. Raises DriverError."""
     line = running_gateway(site.target)
     if line is not None:
@@ -159,7 +159,7 @@ async def watch_tags(
             continue
 
 
-def marked(seen: Sequence[WatchedTag], number: int, now: float) -> Mark:
+def make_mark(seen: Sequence[WatchedTag], number: int, now: float) -> Mark:
     """A mark of this moment."""
     return Mark(
         number, now, {watched.tag.name: watched.last.sample.value if watched.last else None for watched in seen}
@@ -192,11 +192,11 @@ def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: flo
         def mark() -> bool:
             entered = bool(sys.stdin.readline())  # "" is the end of the input: Enter is not listened for any more
             if entered:
-                marks.append(marked(seen, len(marks) + 1, time.time()))
+                marks.append(make_mark(seen, len(marks) + 1, time.time()))
             return entered
 
-        with _ending(seconds, mark if live and sys.stdin.isatty() else None) as stop:
-            async with looking(site, [watched.tag for watched in seen]) as look:
+        with _stop_event(seconds, mark if live and sys.stdin.isatty() else None) as stop:
+            async with open_look(site, [watched.tag for watched in seen]) as look:
                 if live:
                     # Drawn when a reading comes, not by rich's own thread: the view is of one moment.
                     with Live(auto_refresh=False) as screen:
@@ -218,7 +218,7 @@ def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: flo
 
 
 @contextmanager
-def _ending(seconds: float | None, on_enter: Callable[[], bool] | None) -> Iterator[asyncio.Event]:
+def _stop_event(seconds: float | None, on_enter: Callable[[], bool] | None) -> Iterator[asyncio.Event]:
     """An event that is set by Ctrl-C, by SIGTERM, and after `seconds`; Enter calls `on_enter` while that says True."""
     stop, loop = asyncio.Event(), asyncio.get_running_loop()
 

@@ -48,7 +48,7 @@ def perform(
     begun, clock = time.time(), time.monotonic()
     with sentences(), closing(FrameEvidence(given.pcap, target.medium)) as evidence:
         site = Site(target, evidence)
-        outcome = _carried_out(site, work)
+        outcome = _carry_out(site, work)
     seconds = time.monotonic() - clock
     record = CommandRecord(
         time=begun,
@@ -99,7 +99,7 @@ def audit_path(audit: Path | None, given: SharedOptions, target: Target | None =
     return audit if audit is not None else given.records.with_name("audit.sqlite")
 
 
-def _carried_out(site: Site, work: Work) -> CommandResult:
+def _carry_out(site: Site, work: Work) -> CommandResult:
     """The work's outcome; what goes wrong on the way is one too."""
 
     async def awaited() -> CommandResult:  # asyncio.run wants a coroutine, and `work` may give any awaitable

@@ -172,7 +172,7 @@ def rows_of(frames: Sequence[BusFrame], seconds: float, names: Mapping[int, str]
         rows.append(
             {
                 "id": frame_name(key),
-                "what": names.get(key) or likely(heard[0], heartbeats),
+                "what": names.get(key) or likely_meaning(heard[0], heartbeats),
                 "frames": len(heard),
                 "per_second": len(heard) / seconds,
                 "period_ms": mean(gaps) if gaps else None,
@@ -185,7 +185,7 @@ def rows_of(frames: Sequence[BusFrame], seconds: float, names: Mapping[int, str]
     return rows
 
 
-def likely(frame: BusFrame, heartbeats: set[int]) -> str:
+def likely_meaning(frame: BusFrame, heartbeats: set[int]) -> str:
     """What an identifier is by the usual assignments: J1939, OBD-II, CANopen's predefined connection set.
 
     CANopen is believed only of nodes whose heartbeat was heard; a question mark says that nothing confirms it.

@@ -61,7 +61,7 @@ NOTHING: Mapping[str, float | None] = {"input_quality": 2.0, "zone": 0.0, "alarm
 Ask = Callable[[str], bool]
 
 
-def in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arming:
+def arming_in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arming:
     """The arming of a subject in force. Raises WriteForbidden without one, AuditError, SigningKeyError."""
     path = places.audit
     row = standing(path, now, uptime(), key=places.key, subject=subject)
@@ -312,7 +312,7 @@ async def open_block_writers(
     # Before the look at the arming: beside a gateway that writes on, the newest record may be later than that look.
     if site.target.config is not None and gateway_runs(site.target.config.historian.path):
         raise ValueError("a gateway runs with this plant file and writes the same block; stop it for this test")
-    arming = arming_of(taking_back) if taking_back is not None else in_force(places, time.time(), subject)
+    arming = arming_of(taking_back) if taking_back is not None else arming_in_force(places, time.time(), subject)
     audit = open_audit(audit_path)
     try:
         async with site.driver(device.block_words) as driver:
@@ -378,12 +378,12 @@ def of_each_block(
 
     async def carried_out(writers: Sequence[BlockWriter], report: Progress) -> CommandResult:
         results = [(writer.layout.temperature or "", await work(writer, report)) for writer in writers]
-        return results[0][1] if len(results) == 1 else joined(results)
+        return results[0][1] if len(results) == 1 else join_results(results)
 
     return carried_out
 
 
-def joined(results: Sequence[tuple[str, CommandResult]]) -> CommandResult:
+def join_results(results: Sequence[tuple[str, CommandResult]]) -> CommandResult:
     """Results of several blocks as one: their rows with the block's name, their counts summed, the first complaint."""
     data: dict[str, Any] = {}
     for _, result in results:

@@ -120,13 +120,15 @@ async def each_result(
             continue
         wrong = [judge(step, before[step.block], after[step.block], codes)]
         wrong += [
-            spilt(before[other], after[other], after[step.block]) for other in range(len(sides)) if other != step.block
+            find_spill(before[other], after[other], after[step.block])
+            for other in range(len(sides))
+            if other != step.block
         ]
         yield Result(step.name, "; ".join(filter(None, wrong)))
         before = after
 
 
-def spilt(before: Account, after: Account, own: Account) -> str:
+def find_spill(before: Account, after: Account, own: Account) -> str:
     """What a step has wrongly done to a block that it was not put to, in words; `own` is its own block's account."""
     faults = []
     if (after.accepted, after.refused) != (before.accepted, before.refused):

@@ -12,7 +12,7 @@ from gateway.commission.options import SharedOptions, audit_option, link_options
 from gateway.commission.session import perform
 from gateway.commission.writeback.block_writer import (
     BlockWriter,
-    joined,
+    join_results,
     of_each_block,
     rows_of_test,
     with_block_writers,
@@ -35,7 +35,7 @@ async def conform_all(writers: Sequence[BlockWriter], progress: Progress) -> Com
     if len(writers) == 1:
         return await conform(writers[0], progress)
     results = [(writer.layout.temperature or "", await conform(writer, progress)) for writer in writers]
-    return joined([*results, ("together", await conform_together(writers, progress))])
+    return join_results([*results, ("together", await conform_together(writers, progress))])
 
 
 async def conform_together(writers: Sequence[BlockWriter], progress: Progress) -> CommandResult:
