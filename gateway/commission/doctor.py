@@ -4,6 +4,7 @@ import asyncio
 import os
 import shutil
 import time
+from contextlib import closing
 from math import isinf
 from pathlib import Path
 from typing import Any
@@ -140,11 +141,9 @@ def _files(target: Target) -> list[CheckStep]:
         )
     line = running_gateway(target)
     if line is not None:
-        try:
+        with closing(line):
             sentence = f"one runs with this plant file (pid {line.ask('status')['pid']}): read and watch go through it"
             steps.append(ok("gateway", sentence))
-        finally:
-            line.close()
     return steps
 
 

@@ -4,7 +4,7 @@ import asyncio
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -94,10 +94,8 @@ async def _registers_around(site: Site, register: Register) -> tuple[int, list[i
             return await read_around(survey, register)
     places = [Register(register.table, number) for number in range(*_window(register))]
     tags = [Tag(str(place), str(place), DType.BOOL if register.is_bit else DType.UINT16) for place in places]
-    try:
+    with closing(line):
         _, samples = await asyncio.to_thread(read_through, line, tags, ())
-    finally:
-        line.close()
     site.notes.append("read through the running gateway")
     known = {parse_register(sample.tag).number: int(sample.value or 0) for sample in samples if sample.quality.is_good}
     if not known:

@@ -4,6 +4,7 @@ import asyncio
 import struct
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -132,10 +133,8 @@ async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
     """The tags with their raw words where the link shows them: through the running gateway, or of the device."""
     line = running_gateway(site.target)
     if line is not None:
-        try:
+        with closing(line):
             reply, samples = await asyncio.to_thread(read_through, line, tags, site.target.tags)
-        finally:
-            line.close()
         site.notes.append(f"read through the running gateway (pid {reply['pid']}), which shows values and no raw words")
         by_name = {tag.name: tag for tag in tags}
         return [Raw(by_name[sample.tag], sample, by_name[sample.tag].address, 1) for sample in samples]

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +67,9 @@ def report(
         own_seal = write(out, data, records)
         # The seal stands apart from the report too: whoever makes all of it anew makes another seal.
         if log_path.exists():
-            log = open_audit(log_path)
             detail = {"seal": own_seal, "folder": str(out)}
-            stored = log.record(AuditEntry(now, "acceptance report", by, data["verdict"], detail))
-            log.close()
+            with closing(open_audit(log_path)) as log:
+                stored = log.record(AuditEntry(now, "acceptance report", by, data["verdict"], detail))
             if not stored:
                 raise ValueError(f"the report is made, but its seal is not in the audit log: {log.failure}")
     result = {

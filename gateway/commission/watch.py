@@ -6,7 +6,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -120,10 +120,8 @@ async def open_look(site: Site, tags: Sequence[Tag]) -> AsyncIterator[Look]:
             return [Raw(by_name[sample.tag], sample, by_name[sample.tag].address, 1) for sample in samples]
 
         site.notes.append("read through the running gateway, which shows values and no raw words")
-        try:
+        with closing(line):
             yield through
-        finally:
-            line.close()
     elif site.target.capabilities.registers:
         async with site.registers() as survey:
             yield lambda: survey.tags(tags)

@@ -1,6 +1,7 @@
 """Where a gateway runs for the same plant file: asking it instead of the device, which may serve one client only."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from typing import Any
 
 from drivers.tag import Quality, Sample, Tag
@@ -21,13 +22,12 @@ def mention_gateway(site: Site) -> None:
     line = running_gateway(site.target)
     if line is None:
         return
-    try:
-        pid = line.ask("status")["pid"]
-        site.notes.append(f"a gateway runs with this plant file (pid {pid}): the device has two clients meanwhile")
-    except (OSError, ControlError):
-        site.notes.append("a gateway runs with this plant file and does not answer: the device may have two clients")
-    finally:
-        line.close()
+    with closing(line):
+        try:
+            about = f"(pid {line.ask('status')['pid']}): the device has two clients meanwhile"
+        except (OSError, ControlError):
+            about = "and does not answer: the device may have two clients"
+    site.notes.append(f"a gateway runs with this plant file {about}")
 
 
 def read_through(line: GatewayLine, tags: Sequence[Tag], known: Sequence[Tag]) -> tuple[dict[str, Any], list[Sample]]:

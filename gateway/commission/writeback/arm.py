@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -69,11 +69,8 @@ async def start_arming(
             )
         config = site.target.config
         places = places_for(audit_path, config)
-        audit = open_audit(audit_path)
-        try:
+        with closing(open_audit(audit_path)) as audit:
             clear_for_arming(places, audit.record, by=arming.by, now=now, acknowledged=acknowledged)
-        finally:
-            audit.close()
         armed_for = "" if config is None else config.armed_for
         arm_in_log(audit_path, arming, now, key=places.key, subject=site.target.subject, armed_for=armed_for)
         countersign(places, now)
@@ -191,10 +188,8 @@ def _asked(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
     line = running_gateway(site.target)
     if line is None:
         return None
-    try:
+    with closing(line):
         return line.ask(command, **keys)
-    finally:
-        line.close()
 
 
 def _answer_now(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:

@@ -4,7 +4,7 @@ import asyncio
 import fcntl
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -82,11 +82,8 @@ def _note_the_end(places: WitnessPlaces, now: float, subject: str) -> None:
         return
     if not (why := over(path, last, now, uptime())):
         return
-    audit = open_audit(path)
-    try:
+    with closing(open_audit(path)) as audit:
         audit.record(AuditEntry(now, EXPIRED, last.entry.who, why).of(subject))
-    finally:
-        audit.close()
 
 
 def layouts_of(site: Site) -> tuple[DeviceMap, tuple[WritebackLayout, ...]]:
@@ -313,8 +310,7 @@ async def open_block_writers(
     if site.target.config is not None and gateway_runs(site.target.config.historian.path):
         raise ValueError("a gateway runs with this plant file and writes the same block; stop it for this test")
     arming = arming_of(taking_back) if taking_back is not None else arming_in_force(places, time.time(), subject)
-    audit = open_audit(audit_path)
-    try:
+    with closing(open_audit(audit_path)) as audit:
         async with site.driver(device.block_words) as driver:
             if not isinstance(driver, Writes):
                 raise WriteForbidden("this driver cannot write")
@@ -346,8 +342,6 @@ async def open_block_writers(
                         # The PLC's timer covers a last block that cannot be written; the audit log has the reason.
                         with suppress(DriverError, ValueError):
                             await writer.block()
-    finally:
-        audit.close()
 
 
 def with_block_writers(
