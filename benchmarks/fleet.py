@@ -26,7 +26,7 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from sim.lab.learning import SURE, GroupTargets, outstanding
+from sim.lab.learning import FALSE_FINDING_CHANCE, GroupTargets, outstanding
 from sim.lab.recordings import write_trace
 from sim.plant import production
 from sim.plant.decanter import DecanterPlant
@@ -98,7 +98,9 @@ def law(sizes: list[int], fleets: int, seed: int) -> list[Figure]:
     for size in sizes:
         found = [outstanding(drawn(rng, size, {})) for _ in range(fleets)]
         rate = 100.0 * float(np.mean([bool(each) for each in found]))
-        figures.append(Figure(f"{size} machines alike: fleets with a finding", rate, "%", "stated", 100.0 * SURE))
+        figures.append(
+            Figure(f"{size} machines alike: fleets with a finding", rate, "%", "stated", 100.0 * FALSE_FINDING_CHANCE)
+        )
         for where, shares in ODD.items():
             for degrees in DEGREES:
                 odd = {group: share * degrees for group, share in shares.items()}

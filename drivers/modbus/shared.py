@@ -133,11 +133,11 @@ class SharedLink:
         settings = line.settings
         if (health := self.health.get(settings.unit)) is None:
             health = self.health[settings.unit] = UnitHealth()
-        self._spare(settings, health, urgent=urgent)
-        async with self._turns.turn(settings.unit, urgent=urgent, probe=self._doubted(health)) as turn:
+        self._raise_if_resting(settings, health, urgent=urgent)
+        async with self._turns.turn(settings.unit, urgent=urgent, probe=self._fails_alone(health)) as turn:
             if turn.waited:
                 # Another driver of the same unit may have asked it meanwhile.
-                self._spare(settings, health, urgent=urgent)
+                self._raise_if_resting(settings, health, urgent=urgent)
             if settings.limits.pause and (rest := self._last_exchange + settings.limits.pause - _now()) > 0.0:
                 await asyncio.sleep(rest)
             wire = self.link.connection or await self._wire()
@@ -188,7 +188,7 @@ class SharedLink:
         """The part of the connection's time that is each unit's."""
         return 1.0 / max(1, len(self.health))
 
-    def _spare(self, settings: ModbusSettings, health: UnitHealth, *, urgent: bool) -> None:
+    def _raise_if_resting(self, settings: ModbusSettings, health: UnitHealth, *, urgent: bool) -> None:
         """Raise LinkDown for a unit that is not to be asked now; to a silent one nothing is written."""
         unit = settings.unit
         if self.suspects(unit):
@@ -201,12 +201,12 @@ class SharedLink:
         if health.silent_since is None and not several:
             return
         rest, now = 0.0, _now()
-        if several and not urgent and self._answered_at > health.doubted_since:
-            rest = health.debt.rest(now, self._share, settings.longest_read)
+        if several and not urgent and self._answered_at > health.failing_since:
+            rest = health.wasted.rest(now, self._share, settings.longest_read)
         if health.silent_since is None:
             if rest > 0.0:
                 raise LinkDown(
-                    f"unit {unit} has held up the others on {self.settings.place} for {health.debt.owed:.2f} s; "
+                    f"unit {unit} has held up the others on {self.settings.place} for {health.wasted.level:.2f} s; "
                     f"asked again in {rest:.1f} s",
                     fault=LinkFault.SILENT,
                 )
@@ -221,20 +221,20 @@ class SharedLink:
             fault=LinkFault.SILENT,
         )
 
-    def _doubted(self, health: UnitHealth) -> bool:
+    def _fails_alone(self, health: UnitHealth) -> bool:
         """True for a unit whose last question failed while others answered."""
-        return health.silent or (health.failures > 0 and self._answered_at > health.doubted_since)
+        return health.silent or (health.failures > 0 and self._answered_at > health.failing_since)
 
     def _patience(self, settings: ModbusSettings, health: UnitHealth, *, urgent: bool) -> float:
-        """The deadline of a question: the unit's own, of a reading less where it is doubted."""
-        if not urgent and self._doubted(health):
+        """The deadline of a question: the unit's own, of a reading less where it fails while others answer."""
+        if not urgent and self._fails_alone(health):
             return health.patience(settings.timeout, settings.longest_read, self._times.usual)
         return self.link.patience(settings.timeout)
 
     def _note_answer(self, settings: ModbusSettings, health: UnitHealth) -> None:
-        if self._answered_at > health.doubted_since and health.debt.connection == self.link.connects:
-            self._book(settings, health)
-        health.debt.waited = 0.0
+        if self._answered_at > health.failing_since and health.wasted.connection == self.link.connects:
+            self._charge(settings, health)
+        health.wasted.waited = 0.0
         self._note_life(settings)
         health.answered(self.link.connects)
 
@@ -251,10 +251,10 @@ class SharedLink:
         """Note that the unit has not answered; True if that is the silent unit's own failure, not the connection's."""
         now = _now()
         health.failed(asked_at, now - asked_at)
-        health.debt.wait(now - asked_at, self.link.connects)
-        others_answer = self._answered_at > health.doubted_since
+        health.wasted.wait(now - asked_at, self.link.connects)
+        others_answer = self._answered_at > health.failing_since
         if others_answer:
-            self._book(settings, health)
+            self._charge(settings, health)
         given_up = health.failures >= settings.max_failures or health.waited >= settings.max_silence
         if health.silent or (given_up and others_answer):
             self._avoid(settings.unit)
@@ -268,9 +268,9 @@ class SharedLink:
             # One short wait in this time for all silent units together, however many they are.
             self._next_probe = now + self.settings.silent_first
 
-    def _book(self, settings: ModbusSettings, health: UnitHealth, seconds: float = 0.0) -> None:
+    def _charge(self, settings: ModbusSettings, health: UnitHealth, seconds: float = 0.0) -> None:
         share = self._share
-        health.debt.book(_now(), share, settings.longest_read + share * settings.silent_cap, seconds)
+        health.wasted.fill(_now(), share, settings.longest_read + share * settings.silent_cap, seconds)
 
     def _shadowed(self, unit: int, started: float) -> bool:
         """Whether a question has had no answer because an earlier one, to another unit, has stopped the connection."""
@@ -292,7 +292,7 @@ class SharedLink:
         now = _now()
         if stall is not None and stall.unit == unit and (stall.others or self._turns.busy):
             # The others were kept waiting for longer than anybody waited for this unit.
-            self._book(self.settings, health, now - stall.since)
+            self._charge(self.settings, health, now - stall.since)
         if there:
             health.times.take(now - health.asked_at)
             health.heard()

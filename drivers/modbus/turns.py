@@ -141,19 +141,29 @@ class Turn:
 
 @dataclass(slots=True)
 class UnitHealth:
-    """Whether a unit answers; times are the loop's. `connection` is the number of the one on which it did last.
+    """Whether a unit answers; times are the loop's.
 
-    `asked_at` is when its newest question was first sent, `times` are its own replies'. `doubted_since`: an answer of
-    another unit after this moment says that the connection is not to blame. `late`: of a silent unit something has come
-    after its time. `debt` is what it owes the others.
+    ::
+
+        answering --no valid reply--> failing --too often, while others answer--> silent
+            ^                            |                                        |   ^ a probe fails: the next one
+            |         a reply            |                a reply                 |   | after twice as long
+            +----------------------------+----------------------------------------+---+
+
+    A silent unit is probed at `retry_at`; at once, and with all patience (`late`), where something of it has come after
+    its time. In each state it rests where it has `wasted` more of the others' time than a whole reading takes.
+
+    `connection` is the number of the one on which it answered last, `asked_at` is when its newest question was first
+    sent, `times` are its own replies'. An answer of another unit after `failing_since` says that the connection is not
+    to blame.
     """
 
     connection: int = 0
     asked_at: float = 0.0
     times: "ReplyTimes" = field(default_factory=lambda: ReplyTimes())
     late: bool = False
-    debt: "WaitingDebt" = field(default_factory=lambda: WaitingDebt())
-    doubted_since: float = 0.0
+    wasted: "WastedTime" = field(default_factory=lambda: WastedTime())
+    failing_since: float = 0.0
     failures: int = 0
     waited: float = 0.0
     silent_since: float | None = None
@@ -173,7 +183,7 @@ class UnitHealth:
     def failed(self, asked_at: float, waited: float) -> None:
         """No valid answer came to what was asked then, after `waited` seconds."""
         if not self.failures:
-            self.doubted_since = asked_at
+            self.failing_since = asked_at
         self.failures += 1
         self.waited += waited
 
@@ -182,7 +192,7 @@ class UnitHealth:
         if self.silent_since is None:
             self.silent_since = now
         self.probes += 1
-        self.late, self.doubted_since, self.retry_at = False, now, now + retry_delay(self.probes, first, cap)
+        self.late, self.failing_since, self.retry_at = False, now, now + retry_delay(self.probes, first, cap)
 
     def heard(self) -> None:
         """Something of it has come too late for its question: it is there, and is asked at once with all patience."""
@@ -203,35 +213,35 @@ class UnitHealth:
 
 
 @dataclass(slots=True)
-class WaitingDebt:
-    """What a unit owes the others: seconds for which the connection was held for it in vain, as of `at` (loop's time).
+class WastedTime:
+    """Seconds for which the connection was held for a unit in vain: a leaky bucket, `level` (s) at `at` (loop's time).
 
-    It is paid by time, of which its `share` is the unit's own. What was waited is booked once others have answered on
-    the same connection: until then the connection may be to blame.
+    It leaks by time, of which its `share` is the unit's own. What was waited is put in once others have answered on the
+    same connection: until then the connection may be to blame.
     """
 
-    owed: float = 0.0
+    level: float = 0.0
     at: float = 0.0
     waited: float = 0.0
     connection: int = 0
 
     def wait(self, seconds: float, connection: int) -> None:
-        """So long has been waited in vain over this connection; it is booked, or forgotten, later."""
+        """So long has been waited in vain over this connection; it is put in, or forgotten, later."""
         if connection != self.connection:
             self.connection, self.waited = connection, 0.0
         self.waited += seconds
 
-    def book(self, now: float, share: float, most: float, seconds: float = 0.0) -> None:
-        """What was waited, and `seconds` beyond it, is owed; never more than `most`."""
-        self.owed, self.at = min(most, self._left(now, share) + self.waited + seconds), now
+    def fill(self, now: float, share: float, most: float, seconds: float = 0.0) -> None:
+        """Put in what was waited, and `seconds` beyond it; never to more than `most`."""
+        self.level, self.at = min(most, self._left(now, share) + self.waited + seconds), now
         self.waited = 0.0
 
     def rest(self, now: float, share: float, free: float) -> float:
-        """Seconds until no more than `free` is owed."""
+        """Seconds until the level is no more than `free`."""
         return max(0.0, self._left(now, share) - free) / share
 
     def _left(self, now: float, share: float) -> float:
-        return max(0.0, self.owed - share * (now - self.at))
+        return max(0.0, self.level - share * (now - self.at))
 
 
 @dataclass(slots=True)

@@ -1,1 +1,4 @@
-"""The engineer's hour at the plant: one module a command of `decanter plc`, its work and its options."""
+"""The engineer's hour at the plant: one module a command of `decanter plc`.
+
+A module has the command's work, which gives a `CommandResult`, what a person sees of it (its view), and its options.
+"""

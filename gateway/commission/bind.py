@@ -22,9 +22,11 @@ from gateway.commission.files import (
     settings_of,
     template,
 )
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import ORDERS, TYPES
-from gateway.commission.session import CommandResult, SharedOptions, link_options, read_records
+from gateway.commission.session import read_records
 from gateway.commission.survey import parse_register
+from gateway.console import CommandResult
 
 _LIMITS = ("low", "high", "sentinel", "max_rate")
 
@@ -72,7 +74,7 @@ def bind(given: SharedOptions, **options: Any) -> None:
             keys |= {"labels": options["labels"]} if options["labels"] else {}
             if options["rank"] is not None:
                 # What was guessed gives way to what is given.
-                keys = guessed(given.records, options["rank"]) | keys
+                keys = keys_of_guess(given.records, options["rank"]) | keys
             if "address" in keys:
                 keys["address"] = _address(files, str(keys["address"]))
             if keys.get("bit") is not None and "dtype" not in keys:
@@ -102,7 +104,7 @@ def _address(files: Files, text: str) -> str:
     return str(parse_register(text)) if capabilities(files.driver).registers else text
 
 
-def guessed(records: Path, rank: int) -> dict[str, Any]:
+def keys_of_guess(records: Path, rank: int) -> dict[str, Any]:
     """The keys of the candidate of that rank (1 the best) of the newest guess in the records. Raises ConfigError."""
     guesses = [record for record in read_records(records) if record.command == "guess"] if records.exists() else []
     if not guesses:

@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isinf
 from typing import Any
@@ -15,26 +15,24 @@ from drivers.settings import ConfigError
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.clock_sync import clock_error
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import read_raw
 from gateway.commission.session import (
     CheckStep,
-    CommandResult,
-    SharedOptions,
     Site,
-    check_writable,
     device_of,
     failed,
-    link_options,
     make_target,
     ok,
     perform,
     period_of,
-    show_steps,
-    verdict,
+    result_of,
+    step_lines,
     warning,
     words_of,
 )
 from gateway.commission.writeback.write_plan import problems_of
+from gateway.console import CommandResult, Line, Part
 from gateway.entry import Exit, exit_code, sentences
 from gateway.machine.model import load_model
 from gateway.outside.northbound import check_northbound
@@ -66,20 +64,18 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
                 rows += [{"link": name, "tag": tag.name, **gone} for tag in site.target.tags]
         of_link = f"link {name!r}: " if len(sites) > 1 else ""
         steps += [replace(step, sentence=of_link + step.sentence) for step in own]
-    code, complaint = verdict(steps)
-    if len(absent) == len(sites):
-        # The device's absence is said rather than what fails because of it.
-        code = exit_code(absent[0])
-        complaint = f"{absent[0]}; is the PLC there? Give --host and --port, or start one: decanter emulate"
-    warnings = [step.sentence for step in steps if step.state == "warning"]
-    data = {
-        "links": {name: site.target.place for name, site in sites.items()},
-        "tags": len(device_of(first).tags),
-        "steps": [step.plain() for step in steps],
-        "readings": rows,
-        "open_points": warnings,
-    }
-    return CommandResult(data, code, complaint)
+    result = result_of(
+        steps,
+        links={name: site.target.place for name, site in sites.items()},
+        tags=len(device_of(first).tags),
+        readings=rows,
+        open_points=[step.sentence for step in steps if step.state == "warning"],
+    )
+    if len(absent) < len(sites):
+        return result
+    # The device's absence is said rather than what fails because of it.
+    sentence = f"{absent[0]}; is the PLC there? Give --host and --port, or start one: decanter emulate"
+    return CommandResult(result.data, sentence, exit_code(absent[0]))
 
 
 def _files(site: Site) -> list[CheckStep]:
@@ -276,7 +272,7 @@ def _over_links(given: SharedOptions, site: Site) -> dict[str, Site]:
 
 def _together(results: Mapping[str, CommandResult]) -> CommandResult:
     """The results of all machines; the first one that is not in order gives exit code and sentence."""
-    failing = {name: result for name, result in results.items() if result.code}
+    failing = {name: result for name, result in results.items() if result.complaint}
     data = {
         "machines": {name: {**result.data, "exit": int(result.code)} for name, result in results.items()},
         "open_points": [f"{name}: {point}" for name, result in results.items() for point in result.data["open_points"]],
@@ -285,13 +281,13 @@ def _together(results: Mapping[str, CommandResult]) -> CommandResult:
         return CommandResult(data)
     name, first = next(iter(failing.items()))
     others = f" ({len(failing)} of {len(results)} machines are not in order: {', '.join(failing)})"
-    return CommandResult(data, first.code, f"{name}: {first.complaint}{others if len(failing) > 1 else ''}")
+    return CommandResult(data, f"{name}: {first.complaint}{others if len(failing) > 1 else ''}", first.failing)
 
 
-def _show_machines(data: Mapping[str, Any]) -> None:
+def _machine_lines(data: Mapping[str, Any]) -> Iterator[Part]:
     for name, own in data["machines"].items():
-        click.secho(f"{name}  {'; '.join(own['links'].values())}", bold=True)
-        show_steps(own)
+        yield Line(f"{name}  {'; '.join(own['links'].values())}", bold=True)
+        yield from step_lines(own)
 
 
 @click.command(short_help="Check the configuration, and with the device every tag of it.")
@@ -309,7 +305,7 @@ def check(given: SharedOptions, offline: bool) -> None:
             "check",
             {"offline": offline},
             lambda site: check_configuration(_over_links(given, site), offline=offline),
-            show_steps,
+            step_lines,
         )
         return
     if alone := _OF_ONE_MACHINE & set(given.settings):
@@ -329,6 +325,5 @@ def check(given: SharedOptions, offline: bool) -> None:
         return _together(results)
 
     with sentences():
-        check_writable(given.records)
         first = make_target(given.plant, machine=names[0])
-    perform(given, "check", {"offline": offline}, work, _show_machines, target=replace(first, kind="", settings={}))
+    perform(given, "check", {"offline": offline}, work, _machine_lines, target=replace(first, kind="", settings={}))

@@ -4,6 +4,7 @@ import asyncio
 import os
 import shutil
 import time
+from contextlib import closing
 from math import isinf
 from pathlib import Path
 from typing import Any
@@ -14,27 +15,25 @@ from serial.tools.list_ports import comports
 from drivers.driver import Cautions
 from drivers.errors import LinkDown
 from gateway.clock_sync import clock_error
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import (
     CheckStep,
-    CommandResult,
     RecordsError,
-    SharedOptions,
     Site,
     Target,
     broken_at,
-    check_writable,
     failed,
-    link_options,
-    make_target,
     ok,
     perform,
+    result_of,
     running_gateway,
-    show_steps,
-    verdict,
+    step_lines,
+    target_of,
     versions,
     warning,
 )
 from gateway.commission.survey import addresses_of, local_end
+from gateway.console import CommandResult
 from gateway.entry import sentences
 
 LEAST_FREE_MB = 500
@@ -96,8 +95,7 @@ async def examine_machine(site: Site, records: Path) -> CommandResult:
             )
             steps.append(failed("way", sentence, LinkDown(sentence)))
     steps += _files(target)
-    code, complaint = verdict(steps)
-    return CommandResult({"steps": [step.plain() for step in steps], "versions": installed}, code, complaint)
+    return result_of(steps, versions=installed)
 
 
 def _can(target: Target) -> CheckStep:
@@ -143,11 +141,9 @@ def _files(target: Target) -> list[CheckStep]:
         )
     line = running_gateway(target)
     if line is not None:
-        try:
+        with closing(line):
             sentence = f"one runs with this plant file (pid {line.ask('status')['pid']}): read and watch go through it"
             steps.append(ok("gateway", sentence))
-        finally:
-            line.close()
     return steps
 
 
@@ -167,7 +163,5 @@ def doctor(given: SharedOptions) -> None:
     """
     with sentences():
         anything = given.plant or given.device or given.link or given.settings
-        target = make_target(given.plant, given.device, given.link, given.settings, given.machine) if anything else None
-        check_writable(given.records)
-    place = target or Target("this machine", "", {})
-    perform(given, "doctor", {}, lambda site: examine_machine(site, given.records), show_steps, target=place)
+        target = target_of(given) if anything else Target("this machine", "", {})
+    perform(given, "doctor", {}, lambda site: examine_machine(site, given.records), step_lines, target=target)

@@ -3,33 +3,31 @@
 import asyncio
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
 from drivers.errors import DeviceException, LinkDown
-from drivers.survey import AsksRegisters, open_registers
+from drivers.survey import AsksRegisters
 from drivers.tag import DType, Tag
 from gateway.commission.encodings import Observation, ShownNumber, advise, parse_shown, rank
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import (
-    CommandResult,
-    SharedOptions,
     Site,
-    check_writable,
-    link_options,
-    make_target,
     perform,
     read_records,
     read_through,
     running_gateway,
+    target_of,
 )
 from gateway.commission.survey import LAST, Register, parse_register
-from gateway.console import table
-from gateway.entry import Exit, sentences
+from gateway.console import CommandResult, Part, Rows
+from gateway.entry import sentences
 
 BEFORE, AFTER = 2, 5
 """Registers read besides the one that was given: twice off by one, and a value of four registers."""
@@ -81,30 +79,23 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
         "advice": list(advice.sentences),
         "second_reading": {"below": advice.below, "above": advice.above},
     }
-    if not candidates:
-        sentence = (
-            f"nothing at or beside {register} explains {len(observations)} readings: is it the right register and "
-            "unit, did the value move while it was read? --fresh forgets earlier readings"
-        )
-        return CommandResult(data, Exit.CHECK_FAILED, sentence)
-    return CommandResult(data)
+    complaint = (
+        f"nothing at or beside {register} explains {len(observations)} readings: is it the right register and "
+        "unit, did the value move while it was read? --fresh forgets earlier readings"
+    )
+    return CommandResult(data, "" if candidates else complaint)
 
 
 async def _registers_around(site: Site, register: Register) -> tuple[int, list[int]]:
     """The registers around one: by the running gateway's connection where one runs, else by one of our own."""
     line = running_gateway(site.target)
     if line is None:
-        async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
-            try:
-                return await around(survey, register)
-            finally:
-                site.count(survey.statistics())
+        async with site.registers() as survey:
+            return await read_around(survey, register)
     places = [Register(register.table, number) for number in range(*_window(register))]
     tags = [Tag(str(place), str(place), DType.BOOL if register.is_bit else DType.UINT16) for place in places]
-    try:
+    with closing(line):
         _, samples = await asyncio.to_thread(read_through, line, tags, ())
-    finally:
-        line.close()
     site.notes.append("read through the running gateway")
     known = {parse_register(sample.tag).number: int(sample.value or 0) for sample in samples if sample.quality.is_good}
     if not known:
@@ -128,7 +119,7 @@ def _stretch(known: Mapping[int, int], number: int) -> tuple[int, int]:
     return low, high
 
 
-async def around(survey: AsksRegisters, register: Register) -> tuple[int, list[int]]:
+async def read_around(survey: AsksRegisters, register: Register) -> tuple[int, list[int]]:
     """The registers around one: the first one's number, and the words, of one moment where the device allows it.
 
     Where a neighbour is refused they are asked one by one, and those that follow one another nearest to the address are
@@ -202,11 +193,7 @@ def _states(register: Register, readings: Sequence[dict[str, Any]], now: dict[st
         "settled": settled,
         "advice": advice,
     }
-    return (
-        CommandResult(data)
-        if bits
-        else CommandResult(data, Exit.CHECK_FAILED, f"no bit at or beside {register} agrees")
-    )
+    return CommandResult(data, "" if bits else f"no bit at or beside {register} agrees")
 
 
 @click.command(short_help="Find type, word order, scale and address from what the HMI shows.")
@@ -223,35 +210,31 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
     """
     with sentences():
         register = parse_register(address)
-        target = make_target(given.plant, given.device, given.link, given.settings, given.machine)
+        target = target_of(given)
         own = target.capabilities
         if not own.registers:
             raise ValueError(
                 f"link {target.kind!r}: types and orders stand in {own.described_in}; guess is for registers"
             )
-        check_writable(given.records)
         earlier = [] if fresh else earlier_readings(given.records, target.place, register, time.time())
         # Asked for last, when nothing that was given can be refused any more.
         if reading is None and not sys.stdin.isatty():
             raise ValueError("what does the HMI show? Give it as the second argument, such as: guess holding:100 72.4")
         shown = reading if reading is not None else str(click.prompt("The HMI shows"))
     arguments = {"address": str(register), "reading": shown, "earlier": len(earlier)}
-
-    async def guessed(site: Site) -> CommandResult:
-        return await guess_encoding(site, register, shown, earlier)
-
-    perform(given, "guess", arguments, guessed, _show, target=target)
+    work = partial(guess_encoding, register=register, text=shown, earlier=earlier)
+    perform(given, "guess", arguments, work, _view, target=target)
 
 
-def _show(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     words = " ".join(f"{word:04X}" for word in data["observation"]["words"])
-    click.echo(f"registers from {data['observation']['base']}: {words}")
+    yield f"registers from {data['observation']['base']}: {words}"
     if "bits" in data:
         places: dict[str, list[str]] = {}
         for bit in data["bits"]:
             places.setdefault(bit["address"], []).append(str(bit["bit"]))
         agreeing = [(place, " ".join(bits)) for place, bits in places.items()]
-        table(f"{data['readings']} readings, {len(data['bits'])} bits agree", ("address", "bits"), agreeing)
+        yield Rows(f"{data['readings']} readings, {len(data['bits'])} bits agree", ("address", "bits"), agreeing)
     else:
         columns = ("belief", "address", "reference", "type", "order", "scale", "offset", "it reads")
         rows = []
@@ -261,6 +244,5 @@ def _show(data: Mapping[str, Any]) -> None:
             numbers = (f"{candidate['scale']:.6g}", f"{candidate['offset']:g}")
             reads = " ".join(f"{value:.6g}" for value in candidate["values"])
             rows.append((f"{candidate['share']:.1%}", f"{candidate['address']}{moved}", *kind, *numbers, reads))
-        table(f"{data['readings']} readings", columns, rows)
-    for sentence in data["advice"]:
-        click.echo(sentence)
+        yield Rows(f"{data['readings']} readings", columns, rows)
+    yield from data["advice"]

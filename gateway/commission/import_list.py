@@ -23,8 +23,9 @@ from gateway.commission.files import (
     settings_of,
     template,
 )
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import ORDERS
-from gateway.commission.session import CommandResult, SharedOptions, link_options
+from gateway.console import CommandResult
 
 
 @click.command("import", short_help="Take the tags of an I/O list (CSV, XLSX) into the device file.")
@@ -103,7 +104,7 @@ def import_outcome(
     if io_list.problems and not skip:
         count = len(io_list.problems)
         sentence = f"{count} rows cannot be used, nothing was written: correct them, or give --skip-bad"
-        return CommandResult({**data, "diff": "", "written": False, "files": [], "backups": []}, 1, sentence)
+        return CommandResult({**data, "diff": "", "written": False, "files": [], "backups": []}, sentence)
     done = carry_out(files, wanted, template, dry_run=dry_run)
     left = [f"import: a row was left out: {problem}" for problem in io_list.problems]
     return CommandResult({**data, **done, "open_points": left})

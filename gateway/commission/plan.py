@@ -1,7 +1,8 @@
 """`decanter plc plan`: the requests of one scan and their longest time, or what would be written; nothing is sent."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
+from functools import partial
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -10,21 +11,11 @@ import click
 
 from drivers.driver import Explains, PlanKind
 from drivers.survey import read_plan
-from gateway.commission.session import (
-    CommandResult,
-    SharedOptions,
-    Site,
-    audit_option,
-    audit_path,
-    device_of,
-    link_options,
-    perform,
-    period_of,
-    words_of,
-)
+from gateway.commission.options import SharedOptions, audit_option, link_options
+from gateway.commission.session import Site, audit_path, device_of, perform, period_of, words_of
 from gateway.commission.survey import parse_register, reference_of
-from gateway.commission.writeback.write_plan import plan_writing, show_writing
-from gateway.console import table
+from gateway.commission.writeback.write_plan import plan_writing, writing_view
+from gateway.console import CommandResult, Line, Part, Rows
 
 
 async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
@@ -43,7 +34,7 @@ async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
             )
         heard = {"sentences": sentences, "tags": len(device.tags), "period_s": period, "problems": problems}
         complaint = f"{len(problems)} tags cannot be read, the first: {problems[0]}" if problems else ""
-        return CommandResult(heard, int(bool(problems)), complaint)
+        return CommandResult(heard, complaint)
     total = scan_plan.seconds + scan_plan.write_seconds
     data: dict[str, Any] = {
         "requests": [
@@ -75,7 +66,7 @@ async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
             f"a scan of {count} requests can take {scan_plan.seconds:.3g} s, {longer}; set scan.period to "
             f"{ceil(10 * total) / 10:g} s{shorter if 'timeout' in site.target.settings else ''}"
         )
-    return CommandResult(data, int(bool(complaint)), complaint)
+    return CommandResult(data, complaint)
 
 
 def _reference(place: str, count: int) -> str:
@@ -99,23 +90,17 @@ def plan(given: SharedOptions, period: float | None, write: bool, audit: Path | 
     if audit is not None and not write:
         raise click.UsageError("--audit is for --write")
 
-    async def scan(site: Site) -> CommandResult:
-        return await plan_scan(site, period)
-
-    async def writing(site: Site) -> CommandResult:
-        return await plan_writing(site, audit_path(audit, given, site.target))
-
     if write:
-        perform(given, "plan --write", {}, writing, show_writing)
+        place = partial(audit_path, audit, given)
+        perform(given, "plan --write", {}, lambda site: plan_writing(site, place(site.target)), writing_view)
     else:
-        perform(given, "plan", {"period": period}, scan, _show)
+        perform(given, "plan", {"period": period}, lambda site: plan_scan(site, period), _view)
 
 
-def _show(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     if "sentences" in data:
-        for line in data["sentences"]:
-            click.echo(line)
-        click.echo(f"{data['tags']} tags; period {data['period_s']:g} s")
+        yield from data["sentences"]
+        yield f"{data['tags']} tags; period {data['period_s']:g} s"
         return
     rows = []
     for request in (*data["requests"], *data["writes"]):
@@ -123,12 +108,11 @@ def _show(data: Mapping[str, Any]) -> None:
         place = (request["kind"], request["place"], request["reference"])
         rows.append((*place, request["count"], request["vain"] or "", names))
     title = f"{len(data['requests'])} requests for {data['tags']} tags in {data['registers']} addresses"
-    table(title, ("", "from", "reference", "count", "in vain", "tags"), rows)
+    yield Rows(title, ("", "from", "reference", "count", "in vain", "tags"), rows)
     writing = f" + {data['worst_write_s']:.3g} s writing" if data["writes"] else ""
     used = 100.0 * data["worst_cycle_s"] / data["period_s"]
-    click.echo(
+    yield (
         f"worst case {data['worst_read_s']:.3g} s reading{writing} = {data['worst_cycle_s']:.3g} s of a period of "
         f"{data['period_s']:g} s ({used:.0f} %)"
     )
-    for problem in data["problems"]:
-        click.secho(problem, fg="red")
+    yield from (Line(problem, "red") for problem in data["problems"])

@@ -10,23 +10,23 @@ import click
 
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
-from drivers.survey import AsksRegisters, open_registers
+from drivers.survey import AsksRegisters
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import (
     CONNECT_S,
     CheckStep,
-    CommandResult,
-    SharedOptions,
     Site,
     failed,
-    link_options,
     mention_gateway,
     ok,
     perform,
-    show_steps,
-    verdict,
+    result_of,
+    step_lines,
     warning,
 )
 from gateway.commission.survey import (
+    BEHIND_GATEWAY,
+    ILLEGAL_FUNCTION,
     Register,
     addresses_of,
     connect_sentence,
@@ -37,15 +37,13 @@ from gateway.commission.survey import (
     not_modbus,
     probe_bus,
 )
+from gateway.console import CommandResult
 
 ROUND_TRIPS = 10
 TIMEOUTS_S = (0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 """Timeouts that are proposed."""
 OTHER_UNITS = (1, 255, 0, 2, 247)
 """Asked when the given unit is silent: what devices and gateways use where nothing was set."""
-_BEHIND_GATEWAY = (10, 11)
-"""Gateway path unavailable, target device failed to respond (MODBUS Application Protocol V1.1b3, 7)."""
-_ILLEGAL_FUNCTION = 1
 _TABLES = ("coil", "discrete", "input", "holding")
 
 
@@ -62,18 +60,16 @@ async def probe_device(site: Site) -> CommandResult:
     else:
         # A device that cannot be asked by hand: whether its driver finds it is all that can be known.
         try:
-            async with site.target.opened() as driver:
+            async with site.driver():
                 steps.append(ok("connection", f"the driver {site.target.driver!r} has its device"))
-                site.count(driver.statistics())
         except DriverError as error:
             steps.append(failed("connection", str(error), error))
-    code, complaint = verdict(steps)
-    return CommandResult({"steps": [step.plain() for step in steps], **facts}, code, complaint)
+    return result_of(steps, **facts)
 
 
 async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -> None:
     """Name, route, connection, first reply, then who it is; returns at the first that fails."""
-    target, settings = site.target, site.target.settings
+    settings = site.target.settings
     if "host" in settings:
         # Name and route come before the connection: a connection refused by this machine's own network settings looks
         # like a device that is off.
@@ -96,12 +92,10 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
             steps.append(failed("route", sentence, LinkDown(sentence)))
             return
         steps.append(ok("route", f"from {facts['local']} to {facts['addresses'][0]}"))
-    if "connect_timeout" not in settings:
-        target = target.with_settings(connect_timeout=CONNECT_S)
+    patience = settings.get("connect_timeout", CONNECT_S)
     async with AsyncExitStack() as stack:
         try:
-            opening = open_registers(target.driver, target.settings, clock=time.time)
-            survey = await stack.enter_async_context(opening)
+            survey = await stack.enter_async_context(site.registers(connect_timeout=patience))
         except LinkDown as error:
             sentence = (
                 f"{error}: is the adapter plugged in, is another program using it, and may this user open it (dialout)?"
@@ -110,13 +104,10 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
                 sentence = connect_sentence(str(settings["host"]), port_of(settings), error)
             steps.append(failed("connection", sentence, error))
             return
-        steps.append(ok("connection", f"{target.place} is open"))
-        try:
-            first = await _speaks(site, survey, steps)
-            if first is not None:
-                await _facts(survey, first, steps, facts)
-        finally:
-            site.count(survey.statistics())
+        steps.append(ok("connection", f"{site.target.place} is open"))
+        first = await _speaks(site, survey, steps)
+        if first is not None:
+            await _facts(survey, first, steps, facts)
 
 
 def port_of(settings: Mapping[str, Any]) -> int:
@@ -136,7 +127,7 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
     try:
         words = await survey.read(register.table, register.number, 1)
     except DeviceException as error:
-        if error.code in _BEHIND_GATEWAY:
+        if error.code in BEHIND_GATEWAY:
             text = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
             text += _hint(await _other_units(survey, unit))
             steps.append(failed("modbus", text, error))
@@ -189,7 +180,7 @@ async def _other_units(survey: AsksRegisters, unit: int) -> list[int]:
         try:
             await survey.read("holding", 0, 1, other)
         except DeviceException as error:
-            answering += [] if error.code in _BEHIND_GATEWAY else [other]
+            answering += [] if error.code in BEHIND_GATEWAY else [other]
         except (ReplyTimeout, ReplyMismatch):
             continue
         except DriverError:  # a serial line knows no unit 0 or 255, or the connection is gone
@@ -219,7 +210,7 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
             await survey.read(table, 0, 1)
         except DeviceException as error:
             # A device that lacks the table refuses the function; any other refusal is of the address alone.
-            tables[table] = "not offered" if error.code == _ILLEGAL_FUNCTION else "offered (address 0 refused)"
+            tables[table] = "not offered" if error.code == ILLEGAL_FUNCTION else "offered (address 0 refused)"
         except (ReplyTimeout, ReplyMismatch):
             tables[table] = "no reply"
         else:
@@ -234,12 +225,12 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
     facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
     sentence = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
     steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))
-    timeout, attempts = proposed(facts["round_trip_ms"]["max"] / 1e3)
+    timeout, attempts = propose_timeout(facts["round_trip_ms"]["max"] / 1e3)
     facts["proposed"] = {"timeout": timeout, "attempts": attempts}
     steps.append(ok("proposal", f"timeout = {timeout:g} and attempts = {attempts} in [device] of the plant file"))
 
 
-def proposed(slowest: float) -> tuple[float, int]:
+def propose_timeout(slowest: float) -> tuple[float, int]:
     """`timeout` (s) and `attempts` for a device whose slowest of ROUND_TRIPS answers took `slowest` seconds.
 
     Half as long again as that, but room for a busy moment: a device is not given up for one slow answer. A slow one is
@@ -257,4 +248,4 @@ def probe(given: SharedOptions) -> None:
     Name, route, connection, first reply, identity, tables and round trip; for CAN the bus, its traffic and the node.
     Each step that fails has its own sentence. Nothing but reads is sent.
     """
-    perform(given, "probe", {}, probe_device, show_steps)
+    perform(given, "probe", {}, probe_device, step_lines)

@@ -3,7 +3,8 @@
 import asyncio
 import struct
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,19 +12,12 @@ import click
 
 from drivers.codec import registers_needed
 from drivers.driver import Explains, PlanKind
-from drivers.survey import Raw, open_bus_survey, open_registers
+from drivers.survey import Raw
 from drivers.tag import DType, Order, Quality, Tag
-from gateway.commission.session import (
-    CommandResult,
-    SharedOptions,
-    Site,
-    link_options,
-    perform,
-    read_through,
-    running_gateway,
-)
+from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.session import Site, perform, read_through, running_gateway
 from gateway.commission.survey import SDO_S, AddressTextError, parse_stretch, reference_of
-from gateway.console import table
+from gateway.console import CommandResult, Part, Rows
 from gateway.entry import Exit
 
 FIRST_WAIT_S = 3.0
@@ -118,9 +112,9 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
             row["bits"] = f"{words[0]:016b}"
         rows.append(row)
     bad = [raw.sample for raw in raws if not raw.sample.quality.is_good]
-    if not bad:
-        return CommandResult({"readings": rows})
-    sentence = f"{len(bad)} of {len(raws)} readings are not good, {bad[0].tag} the first: {bad[0].reason}"
+    sentence = (
+        f"{len(bad)} of {len(raws)} readings are not good, {bad[0].tag} the first: {bad[0].reason}" if bad else ""
+    )
     # A device that is away explains a timeout beside it, and a timeout a refusal: the first in this order is the code.
     qualities = {raw.sample.quality for raw in raws}
     code = Exit.CHECK_FAILED
@@ -132,17 +126,15 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
         code = Exit.TIMEOUT
     elif qualities & {Quality.CONFIGURATION_ERROR, Quality.DEVICE_FAILURE, Quality.NO_DATA}:
         code = Exit.DEVICE_EXCEPTION
-    return CommandResult({"readings": rows}, code, sentence)
+    return CommandResult({"readings": rows}, sentence, code)
 
 
 async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
     """The tags with their raw words where the link shows them: through the running gateway, or of the device."""
     line = running_gateway(site.target)
     if line is not None:
-        try:
+        with closing(line):
             reply, samples = await asyncio.to_thread(read_through, line, tags, site.target.tags)
-        finally:
-            line.close()
         site.notes.append(f"read through the running gateway (pid {reply['pid']}), which shows values and no raw words")
         by_name = {tag.name: tag for tag in tags}
         return [Raw(by_name[sample.tag], sample, by_name[sample.tag].address, 1) for sample in samples]
@@ -150,30 +142,21 @@ async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
     if site.target.capabilities.nodes:
         # The node's objects as they stand, whatever its state; the gateway takes them from PDOs where it can.
         site.notes.append("asked by SDO; the gateway itself takes what TPDOs carry from those (decanter plc watch)")
-        async with open_bus_survey(site.target.driver, settings, clock=time.time) as bus:
-            try:
-                return await bus.tags(tags, int(settings.get("node", 1)), float(settings.get("timeout", SDO_S)))
-            finally:
-                site.count(bus.statistics())
-    if not site.target.capabilities.registers:
-        async with site.target.opened() as driver:
-            try:
-                # What speaks by itself may not have done so yet: it is waited for, at most FIRST_WAIT_S.
-                samples = await driver.read(tags)
-                until = time.monotonic() + FIRST_WAIT_S
-                while any(sample.quality is _WAITING for sample in samples) and time.monotonic() < until:
-                    await asyncio.sleep(_LOOK_S)
-                    samples = await driver.read(tags)
-                if isinstance(driver, Explains):
-                    site.notes.extend(line for line in driver.explain(tags) if line.kind is PlanKind.HEARD)
-            finally:
-                site.count(driver.statistics())
-        return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
-    async with open_registers(site.target.driver, settings, clock=time.time) as survey:
-        try:
+        async with site.bus() as bus:
+            return await bus.tags(tags, int(settings.get("node", 1)), float(settings.get("timeout", SDO_S)))
+    if site.target.capabilities.registers:
+        async with site.registers() as survey:
             return await survey.tags(tags)
-        finally:
-            site.count(survey.statistics())
+    async with site.driver() as driver:
+        # What speaks by itself may not have done so yet: it is waited for, at most FIRST_WAIT_S.
+        samples = await driver.read(tags)
+        until = time.monotonic() + FIRST_WAIT_S
+        while any(sample.quality is _WAITING for sample in samples) and time.monotonic() < until:
+            await asyncio.sleep(_LOOK_S)
+            samples = await driver.read(tags)
+        if isinstance(driver, Explains):
+            site.notes.extend(line for line in driver.explain(tags) if line.kind is PlanKind.HEARD)
+    return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
 
 
 TYPES = (
@@ -220,19 +203,19 @@ def read(
         count=count,
     )
     arguments = {"what": list(what), "type": dtype, "order": order, "scale": scale, "offset": offset, "count": count}
-    perform(given, "read", arguments, lambda site: read_tags(site, what, how), show_readings)
+    perform(given, "read", arguments, lambda site: read_tags(site, what, how), _view)
 
 
-def show_readings(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     """The readings as a table; columns that say nothing are left out."""
     rows = data["readings"]
     keys = ["tag", "address", "reference", "hex", "value", "unit", "int16", "bits", "quality", "reason"]
     if all(row["tag"] == row["address"] for row in rows):
         keys.remove("tag")
     keys = [key for key in keys if any(row.get(key) not in (None, "") for row in rows)]
-    cells = [["" if row.get(key) is None else shown_value(row[key]) for key in keys] for row in rows]
     good = sum(row["quality"] == "GOOD" for row in rows)
-    table(f"{good} of {len(rows)} good", keys, cells)
+    cells = [{key: shown_value(cell) for key, cell in row.items()} for row in rows]
+    yield Rows(f"{good} of {len(rows)} good", keys, cells)
 
 
 def shown_value(cell: Any) -> Any:

@@ -3,7 +3,7 @@
 import asyncio
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import aclosing
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
@@ -16,8 +16,9 @@ import click
 
 from drivers.driver import open_driver
 from gateway.commission.files import SiteRecording, read_recording
-from gateway.commission.session import CommandResult, SharedOptions, Site, Target, check_writable, link_options, perform
-from gateway.console import progress, table
+from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.session import Site, Target, perform
+from gateway.console import CommandResult, Part, Progress, Rows, progress
 from gateway.entry import sentences
 from gateway.machine import Machine
 from gateway.machine.reading import QualityRules, scans
@@ -25,7 +26,6 @@ from gateway.plant import open_log
 from gateway.settings import Config, HistorianSection, WritebackSection, load_config
 from gateway.store import scorecard
 
-Progress = Callable[[str, float], None]
 GAP_S = 60.0
 """Of a recording with a longer pause, nothing is known meanwhile."""
 
@@ -104,7 +104,7 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
             log=config.log.model_copy(update={"path": kept.with_name("log.jsonl")}),
             links=(replace(first, map=replace(first.map, heartbeat=heartbeat)),),
         )
-        seen = await _through(shadow, recording, progress)
+        seen = await _replay(shadow, recording, progress)
         scores = scorecard(kept)
     data = {
         "recording": str(recording.path),
@@ -126,13 +126,11 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
         "model": str(config.model.path) if config.model.path is not None else None,
     }
     needed = [name for name in missing if name in {*config.watched, config.model.temperature}]
-    if needed:
-        complaint = f"the recording lacks {', '.join(needed)}, which the gateway needs: nothing could be predicted"
-        return CommandResult(data, 1, complaint)
-    return CommandResult(data)
+    complaint = f"the recording lacks {', '.join(needed)}, which the gateway needs: nothing could be predicted"
+    return CommandResult(data, complaint if needed else "")
 
 
-async def _through(config: Config, recording: SiteRecording, progress: Progress) -> ReplayTally:
+async def _replay(config: Config, recording: SiteRecording, progress: Progress) -> ReplayTally:
     clock = SteppedClock(recording.times[0])
     seen, stop = ReplayTally(), asyncio.Event()
     columns = {
@@ -178,7 +176,6 @@ def replay(given: SharedOptions, recording: Path) -> None:
         if given.plant is None:
             raise ValueError("which gateway? Give its plant file (--config FILE)")
         config = load_config(given.plant, machine=given.machine)
-        check_writable(given.records)
         target = Target(
             kind="",
             driver="soft",
@@ -194,10 +191,10 @@ def replay(given: SharedOptions, recording: Path) -> None:
                 site, config, read_recording(recording, machine=target.subject or None), report
             )
 
-    perform(given, "replay", {"recording": str(recording)}, work, _show, target=target)
+    perform(given, "replay", {"recording": str(recording)}, work, _view, target=target)
 
 
-def _show(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     rows = [
         ("recording", f"{data['rows']} rows over {data['seconds']:.6g} s, {data['scans']} scans"),
         ("tags that it lacks", ", ".join(data["missing_tags"]) or "none"),
@@ -210,16 +207,16 @@ def _show(data: Mapping[str, Any]) -> None:
         ("free run", _error(data["free_run"], None)),
         ("blocks", f"{data['blocks']} computed, {data['blocks_valid']} of them valid, none written"),
     ]
-    table("what the gateway made of it", ("what", "found"), rows)
+    yield Rows("what the gateway made of it", ("what", "found"), rows)
     ahead = [(row["horizon"], row["mae"], row["persistence_mae"], row["count"]) for row in data["forecasts"]]
     if ahead:
-        table("forecasts", ("s ahead", "median off (degC)", "persistence off (degC)", "matured"), ahead)
+        yield Rows("forecasts", ("s ahead", "median off (degC)", "persistence off (degC)", "matured"), ahead)
     alarms = [
         (datetime.fromtimestamp(alarm["time"], UTC).strftime("%Y-%m-%d %H:%M:%S"), alarm["alarm"], alarm["state"])
         for alarm in data["alarms"]
     ]
     if alarms:
-        table(f"{len(alarms)} changes of alarms, the first 20", ("time", "alarm", "state"), alarms[:20])
+        yield Rows(f"{len(alarms)} changes of alarms, the first 20", ("time", "alarm", "state"), alarms[:20])
 
 
 def _counts(counts: Mapping[str, int]) -> str:

@@ -1,7 +1,8 @@
 """`decanter plc report`: the site acceptance report, made from the commands' own records, and its verification."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,10 @@ import click
 
 from drivers.named_files import regular
 from gateway.commission.acceptance import gather, verify, write
-from gateway.commission.session import SharedOptions, audit_option, audit_path, login, record_options
-from gateway.console import emit, table
-from gateway.entry import Exit, fail, sentences
+from gateway.commission.options import SharedOptions, audit_option, record_options
+from gateway.commission.session import audit_path, login
+from gateway.console import CommandResult, Line, Part, Rows, conclude
+from gateway.entry import sentences
 from gateway.machine.writing import places_for
 from gateway.settings import load_plant
 from gateway.store import AuditEntry, open_audit
@@ -52,7 +54,9 @@ def report(
     names and what is open. Exit code 1 if a check failed or something is changed.
     """
     if verifies:
-        _verify(out, seal, as_json=given.as_json)
+        with sentences():
+            verified = _check_files(out, seal)
+        conclude(verified, _view_of_files, as_json=given.as_json)
         return
     with sentences():
         now, by, log_path = time.time(), given.by or login(), audit_path(audit, given)
@@ -63,10 +67,9 @@ def report(
         own_seal = write(out, data, records)
         # The seal stands apart from the report too: whoever makes all of it anew makes another seal.
         if log_path.exists():
-            log = open_audit(log_path)
             detail = {"seal": own_seal, "folder": str(out)}
-            stored = log.record(AuditEntry(now, "acceptance report", by, data["verdict"], detail))
-            log.close()
+            with closing(open_audit(log_path)) as log:
+                stored = log.record(AuditEntry(now, "acceptance report", by, data["verdict"], detail))
             if not stored:
                 raise ValueError(f"the report is made, but its seal is not in the audit log: {log.failure}")
     result = {
@@ -76,32 +79,27 @@ def report(
         "out": str(out),
         "seal": own_seal,
     }
-    emit({"ok": result["verdict"] != "failed", **result}, lambda: _show(result), as_json_line=given.as_json)
-    if result["verdict"] == "failed":
-        fail(f"the site is not accepted: {result['open_points'][0]}", Exit.CHECK_FAILED)
+    complaint = f"the site is not accepted: {data['open_points'][0]}" if data["verdict"] == "failed" else ""
+    conclude(CommandResult(result, complaint), _view, as_json=given.as_json)
 
 
-def _show(result: Mapping[str, Any]) -> None:
-    table("site acceptance test", ("check", "result"), [[name, state] for name, state in result["checks"].items()])
+def _view(result: Mapping[str, Any]) -> Iterator[Part]:
+    yield Rows("site acceptance test", ("check", "result"), [*result["checks"].items()])
     colour = {"passed": "green", "failed": "red"}.get(result["verdict"], "yellow")
-    click.secho(f"result: {result['verdict']}", fg=colour)
-    for number, point in enumerate(result["open_points"], start=1):
-        click.echo(f"open {number}: {point}")
-    click.echo(f"report: {result['out']}/report.html, report.pdf, report.json")
-    click.echo(f"seal: {result['seal']}")
+    yield Line(f"result: {result['verdict']}", colour)
+    yield from (f"open {number}: {point}" for number, point in enumerate(result["open_points"], start=1))
+    yield f"report: {result['out']}/report.html, report.pdf, report.json"
+    yield f"seal: {result['seal']}"
 
 
-def _verify(folder: Path, seal: str, *, as_json: bool) -> None:
-    with sentences():
-        actual, rows = verify(folder, seal)
-    bad = [row for row in rows if not row["ok"]]
-    data = {"ok": not bad, "folder": str(folder), "seal": actual, "files": rows}
+def _check_files(folder: Path, seal: str) -> CommandResult:
+    actual, rows = verify(folder, seal)
+    bad = next((row for row in rows if not row["ok"]), None)
+    complaint = f"{folder / bad['file']}: {bad['problem']}" if bad else ""
+    return CommandResult({"folder": str(folder), "seal": actual, "files": rows}, complaint)
 
-    def show() -> None:
-        states = [[row["file"], "as it was made" if row["ok"] else row["problem"]] for row in rows]
-        table(f"report in {folder}", ("file", ""), states)
-        click.echo(f"seal: {actual}")
 
-    emit(data, show, as_json_line=as_json)
-    if bad:
-        fail(f"{folder / bad[0]['file']}: {bad[0]['problem']}", Exit.CHECK_FAILED)
+def _view_of_files(data: Mapping[str, Any]) -> Iterator[Part]:
+    states = [(row["file"], "as it was made" if row["ok"] else row["problem"]) for row in data["files"]]
+    yield Rows(f"report in {data['folder']}", ("file", ""), states)
+    yield f"seal: {data['seal']}"

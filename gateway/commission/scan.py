@@ -1,15 +1,16 @@
 """`decanter plc scan`: who is there, and what can be read."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import click
 
 from drivers.capabilities import Capabilities
-from gateway.commission.session import CommandResult, SharedOptions, Site, link_options, make_target, perform
+from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.session import Site, perform, target_of
 from gateway.commission.survey import parse_stretch, scan_can, scan_nodes, scan_registers, scan_units
-from gateway.console import progress, renamed_option, table
+from gateway.console import CommandResult, Part, Rows, View, progress, renamed_option
 from gateway.entry import sentences
 
 
@@ -34,47 +35,46 @@ class ScanKind:
 
     offered: Callable[[Capabilities], bool]
     sentence: str
-    show: Callable[[Mapping[str, Any]], None]
+    view: View
     options: tuple[str, ...] = ()
 
 
-def _show_units(data: Mapping[str, Any]) -> None:
-    rows = [(row["unit"], row["ms"], row["answer"], row["identity"]) for row in data["units"]]
-    table(f"{len(rows)} of {data['asked']} units answer", ("unit", "ms", "answer", "identity"), rows)
+def _units(data: Mapping[str, Any]) -> Iterator[Part]:
+    title = f"{len(data['units'])} of {data['asked']} units answer"
+    yield Rows(title, ("unit", "ms", "answer", "identity"), data["units"])
 
 
-def _show_nodes(data: Mapping[str, Any]) -> None:
+def _nodes(data: Mapping[str, Any]) -> Iterator[Part]:
     keys = list(dict.fromkeys(key for row in data["nodes"] for key in row))
-    rows = [[row.get(key, "") for key in keys] for row in data["nodes"]]
-    table(f"{len(rows)} of {data['asked']} nodes", keys, rows)
+    yield Rows(f"{len(data['nodes'])} of {data['asked']} nodes", keys, data["nodes"])
 
 
-def _show_frames(data: Mapping[str, Any]) -> None:
+def _frames(data: Mapping[str, Any]) -> Iterator[Part]:
     load = f", {data['load_percent']:.1f} % of the bus at most" if "load_percent" in data else ""
-    rows = [["" if cell is None else cell for cell in row.values()] for row in data["ids"]]
     title = f"{data['heard']} frames in {data['seconds']:g} s{load}"
-    table(title, list(data["ids"][0]) if rows else ["id"], rows)
+    yield Rows(title, list(data["ids"][0]) if data["ids"] else ["id"], data["ids"])
 
 
-def _show_registers(data: Mapping[str, Any]) -> None:
-    keys = ("first", "last", "reference", "count")
+def _registers(data: Mapping[str, Any]) -> Iterator[Part]:
     states = ("readable", "refused", "unknown")
-    rows = [(state, *(row[key] for key in keys)) for state in states for row in data[state]]
+    rows = [
+        (state, row["first"], row["last"], row["reference"], row["count"]) for state in states for row in data[state]
+    ]
     rows.sort(key=lambda row: int(row[1].partition(":")[2]))
-    table(f"{data['requests']} requests", ("state", "from", "to", "reference", "count"), rows)
+    yield Rows(f"{data['requests']} requests", ("state", "from", "to", "reference", "count"), rows)
     longer = f"; {data['too_long']} are refused" if data["too_long"] else " (no longer range to try, or no limit)"
-    click.echo(f"largest block: {data['largest_block']}{longer}")
+    yield f"largest block: {data['largest_block']}{longer}"
     if data["seams"]:
-        click.echo(f"not read across: {', '.join(data['seams'])}")
+        yield f"not read across: {', '.join(data['seams'])}"
     if data["refusals"]:
-        click.echo("refusals: " + ", ".join(f"{count} {reason}" for reason, count in data["refusals"].items()))
+        yield "refusals: " + ", ".join(f"{count} {reason}" for reason, count in data["refusals"].items())
 
 
 KINDS: dict[str, ScanKind] = {
-    "units": ScanKind(lambda own: own.units, "units are Modbus's", _show_units),
-    "nodes": ScanKind(lambda own: own.nodes, "nodes are CANopen's", _show_nodes, ("listen_only",)),
-    "frames": ScanKind(lambda own: own.bus, "frames by identifier are a CAN bus's", _show_frames, ("seconds",)),
-    "registers": ScanKind(lambda own: own.registers, "registers are Modbus's", _show_registers, ("requests",)),
+    "units": ScanKind(lambda own: own.units, "units are Modbus's", _units),
+    "nodes": ScanKind(lambda own: own.nodes, "nodes are CANopen's", _nodes, ("listen_only",)),
+    "frames": ScanKind(lambda own: own.bus, "frames by identifier are a CAN bus's", _frames, ("seconds",)),
+    "registers": ScanKind(lambda own: own.registers, "registers are Modbus's", _registers, ("requests",)),
 }
 
 
@@ -115,7 +115,7 @@ def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -
         else:
             arguments = {"stretch": stretch or "holding:0-999", "requests": options.get("requests", 3000)}
             first, count = parse_stretch(arguments["stretch"])
-        target = make_target(given.plant, given.device, given.link, given.settings, given.machine)
+        target = target_of(given)
         own = target.capabilities
         if not kind.offered(own):
             others = [f"decanter plc scan {other}" for other, each in KINDS.items() if each.offered(own)]
@@ -132,4 +132,4 @@ def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -
                 return await scan_can(site, arguments["seconds"])
             return await scan_registers(site, first, count, arguments["requests"], report)
 
-    perform(given, f"scan {what}", arguments, work, kind.show)
+    perform(given, f"scan {what}", arguments, work, kind.view, target=target)

@@ -1,13 +1,14 @@
 """`decanter plc served`: where peers find each tag, its quality and its age, if the gateway serves them."""
 
 import io
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
 from drivers.csv_rows import write_rows
-from gateway.console import emit, find_plant_file, json_option, table
+from gateway.console import CommandResult, Part, Rows, conclude, find_plant_file, json_option
 from gateway.entry import sentences
 from gateway.outside.serving import served_rows
 from gateway.settings import load_config
@@ -53,18 +54,18 @@ def served(path: Path | None, machine: str | None, as_csv: bool, as_json: bool) 
         click.echo(text.getvalue(), nl=False)
         return
     place = {"host": serve.host, "port": serve.port, "unit": serve.unit, "state": serve.address}
-    emit({"ok": True, **place, "tags": rows}, lambda: _show(place, rows), as_json_line=as_json)
+    conclude(CommandResult({**place, "tags": rows}), _view, as_json=as_json)
 
 
-def _show(place: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+def _view(place: Mapping[str, Any]) -> Iterator[Part]:
     where = (
         f"{place['host']}:{place['port']} unit {place['unit']}" if place["port"] else "not served: [serve] has no port"
     )
-    shown = [[f"{row['table']}:{row['address']}", *(row[key] for key in _COLUMNS if key not in ("table", "address"))]
-             for row in rows]  # fmt: skip
-    table(where, ("place", "tag", "count", "dtype", "order", "scale", "offset", "units", "quality", "age"), shown)
+    shown = [{"place": f"{row['table']}:{row['address']}", **row} for row in place["tags"]]
+    columns = ["place", *(name for name in _COLUMNS if name not in ("table", "address"))]
+    yield Rows(where, columns, shown)
     state = place["state"]
-    click.echo(
+    yield (
         f"holding and input registers {state}: layout, {state + 1}: scans, {state + 2}: age of the last scan in 0.1 s, "
         f"{state + 3}: tags; then quality (OPC UA, upper half: 0 good) and age in 0.1 s of each"
     )

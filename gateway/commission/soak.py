@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from math import ceil, floor
@@ -17,22 +17,12 @@ from drivers.errors import DriverError, LinkDown
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.files import ScanRecorder
-from gateway.commission.session import (
-    CommandResult,
-    SharedOptions,
-    Site,
-    device_of,
-    link_options,
-    perform,
-    period_of,
-    running_for,
-    words_of,
-)
-from gateway.console import progress, table
+from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.session import Site, device_of, mention_gateway, perform, period_of, words_of
+from gateway.console import CommandResult, Part, Progress, Rows, progress
 from gateway.repeated import without_measured
 from gateway.store import percentile
 
-Progress = Callable[[str, float], None]
 PERIODS_S = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 """Periods that are recommended."""
 SPARE = 2.0
@@ -71,12 +61,11 @@ async def soak_device(
 ) -> CommandResult:
     """Scan for `duration` seconds. A failed check where scans were lost or do not fit. Ctrl-C gives what there is."""
     device, period = device_of(site), period_of(site, given_period)
-    if sentence := running_for(site.target):
-        site.notes.append(sentence)
+    mention_gateway(site)
     recorder = ScanRecorder(record, device.tags) if record is not None else None
     tally, before = SoakTally(), {}
     try:
-        async with _opened(site) as driver:
+        async with _open_driver(site) as driver:
             try:
                 # A device that speaks by itself is heard out once before anything is counted.
                 until = time.monotonic() + FIRST_S
@@ -113,7 +102,7 @@ async def soak_device(
 
 
 @asynccontextmanager
-async def _opened(site: Site) -> AsyncIterator[Driver]:
+async def _open_driver(site: Site) -> AsyncIterator[Driver]:
     """The driver with a connection; one on a bus has FIRST_S to hear its device. Raises DriverError."""
     driver = site.target.make_driver()
     try:
@@ -141,7 +130,7 @@ def _summary(
 ) -> CommandResult:
     seconds, scans = tally.seconds, len(tally.seconds)
     if not seconds:
-        return CommandResult({"scans": 0}, 1, "no scan was finished; give a longer --seconds")
+        return CommandResult({"scans": 0}, "no scan was finished; give a longer --seconds")
     # A cycle with the write-back is longer than a scan, by the number of its requests.
     plan = read_plan(site.target.driver, site.target.settings, site.target.tags, words_of(site))
     factor = 1.0 if plan is None or not plan.requests else 1.0 + len(plan.writes) / len(plan.requests)
@@ -156,7 +145,7 @@ def _summary(
         "timeouts": int(counted.get("timeouts", 0)),
         "mismatches": int(counted.get("mismatches", 0)),
         "reconnects": int(counted.get("reconnects", 0)),
-        "recommended_period_s": recommended(seconds, factor),
+        "recommended_period_s": recommend_period(seconds, factor),
         "recording": str(record) if record is not None else None,
     }
     if site.target.capabilities.speaks:
@@ -173,7 +162,7 @@ def _summary(
         complaint = f"{tally.missed} ticks were missed in {scans} scans: the period is too short for this device"
     if complaint and (cure := _cure_of_timeouts(site, data, counted)):
         complaint, data["recommended_period_s"] = f"{complaint}; {cure}", None
-    return CommandResult(data, int(bool(complaint)), complaint)
+    return CommandResult(data, complaint)
 
 
 def _cure_of_timeouts(site: Site, data: Mapping[str, Any], counted: Mapping[str, float]) -> str:
@@ -194,7 +183,7 @@ def _cure_of_timeouts(site: Site, data: Mapping[str, Any], counted: Mapping[str,
 _SHARES = {"p50": 0.5, "p95": 0.95, "max": 1.0}
 
 
-def recommended(seconds: Sequence[float], factor: float = 1.0) -> float:
+def recommend_period(seconds: Sequence[float], factor: float = 1.0) -> float:
     """The least usual period that leaves as much time again as 95 % of the scans take, and holds the longest one.
 
     `factor` is what a cycle takes beside the scan. Beyond the table it is whole minutes.
@@ -219,23 +208,21 @@ def soak(given: SharedOptions, seconds: float, period: float | None, record: Pat
             return await soak_device(site, seconds, period, record, report)
 
     arguments = {"seconds": seconds, "period": period, "record": record and str(record)}
-    perform(given, "soak", arguments, work, _show)
+    perform(given, "soak", arguments, work, _view)
 
 
-def _show(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     if not data["scans"]:
         return
     kinds = (("scan", "scan_ms"), ("age of a reading", "age_ms"))
     rows = [(name, *data[key].values()) for name, key in kinds if data.get(key)]
-    click.echo(f"{data['scans']} scans every {data['period_s']:g} s, {data['missed']} ticks missed")
-    table("", ("ms", "p50", "p95", "max"), rows)
+    yield f"{data['scans']} scans every {data['period_s']:g} s, {data['missed']} ticks missed"
+    yield Rows("", ("ms", "p50", "p95", "max"), rows)
     counts = f"{data['timeouts']} timeouts, {data['mismatches']} wrong replies, {data['reconnects']} reconnections"
-    click.echo(f"{data['scans_with_bad']} scans had a tag that was not good; {counts}")
-    for tag, times in list(data["bad_tags"].items())[:10]:
-        click.echo(f"  {tag}: {times} times")
-    for reason, times in data["reasons"].items():
-        click.echo(f"  {times} x {reason}")
+    yield f"{data['scans_with_bad']} scans had a tag that was not good; {counts}"
+    yield from (f"  {tag}: {times} times" for tag, times in list(data["bad_tags"].items())[:10])
+    yield from (f"  {times} x {reason}" for reason, times in data["reasons"].items())
     if data["recommended_period_s"]:
-        click.echo(f"recommended period: {data['recommended_period_s']:g} s or longer")
+        yield f"recommended period: {data['recommended_period_s']:g} s or longer"
     if data["recording"]:
-        click.echo(f"recording: {data['recording']}")
+        yield f"recording: {data['recording']}"

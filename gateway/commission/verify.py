@@ -3,7 +3,7 @@
 import asyncio
 import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,17 +14,10 @@ from drivers.device_file import STATUS_TAGS
 from drivers.tag import Tag, Value
 from gateway.commission.files import ListError, SiteRecording, read_recording
 from gateway.commission.hmi import HmiReading, Point, compare, left_to_do, points_of, read_hmi_list
-from gateway.commission.read import read_raw
-from gateway.commission.session import (
-    CommandResult,
-    SharedOptions,
-    Site,
-    device_of,
-    link_options,
-    perform,
-    read_records,
-)
-from gateway.console import table
+from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.read import read_raw, shown_value
+from gateway.commission.session import Site, device_of, perform, read_records
+from gateway.console import CommandResult, Part, Rows
 from gateway.machine import ORDERS
 
 LOOK_S = 0.3
@@ -34,7 +27,7 @@ Ask = Callable[[str], str]
 Tell = Callable[[str], None]
 
 
-def to_prove(site: Site, only: Sequence[str]) -> list[Tag]:
+def tags_to_prove(site: Site, only: Sequence[str]) -> list[Tag]:
     """The tags that an HMI shows: all but those of the write-back contract, which the loop tests prove.
 
     Raises ValueError for a name that is no tag.
@@ -48,14 +41,14 @@ def to_prove(site: Site, only: Sequence[str]) -> list[Tag]:
     return [tag for tag in device.tags if (tag.name in only if only else tag.name not in contract)]
 
 
-def earlier(path: Path) -> list[Point]:
+def earlier_points(path: Path) -> list[Point]:
     """The comparisons of all earlier verifications. Raises RecordsError."""
     if not path.exists():
         return []
     return [point for record in read_records(path) if record.command == "verify" for point in points_of(record.result)]
 
 
-async def against(
+async def compare_with_list(
     site: Site,
     path: Path,
     tags: Sequence[Tag],
@@ -78,7 +71,7 @@ async def against(
     if not shown:
         raise ListError(f"{path}: has no reading of a tag that is to be verified; give rows of tag and value")
     present = dict.fromkeys(reading.tag for reading in shown if reading.time is None)
-    live, missing = await _window(site, [known[name] for name in present]) if present else ({}, {})
+    live, missing = await _look_twice(site, [known[name] for name in present]) if present else ({}, {})
     times = [reading.time for reading in shown if reading.time is not None]
     config, past = site.target.config, SiteRecording(path, (), {})
     if times and readings is not None:
@@ -106,10 +99,10 @@ async def against(
             values = [column[at] for at in near if column[at] == column[at]] if column is not None else []
         why = missing.get(reading.tag, "") if reading.time is None else ""
         points.append(compare(known[reading.tag], reading, values, now, slack, missing=why))
-    return outcome(tags, points, before, complete=complete)
+    return conclude_points(tags, points, before, complete=complete)
 
 
-async def _window(site: Site, tags: Sequence[Tag]) -> tuple[dict[str, list[Value]], dict[str, str]]:
+async def _look_twice(site: Site, tags: Sequence[Tag]) -> tuple[dict[str, list[Value]], dict[str, str]]:
     """Two good looks at each tag, a moment apart: a value that moves passes through what the HMI showed.
 
     With them the reason of the last look that was not good, by tag.
@@ -130,7 +123,7 @@ async def _window(site: Site, tags: Sequence[Tag]) -> tuple[dict[str, list[Value
 # ---------------------------------------------------------------- by questions
 
 
-async def by_questions(
+async def ask_for_each(
     site: Site, tags: Sequence[Tag], before: Sequence[Point], ask: Ask, tell: Tell, *, slack: float, complete: bool
 ) -> CommandResult:
     """Ask for each tag what the HMI shows, round by round, until all are proved or the person ends it (q).
@@ -144,10 +137,10 @@ async def by_questions(
             unit = f" in {tag.unit}" if tag.unit else ""
             answer = (await asyncio.to_thread(ask, f"{tag.name}{unit} ({missing}): what does the HMI show?")).strip()
             if answer.lower() == "q":
-                return outcome(tags, points, before, complete=complete)
+                return conclude_points(tags, points, before, complete=complete)
             if not answer:
                 continue
-            values, reasons = await _window(site, [tag])
+            values, reasons = await _look_twice(site, [tag])
             try:
                 reading, why = HmiReading(tag.name, answer), reasons.get(tag.name, "")
                 point = compare(tag, reading, values[tag.name], time.time(), slack, missing=why)
@@ -160,10 +153,12 @@ async def by_questions(
         question = "bring the plant into another state, then press Enter (q ends)"
         if rest and (await asyncio.to_thread(ask, question)).strip().lower() == "q":
             break
-    return outcome(tags, points, before, complete=complete)
+    return conclude_points(tags, points, before, complete=complete)
 
 
-def outcome(tags: Sequence[Tag], points: Sequence[Point], before: Sequence[Point], *, complete: bool) -> CommandResult:
+def conclude_points(
+    tags: Sequence[Tag], points: Sequence[Point], before: Sequence[Point], *, complete: bool
+) -> CommandResult:
     """The comparisons, and what is still to be done for each tag; a failed check where one does not agree.
 
     With `complete` it is one too where something is to be done.
@@ -178,16 +173,14 @@ def outcome(tags: Sequence[Tag], points: Sequence[Point], before: Sequence[Point
         "left": left,
         "open_points": [f"verify: {name}: {todo}" for name, todo in left.items()],
     }
+    complaint = ""
     if wrong:
-        first = wrong[0]
-        sentence = (
-            f"{len(wrong)} of {len(points)} readings do not agree, the first: {first.tag}: the HMI shows {first.shown}"
-        )
-        return CommandResult(data, 1, f"{sentence}, {first.reason}")
-    if complete and left:
+        first = f"{wrong[0].tag}: the HMI shows {wrong[0].shown}, {wrong[0].reason}"
+        complaint = f"{len(wrong)} of {len(points)} readings do not agree, the first: {first}"
+    elif complete and left:
         name, todo = next(iter(left.items()))
-        return CommandResult(data, 1, f"{len(left)} of {len(tags)} tags are not proved, the first: {name}: {todo}")
-    return CommandResult(data)
+        complaint = f"{len(left)} of {len(tags)} tags are not proved, the first: {name}: {todo}"
+    return CommandResult(data, complaint)
 
 
 _FILE = click.Path(path_type=Path)
@@ -226,11 +219,11 @@ def verify(
         click.echo(sentence, err=True)
 
     async def work(site: Site) -> CommandResult:
-        tags, before = to_prove(site, only), [] if anew else earlier(given.records)
+        tags, before = tags_to_prove(site, only), [] if anew else earlier_points(given.records)
         if listed is None:
-            return await by_questions(site, tags, before, _ask, tell, slack=slack, complete=complete)
+            return await ask_for_each(site, tags, before, _ask, tell, slack=slack, complete=complete)
         past: dict[str, Any] = {"readings": readings, "within": within, "clock_offset": clock_offset}
-        return await against(site, listed, tags, before, slack=slack, complete=complete, **past)
+        return await compare_with_list(site, listed, tags, before, slack=slack, complete=complete, **past)
 
     arguments = {
         "against": listed and str(listed),
@@ -238,7 +231,7 @@ def verify(
         "tolerance": slack,
         "clock_offset": clock_offset,
     }
-    perform(given, "verify", arguments, work, _show)
+    perform(given, "verify", arguments, work, _view)
 
 
 def _ask(question: str) -> str:
@@ -249,22 +242,19 @@ def _ask(question: str) -> str:
         return "q"
 
 
-def _show(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     rows = [
-        ("agrees" if point["ok"] else "NOT", point["tag"], point["shown"], _text(point["read"]), point["reason"])
+        (
+            "agrees" if point["ok"] else "NOT",
+            point["tag"],
+            point["shown"],
+            str(shown_value(point["read"])),
+            point["reason"],
+        )
         for point in data["points"]
     ]
     if rows:
-        table(f"{sum(point['ok'] for point in data['points'])} of {len(rows)} agree", _COLUMNS, rows)
-    click.echo(f"{data['proved']} of {data['tags']} tags are proved")
-    for name, todo in data["left"].items():
-        click.echo(f"  {name}: {todo}")
-
-
-_COLUMNS = ("", "tag", "HMI", "PLC", "why")
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, bool):
-        return "on" if value else "off"
-    return f"{value:.7g}" if isinstance(value, float) else str(value)
+        agree = sum(point["ok"] for point in data["points"])
+        yield Rows(f"{agree} of {len(rows)} agree", ("", "tag", "HMI", "PLC", "why"), rows)
+    yield f"{data['proved']} of {data['tags']} tags are proved"
+    yield from (f"  {name}: {todo}" for name, todo in data["left"].items())

@@ -6,7 +6,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -17,21 +17,13 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from drivers.survey import Raw, open_registers
+from drivers.survey import Raw
 from drivers.tag import Sample, Tag, Value
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import How, shown_value, tags_of
-from gateway.commission.session import (
-    CommandResult,
-    SharedOptions,
-    Site,
-    link_options,
-    perform,
-    read_through,
-    running_gateway,
-)
+from gateway.commission.session import Site, perform, read_through, running_gateway
 from gateway.commission.survey import reference_of
-from gateway.console import table
-from gateway.entry import Exit
+from gateway.console import CommandResult, Part, Rows
 
 WIDTH = 48
 """Readings in a sparkline."""
@@ -117,7 +109,7 @@ def sparkline(history: Sequence[float | None], width: int = WIDTH) -> str:
 
 
 @asynccontextmanager
-async def looking(site: Site, tags: Sequence[Tag]) -> AsyncIterator[Look]:
+async def open_look(site: Site, tags: Sequence[Tag]) -> AsyncIterator[Look]:
     """A way to read the tags again and again: through the running gateway, or by one connection. Raises DriverError."""
     line = running_gateway(site.target)
     if line is not None:
@@ -128,27 +120,19 @@ async def looking(site: Site, tags: Sequence[Tag]) -> AsyncIterator[Look]:
             return [Raw(by_name[sample.tag], sample, by_name[sample.tag].address, 1) for sample in samples]
 
         site.notes.append("read through the running gateway, which shows values and no raw words")
-        try:
+        with closing(line):
             yield through
-        finally:
-            line.close()
     elif site.target.capabilities.registers:
-        async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
-            try:
-                yield lambda: survey.tags(tags)
-            finally:
-                site.count(survey.statistics())
+        async with site.registers() as survey:
+            yield lambda: survey.tags(tags)
     else:
-        async with site.target.opened() as driver:
+        async with site.driver() as driver:
 
             async def driven() -> list[Raw]:
                 samples = await driver.read(tags)
                 return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
 
-            try:
-                yield driven
-            finally:
-                site.count(driver.statistics())
+            yield driven
 
 
 async def watch_tags(
@@ -173,7 +157,7 @@ async def watch_tags(
             continue
 
 
-def marked(seen: Sequence[WatchedTag], number: int, now: float) -> Mark:
+def make_mark(seen: Sequence[WatchedTag], number: int, now: float) -> Mark:
     """A mark of this moment."""
     return Mark(
         number, now, {watched.tag.name: watched.last.sample.value if watched.last else None for watched in seen}
@@ -181,7 +165,6 @@ def marked(seen: Sequence[WatchedTag], number: int, now: float) -> Mark:
 
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_COLUMNS = ("tag", "value", "unit", "quality", "min", "max", "good", "bad", "changes")
 _WIDE = 150
 """Columns of a terminal from which raw words and reference numbers are shown too."""
 
@@ -207,11 +190,11 @@ def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: flo
         def mark() -> bool:
             entered = bool(sys.stdin.readline())  # "" is the end of the input: Enter is not listened for any more
             if entered:
-                marks.append(marked(seen, len(marks) + 1, time.time()))
+                marks.append(make_mark(seen, len(marks) + 1, time.time()))
             return entered
 
-        with _ending(seconds, mark if live and sys.stdin.isatty() else None) as stop:
-            async with looking(site, [watched.tag for watched in seen]) as look:
+        with _stop_event(seconds, mark if live and sys.stdin.isatty() else None) as stop:
+            async with open_look(site, [watched.tag for watched in seen]) as look:
                 if live:
                     # Drawn when a reading comes, not by rich's own thread: the view is of one moment.
                     with Live(auto_refresh=False) as screen:
@@ -227,15 +210,13 @@ def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: flo
         rows = [watched.plain() for watched in seen]
         data = {"tags": rows, "marks": [{"number": m.number, "time": m.time, "values": dict(m.values)} for m in marks]}
         never = next((row for row in rows if not row["good"] and row["quality"] != "GOOD"), None)
-        if never is None:
-            return CommandResult(data)
-        return CommandResult(data, Exit.CHECK_FAILED, f"{never['tag']} was never good: {never['reason']}")
+        return CommandResult(data, f"{never['tag']} was never good: {never['reason']}" if never else "")
 
-    perform(given, "watch", arguments, work, _show_end)
+    perform(given, "watch", arguments, work, _view_at_the_end)
 
 
 @contextmanager
-def _ending(seconds: float | None, on_enter: Callable[[], bool] | None) -> Iterator[asyncio.Event]:
+def _stop_event(seconds: float | None, on_enter: Callable[[], bool] | None) -> Iterator[asyncio.Event]:
     """An event that is set by Ctrl-C, by SIGTERM, and after `seconds`; Enter calls `on_enter` while that says True."""
     stop, loop = asyncio.Event(), asyncio.get_running_loop()
 
@@ -317,10 +298,9 @@ def _lines(changed: Sequence[WatchedTag]) -> None:
         click.echo("  ".join(filter(None, (*words, raw, sample.reason))))
 
 
-def _show_end(data: Mapping[str, Any]) -> None:
-    rows = [
-        [_cell(row[key]) if key in ("value", "min", "max") else row[key] for key in _COLUMNS] for row in data["tags"]
-    ]
-    table("watched", _COLUMNS, rows)
-    for mark in data["marks"]:
-        click.echo(f"mark {mark['number']} at {clock_time(mark['time'])}")
+def _view_at_the_end(data: Mapping[str, Any]) -> Iterator[Part]:
+    columns = ("tag", "value", "unit", "quality", "min", "max", "good", "bad", "changes")
+    yield Rows(
+        "watched", columns, [row | {key: _cell(row[key]) for key in ("value", "min", "max")} for row in data["tags"]]
+    )
+    yield from (f"mark {mark['number']} at {clock_time(mark['time'])}" for mark in data["marks"])

@@ -9,7 +9,7 @@ from gateway.console.options import (
     seed_option,
     socket_option,
 )
-from gateway.console.output import emit, make_folder, progress, table
+from gateway.console.output import Progress, emit, make_folder, progress, table
 from gateway.console.places import (
     SERVICE_FOLDER,
     SERVICE_LOG,
@@ -19,11 +19,19 @@ from gateway.console.places import (
     plant_here,
     shipped,
 )
+from gateway.console.result import CommandResult, Line, Part, Rows, View, conclude
 
 __all__ = [
     "SERVICE_FOLDER",
     "SERVICE_LOG",
     "SERVICE_RECORDS",
+    "CommandResult",
+    "Line",
+    "Part",
+    "Progress",
+    "Rows",
+    "View",
+    "conclude",
     "config_dir",
     "emit",
     "find_plant_file",

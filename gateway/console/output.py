@@ -16,6 +16,8 @@ GAP = 3
 """Characters between two columns."""
 EDGES = 2
 """Characters around all of them."""
+Progress = Callable[[str, float], None]
+"""Takes what is being done, and the share of the work that is done (0..1)."""
 
 
 def make_folder(path: Path) -> None:
@@ -84,14 +86,14 @@ def bands(least: Sequence[int], width: int) -> list[list[int]]:
 
 
 @contextmanager
-def progress(title: str) -> Iterator[Callable[[str, float], None]]:
+def progress(title: str) -> Iterator[Progress]:
     """Yield `report(what, share)`: a bar on a terminal, nothing elsewhere; share is 0..1."""
+    from rich import progress as bars
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+    columns = (bars.TextColumn("{task.description}"), bars.BarColumn(), bars.TimeElapsedColumn())
+    with bars.Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         task = bar.add_task(title, total=1.0)
 
         def report(what: str, share: float) -> None:

@@ -334,7 +334,8 @@ class Machine:
         self.clock_complaint = self.clock_check.complaint(scan.time, offset=offset, plc=plc)
         if bool(before) != bool(self.clock_complaint):
             reason = self.clock_complaint or "it agrees with the records again"
-            self.log.warning("the clock is looked at anew", believed=not self.clock_complaint, reason=reason)
+            event = "the clock cannot be relied on" if self.clock_complaint else "the clock can be relied on again"
+            self.log.warning(event, reason=reason)
 
     async def _disarm_without_records(self, now: float) -> None:
         """Disarm once it has been too long that a write would not be on record."""

@@ -51,7 +51,7 @@ class ServiceManager:
     def __init__(self, address: str = "", watchdog: float = 0.0) -> None:
         self._address = f"\0{address[1:]}" if address.startswith("@") else address
         self._watchdog = watchdog if address else 0.0
-        self._told = 0.0
+        self._announced_patience = 0.0
         self._before: Mapping[str, ScanProgress] = {}
 
     def tell(self, state: str) -> None:
@@ -68,9 +68,9 @@ class ServiceManager:
         and no reason to stop those that are read. At least one scan has to have been completed, by any of them.
         """
         patience = max(self._watchdog, PERIODS * machines.longest_period)
-        if patience != self._told:
+        if patience != self._announced_patience:
             self.tell(f"WATCHDOG_USEC={round(patience * 1e6)}")
-            self._told = patience
+            self._announced_patience = patience
         now = machines.progress()
         last = {name: self._before.get(name, ScanProgress()) for name in now}
         moved = all(now[name] != last[name] for name in now)

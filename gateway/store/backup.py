@@ -28,7 +28,7 @@ from gateway.store import audit as audit_log
 from gateway.store import schema
 from gateway.store.audit import verify
 from gateway.store.audit_damage import damage
-from gateway.store.durable import BESIDE, free_name, sync_folder, write_durably
+from gateway.store.durable import DATABASE_SUFFIXES, free_name, sync_folder, write_durably
 from gateway.store.signing import is_signed, public_digits
 
 FORMAT = 1
@@ -293,7 +293,7 @@ def put_in_place(plant: Path, drafts: Mapping[Path, Path], *, away: Sequence[Pat
         (beside, aside.with_name(aside.name + suffix))
         for place in (*drafts, *away)
         for aside in (free_name(place, "replaced"),)
-        for suffix in BESIDE
+        for suffix in DATABASE_SUFFIXES
         if (beside := place.with_name(place.name + suffix)).exists()
     ]
     with replaced(plant, drafts.keys(), renames):
@@ -310,7 +310,7 @@ def as_one_file(path: Path) -> None:
 def discard(drafts: Mapping[Path, Path]) -> None:
     """Remove drafts that are not put in place."""
     for draft in drafts.values():
-        for suffix in BESIDE:
+        for suffix in DATABASE_SUFFIXES:
             with suppress(OSError):
                 draft.with_name(draft.name + suffix).unlink(missing_ok=True)
 

@@ -9,7 +9,7 @@ RECORDS_MODE = 0o640
 """Records are their owner's and its group's to read, whatever the umask of who starts the program."""
 SQLITE_HEADER = b"SQLite format 3\0"
 """What each database of SQLite begins with (sqlite.org/fileformat.html)."""
-BESIDE = ("", "-wal", "-shm", "-journal")
+DATABASE_SUFFIXES = ("", "-wal", "-shm", "-journal")
 """What SQLite keeps beside a database belongs to it."""
 
 
@@ -64,7 +64,7 @@ def free_name(path: Path, why: str) -> Path:
 def set_aside(path: Path) -> Path:
     """Give a database another name beside it, NAME.damaged-1 and so on; gives that path. Raises OSError."""
     aside = free_name(path, "damaged")
-    for suffix in BESIDE:
+    for suffix in DATABASE_SUFFIXES:
         with suppress(FileNotFoundError):
             path.with_name(path.name + suffix).rename(aside.with_name(aside.name + suffix))
     sync_folder(path.parent)

@@ -19,7 +19,7 @@ from pathlib import Path
 from shutil import disk_usage
 
 from drivers.errors import OneLineError
-from gateway.store.durable import BESIDE, make_private, set_aside
+from gateway.store.durable import DATABASE_SUFFIXES, make_private, set_aside
 from gateway.store.schema import (
     APPLICATION_ID,
     COLUMNS,
@@ -281,7 +281,7 @@ def _migrated(connection: sqlite3.Connection, path: Path, version: int, heir: st
 
 
 def _besides(path: Path) -> list[Path]:
-    return [path.with_name(path.name + ending) for ending in BESIDE]
+    return [path.with_name(path.name + ending) for ending in DATABASE_SUFFIXES]
 
 
 def _examined(path: Path, *, whole: bool) -> None:

@@ -443,8 +443,8 @@ class Historian:
             f"{self.path}: table {table} is damaged ({reason}) and was begun anew; a restart recovers what is left"
         )
 
-    def _tended(self, table: str, step: Callable[[], bool]) -> None:
-        """Let `step` work until it has nothing more to do; alarms that come meanwhile are stored between its turns."""
+    def _tended(self, table: str, step: Callable[[], bool | None]) -> None:
+        """Let `step` work while it says that there is more; alarms that come meanwhile are stored between its turns."""
         try:
             while not self._stop.is_set() and step():
                 if self._at_once:

@@ -59,7 +59,7 @@ class Packer:
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
         self._standing: dict[int, tuple[float, float]] = {}
-        self._told: dict[int, float] = {}
+        self._aggregated_until: dict[int, float] = {}
         self._begun: dict[int, list[float]] = {}
         self._ended: list[tuple[int, int, float]] = []
 
@@ -95,15 +95,14 @@ class Packer:
             connection.execute(f"DELETE FROM {table} WHERE id BETWEEN ? AND ?", (lowest, last))  # noqa: S608
         return source
 
-    def tiers(self) -> bool:
-        """Pack one stretch of a tier that is over. False: the next one waits for the next batch of measurements.
+    def tiers(self) -> None:
+        """Pack one stretch of a tier that is over; the next one waits for the next batch of measurements.
 
         At midnight there is one for each tag, in a file that has none packed one for each tag and day.
         """
         if self._ended:
             pack_tier(self._connection, *self._ended[-1])
             self._ended.pop()
-        return False
 
     def _samples(self, batch: int, source: int, until: int) -> None:
         """Pack a source's samples up to the row `until`, one tag after the other: all at once are several MB."""
@@ -118,10 +117,10 @@ class Packer:
         _put_chunk(self._connection, ("stamps", source, batch), times, moments)
         # A scan bears the moment of its last reply, later than its samples: it may lie between two batches.
         first, last = min(times), max(times)
-        told = self._told.get(source)
-        if told is not None and told < first:
-            first = nextafter(told, inf)
-        self._told[source] = last
+        done = self._aggregated_until.get(source)
+        if done is not None and done < first:
+            first = nextafter(done, inf)
+        self._aggregated_until[source] = last
         scans = self._scan_times(source, first, last)
         query = "SELECT DISTINCT tag FROM samples WHERE id BETWEEN ? AND ? ORDER BY tag"
         for (tag,) in self._connection.execute(query, span).fetchall():
@@ -255,10 +254,9 @@ def deleted_before(connection: sqlite3.Connection, table: str, source: int, mome
     return gone > 0
 
 
-def gave_back(connection: sqlite3.Connection) -> bool:
-    """Give freed pages back to the system, 4 MB at most: each one moved is written again. False: that was all of it."""
+def gave_back(connection: sqlite3.Connection) -> None:
+    """Give freed pages back to the system, 4 MB at most: each one moved is written again."""
     connection.execute("PRAGMA incremental_vacuum(4000)").fetchall()
-    return False
 
 
 def pages(connection: sqlite3.Connection) -> tuple[int, int]:

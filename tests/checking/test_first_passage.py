@@ -60,7 +60,7 @@ def test_without_the_bridge_the_probability_is_far_too_low(monkeypatch: pytest.M
     case = next(case for case in CASES if case.name == "relaxing" and case.limit == 44.0)
     exact = first_passage(case.stretches, case.x0, case.limit)
     with_bridge = _share(start_of(case), case.limit, 60_000)
-    monkeypatch.setattr(paths, "NEAR", 0.0)
+    monkeypatch.setattr(paths, "NEGLIGIBLE_EXPONENT", 0.0)
     without = _share(start_of(case), case.limit, 60_000)
     assert with_bridge == pytest.approx(exact, rel=0.06)
     assert without < 0.9 * exact

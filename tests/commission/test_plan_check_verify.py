@@ -9,7 +9,7 @@ import pytest
 
 from drivers.can.bus.hub import Hub
 from gateway.commission.files.recording import read_recording
-from gateway.commission.soak import recommended
+from gateway.commission.soak import recommend_period
 from sim.artefacts.model_json import model_text
 from sim.lab.recordings.trace_file import write_trace
 from tests.commission.bench import answer, at, force, free_port, plc
@@ -240,7 +240,7 @@ def test_a_device_that_speaks_by_itself_is_judged_by_the_age_of_what_it_said(
 def test_the_recommended_period_leaves_room_and_holds_the_longest_scan(
     seconds: list[float], factor: float, period: float
 ) -> None:
-    assert recommended(seconds, factor) == period
+    assert recommend_period(seconds, factor) == period
 
 
 def plant(folder: Path) -> Path:

@@ -12,18 +12,18 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import DriverError, WriteForbidden
-from gateway.commission.session import CommandResult
 from gateway.commission.session.evidence import FrameEvidence
 from gateway.commission.session.site import Site
 from gateway.commission.session.target import make_target
 from gateway.commission.writeback import block_writer
 from gateway.commission.writeback.block_writer import BlockWriter, open_block_writers
 from gateway.commission.writeback.codegen import write_suite
-from gateway.commission.writeback.conformance import conform, conform_together
 from gateway.commission.writeback.loop import alarm_loop, heartbeat_loop
 from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.suite import Result, each_result, put_through, put_together
+from gateway.commission.writeback.test import conform, conform_together
 from gateway.commission.writeback.vectors import SuiteStep, parse, together, vectors
+from gateway.console import CommandResult
 from gateway.demo.can_bus import can_hub
 from gateway.demo.links import LINKS, TIMEOUT_S
 from gateway.machine.writing.arming import arm_in_log, signed

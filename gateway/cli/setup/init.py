@@ -23,8 +23,8 @@ from gateway.commission.files import (
     template,
 )
 from gateway.commission.import_list import bindings
+from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import ORDERS
-from gateway.commission.session import SharedOptions, link_options
 from gateway.console import SERVICE_FOLDER, SERVICE_LOG, SERVICE_RECORDS, emit, make_folder, shipped
 from gateway.entry import sentences
 from gateway.lab.traces.map import asked_map

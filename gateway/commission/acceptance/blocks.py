@@ -1,11 +1,12 @@
 """The report's data as blocks of text and tables, from which page and paper are made alike."""
 
 import json
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
+
+from gateway.commission.session import at
 
 MOST_ROWS = 400
 _LONGEST = 160
@@ -56,11 +57,6 @@ class Signatures:
 
 
 Block = Heading | Text | ReportTable | Signatures
-
-
-def at(moment: float | None) -> str:
-    """A moment (s UTC) for a person."""
-    return "" if moment is None else time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(moment))
 
 
 def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:

@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.commission.acceptance.blocks import at
-from gateway.commission.session import CommandRecord, broken_at, read_records, versions
+from gateway.commission.session import CommandRecord, at, broken_at, read_records, versions
 from gateway.machine.writing import uptime
 from gateway.store import (
     ARMED,

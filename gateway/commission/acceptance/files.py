@@ -7,15 +7,16 @@ that counts is printed when the report is made, stands in the audit log, and bel
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from drivers.named_files import writing
-from gateway.commission.acceptance.blocks import blocks
-from gateway.commission.acceptance.page import page
+from gateway.commission.acceptance.blocks import Block, blocks
 from gateway.commission.acceptance.paper import paper
 from gateway.store import hash_of
+from sim.lab.pages import page_environment
 from sim.strict_json import json_text
 
 JSON, HTML, PDF, RECORDS, LIST = "report.json", "report.html", "report.pdf", "records.jsonl", "report.sha256"
@@ -45,6 +46,16 @@ def write(folder: Path, data: Mapping[str, Any], records: bytes) -> str:
     with writing(folder / LIST):
         (folder / LIST).write_text(f"{lines}# seal {seal}\n", encoding="utf-8")
     return seal
+
+
+def page(made: Sequence[Block], title: str) -> str:
+    """The blocks as one HTML page that needs nothing else; every text in it is escaped."""
+    plain = [
+        {"kind": type(block).__name__, **{field.name: getattr(block, field.name) for field in fields(block)}}
+        for block in made
+    ]
+    template = page_environment("gateway.commission.acceptance").get_template("report.html.j2")
+    return template.render(blocks=plain, title=title)
 
 
 def verify(folder: Path, seal: str = "") -> tuple[str, list[dict[str, Any]]]:

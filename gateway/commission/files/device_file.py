@@ -11,7 +11,7 @@ from drivers.device_file import NEEDED_FIELDS
 from drivers.driver import capabilities
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.toml_edit import put
-from gateway.commission.writeback.fields import described
+from gateway.commission.writeback.fields import describe_field
 from gateway.settings import BLOCK_FIELDS
 
 PLACE_KEYS = (
@@ -175,6 +175,6 @@ def set_block(
     for name in wanted:
         inline = tomlkit.inline_table()
         inline.update(known[name])
-        fields.add_line(inline, comment=described(name))
+        fields.add_line(inline, comment=describe_field(name))
     fields.add_line(indent="")
     table["fields"] = fields

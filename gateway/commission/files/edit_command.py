@@ -1,7 +1,7 @@
 """What `decanter plc bind` and `import` share: options, the way they are carried out, and what they show."""
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,9 @@ import click
 
 from drivers.named_files import parse_toml
 from gateway.commission.files.plan_files import Files, find_files
-from gateway.commission.session import CommandResult, SharedOptions, Site, Target, check_writable, perform
-from gateway.console import shipped, table
+from gateway.commission.options import SharedOptions
+from gateway.commission.session import Site, Target, perform
+from gateway.console import CommandResult, Line, Part, Rows, shipped
 from gateway.entry import sentences
 
 
@@ -58,42 +59,41 @@ def edit_files(
     """Carry out a change of files as every command is: recorded, shown, with its exit code."""
     with sentences():
         files = find_files(given.plant, given.device, given.link, given.settings, given.machine)
-        check_writable(given.records)
         paths = tuple(path for path in (files.plant, files.device) if path is not None)
         target = Target("", files.driver, {}, files=paths)
 
     async def done(_: Site) -> CommandResult:
         return work(files)
 
-    perform(given, command, arguments, done, _show, target=target)
+    perform(given, command, arguments, done, _view, target=target)
 
 
-def _show(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     if "columns" in data:
         columns = ", ".join(f"{name} = {header!r}" for name, header in data["columns"].items())
-        click.echo(f"{data['list']}: header in line {data['header_line']}: {columns}")
+        yield f"{data['list']}: header in line {data['header_line']}: {columns}"
         if data["ignored_columns"]:
-            click.echo(f"columns without use: {', '.join(map(repr, data['ignored_columns']))}")
+            yield f"columns without use: {', '.join(map(repr, data['ignored_columns']))}"
         keys = [key for key in _COLUMNS if any(tag.get(key) not in (None, "") for tag in data["tags"])]
-        cells = [[tag.get(key, "") for key in keys] for tag in data["tags"]]
-        rows = [[f"{cell:.10g}" if isinstance(cell, float) else cell for cell in row] for row in cells]
-        table(f"{len(rows)} tags", keys, rows)
-    for problem in data.get("problems", ()):
-        click.secho(problem, fg="red")
+        rows = [
+            {key: f"{cell:.10g}" if isinstance(cell, float) else cell for key, cell in tag.items()}
+            for tag in data["tags"]
+        ]
+        yield Rows(f"{len(rows)} tags", keys, rows)
+    yield from (Line(problem, "red") for problem in data.get("problems", ()))
     for change in data.get("changes", ()):
         lines = change["diff"].splitlines()
         shown = lines[:_NEW_LINES] if change["new"] else lines  # of a new file only how it begins
-        for line in shown:
-            click.secho(line, fg={"+": "green", "-": "red", "@": "cyan"}.get(line[:1]))
+        yield from (Line(line, {"+": "green", "-": "red", "@": "cyan"}.get(line[:1])) for line in shown)
         if len(lines) > len(shown):
-            click.echo(f"... and {len(lines) - len(shown)} lines more, as the table above says")
+            yield f"... and {len(lines) - len(shown)} lines more, as the table above says"
     if data["written"]:
         kept = f" (before: {', '.join(data['backups'])})" if data["backups"] else ""
-        click.echo(f"written and in order: {', '.join(data['files'])}{kept}")
+        yield f"written and in order: {', '.join(data['files'])}{kept}"
     elif data["files"]:
-        click.echo("dry run: nothing was written")
+        yield "dry run: nothing was written"
     elif not data.get("problems"):
-        click.echo("nothing to change: the files say so already")
+        yield "nothing to change: the files say so already"
 
 
 _NEW_LINES = 30

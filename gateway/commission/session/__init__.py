@@ -1,19 +1,17 @@
 """What all commissioning commands share: device, evidence, steps, records, the way through a running gateway."""
 
-from gateway.commission.session.audit_log import at, audit_option, audit_path, questions
-from gateway.commission.session.execution import login, perform
-from gateway.commission.session.gateway_line import mention_gateway, read_through, running_for, running_gateway
-from gateway.commission.session.options import SharedOptions, link_options, record_options
+from gateway.commission.session.execution import audit_path, login, perform, target_of
+from gateway.commission.session.gateway_line import mention_gateway, read_through, running_gateway
 from gateway.commission.session.records import (
     CommandRecord,
     RecordsError,
+    at,
     broken_at,
-    check_writable,
     read_records,
     versions,
 )
-from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
-from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
+from gateway.commission.session.site import Site, device_of, period_of, words_of
+from gateway.commission.session.steps import CheckStep, failed, ok, result_of, step_lines, warning
 from gateway.commission.session.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, gateway_of, make_target
 
 __all__ = [
@@ -21,35 +19,28 @@ __all__ = [
     "DEFAULT_DRIVER",
     "CheckStep",
     "CommandRecord",
-    "CommandResult",
     "RecordsError",
-    "SharedOptions",
     "Site",
     "Target",
     "TargetError",
     "at",
-    "audit_option",
     "audit_path",
     "broken_at",
-    "check_writable",
     "device_of",
     "failed",
     "gateway_of",
-    "link_options",
     "login",
     "make_target",
     "mention_gateway",
     "ok",
     "perform",
     "period_of",
-    "questions",
     "read_records",
     "read_through",
-    "record_options",
-    "running_for",
+    "result_of",
     "running_gateway",
-    "show_steps",
-    "verdict",
+    "step_lines",
+    "target_of",
     "versions",
     "warning",
     "words_of",

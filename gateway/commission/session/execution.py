@@ -3,26 +3,27 @@
 import asyncio
 import getpass
 import platform
-import sys
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import click
 
 from drivers.errors import DriverError
 from drivers.tap import listening
+from gateway.commission.options import SharedOptions
 from gateway.commission.session.evidence import FrameEvidence
-from gateway.commission.session.options import SharedOptions
 from gateway.commission.session.records import CommandRecord, append, check_writable, file_hashes, versions
-from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session.site import Site
 from gateway.commission.session.target import Target, make_target
-from gateway.console import emit
-from gateway.entry import Exit, exit_code, fail, sentence, sentences
+from gateway.console import CommandResult, Part, View, conclude
+from gateway.entry import Exit, exit_code, sentence, sentences
+from gateway.settings import load_plant
 
 Work = Callable[[Site], Awaitable[CommandResult]]
-Show = Callable[[Mapping[str, Any]], None]
 
 
 def perform(
@@ -30,24 +31,24 @@ def perform(
     command: str,
     arguments: Mapping[str, Any],
     work: Work,
-    show: Show,
+    view: View,
     *,
     target: Target | None = None,
 ) -> None:
     """Find the device, do the work on it with all frames told to the evidence, record it, show it, leave with its code.
 
-    `show` prints the outcome's data for a person; with --json it is one object with `ok`, `exit`, `frames`, `exchanges`
-    and `notes` besides. What device and link do wrong is a sentence, an exit code and a record, never a traceback.
+    `view` is what a person sees of the result's data; with --json it is one object with `ok`, `exit`, `frames`,
+    `exchanges` and `notes` besides. What device and link do wrong is a sentence, an exit code and a record, never a
+    traceback.
     `target` is the device where the command has found it already.
     """
-    if target is None:
-        with sentences():
-            target = make_target(given.plant, given.device, given.link, given.settings, given.machine)
-            check_writable(given.records)
+    with sentences():
+        target = target_of(given) if target is None else target
+        check_writable(given.records)
     begun, clock = time.time(), time.monotonic()
     with sentences(), closing(FrameEvidence(given.pcap, target.medium)) as evidence:
         site = Site(target, evidence)
-        outcome = _carried_out(site, work)
+        outcome = _carry_out(site, work)
     seconds = time.monotonic() - clock
     record = CommandRecord(
         time=begun,
@@ -66,12 +67,39 @@ def perform(
     )
     with sentences():
         append(given.records, record)
-    _show(site, given, outcome, show)
-    if outcome.code:
-        fail(outcome.complaint, outcome.code) if outcome.complaint else sys.exit(outcome.code)
+    extra = {"exchanges": site.exchanges.plain(), "frames": evidence.plain(), "notes": site.notes}
+    reason = {"reason": outcome.complaint} if outcome.complaint else {}
+    whole = {"exit": int(outcome.code), **outcome.data, **extra, **reason}
+
+    def around(_: Mapping[str, Any]) -> Iterator[Part]:
+        if set(outcome.data) - {"reason"}:
+            if target.place:
+                yield target.place
+            yield from view(outcome.data)
+        yield from (f"note: {note}" for note in site.notes)
+        if site.exchanges.asked or site.exchanges.heard:
+            yield site.exchanges.line()
+        if given.pcap is not None:
+            yield f"evidence: {given.pcap} ({evidence.sent} frames sent, {evidence.received} received)"
+
+    conclude(replace(outcome, data=whole), around, as_json=given.as_json)
 
 
-def _carried_out(site: Site, work: Work) -> CommandResult:
+def target_of(given: SharedOptions) -> Target:
+    """The device that the options name. Raises TargetError or ConfigError."""
+    return make_target(given.plant, given.device, given.link, given.settings, given.machine)
+
+
+def audit_path(audit: Path | None, given: SharedOptions, target: Target | None = None) -> Path:
+    """The audit log: the one that is named, the plant file's, or the one beside the records. Raises ConfigError."""
+    if audit is None and target is not None:
+        audit = target.audit
+    elif audit is None and given.plant is not None:
+        audit = load_plant(given.plant)[0].audit
+    return audit if audit is not None else given.records.with_name("audit.sqlite")
+
+
+def _carry_out(site: Site, work: Work) -> CommandResult:
     """The work's outcome; what goes wrong on the way is one too."""
 
     async def awaited() -> CommandResult:  # asyncio.run wants a coroutine, and `work` may give any awaitable
@@ -84,9 +112,9 @@ def _carried_out(site: Site, work: Work) -> CommandResult:
         context = click.get_current_context(silent=True)
         if context is not None and context.find_root().params.get("traceback"):
             raise
-        return CommandResult({"reason": sentence(error)}, exit_code(error), sentence(error))
+        return CommandResult({"reason": sentence(error)}, sentence(error), exit_code(error))
     except KeyboardInterrupt:
-        return CommandResult({"reason": "interrupted"}, Exit.INTERRUPTED, "interrupted")
+        return CommandResult({"reason": "interrupted"}, "interrupted", Exit.INTERRUPTED)
 
 
 def login() -> str:
@@ -95,23 +123,3 @@ def login() -> str:
         return getpass.getuser()
     except (KeyError, OSError):
         return "unknown"
-
-
-def _show(site: Site, given: SharedOptions, outcome: CommandResult, show: Show) -> None:
-    if given.as_json:
-        extra = {"exchanges": site.exchanges.plain(), "frames": site.evidence.plain(), "notes": site.notes}
-        data = {"ok": not outcome.code, "exit": int(outcome.code), **outcome.data, **extra}
-        if outcome.complaint:
-            data |= {"reason": outcome.complaint}
-        emit(data, lambda: None, as_json_line=True)
-        return
-    if set(outcome.data) - {"reason"}:
-        if site.target.place:
-            click.echo(site.target.place)
-        show(outcome.data)
-    for note in site.notes:
-        click.echo(f"note: {note}")
-    if site.exchanges.asked or site.exchanges.heard:
-        click.echo(site.exchanges.line())
-    if given.pcap is not None:
-        click.echo(f"evidence: {given.pcap} ({site.evidence.sent} frames sent, {site.evidence.received} received)")

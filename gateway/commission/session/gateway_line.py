@@ -1,6 +1,7 @@
 """Where a gateway runs for the same plant file: asking it instead of the device, which may serve one client only."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from typing import Any
 
 from drivers.tag import Quality, Sample, Tag
@@ -16,24 +17,17 @@ def running_gateway(target: Target) -> GatewayLine | None:
     return connect(target.config.control_socket, machine=target.config.machine)
 
 
-def running_for(target: Target) -> str:
-    """A sentence if a gateway runs with the same plant file: what this command does, it does beside it; else ""."""
-    line = running_gateway(target)
-    if line is None:
-        return ""
-    try:
-        pid = line.ask("status")["pid"]
-    except (OSError, ControlError):
-        return "a gateway runs with this plant file and does not answer: the device may have two clients"
-    finally:
-        line.close()
-    return f"a gateway runs with this plant file (pid {pid}): the device has two clients meanwhile"
-
-
 def mention_gateway(site: Site) -> None:
     """Note a gateway that runs with the same plant file, for a command that speaks to the device beside it."""
-    if sentence := running_for(site.target):
-        site.notes.append(sentence)
+    line = running_gateway(site.target)
+    if line is None:
+        return
+    with closing(line):
+        try:
+            about = f"(pid {line.ask('status')['pid']}): the device has two clients meanwhile"
+        except (OSError, ControlError):
+            about = "and does not answer: the device may have two clients"
+    site.notes.append(f"a gateway runs with this plant file {about}")
 
 
 def read_through(line: GatewayLine, tags: Sequence[Tag], known: Sequence[Tag]) -> tuple[dict[str, Any], list[Sample]]:

@@ -1,13 +1,28 @@
-"""What a command of the commissioning works with (`Site`), and what it gives (`CommandResult`)."""
+"""What a command of the commissioning works with."""
 
-from collections.abc import Mapping
+import time
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
+from drivers.driver import Driver
+from drivers.survey import AsksRegisters, ListensToBus, open_bus_survey, open_registers
 from drivers.tag import Tag
 from gateway.commission.session.evidence import Exchanges, FrameEvidence
 from gateway.commission.session.target import Target
 from gateway.settings import DeviceMap
+
+
+class Counted(Protocol):
+    """What has counters since it was opened."""
+
+    def statistics(self) -> Mapping[str, float]:
+        """The counters by their names."""
+        ...
+
+
+C = TypeVar("C", bound=Counted)
 
 
 @dataclass(slots=True)
@@ -26,14 +41,27 @@ class Site:
         """Take over a driver's counters."""
         self.exchanges.add(statistics, self.target.driver)
 
+    @asynccontextmanager
+    async def counting(self, opening: AbstractAsyncContextManager[C]) -> AsyncIterator[C]:
+        """What is opened, with its counters taken over at its end."""
+        async with opening as opened:
+            try:
+                yield opened
+            finally:
+                self.count(opened.statistics())
 
-@dataclass(frozen=True, slots=True)
-class CommandResult:
-    """A command's result: `data` for JSON and the records, the exit code, and a sentence where it is not 0."""
+    def registers(self, **settings: Any) -> AbstractAsyncContextManager[AsksRegisters]:
+        """The device's registers, with some settings others. Raises DriverError."""
+        settings = {**self.target.settings, **settings}
+        return self.counting(open_registers(self.target.driver, settings, clock=time.time))
 
-    data: Mapping[str, Any]
-    code: int = 0
-    complaint: str = ""
+    def bus(self) -> AbstractAsyncContextManager[ListensToBus]:
+        """The CAN bus of the device. Raises DriverError."""
+        return self.counting(open_bus_survey(self.target.driver, self.target.settings, clock=time.time))
+
+    def driver(self, write_map: Sequence[Tag] = ()) -> AbstractAsyncContextManager[Driver]:
+        """The device's driver with a connection. Raises DriverError."""
+        return self.counting(self.target.opened(write_map))
 
 
 PERIOD_S = 1.0

@@ -1,11 +1,12 @@
 """Steps of a check, each with its own sentence: what was looked at, how it went, and with which exit code it fails."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import click
 
+from gateway.console import CommandResult
 from gateway.entry import Exit, exit_code
 
 
@@ -38,15 +39,16 @@ def failed(name: str, sentence: str, error: Exception | None = None) -> CheckSte
     return CheckStep(name, "failed", sentence, Exit.CHECK_FAILED if error is None else exit_code(error))
 
 
-def verdict(steps: Sequence[CheckStep]) -> tuple[int, str]:
-    """The exit code and the sentence of the first step that failed; 0 and "" where none did."""
+def result_of(steps: Sequence[CheckStep], **facts: Any) -> CommandResult:
+    """The steps and facts as a command's result; the first step that failed gives its sentence and exit code."""
+    data = {"steps": [step.plain() for step in steps], **facts}
     first = next((step for step in steps if step.state == "failed"), None)
-    return (0, "") if first is None else (first.code, first.sentence)
+    return CommandResult(data) if first is None else CommandResult(data, first.sentence, first.code)
 
 
-def show_steps(data: Mapping[str, Any]) -> None:
+def step_lines(data: Mapping[str, Any]) -> Iterator[str]:
     """One line a step."""
     colours = {"ok": "green", "warning": "yellow", "failed": "red"}
     for step in data["steps"]:
         state = click.style(f"{step['state']:8}", fg=colours.get(step["state"]))
-        click.echo(f"{state} {step['step']:12} {step['sentence']}")
+        yield f"{state} {step['step']:12} {step['sentence']}"

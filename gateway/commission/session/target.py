@@ -66,6 +66,12 @@ class Target:
         return LINKS[self.kind].medium if self.kind in LINKS else "tcp"
 
     @property
+    def audit(self) -> Path | None:
+        """The audit log that its plant file names; None without one."""
+        named = self.config if self.config is not None else self.places
+        return named.audit if named is not None else None
+
+    @property
     def tags(self) -> tuple[Tag, ...]:
         """The tags of its device file; none without one."""
         return self.map.tags if self.map is not None else ()

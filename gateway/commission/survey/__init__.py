@@ -8,8 +8,7 @@ from gateway.commission.survey.addresses import (
     parse_stretch,
     reference_of,
 )
-from gateway.commission.survey.bus_frames import scan_can
-from gateway.commission.survey.bus_probe import SDO_S, probe_bus
+from gateway.commission.survey.bus import SDO_S, probe_bus, scan_can, scan_nodes
 from gateway.commission.survey.network import (
     addresses_of,
     connect_sentence,
@@ -18,10 +17,12 @@ from gateway.commission.survey.network import (
     looks_like,
     not_modbus,
 )
-from gateway.commission.survey.registers import first_register, scan_registers
-from gateway.commission.survey.units import scan_nodes, scan_units
+from gateway.commission.survey.registers import BEHIND_GATEWAY, ILLEGAL_FUNCTION, first_register, scan_registers
+from gateway.commission.survey.units import scan_units
 
 __all__ = [
+    "BEHIND_GATEWAY",
+    "ILLEGAL_FUNCTION",
     "LAST",
     "SDO_S",
     "AddressTextError",

@@ -1,25 +1,24 @@
 """`scan registers` at work: the search of `register_map` asked of a device, with what silence and closing mean."""
 
 import asyncio
-import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
-from drivers.survey import AsksRegisters, open_registers
-from gateway.commission.session import CommandResult, Site, Target, mention_gateway
+from drivers.survey import AsksRegisters
+from gateway.commission.session import Site, Target, mention_gateway
 from gateway.commission.survey.addresses import Register, parse_register
 from gateway.commission.survey.register_map import ReadableMap, Stretch, search
-from gateway.entry import Exit
+from gateway.console import CommandResult, Progress
 
-Progress = Callable[[str, float], None]
 MOST_REGISTERS, MOST_BITS = 125, 2000
 """The protocol's own limits of one read (MODBUS Application Protocol V1.1b3, 6.1 to 6.4)."""
 _BUSY = frozenset({5, 6})
-_NOT_THERE = frozenset({10, 11})
-_ILLEGAL_FUNCTION = 1
+BEHIND_GATEWAY = frozenset({10, 11})
+"""Exceptions of a gateway: path unavailable, target failed to respond (MODBUS Application Protocol V1.1b3, 7)."""
+ILLEGAL_FUNCTION = 1
 _BUSY_TRIES = 8
 _PATIENCE = 4
 """So many refusals by silence in a row, with no answer before them, are a device that is not there."""
@@ -45,7 +44,7 @@ class _Asking:
             try:
                 await self._patiently(start, count)
             except DeviceException as error:
-                if error.code in _NOT_THERE or error.code == _ILLEGAL_FUNCTION:
+                if error.code in BEHIND_GATEWAY or error.code == ILLEGAL_FUNCTION:
                     raise
                 self.reasons[f"exception {error.code}"] += 1
                 return False
@@ -87,19 +86,16 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
     """
     mention_gateway(site)
     most = min(MOST_BITS if first.is_bit else MOST_REGISTERS, int(site.target.settings.get("max_registers", 2000)))
-    async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
+    async with site.registers() as survey:
         asking = _Asking(survey, first.table)
+        steps = search(first.number, count, most=most, budget=budget)
         try:
-            steps = search(first.number, count, most=most, budget=budget)
-            try:
-                block = next(steps)
-                while True:
-                    progress(f"{first.table}:{block[0]} count {block[1]}", (block[0] - first.number) / count)
-                    block = steps.send(await asking.answers(*block))
-            except StopIteration as stop:  # a generator gives its result by this
-                readable: ReadableMap = stop.value
-        finally:
-            site.count(survey.statistics())
+            block = next(steps)
+            while True:
+                progress(f"{first.table}:{block[0]} count {block[1]}", (block[0] - first.number) / count)
+                block = steps.send(await asking.answers(*block))
+        except StopIteration as stop:  # a generator gives its result by this
+            readable: ReadableMap = stop.value
 
     def ranges(stretches: Sequence[Stretch]) -> list[dict[str, Any]]:
         return [_range(Register(first.table, start), length) for start, length in stretches]
@@ -119,9 +115,7 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
     if readable.unknown:
         left = sum(stretch[1] for stretch in readable.unknown)
         site.notes.append(f"{left} addresses were not asked: {budget} requests were the bound; give --requests")
-    if not readable.readable:
-        return CommandResult(data, Exit.CHECK_FAILED, f"nothing of {first} count {count} can be read")
-    return CommandResult(data)
+    return CommandResult(data, "" if readable.readable else f"nothing of {first} count {count} can be read")
 
 
 def _range(start: Register, count: int) -> dict[str, Any]:

@@ -1,27 +1,23 @@
-"""`scan units` and `scan nodes`: who answers behind one connection, or on one bus."""
+"""`scan units`: who answers behind one connection."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
-from drivers.survey import AsksRegisters, open_bus_survey, open_registers
-from gateway.commission.session import CommandResult, Site, mention_gateway
+from drivers.survey import AsksRegisters
+from gateway.commission.session import Site, mention_gateway
 from gateway.commission.survey.addresses import Register
-from gateway.commission.survey.bus_probe import HEARTBEAT, STATES, identity_of
-from gateway.commission.survey.registers import first_register
+from gateway.commission.survey.registers import BEHIND_GATEWAY, first_register
+from gateway.console import CommandResult, Progress
 from gateway.entry import Exit
 
-Progress = Callable[[str, float], None]
 UNIT_S = 0.25
 MOST_SILENT = 20
 """Silent units in a row after which the scan ends, unless the units were named."""
 RESERVED = 251
 """248 to 255 are no device's (Modbus over serial line V1.02, 2.2); 255 and 0 are what TCP devices without one take."""
-LISTEN_S = 1.5
-NODE_S = 0.06
-_BEHIND_GATEWAY = frozenset({10, 11})
 
 
 async def scan_units(site: Site, units: Sequence[int] | None, progress: Progress) -> CommandResult:
@@ -41,30 +37,26 @@ async def scan_units(site: Site, units: Sequence[int] | None, progress: Progress
     asked = silent = 0
     answered = ignored = False
     nobody: dict[str, Any] | None = None
-    settings = site.target.with_settings(**hurried).settings
-    async with open_registers(site.target.driver, settings, clock=time.time) as survey:
+    async with site.registers(**hurried) as survey:
         scan = _UnitScan(survey, register)
-        try:
-            for place, unit in enumerate(wanted):
-                progress(f"unit {unit}", place / len(wanted))
-                row = await scan.answer_of(unit)
-                asked += 1
-                silent = 0 if row else silent + 1
-                if row is not None:
-                    if not answered:
-                        # Not before something answers: it may hang up on a number that is not its own.
-                        nobody = await scan.answer_of(RESERVED) if RESERVED not in wanted else None
-                        ignored = nobody is not None and not nobody["refused"]
-                    answered = True
-                    # What refuses the number that nobody has in the same words is the one that passes requests on.
-                    if not (row["refused"] and nobody and nobody["answer"] == row["answer"]):
-                        # A device that answers to any number need not say again who it is.
-                        row["identity"] = "" if ignored and rows else await scan.identity_of(unit)
-                        rows.append(row)
-                if units is None and silent == MOST_SILENT:
-                    break
-        finally:
-            site.count(survey.statistics())
+        for place, unit in enumerate(wanted):
+            progress(f"unit {unit}", place / len(wanted))
+            row = await scan.answer_of(unit)
+            asked += 1
+            silent = 0 if row else silent + 1
+            if row is not None:
+                if not answered:
+                    # Not before something answers: it may hang up on a number that is not its own.
+                    nobody = await scan.answer_of(RESERVED) if RESERVED not in wanted else None
+                    ignored = nobody is not None and not nobody["refused"]
+                answered = True
+                # What refuses the number that nobody has in the same words is the one that passes requests on.
+                if not (row["refused"] and nobody and nobody["answer"] == row["answer"]):
+                    # A device that answers to any number need not say again who it is.
+                    row["identity"] = "" if ignored and rows else await scan.identity_of(unit)
+                    rows.append(row)
+            if units is None and silent == MOST_SILENT:
+                break
     if ignored:
         site.notes.append(
             f"unit {RESERVED} answers too, a number that no device may have: the device ignores the unit number, and "
@@ -78,10 +70,8 @@ async def scan_units(site: Site, units: Sequence[int] | None, progress: Progress
             f"(`decanter plc scan units {wanted[asked]}-{wanted[-1]}` asks them)"
         )
     data = {"units": rows, "asked": asked, "ignores_unit": ignored}
-    if not rows:
-        sentence = f"none of {asked} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
-        return CommandResult(data, Exit.TIMEOUT, sentence)
-    return CommandResult(data)
+    sentence = f"none of {asked} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
+    return CommandResult(data, "" if rows else sentence, Exit.TIMEOUT)
 
 
 class _UnitScan:
@@ -101,7 +91,7 @@ class _UnitScan:
             try:
                 words = await self._survey.read(self._register.table, self._register.number, 1, unit)
             except DeviceException as error:
-                if error.code in _BEHIND_GATEWAY:
+                if error.code in BEHIND_GATEWAY:
                     return None
                 answer, refused = str(error), True
             except (ReplyTimeout, ReplyMismatch, LinkDown) as error:
@@ -129,39 +119,3 @@ class _UnitScan:
         except (ReplyTimeout, ReplyMismatch, LinkDown):
             self.disliked = unit
             return ""
-
-
-async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, listen_only: bool) -> CommandResult:
-    """The CANopen nodes of a bus: by their heartbeats, and unless `listen_only` by their answers to SDO requests."""
-    async with open_bus_survey(site.target.driver, site.target.settings, clock=time.time) as survey:
-        try:
-            progress("listening", 0.0)
-            frames = await survey.listen(LISTEN_S)
-            beats = {
-                frame.id - HEARTBEAT: frame.data[0] & 0x7F
-                for frame in frames
-                if not frame.extended and HEARTBEAT < frame.id <= HEARTBEAT + 127 and len(frame.data) == 1
-            }
-            rows: list[dict[str, Any]] = []
-            for place, node in enumerate(nodes):
-                progress(f"node {node}", place / len(nodes))
-                # Every CANopen node has its device type (CiA 301, 7.5.2.1): an answer counts, whatever it says.
-                answers = not listen_only
-                try:
-                    if answers:
-                        await survey.object(node, 0x1000, 0, NODE_S)
-                except ReplyTimeout:
-                    answers = False
-                except (DeviceException, ReplyMismatch):
-                    pass
-                identity = await identity_of(survey, node) if answers else None
-                if identity is not None or node in beats:
-                    state = beats.get(node)
-                    sentence = "no heartbeat" if state is None else STATES.get(state, f"state {state}")
-                    rows.append({"node": node, "heartbeat": sentence, "sdo": identity is not None, **(identity or {})})
-        finally:
-            site.count(survey.statistics())
-    if not rows:
-        sentence = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
-        return CommandResult({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, sentence)
-    return CommandResult({"nodes": rows, "asked": len(nodes)})

@@ -2,32 +2,29 @@
 
 import asyncio
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
 import click
 
 from drivers.errors import DriverError
+from gateway.commission.options import SharedOptions, audit_option, link_options
 from gateway.commission.session import (
-    CommandResult,
-    SharedOptions,
     Site,
     Target,
     at,
-    audit_option,
     audit_path,
     gateway_of,
-    link_options,
     login,
     perform,
     period_of,
     running_gateway,
 )
 from gateway.commission.writeback.block_writer import gateway_runs, layouts_of, open_block_writers
-from gateway.console import socket_option
-from gateway.entry import Exit, sentences
+from gateway.console import CommandResult, Line, Part, socket_option
+from gateway.entry import sentences
 from gateway.machine.writing import (
     ArmingError,
     arm_in_log,
@@ -72,11 +69,8 @@ async def start_arming(
             )
         config = site.target.config
         places = places_for(audit_path, config)
-        audit = open_audit(audit_path)
-        try:
+        with closing(open_audit(audit_path)) as audit:
             clear_for_arming(places, audit.record, by=arming.by, now=now, acknowledged=acknowledged)
-        finally:
-            audit.close()
         armed_for = "" if config is None else config.armed_for
         arm_in_log(audit_path, arming, now, key=places.key, subject=site.target.subject, armed_for=armed_for)
         countersign(places, now)
@@ -151,7 +145,7 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
     except AuditError as error:
         site.notes.append(f"{error}; a start of the gateway arms nothing on it")
     data |= {"audit": str(audit_path), "head": newest}
-    return CommandResult(data, Exit.CHECK_FAILED if complaint else Exit.OK, complaint)
+    return CommandResult(data, complaint)
 
 
 def _newest_row(audit_path: Path, subject: str) -> int:
@@ -194,10 +188,8 @@ def _asked(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
     line = running_gateway(site.target)
     if line is None:
         return None
-    try:
+    with closing(line):
         return line.ask(command, **keys)
-    finally:
-        line.close()
 
 
 def _answer_now(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
@@ -239,12 +231,12 @@ def arm(given: SharedOptions, reason: str, minutes: float, acknowledged: tuple[s
         )
 
     arguments = {"reason": reason, "minutes": minutes, "acknowledged": list(acknowledged)}
-    perform(given, "arm", arguments, work, _show_armed)
+    perform(given, "arm", arguments, work, _armed)
 
 
-def _show_armed(data: Mapping[str, Any]) -> None:
-    click.secho(f"ARMED until {at(data['until'])} by {data['by']}: {data['reason']}", fg="yellow")
-    click.echo(f"told to {data['told']}; audit log {data['audit']}, head {data['head'][:16]}")
+def _armed(data: Mapping[str, Any]) -> Iterator[Part]:
+    yield Line(f"ARMED until {at(data['until'])} by {data['by']}: {data['reason']}", "yellow")
+    yield f"told to {data['told']}; audit log {data['audit']}, head {data['head'][:16]}"
 
 
 @click.command(short_help="Take the arming back.")
@@ -268,14 +260,14 @@ def disarm(given: SharedOptions, reason: str, socket: Path | None, audit: Path |
             target = gateway_of(given.plant, given.machine, socket)
     if target is not None and target.places is not None and target.places.problem is not None:
         click.echo(f"{target.places.problem}; it is disarmed all the same", err=True)
-    perform(given, "disarm", {"reason": reason}, work, _show_disarmed, target=target)
+    perform(given, "disarm", {"reason": reason}, work, _disarmed, target=target)
 
 
-def _show_disarmed(data: Mapping[str, Any]) -> None:
+def _disarmed(data: Mapping[str, Any]) -> Iterator[Part]:
     sentence = f"disarmed; {data['said']}" if data["was_armed"] else "nothing was armed; the disarming is on record"
     if not data["known"]:
         sentence = f"the disarming is on record; {data['said']}"
-    click.echo(f"{sentence}; audit log {data['audit']}, head {data['head'][:16]}")
+    yield f"{sentence}; audit log {data['audit']}, head {data['head'][:16]}"
     if start := data.get("next_start"):
         mode = click.style("ARMED", fg="yellow") if start["armed"] else "not armed"
-        click.echo(f"the next start of the gateway: {mode} ({start['sentence']})")
+        yield f"the next start of the gateway: {mode} ({start['sentence']})"

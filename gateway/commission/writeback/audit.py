@@ -1,15 +1,16 @@
 """`decanter plc audit`: the account of every write, refusal and arming, whether it is whole, by whose witness."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from gateway.commission.session import SharedOptions, at, audit_option, audit_path, record_options
-from gateway.console import emit, table
-from gateway.entry import Exit, fail, sentences
+from gateway.commission.options import SharedOptions, audit_option, record_options
+from gateway.commission.session import at, audit_path
+from gateway.console import CommandResult, Part, Rows, conclude
+from gateway.entry import sentences
 from gateway.machine.writing import places_for
 from gateway.settings import Config, load_plant
 from gateway.store import AuditRow, examine, numbered_files, read, trusted_key
@@ -67,10 +68,9 @@ def audit(
         rows = rows[-last:] if last else []
     plain = [{"id": row.id, **asdict(row.entry), "hash": row.hash} for row in rows]
     facts = {**asdict(verdict), "lost": verdict.lost and verdict.lost.head, "end": verdict.end}
-    result = {"ok": not verdict.problem, "path": str(places.audit), **facts, "entries": plain}
-    emit(result, lambda: _show_audit(result), as_json_line=given.as_json)
-    if verdict.problem:
-        fail(f"{places.audit}: {verdict.problem}", Exit.CHECK_FAILED)
+    complaint = f"{places.audit}: {verdict.problem}" if verdict.problem else ""
+    result = CommandResult({"path": str(places.audit), **facts, "entries": plain}, complaint)
+    conclude(result, _view, as_json=given.as_json)
 
 
 def _of_machine(rows: Sequence[AuditRow], machine: str, configs: Sequence[Config]) -> list[AuditRow]:
@@ -83,13 +83,11 @@ def _of_machine(rows: Sequence[AuditRow], machine: str, configs: Sequence[Config
     return found
 
 
-def _show_audit(data: Mapping[str, Any]) -> None:
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     title = f"{data['path']}: {data['rows']} rows, the chain is {'broken' if data['broken'] else 'whole'}"
     rows = [[entry["id"], at(entry["time"]), entry["kind"], entry["who"], entry["reason"]] for entry in data["entries"]]
-    table(title, ("row", "time", "kind", "who", "reason"), rows)
-    click.echo(f"head: {data['head']}")
-    for name, sentence in data["witnesses"].items():
-        click.echo(f"witness: {name}: {sentence}")
-    for note in data["notes"]:
-        click.echo(f"note: {note}")
-    click.echo(data["end"])
+    yield Rows(title, ("row", "time", "kind", "who", "reason"), rows)
+    yield f"head: {data['head']}"
+    yield from (f"witness: {name}: {sentence}" for name, sentence in data["witnesses"].items())
+    yield from (f"note: {note}" for note in data["notes"])
+    yield data["end"]

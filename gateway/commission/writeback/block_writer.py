@@ -4,20 +4,24 @@ import asyncio
 import fcntl
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from random import Random, SystemRandom
 from struct import pack
 from typing import Any
 
+import click
+
 from drivers.device_file import STATUS_TAGS
 from drivers.driver import Driver, Writes, capabilities
 from drivers.errors import DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Sample
-from gateway.commission.session import CommandResult, SharedOptions, Site, audit_path, questions
+from gateway.commission.options import SharedOptions
+from gateway.commission.session import Site, audit_path
 from gateway.commission.writeback.suite import Account, Unable
-from gateway.console import progress
+from gateway.console import CommandResult, Progress, Rows, progress
 from gateway.machine.writing import (
     FAILED,
     REFUSED,
@@ -55,10 +59,9 @@ _WITHOUT_HEARTBEAT_S = 0.5
 NOTHING: Mapping[str, float | None] = {"input_quality": 2.0, "zone": 0.0, "alarms": 0.0}
 """The values of a block that takes everything back."""
 Ask = Callable[[str], bool]
-Progress = Callable[[str, float], None]
 
 
-def in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arming:
+def arming_in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arming:
     """The arming of a subject in force. Raises WriteForbidden without one, AuditError, SigningKeyError."""
     path = places.audit
     row = standing(path, now, uptime(), key=places.key, subject=subject)
@@ -79,11 +82,8 @@ def _note_the_end(places: WitnessPlaces, now: float, subject: str) -> None:
         return
     if not (why := over(path, last, now, uptime())):
         return
-    audit = open_audit(path)
-    try:
+    with closing(open_audit(path)) as audit:
         audit.record(AuditEntry(now, EXPIRED, last.entry.who, why).of(subject))
-    finally:
-        audit.close()
 
 
 def layouts_of(site: Site) -> tuple[DeviceMap, tuple[WritebackLayout, ...]]:
@@ -309,10 +309,9 @@ async def open_block_writers(
     # Before the look at the arming: beside a gateway that writes on, the newest record may be later than that look.
     if site.target.config is not None and gateway_runs(site.target.config.historian.path):
         raise ValueError("a gateway runs with this plant file and writes the same block; stop it for this test")
-    arming = arming_of(taking_back) if taking_back is not None else in_force(places, time.time(), subject)
-    audit = open_audit(audit_path)
-    try:
-        async with site.target.opened(device.block_words) as driver:
+    arming = arming_of(taking_back) if taking_back is not None else arming_in_force(places, time.time(), subject)
+    with closing(open_audit(audit_path)) as audit:
+        async with site.driver(device.block_words) as driver:
             if not isinstance(driver, Writes):
                 raise WriteForbidden("this driver cannot write")
             begun = int(time.time()) & 0xFFFF  # where the last command left off is not known
@@ -343,9 +342,6 @@ async def open_block_writers(
                         # The PLC's timer covers a last block that cannot be written; the audit log has the reason.
                         with suppress(DriverError, ValueError):
                             await writer.block()
-                site.count(driver.statistics())
-    finally:
-        audit.close()
 
 
 def with_block_writers(
@@ -359,7 +355,8 @@ def with_block_writers(
     """The work with the writers of all blocks, and a bar on a terminal where nobody is asked."""
 
     async def carried_out(site: Site) -> CommandResult:
-        async with open_block_writers(site, audit_path(audit, given, site.target), questions(ask)) as writers:
+        asked = partial(click.confirm, default=False, err=True) if ask else None
+        async with open_block_writers(site, audit_path(audit, given, site.target), asked) as writers:
             if ask:
                 return await work(writers, lambda _name, _share: None)
             with progress(title) as report:
@@ -375,12 +372,12 @@ def of_each_block(
 
     async def carried_out(writers: Sequence[BlockWriter], report: Progress) -> CommandResult:
         results = [(writer.layout.temperature or "", await work(writer, report)) for writer in writers]
-        return results[0][1] if len(results) == 1 else joined(results)
+        return results[0][1] if len(results) == 1 else join_results(results)
 
     return carried_out
 
 
-def joined(results: Sequence[tuple[str, CommandResult]]) -> CommandResult:
+def join_results(results: Sequence[tuple[str, CommandResult]]) -> CommandResult:
     """Results of several blocks as one: their rows with the block's name, their counts summed, the first complaint."""
     data: dict[str, Any] = {}
     for _, result in results:
@@ -389,9 +386,13 @@ def joined(results: Sequence[tuple[str, CommandResult]]) -> CommandResult:
             data[key] = data.get(key, 0) + value if is_count else data.get(key, value)
     data["rows"] = [{**row, "block": name} for name, result in results for row in result.data["rows"]]
     failed = [f"{name}: {result.complaint}" for name, result in results if result.complaint]
-    return CommandResult(data, max(result.code for _, result in results), "; ".join(failed))
+    return CommandResult(data, "; ".join(failed), max(result.code for _, result in results))
 
 
-def block_column(data: Mapping[str, Any]) -> list[list[str]]:
-    """For each row of a result the cells that say of which block it is: one where there are several, else none."""
-    return [[row["block"]] if "block" in row else [] for row in data["rows"]]
+def rows_of_test(title: str, data: Mapping[str, Any], cells: Callable[[Mapping[str, Any]], dict[str, Any]]) -> Rows:
+    """A test's rows for a person: how each went, of which block where there are several, and its cells by columns."""
+    rows = []
+    for row in data["rows"]:
+        state = "skipped" if row.get("skipped") else "ok" if row["ok"] else "FAILED"
+        rows.append({"": state, **({"block": row["block"]} if "block" in row else {}), **cells(row)})
+    return Rows(title, list(rows[0]), rows)

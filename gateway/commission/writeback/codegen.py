@@ -1,7 +1,9 @@
 """`decanter plc codegen`: the PLC's side of the write-back contract as Structured Text."""
 
 import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -9,7 +11,7 @@ from drivers.named_files import writing
 from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.targets import TARGETS
 from gateway.commission.writeback.vectors import plain
-from gateway.console import config_dir, emit
+from gateway.console import CommandResult, conclude, config_dir
 from gateway.entry import sentences
 from gateway.settings import load_device
 
@@ -70,14 +72,13 @@ def codegen(
             write_suite(device, suite)
     files = {"text": str(out) if out else None, "suite": str(suite) if suite else None}
     data = {
-        "ok": True,
         "device": str(device),
         "target": target,
         **files,
         "lines": text.count("\n"),
         **({} if out else {"source": text}),
     }
-    emit(data, lambda: _show(text, out, suite), as_json_line=as_json)
+    conclude(CommandResult(data), _view, as_json=as_json)
 
 
 def write_suite(device: Path, out: Path) -> None:
@@ -94,10 +95,11 @@ def write_suite(device: Path, out: Path) -> None:
         out.write_text(f"{head},\n{tail}\n}}\n", encoding="utf-8")
 
 
-def _show(text: str, out: Path | None, suite: Path | None) -> None:
-    if out is None:
-        click.echo(text, nl=False)
-    else:
-        click.echo(f"{out}: {text.count(chr(10))} lines of Structured Text")
-    if suite is not None:
-        click.echo(f"{suite}: the conformance suite")
+def _view(data: Mapping[str, Any]) -> Iterator[str]:
+    yield (
+        data["source"].removesuffix("\n")
+        if data["text"] is None
+        else f"{data['text']}: {data['lines']} lines of Structured Text"
+    )
+    if data["suite"] is not None:
+        yield f"{data['suite']}: the conformance suite"

@@ -63,7 +63,7 @@ ALARM_MEANINGS: Mapping[str, str] = {
 }
 
 
-def described(name: str) -> str:
+def describe_field(name: str) -> str:
     """Meaning and unit of a field in one phrase."""
     unit, meaning = MEANINGS[name]
     return f"{meaning} ({unit})" if unit else meaning

@@ -2,20 +2,18 @@
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import Any
 
 from drivers.errors import WriteUnverified
-from gateway.commission.session import CommandResult
-from gateway.commission.writeback.block_writer import NOTHING, SETTLE_S, BlockWriter, block_column
+from gateway.commission.writeback.block_writer import NOTHING, SETTLE_S, BlockWriter, rows_of_test
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS
 from gateway.commission.writeback.suite import Account
-from gateway.console import table
+from gateway.console import CommandResult, Progress, Rows
 from gateway.machine.writing import Validity
 
-Progress = Callable[[str, float], None]
 BLOCKS = 5
 BEATS_SECONDS = 2.0
 TIMER_TOLERANCE_S = 0.5
@@ -150,31 +148,25 @@ def _outcome(rows: list[dict[str, Any]], more: dict[str, Any], what: str) -> Com
     failed = [row for row in rows if not row["ok"]]
     first = (failed[0].get("step") or failed[0].get("name")) if failed else ""
     complaint = f"{len(failed)} of {len(rows)} {what} failed, {first!r} the first" if failed else ""
-    return CommandResult({"rows": rows, **more}, int(bool(failed)), complaint)
+    return CommandResult({"rows": rows, **more}, complaint)
 
 
-def show_alarms(data: Mapping[str, Any]) -> None:
+def view_alarms(data: Mapping[str, Any]) -> Iterator[Rows]:
     """The result of `alarm_loop` for a person."""
     seen = {True: "yes", False: "NO", None: "not asked"}
-    rows = []
-    for row, block in zip(data["rows"], block_column(data), strict=True):
+
+    def cells(row: Mapping[str, Any]) -> dict[str, Any]:
         accepted = "accepted" if row["accepted"] else "NOT ACCEPTED"
-        rows.append([_state(row), *block, row["name"], accepted, seen[row["seen"]], row["meaning"]])
-    table("loop test of the alarm bits", ("", *_several(data), "bit", "the PLC", "seen at the HMI", "meaning"), rows)
+        return {
+            "bit": row["name"],
+            "the PLC": accepted,
+            "seen at the HMI": seen[row["seen"]],
+            "meaning": row["meaning"],
+        }
+
+    yield rows_of_test("loop test of the alarm bits", data, cells)
 
 
-def show_heartbeats(data: Mapping[str, Any]) -> None:
+def view_heartbeats(data: Mapping[str, Any]) -> Iterator[Rows]:
     """The result of `heartbeat_loop` for a person."""
-    rows = [
-        [_state(row), *block, row["step"], row["sentence"]]
-        for row, block in zip(data["rows"], block_column(data), strict=True)
-    ]
-    table("loop test of the heartbeats", ("", *_several(data), "step", "seen"), rows)
-
-
-def _several(data: Mapping[str, Any]) -> tuple[str, ...]:
-    return ("block",) if any(block_column(data)) else ()
-
-
-def _state(row: Mapping[str, Any]) -> str:
-    return "ok" if row["ok"] else "FAILED"
+    yield rows_of_test("loop test of the heartbeats", data, lambda row: {"step": row["step"], "seen": row["sentence"]})

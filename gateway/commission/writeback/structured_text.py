@@ -14,7 +14,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from drivers.tag import DType, Order, Tag
-from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, FRAME, described, unknown_word
+from gateway.commission.writeback.fields import (
+    ALARM_BITS,
+    ALARM_MEANINGS,
+    ALWAYS_KNOWN,
+    FRAME,
+    describe_field,
+    unknown_word,
+)
 from gateway.commission.writeback.targets import TARGETS, PlcTool
 from gateway.settings import DeviceMap, WritebackLayout
 
@@ -130,7 +137,7 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
                 "type": kind if whole else "REAL",
                 "expression": count if whole else f"{kind}_TO_REAL({count}) * {_real(field.scale)}",
                 "unknown": "" if field.name in ALWAYS_KNOWN else f"{unknown_word(field, layout):04X}",
-                "note": described(field.name),
+                "note": describe_field(field.name),
             }
         )
     advice = next((output for output in outputs if output["name"] == "p_limit"), None)

@@ -1,10 +1,11 @@
 """Putting a PLC's side of the write-back contract through the conformance suite, step by step."""
 
-from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from gateway.commission.writeback.vectors import SuiteStep
+from gateway.console import Progress
 from gateway.machine.writing import crc
 
 
@@ -67,7 +68,7 @@ async def put_through(
     side: PlcSide,
     codes: Mapping[str, int],
     names: Sequence[str],
-    progress: Callable[[str, float], None] = lambda _name, _share: None,
+    progress: Progress = lambda _name, _share: None,
 ) -> list[Result]:
     """The result of every step; `names` are the block's fields. Raises DriverError where the PLC cannot be reached."""
     return await put_together(steps, [side], codes, names, progress)
@@ -78,7 +79,7 @@ async def put_together(
     sides: Sequence[PlcSide],
     codes: Mapping[str, int],
     names: Sequence[str],
-    progress: Callable[[str, float], None] = lambda _name, _share: None,
+    progress: Progress = lambda _name, _share: None,
 ) -> list[Result]:
     """As `put_through`, with one PLC's several blocks: each step is put to its `block`, and all of them are watched."""
     return [result async for result in each_result(steps, sides, codes, names, progress)]
@@ -89,7 +90,7 @@ async def each_result(
     sides: Sequence[PlcSide],
     codes: Mapping[str, int],
     names: Sequence[str],
-    progress: Callable[[str, float], None] = lambda _name, _share: None,
+    progress: Progress = lambda _name, _share: None,
 ) -> AsyncGenerator[Result, None]:
     """The results of `put_together`, each as soon as its step is done."""
     sent: dict[str, tuple[int, ...]] = {}
@@ -119,13 +120,15 @@ async def each_result(
             continue
         wrong = [judge(step, before[step.block], after[step.block], codes)]
         wrong += [
-            spilt(before[other], after[other], after[step.block]) for other in range(len(sides)) if other != step.block
+            find_spill(before[other], after[other], after[step.block])
+            for other in range(len(sides))
+            if other != step.block
         ]
         yield Result(step.name, "; ".join(filter(None, wrong)))
         before = after
 
 
-def spilt(before: Account, after: Account, own: Account) -> str:
+def find_spill(before: Account, after: Account, own: Account) -> str:
     """What a step has wrongly done to a block that it was not put to, in words; `own` is its own block's account."""
     faults = []
     if (after.accepted, after.refused) != (before.accepted, before.refused):

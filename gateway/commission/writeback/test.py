@@ -1,24 +1,75 @@
 """`decanter plc test`: what is written on purpose to see that the PLC's side of the write-back works."""
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from gateway.commission.session import CommandResult, SharedOptions, audit_option, link_options, perform
-from gateway.commission.writeback.block_writer import BlockWriter, of_each_block, with_block_writers
-from gateway.commission.writeback.conformance import conform_all, show_conformance
-from gateway.commission.writeback.loop import alarm_loop, heartbeat_loop, show_alarms, show_heartbeats
+from gateway.commission.options import SharedOptions, audit_option, link_options
+from gateway.commission.session import perform
+from gateway.commission.writeback.block_writer import (
+    BlockWriter,
+    join_results,
+    of_each_block,
+    rows_of_test,
+    with_block_writers,
+)
+from gateway.commission.writeback.loop import alarm_loop, heartbeat_loop, view_alarms, view_heartbeats
+from gateway.commission.writeback.suite import Result, put_through, put_together
+from gateway.commission.writeback.vectors import SuiteStep, together, vectors
+from gateway.console import CommandResult, Progress, Rows, View
 
-Test = Callable[[Sequence[BlockWriter], Callable[[str, float], None]], Awaitable[CommandResult]]
-TESTS: dict[str, tuple[Test, Callable[[Mapping[str, Any]], None], tuple[str, ...]]] = {
-    "alarms": (of_each_block(alarm_loop), show_alarms, ("ask",)),
-    "heartbeat": (of_each_block(heartbeat_loop), show_heartbeats, ("watchdog",)),
-    "conformance": (conform_all, show_conformance, ("ask",)),
+
+async def conform(writer: BlockWriter, progress: Progress, steps: tuple[SuiteStep, ...] = ()) -> CommandResult:
+    """Every step's result; `steps` are those of the device file's layout unless given. Raises DriverError."""
+    names = [field.name for field in writer.layout.fields]
+    results = await put_through(steps or vectors(writer.layout), writer, writer.device.refusals, names, progress)
+    return outcome(results)
+
+
+async def conform_all(writers: Sequence[BlockWriter], progress: Progress) -> CommandResult:
+    """Every block's own suite, and where there are several the steps for all of them together. Raises DriverError."""
+    if len(writers) == 1:
+        return await conform(writers[0], progress)
+    results = [(writer.layout.temperature or "", await conform(writer, progress)) for writer in writers]
+    return join_results([*results, ("together", await conform_together(writers, progress))])
+
+
+async def conform_together(writers: Sequence[BlockWriter], progress: Progress) -> CommandResult:
+    """What is sent to one block never makes another one usable: the result of each step. Raises DriverError."""
+    first = writers[0]
+    names = [field.name for field in first.layout.fields]
+    return outcome(await put_together(together(first.layout), writers, first.device.refusals, names, progress))
+
+
+def outcome(results: Sequence[Result]) -> CommandResult:
+    """The steps' results as a command's."""
+    rows: list[dict[str, Any]] = [{**asdict(result), "ok": not result.wrong} for result in results]
+    wrong, skipped = [result for result in results if result.wrong], [result for result in results if result.skipped]
+    passed, complaint = sum(result.passed for result in results), ""
+    if wrong:
+        complaint = f"{len(wrong)} steps failed, the first: {wrong[0].step}: {wrong[0].wrong}"
+    elif not passed:
+        complaint = f"no step could be put: {skipped[0].skipped}"
+    return CommandResult({"steps": len(rows), "passed": passed, "skipped": len(skipped), "rows": rows}, complaint)
+
+
+def view_conformance(data: Mapping[str, Any]) -> Iterator[Rows]:
+    """The result of `conform` for a person."""
+    title = f"conformance: {data['passed']} of {data['steps']} steps passed, {data['skipped']} could not be put"
+    yield rows_of_test(title, data, lambda row: {"step": row["step"], "why": row["wrong"] or row["skipped"]})
+
+
+Test = Callable[[Sequence[BlockWriter], Progress], Awaitable[CommandResult]]
+TESTS: dict[str, tuple[Test, View, tuple[str, ...]]] = {
+    "alarms": (of_each_block(alarm_loop), view_alarms, ("ask",)),
+    "heartbeat": (of_each_block(heartbeat_loop), view_heartbeats, ("watchdog",)),
+    "conformance": (conform_all, view_conformance, ("ask",)),
 }
-"""What can be tested -> the test, how its result is shown, and which of the command's options it takes."""
+"""What can be tested -> the test, what is seen of its result, and which of the command's options it takes."""
 
 
 @click.command(short_help="Test the PLC's side: alarm bits, heartbeats, the contract; needs an arming.")
@@ -37,7 +88,7 @@ def test(given: SharedOptions, what: str, audit: Path | None, **options: bool | 
     conformance puts the PLC's side through the suite of the contract: whole, torn, wrong and late blocks, for about
     five times the PLC's timer. With --ask a person gives and takes the permit when the suite wants it.
     """
-    work, show, taken = TESTS[what]
+    work, view, taken = TESTS[what]
     for name, value in options.items():
         if value is not None and name not in taken:
             others = " and ".join(other for other, (_, _, names) in TESTS.items() if name in names)
@@ -46,4 +97,4 @@ def test(given: SharedOptions, what: str, audit: Path | None, **options: bool | 
     arguments = {"ask": ask} if "ask" in taken else {"watchdog": watchdog}
     if what == "heartbeat":
         work = of_each_block(partial(heartbeat_loop, watchdog=watchdog))
-    perform(given, f"test {what}", arguments, with_block_writers(given, audit, f"test {what}", work, ask=ask), show)
+    perform(given, f"test {what}", arguments, with_block_writers(given, audit, f"test {what}", work, ask=ask), view)

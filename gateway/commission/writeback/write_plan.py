@@ -5,16 +5,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import click
-
 from drivers.device_file import STATUS_TAGS
 from drivers.driver import Writes
 from drivers.errors import DriverError
-from gateway.commission.session import CommandResult, Site, at
+from gateway.commission.session import Site, at
 from gateway.commission.survey import reference_of
 from gateway.commission.writeback.block_writer import layouts_of
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
-from gateway.console import table
+from gateway.console import CommandResult, Line, Part, Rows
 from gateway.machine.writing import places_for, uptime
 from gateway.settings import LEAST_BLOCKS, DeviceMap
 from gateway.store import standing
@@ -68,7 +66,7 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
         "problems": problems,
     }
     complaint = f"{len(problems)} things stand in the way of writing: {problems[0]}" if problems else ""
-    return CommandResult(data, int(bool(problems)), complaint)
+    return CommandResult(data, complaint)
 
 
 def problems_of(site: Site, device: DeviceMap) -> Iterator[str]:
@@ -101,26 +99,22 @@ def problems_of(site: Site, device: DeviceMap) -> Iterator[str]:
         yield f"the driver refuses the write map: {error}"
 
 
-def show_writing(data: Mapping[str, Any]) -> None:
+def writing_view(data: Mapping[str, Any]) -> Iterator[Part]:
     """The result of `plan_writing` for a person."""
     columns = ("field", "address", "reference", "type", "scale", "unit", "unknown", "meaning")
     for block in dict.fromkeys(word["block"] for word in data["words"]):
-        rows = [
-            [word[column] if column != "scale" else f"{word['scale']:g}" for column in columns]
-            for word in data["words"]
-            if word["block"] == block
-        ]
+        rows = [{**word, "scale": f"{word['scale']:g}"} for word in data["words"] if word["block"] == block]
         of = f" of {block}" if block else ""
-        table(f"the closed write map{of}: {len(rows)} words, layout version {data['layout_version']}", columns, rows)
+        yield Rows(
+            f"the closed write map{of}: {len(rows)} words, layout version {data['layout_version']}", columns, rows
+        )
     bits = ", ".join(f"{bit['bit']} {bit['name']}" for bit in data["alarm_bits"])
-    click.echo(f"alarm bits: {bits}")
+    yield f"alarm bits: {bits}"
     period = f"a block a scan ({data['period_s']:g} s)" if data["period_s"] else "a block a scan"
-    click.echo(f"one request a block, sent once; {period}, at most {data['most_per_second']:g} a second")
-    click.echo(f"the PLC's timer: {data['plc_timer_s']:g} s; audit log {data['audit']}")
-    armed = data["armed"]
-    if armed:
-        click.secho(f"ARMED until {at(armed['until'])} by {armed['by']}: {armed['reason']}", fg="yellow")
+    yield f"one request a block, sent once; {period}, at most {data['most_per_second']:g} a second"
+    yield f"the PLC's timer: {data['plc_timer_s']:g} s; audit log {data['audit']}"
+    if armed := data["armed"]:
+        yield Line(f"ARMED until {at(armed['until'])} by {armed['by']}: {armed['reason']}", "yellow")
     else:
-        click.echo(f"not armed{', mode ' + data['mode'] if data['mode'] else ''}")
-    for problem in data["problems"]:
-        click.secho(f"missing: {problem}", fg="red")
+        yield f"not armed{', mode ' + data['mode'] if data['mode'] else ''}"
+    yield from (Line(f"missing: {problem}", "red") for problem in data["problems"])

@@ -64,7 +64,7 @@ JUDGING = 4 * HELD_OUT
 """The newest of the new cycles, a quarter of which is held out: a model is to forecast the plant as it is now."""
 RECENT = 2.0
 """Times the room of a training that the cycles have together that are learned from before any older one."""
-FALLEN = 0.2
+RETUNE_SHARE = 0.2
 """The share of new cycles badly predicted from which settings are searched anew; where a model is right it is 0.1."""
 SPARSE = 10.0
 """Seconds between the rows that a diagnosis is given."""
@@ -204,7 +204,7 @@ def retrain(
     learned = library.step(study, "learned")
     if learned is None:
         fresh = new_cycles(library, present)
-        fallen = sum(row.rating == "badly predicted" for row in fresh) / max(len(fresh), 1) > FALLEN
+        fallen = sum(row.rating == "badly predicted" for row in fresh) / max(len(fresh), 1) > RETUNE_SHARE
         settings_found: Settings = {}
         tuned = ""
         if request.trials and fallen:

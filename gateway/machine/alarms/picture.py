@@ -39,7 +39,7 @@ BENT: Mapping[tuple[AlarmState, AlarmState], float] = {
     (AlarmState.SUPPRESSED, AlarmState.OUT_OF_SERVICE): 40,
 }
 """Arrows that go round the boxes between their ends: by how much their middle is moved down."""
-BESIDE = 9.0
+PAIR_GAP = 9.0
 """By how much the two arrows of a pair stand apart."""
 
 
@@ -136,7 +136,7 @@ def _arrow(source: AlarmState, target: AlarmState, label: str, *, pair: bool) ->
             middle = (300, y + 85)
         return _path(path) + _label(middle, label)
     length = hypot(to_x - x, to_y - y)
-    across = ((y - to_y) / length * BESIDE, (to_x - x) / length * BESIDE) if pair else (0.0, 0.0)
+    across = ((y - to_y) / length * PAIR_GAP, (to_x - x) / length * PAIR_GAP) if pair else (0.0, 0.0)
     begin, end = (x + across[0], y + across[1]), (to_x + across[0], to_y + across[1])
     return _line(_border(begin, end), _border(end, begin), label, across[0] * 3.5, across[1] * 1.5)
 

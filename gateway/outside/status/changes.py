@@ -28,7 +28,8 @@ SAID_BY_CHANGES = frozenset(
         "the promoted model is refused and the former one goes on",
         "the records cannot be relied on",
         "the records can be relied on again",
-        "the clock is looked at anew",
+        "the clock cannot be relied on",
+        "the clock can be relied on again",
     }
 )
 """Events of the log that these lines say too: who reads the lines needs them only in the file."""

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from sim.lab.learning.correction import FORMS, LearnedCorrection, corrected_model, learn_correction
     from sim.lab.learning.data import in_order
     from sim.lab.learning.fleet import (
-        SURE,
+        FALSE_FINDING_CHANCE,
         GroupTargets,
         StandsOut,
         grouped_targets,
@@ -83,6 +83,7 @@ else:
     __getattr__ = opened_at_use(__name__)
 
 __all__ = [
+    "FALSE_FINDING_CHANCE",
     "FOLDS",
     "FORMS",
     "LEAST",
@@ -90,7 +91,6 @@ __all__ = [
     "LEAST_SHARE",
     "PERSISTENCE",
     "RATES",
-    "SURE",
     "SWITCH_STEPS",
     "TREND",
     "Bite",

@@ -19,7 +19,7 @@ ORIGINS = 100
 RUNS = 128
 MOST_ROWS = 10_000
 """Rows filtered in all; more are thinned evenly, the forecasts' outcomes are not."""
-SURE, UNSURE = 4.0, 1.25
+PRIOR_FORECASTS, PRIOR_FACTOR = 4.0, 1.25
 """A factor of 1.25 counts for four independent forecasts: the model does not know how wrong its own flows may be."""
 PLAIN_ROWS = 4_000
 """The same of a plain member: what it was worth at training is only where its weight begins."""
@@ -197,7 +197,7 @@ def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
         independent = 1.0 + float(np.minimum(np.diff(due), horizon).sum()) / horizon
         level = min(0.9 * (1.0 + 1.0 / independent), 0.97)
         seen = min(max(float(np.quantile(z, level)) / Z90, LEAST), MOST)
-        factor = exp((independent * log(seen) + SURE * log(UNSURE)) / (independent + SURE))
+        factor = exp((independent * log(seen) + PRIOR_FORECASTS * log(PRIOR_FACTOR)) / (independent + PRIOR_FORECASTS))
         covered, crps = float(np.mean(z <= Z90)), float(np.mean([each.crps for each in forecasts]))
         table.append(
             Coverage(

@@ -28,7 +28,7 @@ from sim.sha import RELAXING, Alphabet, Array, Correction, Model, Trace
 
 LEAST_FLEET = 5
 """Machines below which none is said to stand out: what the others differ by is not known then."""
-SURE = 0.01
+FALSE_FINDING_CHANCE = 0.01
 """The chance, over the whole fleet and all groups, that any machine is said to stand out though all are alike."""
 LEAST_PULL = 0.1
 """degC (root mean square) by which a degree in the targets of a group must move the readings: less tells nothing."""
@@ -159,9 +159,9 @@ def _group_fit(
 def outstanding(fleet: Mapping[str, Mapping[str, GroupTargets]]) -> dict[str, tuple[StandsOut, ...]]:
     """The machines whose targets stand out of the others', and where, by their targets by machine and group.
 
-    SURE is shared evenly among the groups that LEAST_FLEET machines tell of; in each the machines are judged by Holm's
-    step-down (1979). One that stands out is not among the others when the next is judged, since two would else hide one
-    another. The least likely machine first, of each the least likely group.
+    FALSE_FINDING_CHANCE is shared evenly among the groups that LEAST_FLEET machines tell of; in each the machines are
+    judged by Holm's step-down (1979). One that stands out is not among the others when the next is judged, since two
+    would else hide one another. The least likely machine first, of each the least likely group.
     """
     groups = sorted({group for own in fleet.values() for group in own})
     told = {group: {name: own[group] for name, own in fleet.items() if group in own} for group in groups}
@@ -173,7 +173,7 @@ def outstanding(fleet: Mapping[str, Mapping[str, GroupTargets]]) -> dict[str, tu
             beyond, differ, chances = _held_against_others(list(left.values()))
             place = int(np.argmin(chances))
             chance = min(1.0, float(chances[place]) * len(left) * len(told))
-            if chance > SURE:
+            if chance > FALSE_FINDING_CHANCE:
                 break
             name = list(left)[place]
             found.setdefault(name, []).append(StandsOut(group, float(beyond[place]), float(differ[place]), chance))

@@ -99,7 +99,7 @@ class FreeRunFit:
 
 
 @dataclass(frozen=True, slots=True)
-class _AlikeSteps:
+class _StepsOfOneKind:
     """The `rows` whose locations have one `kind` of flow and one `rate` (a number; -1: none), their age and length."""
 
     kind: str
@@ -113,7 +113,7 @@ class _AlikeSteps:
 class _StepsOfRuns:
     """All n steps of some runs, by what does not depend on the rates; `first` (n,) are the knots that begin a run."""
 
-    alike: tuple[_AlikeSteps, ...]
+    alike: tuple[_StepsOfOneKind, ...]
     first: Mask
 
     def at(self, log_rates: Array) -> tuple[Array, Array]:
@@ -141,7 +141,7 @@ def _steps_of(runs: FreeRuns, shape: FitShape) -> _StepsOfRuns:
         inside = np.zeros(len(shape.kinds), dtype=bool)
         inside[places] = True
         rows = np.flatnonzero(inside[runs.place]) if len(alike) > 1 else slice(None)
-        found.append(_AlikeSteps(kind, rate, rows, runs.age[rows], runs.dt[rows]))
+        found.append(_StepsOfOneKind(kind, rate, rows, runs.age[rows], runs.dt[rows]))
     return _StepsOfRuns(tuple(found), runs.first)
 
 

@@ -39,7 +39,7 @@ STEP = 1e-4
 """Of the logarithms, for the gradient by forward differences."""
 WORTH = 2.0
 """Nats of held-out log-likelihood, in all independent looks, that a memory must gain."""
-STRANGE = 10.0
+UNKNOWN_OFFSET_SIGMA = 10.0
 """degC by which m is taken to be unknown while memories of the sensor's error are compared. In the training each m is
 known from all the rest; a gateway on another machine learns it from minutes of readings, and there it counts whether
 these err together."""
@@ -555,7 +555,7 @@ def fit_noises(
         return [_levels(task, best)]  # nothing could be held out
     # The sensor's error first: one that lasts looks like heat with a short memory.
     strange = best.copy()
-    strange[task.scatters] = log(STRANGE)
+    strange[task.scatters] = log(UNKNOWN_OFFSET_SIGMA)
     lasting = [
         replace(task, steps=replace(steps, repeats=_repeats(steps, memory)), sensor_memory=memory)
         for memory in memories.sensor

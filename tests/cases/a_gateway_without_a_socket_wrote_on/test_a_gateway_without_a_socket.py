@@ -28,7 +28,7 @@ from gateway.settings import Config
 from gateway.store.audit import ARMED as ARMED_ROW
 from gateway.store.audit import DISARMED, AuditEntry, read
 from gateway.store.audit_damage import open_or_set_aside
-from gateway.store.durable import BESIDE
+from gateway.store.durable import DATABASE_SUFFIXES
 from sim.plc.record.recording import read_recording
 from tests.cases.the_end_of_the_audit_log.test_the_end_of_the_audit_log import appended
 from tests.gateway.support import Bench, JumpClock, config_in, two_modes
@@ -128,7 +128,7 @@ def test_what_was_taken_back_in_a_log_that_is_lost_is_not_held_against_a_new_one
         assert (found.who, found.row) == ("Bea", 2)
         with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
             source.backup(target)
-        for suffix in BESIDE:
+        for suffix in DATABASE_SUFFIXES:
             path.with_name(path.name + suffix).unlink(missing_ok=True)
         if not lost:
             copy.rename(path)

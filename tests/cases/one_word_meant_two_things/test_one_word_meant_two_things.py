@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli.main import main
+from gateway.commission.options import SharedOption
 from gateway.commission.session import make_target
-from gateway.connection import SharedOption
 from gateway.console import table
 from gateway.console.output import bands
 from gateway.entry.lazy import LazyGroup

@@ -11,9 +11,11 @@ import pytest
 
 from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyTimeout
 from drivers.survey import ReadWords
-from gateway.commission.session import CommandResult, Site, make_target
+from gateway.commission.session import Site, make_target
+from gateway.commission.session import site as site_module
 from gateway.commission.session.evidence import FrameEvidence
-from gateway.commission.survey import scan_units, units
+from gateway.commission.survey import scan_units
+from gateway.console import CommandResult
 
 
 @dataclass
@@ -51,7 +53,7 @@ def scanned(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., tu
         async def opened(*_: Any, **__: Any) -> AsyncIterator[AnsweringUnits]:
             yield line
 
-        monkeypatch.setattr(units, "open_registers", opened)
+        monkeypatch.setattr(site_module, "open_registers", opened)
         site = Site(make_target(given={"host": "127.0.0.1"}), FrameEvidence())
         return asyncio.run(scan_units(site, wanted, lambda *_: None)), site
 

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.modbus.driver import open_modbus
 from drivers.tag import Quality, Tag
-from gateway.commission.probe import proposed
+from gateway.commission.probe import propose_timeout
 from tests.commission.bench import plc as commissioned
 from tests.drivers.scripted import Bend, ScriptedPlc, read_reply, transaction_of
 
@@ -90,10 +90,10 @@ async def test_the_answer_to_an_earlier_reading_is_not_todays(plc: ScriptedPlc) 
 
 
 def test_probe_proposes_a_timeout_by_what_it_measured() -> None:
-    assert proposed(0.002) == (0.2, 2)
-    assert proposed(0.32) == (0.5, 2)
-    assert proposed(1.2) == (2.0, 1)
-    assert proposed(55.0) == (60.0, 1)
+    assert propose_timeout(0.002) == (0.2, 2)
+    assert propose_timeout(0.32) == (0.5, 2)
+    assert propose_timeout(1.2) == (2.0, 1)
+    assert propose_timeout(55.0) == (60.0, 1)
 
 
 async def test_soak_names_the_timeout_and_not_the_period(plc: ScriptedPlc, tmp_path: Path) -> None:

@@ -182,7 +182,7 @@ def _best(
     score: Callable[[FoundColumn], int],
     reasons: dict[str, str],
 ) -> FoundColumn | None:
-    """The column whose name and unit speak most for a part; None if none does."""
+    """The column with the best score for a part, by its name and unit; None where none has any."""
     highest = max(map(score, columns), default=0)
     best = [column for column in columns if score(column) == highest] if highest > 0 else []
     if not best:

@@ -25,7 +25,7 @@ from sim.lab.checking.smc.monitors.monitor import inside
 from sim.lab.checking.smc.paths import Indices, Piece
 from sim.sha import Array, Mask
 
-HAIR, SAME = 1e-6, 1e-7
+INWARD_S, SAME_INSTANT_S = 1e-6, 1e-7
 """Seconds by which an end that does not belong to a stretch is moved inwards (a cause that has just ended and an effect
 that begins there are then apart), and by which two instants may differ and still be one."""
 
@@ -97,13 +97,13 @@ class ResponseMonitor:
         lost = np.zeros(who.size, dtype=np.bool_)
         if effect is not None:
             answered = effect[0] < inf
-            lost |= answered & (effect[0] > waiting + width + SAME)
+            lost |= answered & (effect[0] > waiting + width + SAME_INSTANT_S)
             waiting[answered] = inf
             for first, last in due:
                 # A cause that goes on beyond the effect waits from there on: the effect is over for it.
-                rest = np.maximum(first, effect[1] + HAIR)
+                rest = np.maximum(first, effect[1] + INWARD_S)
                 waiting = np.where(answered & (rest <= last), np.minimum(waiting, rest), waiting)
-        lost |= stop > waiting + width + SAME
+        lost |= stop > waiting + width + SAME_INSTANT_S
         self.waiting[who] = waiting
         self.lost[who] |= lost
 
@@ -116,7 +116,7 @@ class ResponseMonitor:
             begins, ends = first[who], np.minimum(last[who], stop)
             if np.any(begins <= ends):
                 due.append((begins, ends))
-                first[who] = np.maximum(begins, stop + HAIR)
+                first[who] = np.maximum(begins, stop + INWARD_S)
         # Lost runs are no longer shown, so that what they had to wait for stays.
         while self.later and not np.any((self.later[0][1] <= self.later[0][2]) & ~self.lost):
             del self.later[0]
@@ -146,7 +146,7 @@ class ResponseMonitor:
             at_begin, inner = opening[0], truth[0]
             if not np.any(at_begin) and not np.any(inner):
                 return None
-            first = np.where(at_begin, begin, np.where(inner, begin + HAIR, inf))
+            first = np.where(at_begin, begin, np.where(inner, begin + INWARD_S, inf))
             last = np.where(inner, stop, np.where(at_begin, begin, -inf))
         else:
             met = exists(self.compiled, which, piece)
@@ -155,7 +155,7 @@ class ResponseMonitor:
             if not np.any(met) and not np.any(at_begin):
                 return None
             moment = begin + piece.dt * self._share(which, piece)
-            first = np.where(at_begin, begin, np.where(inner, begin + HAIR, np.where(met, moment, inf)))
+            first = np.where(at_begin, begin, np.where(inner, begin + INWARD_S, np.where(met, moment, inf)))
             last = np.where(at_end, stop, np.where(inner | met, moment, np.where(at_begin, begin, -inf)))
         shape = piece.start.shape
         return np.broadcast_to(first, shape), np.broadcast_to(last, shape)
@@ -182,4 +182,4 @@ class ResponseMonitor:
 
 def _last_instant(piece: Piece) -> Value:
     """The last instant (s) that is the piece's own: its end is the begin of what follows, unless it has no length."""
-    return piece.begin + piece.dt - np.where(np.asarray(piece.dt) > 0.0, HAIR, 0.0)
+    return piece.begin + piece.dt - np.where(np.asarray(piece.dt) > 0.0, INWARD_S, 0.0)

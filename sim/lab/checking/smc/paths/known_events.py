@@ -44,7 +44,7 @@ MOST_ROWS = 200_000
 
 Affine = tuple[float, float, float]
 
-_SAME = 1e-9
+_SAME_END_S = 1e-9
 """Seconds within which two ends of steps are one."""
 
 
@@ -264,8 +264,8 @@ def _outputs(coarse: Schedule, cuts: Cuts) -> Array:
     doubled = np.repeat(np.array(sorted(instants)), 2)
     singles = np.unique(np.concatenate(points))
     ends = np.append(begins[1:], np.inf)  # steps end there anyway
-    near = ends[np.clip(np.searchsorted(ends, singles - _SAME), 0, ends.size - 1)]
-    singles = singles[(np.abs(singles - near) > _SAME) | (singles == cuts.bound)]
+    near = ends[np.clip(np.searchsorted(ends, singles - _SAME_END_S), 0, ends.size - 1)]
+    singles = singles[(np.abs(singles - near) > _SAME_END_S) | (singles == cuts.bound)]
     singles = singles[~np.isin(singles, doubled)]
     return np.sort(np.concatenate([singles, doubled]))
 

@@ -43,7 +43,7 @@ deviation of the bridge, four stationary deviations away from the target."""
 LONGEST = 4.0
 """Longest piece (s) where the order of two things within one piece counts."""
 
-NEAR = 40.0
+NEGLIGIBLE_EXPONENT = 40.0
 """A bridge whose (p0 - x0) (p1 - x1) exceeds 20 V reaches the line with a chance below exp(-40); nothing is drawn."""
 
 LEAST_DECAY = exp(-1.0)
@@ -278,7 +278,7 @@ def near(piece: Piece, begin: float | Array, end: float | Array) -> Mask:
     """Whether a run's bridge may reach the line from `begin` to `end`, or an end of the piece lies beyond it."""
     product = begin - piece.start
     product *= end - piece.end
-    return np.asarray(product < (NEAR / 2.0) * piece.bridge)
+    return np.asarray(product < (NEGLIGIBLE_EXPONENT / 2.0) * piece.bridge)
 
 
 def with_extremes(

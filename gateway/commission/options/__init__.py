@@ -1,0 +1,12 @@
+"""The options that all `decanter plc` commands share, in a room of their own: the help of `plc` loads nothing else."""
+
+from gateway.commission.options.shared import (
+    SharedOption,
+    SharedOptions,
+    audit_option,
+    link_options,
+    record_options,
+    shared_options,
+)
+
+__all__ = ["SharedOption", "SharedOptions", "audit_option", "link_options", "record_options", "shared_options"]

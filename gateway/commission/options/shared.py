@@ -1,0 +1,192 @@
+"""The options that all `decanter plc` commands share: which device over which link, what to keep, who asks.
+
+They are listed once, in the help of `plc`; nothing heavy is imported for it.
+"""
+
+import tomllib
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from drivers.driver import LINKS
+from drivers.named_files import parse_toml
+from gateway.console import find_plant_file
+
+_FILE = click.Path(path_type=Path)
+RECORDS = Path("out/commissioning.jsonl")
+
+
+class SharedOption(click.Option):
+    """An option that many commands take and only their group's help lists; completion offers it everywhere."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Its line in the help of a group; none in that of a command."""
+        return super().get_help_record(ctx) if isinstance(ctx.command, click.Group) else None
+
+
+def _shared(*names: str, **settings: Any) -> Any:
+    return click.option(*names, cls=SharedOption, **settings)
+
+
+_TARGET_OPTIONS = (
+    _shared(
+        "--config",
+        "plant",
+        type=_FILE,
+        help="Plant file: its first link, or the one that --link names.  [default: plant.toml, config/plant.toml]",
+    ),
+    _shared("--machine", metavar="NAME", help="Which machine of a plant file that has several."),
+    _shared("--device", type=_FILE, help="Device file (register map) instead of a plant file."),
+    _shared("--link", metavar="KIND", help=f"One of {', '.join(LINKS)}; with --config also a link's name."),
+)
+_DRIVER_OPTIONS = (
+    _shared("--host", help="Modbus over a network: the PLC's name or address."),
+    _shared("--port", type=click.IntRange(1, 65535), help="Its TCP port (502; TLS: 802)."),
+    _shared("--unit", type=click.IntRange(0, 255), help="Modbus unit (1)."),
+    _shared("--timeout", type=click.FloatRange(0.001, 60), help="Deadline of one request in seconds."),
+    _shared("--serial", metavar="PATH", help="Modbus RTU: the serial port."),
+    _shared("--baud", type=click.IntRange(300), help="Bits a second of the serial line (19200)."),
+    _shared("--parity", type=click.Choice(["N", "E", "O"]), help="Parity of the serial line (E)."),
+    _shared(
+        "--tls", "certificates", metavar="DIR", help="Modbus/TCP Security: folder of ca.pem, client.pem, client.key."
+    ),
+    _shared("--interface", help="CAN: python-can's name of the interface (socketcan), or 'hub'."),
+    _shared("--channel", help="CAN: the interface's own, such as can0, or a hub's path."),
+    _shared("--bitrate", type=click.IntRange(1000), help="CAN: bits a second."),
+    _shared("--node", type=click.IntRange(1, 127), help="CANopen node."),
+    _shared("--eds", type=_FILE, help="CANopen: the node's EDS file."),
+    _shared("--dbc", type=_FILE, help="CAN: a DBC file."),
+)
+_OTHERS = _shared("--set", "others", multiple=True, metavar="KEY=VALUE", help="Any other setting of the driver.")
+CONNECTION_OPTIONS = (*_TARGET_OPTIONS, *_DRIVER_OPTIONS, _OTHERS)
+"""Which device over which link: for what a plant file does not say."""
+
+RECORD_OPTIONS = (
+    _shared("--json", "as_json", is_flag=True, help="One JSON object instead of text."),
+    _shared("--pcap", type=_FILE, help="Also keep the frames in this pcap file."),
+    _shared(
+        "--records",
+        type=_FILE,
+        default=RECORDS,
+        show_default=True,
+        envvar="DECANTER_RECORDS",
+        help="Append what was done to this file.",
+    ),
+    _shared(
+        "--by",
+        default="",
+        envvar="DECANTER_BY",
+        help="Who asks.  [default: the login; arm wants a name]",
+    ),
+)
+"""What is kept of a command, and by whom it was asked."""
+
+
+def _made(options: Any) -> list[click.Parameter]:
+    command: Any = lambda **_: None  # noqa: E731
+    for option in reversed(options):
+        command = option(command)
+    return click.command("shared")(command).params
+
+
+def shared_options() -> tuple[list[click.Parameter], list[click.Parameter]]:
+    """The options of the connection and those of the records, as a command has them."""
+    return _made(CONNECTION_OPTIONS), _made(RECORD_OPTIONS)
+
+
+_SETTINGS = tuple(option.name for option in _made(_DRIVER_OPTIONS) if option.name)
+"""The driver's settings that have an option of their own."""
+
+
+@dataclass(frozen=True, slots=True)
+class SharedOptions:
+    """The shared options of one call; `settings` are the driver's."""
+
+    plant: Path | None
+    device: Path | None
+    link: str | None
+    machine: str | None
+    settings: Mapping[str, Any]
+    as_json: bool
+    pcap: Path | None
+    records: Path
+    by: str
+
+
+_PLACES = frozenset({"host", "serial", "channel"})
+"""Settings that name a device by themselves: where one is given, the working folder's plant file is not meant."""
+
+
+def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with all shared options; it gets them as one argument, `given`."""
+
+    @wraps(command)
+    def with_given(**options: Any) -> Any:
+        given = _given(options)
+        if given.plant is None and given.device is None and not _PLACES & set(given.settings):
+            with suppress(ValueError):  # what is missing without one the target says
+                given = replace(given, plant=find_plant_file())
+        return command(given=given, **options)
+
+    wrapped: Callable[..., Any] = with_given
+    for option in reversed((*CONNECTION_OPTIONS, *RECORD_OPTIONS)):
+        wrapped = option(wrapped)
+    return wrapped
+
+
+def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with --json, --records and --by alone, for one that speaks to no device; it gets `given` too.
+
+    Where neither --config, --audit nor --records says whose account is meant, it is the working folder's plant file's.
+    """
+
+    @wraps(command)
+    def with_given(**options: Any) -> Any:
+        filled = {"plant": None, "device": None, "link": None, "machine": None, "others": (), **options}
+        given = _given(filled)
+        default = click.get_current_context().get_parameter_source("records") is ParameterSource.DEFAULT
+        if default and given.plant is None and filled.get("audit") is None:
+            with suppress(ValueError):  # without one the audit log lies beside the records
+                given = replace(given, plant=find_plant_file())
+        return command(given=given, **filled)
+
+    wrapped: Callable[..., Any] = with_given
+    for option in reversed(RECORD_OPTIONS):
+        wrapped = option(wrapped)
+    return wrapped
+
+
+def audit_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with --audit; it gets `audit`."""
+    help_text = "The audit log.  [default: the plant file's; without one audit.sqlite beside the records]"
+    wrapped: Callable[..., Any] = click.option("--audit", type=_FILE, help=help_text)(command)
+    return wrapped
+
+
+def _given(options: dict[str, Any]) -> SharedOptions:
+    """Take the shared options out of all options."""
+    values = {name: options.pop(name, None) for name in _SETTINGS}
+    settings: dict[str, Any] = {
+        name: str(value) if isinstance(value, Path) else value for name, value in values.items() if value is not None
+    }
+    settings |= dict(map(_other, options.pop("others", ())))
+    names = ("plant", "device", "link", "machine", "as_json", "pcap", "records", "by")
+    kept = {name: options.pop(name, None) for name in names}
+    return SharedOptions(settings=settings, **kept)
+
+
+def _other(text: str) -> tuple[str, Any]:
+    """`max_registers=16` as a setting; the value is TOML, or else text."""
+    key, equals, value = text.partition("=")
+    if not (equals and key.strip()):
+        raise click.BadParameter(f"{text!r}: give KEY=VALUE, such as max_registers=16", param_hint="--set")
+    try:
+        return key.strip(), parse_toml(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value.strip()
