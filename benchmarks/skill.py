@@ -24,12 +24,12 @@ from benchmarks.figures import Figure, give
 from gateway.console import table
 from gateway.lab.judging.skill import PastForecaster, persist, rivals_room, scanned, skill_rows, train
 from gateway.settings import ForecastSection
+from sim.lab.judge import AHEAD, Skill, SkillRow, common, draw_skill, grouped, skill, tables
 from sim.lab.learning import PERSISTENCE
 from sim.lab.learning.bins import learn_bins
 from sim.lab.learning.lsha import learn_lsha
 from sim.lab.pictures import check_picture
 from sim.lab.recordings import ColumnMap, load_map, load_traces
-from sim.lab.skill import AHEAD, Skill, SkillRow, common, draw_skill, grouped, skill, tables
 from sim.sha import Model, Trace
 
 ROOT = Path(__file__).parents[1]

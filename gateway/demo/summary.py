@@ -19,22 +19,12 @@ from gateway.demo.folder import FURTHER_PICTURE
 from gateway.demo.heat import heat_result, raised_alarms
 from gateway.demo.heat_picture import draw_heat
 from gateway.demo.prepare import DemoBearing, DemoRun
-from gateway.lab.judging.facts import gate_of, origin_of
+from gateway.lab.judging.figures import gate_of, origin_of
 from gateway.machine.reading import STALE_PERIODS
 from gateway.settings import load_device
 from gateway.store import events, history, matured, samples, scorecard, to_trace
-from sim.lab.validation import (
-    Curve,
-    FitnessLimits,
-    Picture,
-    TraceJob,
-    TraceRunSettings,
-    draw,
-    fitness_of,
-    run_job,
-    why,
-)
-from sim.lab.validation import judge as criteria
+from sim.lab.judge import Curve, FitnessLimits, Picture, TraceJob, TraceRunSettings, draw, fitness_of, run_job, why
+from sim.lab.judge import judge as criteria
 from sim.sha import Array, Mask, Model
 
 AHEAD_S = 300.0

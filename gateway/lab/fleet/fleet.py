@@ -21,9 +21,9 @@ from gateway.lab.fleet.sources import TABLE, sources_in
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.models.show import spread_sentence
 from sim.forecast import Z90
+from sim.lab.judge import held
 from sim.lab.learning import MachineSpread, StandsOut, spread_of
 from sim.lab.recordings import load_map, units
-from sim.lab.validation import held
 from sim.lab.workers import cluster, processes
 from sim.sha import shown_unit
 

@@ -12,22 +12,22 @@ import click
 from drivers.named_files import regular
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
 from gateway.entry import Exit, fail, interruptible, sentences
-from gateway.lab.judging.facts import facts_of, gate_of, origin_of
-from gateway.lab.judging.judged_forecasts import judged_forecasts, skill_options
+from gateway.lab.judging.figures import facts_of, gate_of, judged_forecasts, origin_of, skill_options
 from gateway.lab.judging.skill import show_skill
-from sim.lab.pictures import check_picture
-from sim.lab.ranking import Ranking, Weights, as_plain, draw_ranking, entrants, write_page
-from sim.lab.ranking import rank as ranked
-from sim.lab.recordings import load_map, load_traces
-from sim.lab.skill import ForecastSkill
-from sim.lab.validation import (
+from sim.lab.judge import (
     CAMPAIGN,
     Facts,
+    ForecastSkill,
     Prepared,
     Progress,
+    Ranking,
     TraceResult,
     TraceRunSettings,
     Wanted,
+    Weights,
+    as_plain,
+    draw_ranking,
+    entrants,
     limits_of,
     outcomes_by_model,
     prepare,
@@ -35,7 +35,11 @@ from sim.lab.validation import (
     relabelled,
     run_here,
     unread,
+    write_page,
 )
+from sim.lab.judge import rank as ranked
+from sim.lab.pictures import check_picture
+from sim.lab.recordings import load_map, load_traces
 from sim.sha import Trace, shown_unit
 
 GENERATION = "04_model_generation.json"

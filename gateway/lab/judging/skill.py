@@ -18,10 +18,10 @@ from gateway.machine.model import forecasts_along, machine_offset_along, recorde
 from gateway.settings import ForecastSection
 from sim.forecast import DENSE
 from sim.lab.formats import find_model
+from sim.lab.judge import ForecastSkill, SkillRow, common, draw_skill, forecast_skill, persistence
 from sim.lab.learning import PERSISTENCE, outcomes_of
 from sim.lab.pictures import check_picture
 from sim.lab.recordings import load_map, load_traces
-from sim.lab.skill import ForecastSkill, SkillRow, common, draw_skill, forecast_skill, persistence
 from sim.sha import Alphabet, Array, Model, Trace, shown_unit
 
 OURS = "decanter"
@@ -147,12 +147,12 @@ def persist(past: ScannedPast, horizons: tuple[float, ...]) -> Array | None:
 
 
 def rivals_room() -> Any:
-    """The package `sim.lab.rivals`. Raises ValueError where it cannot be loaded.
+    """The package `sim.lab.judge.rivals`. Raises ValueError where it cannot be loaded.
 
     Loaded only where it is wanted: its methods bring scikit-learn, which nothing else here needs.
     """
     try:
-        return import_module("sim.lab.rivals")
+        return import_module("sim.lab.judge.rivals")
     except ModuleNotFoundError as error:
         raise ValueError(f"the rivals cannot be loaded ({error}); leave them out") from None
 

@@ -14,19 +14,16 @@ import click
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
 from gateway.entry import Exit, fail, interruptible, sentences
-from gateway.lab.judging.facts import facts_of
-from gateway.lab.judging.judged_forecasts import judged_forecasts, skill_options
+from gateway.lab.judging.figures import facts_of, judged_forecasts, skill_options
 from gateway.lab.traces.load import warned_of
 from sim.engine import Policy
 from sim.lab.formats import write_model_directory
-from sim.lab.ranking import METHODS, Task
-from sim.lab.recordings import ColumnMap, load_map, load_traces, units
-from sim.lab.skill import ForecastSkill
-from sim.lab.validation import (
+from sim.lab.judge import (
     LEARNED,
     CampaignPlan,
     CampaignSummary,
     Facts,
+    ForecastSkill,
     Prepared,
     Progress,
     TraceResult,
@@ -49,6 +46,8 @@ from sim.lab.validation import (
     unread,
     verdict,
 )
+from sim.lab.recordings import ColumnMap, load_map, load_traces, units
+from sim.lab.tuning import METHODS, Task
 from sim.sha import Trace, shown_unit
 
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from gateway.entry import sentence
 from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
+from gateway.lab.judging.comparison import scores_along
 from gateway.lab.regression.standard import CodeVersion, StandardSet
-from gateway.lab.retraining.judging import scores_along
 from sim.artefacts import model_hash
 from sim.files import at
 from sim.sha import Model, content_hash

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gateway.lab.judging.comparison import NEW, PRESENT, HorizonComparison
 from gateway.lab.retraining.cycle_library import RATINGS, CycleRow
-from gateway.lab.retraining.judging import NEW, PRESENT, HorizonComparison
 from sim.familiarity import FEATURES, ClassFigures
 from sim.lab.learning import PERSISTENCE
 from sim.lab.pages import page_environment

@@ -15,15 +15,15 @@ import click
 
 from gateway.console import emit, historian_machine_option, json_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
-from gateway.lab.retraining.cutting import CycleSource, Progress, and_after, cut_new, cycle_of
-from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
-from gateway.lab.retraining.judging import (
+from gateway.lab.judging.comparison import (
     LONGEST_HORIZON,
     MOST_FORECASTS,
     HorizonComparison,
     compared,
     scores_along,
 )
+from gateway.lab.retraining.cutting import CycleSource, Progress, and_after, cut_new, cycle_of
+from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
 from gateway.lab.retraining.training_record import created_of, read_record
 from gateway.store import machines, newest_scan, reading
 from sim.artefacts import current, load, promote, ran, read_familiarity, version_directory, versions
