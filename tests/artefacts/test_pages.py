@@ -25,7 +25,7 @@ def test_every_report_is_in_the_one_page_that_lets_nothing_run_or_be_fetched() -
         assert set(re.findall(r'<img[^>]* src="([^"]*)"', text)) <= {
             f"{{{{ {name} }}}}" for name in ("missing", "where", "errors", "cycles", "one.data")
         }, path
-    page = page_environment("sim").from_string('{% extends "page.html" %}').render()
+    page = page_environment("sim.lab").from_string('{% extends "page.html" %}').render()
     (policy,) = re.findall(r'<meta http-equiv="Content-Security-Policy" content="([^"]*)">', page)
     rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
     assert rules["default-src"] == "'none'" and rules["img-src"] == "data:" and "script-src" not in rules
@@ -38,5 +38,5 @@ def test_every_report_is_in_the_one_page_that_lets_nothing_run_or_be_fetched() -
     "place", ["<td>{{ name }}</td>", '<p title="{{ name }}">', "{% block title %}{{ name }}{% endblock %}"]
 )
 def test_names_are_text_wherever_a_template_puts_them(place: str) -> None:
-    made = page_environment("sim").from_string(place).render(name=MARKUP)
+    made = page_environment("sim.lab").from_string(place).render(name=MARKUP)
     assert "<script" not in made and "<img" not in made and '"><' not in made and "49" not in made

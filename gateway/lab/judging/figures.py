@@ -1,19 +1,34 @@
-"""What models forecast along recordings as the running gateway does, beside rivals, and what is known of them."""
+"""What models forecast along recordings as the running gateway does, beside rivals: rows that every command judges."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
+from math import inf
 from typing import Any
 
-import click
+import numpy as np
 
 from gateway.entry import sentence
-from gateway.lab.judging.skill import PastForecaster, fitted_rivals, lacking, persist, skill_rows
+from gateway.machine.model import forecasts_along, recorded_scans
 from gateway.settings import ForecastSection
-from sim.lab.judge import Facts, ForecastSkill, Prepared, SkillRow, forecast_skill
+from sim.lab.judge import (
+    NEW,
+    PRESENT,
+    ForecastSkill,
+    Past,
+    PastForecaster,
+    Prepared,
+    SkillRow,
+    common,
+    figures,
+    forecast_skill,
+    means,
+    persist,
+    trained,
+)
 from sim.lab.learning import PERSISTENCE
-from sim.proof import verify
-from sim.sha import DEGREES, Model, Trace
+from sim.sha import DEGREES, Alphabet, Array, Model, Trace
 
 SCAN = 1.0
 """s: the scan period of a gateway along a trace."""
@@ -21,6 +36,164 @@ LEAST_PERIOD, MOST_FORECASTS = 60.0, 200
 """s between two forecasts, and how many of them a trace gets at most: a forecast takes about 40 ms."""
 MOST_QUESTIONS = 40
 """Forecasts of a rival along a trace at most: some are fitted anew for each."""
+HORIZONS = ForecastSection().horizons
+LONGEST_HORIZON = max(HORIZONS)
+"""s: the outcome of a cycle's last forecast comes so long after it."""
+MOST_OF_CYCLE = 40
+"""How many forecasts a cycle gets at most where two versions are compared."""
+
+
+def scanned(trace: Trace, temperature: str, alphabet: Alphabet, period: float) -> Past:
+    """The whole trace as the gateway's scans show it; of the temperature what is new, of the others what is held."""
+    columns: dict[str, list[float]] = {name: [] for name in trace.signals}
+    times, read_at = [], float("nan")
+    for scan in recorded_scans(trace, period, alphabet):
+        times.append(scan.time)
+        for name, column in columns.items():
+            value = scan.good(name)
+            column.append(float("nan") if value is None else value)
+        # A reading that is only held is none of the temperature's: it would count twice.
+        if scan.samples[temperature].time == read_at:
+            columns[temperature][-1] = float("nan")
+        read_at = scan.samples[temperature].time
+    arrays = {name: np.array(column) for name, column in columns.items()}
+    return Past(np.array(times), arrays.pop(temperature), arrays)
+
+
+def skill_rows(
+    trace: Trace,
+    temperature: str,
+    alphabet: Alphabet,
+    *,
+    models: Mapping[str, Sequence[Model]],
+    others: Mapping[str, PastForecaster],
+    forecasts: ForecastSection,
+    scan_period: float = 1.0,
+    ask_period: float = 0.0,
+    since: float = -inf,
+    report: Callable[[str, float], None] = lambda what, share: None,
+) -> list[SkillRow]:
+    """What all methods forecast along a trace, for the moments whose outcome was read.
+
+    `models` are methods of ours: a model and the members beside it. The `others` are asked when the first of ours has
+    forecast, at most every `ask_period` s since some of them are slow; every `forecasts.period` s without any of ours.
+    No forecast is made before `since` (s, of the trace's clock). Raises ValueError where a method cannot follow the
+    trace.
+    """
+
+    def made() -> Iterator[tuple[str, float, Array]]:
+        origins: list[float] = []
+        for method, members in models.items():
+            own = forecasts_along(
+                members,
+                trace,
+                forecasts,
+                scan_period=scan_period,
+                since=since,
+                progress=lambda share, method=method: report(f"{trace.name}: {method}", share),  # type: ignore[misc]
+            )
+            yield from ((method, forecast.time, forecast.quantiles) for forecast in own)
+            origins = origins or [forecast.time for forecast in own]
+        if not trace.times.size:
+            return
+        past = scanned(trace, temperature, alphabet, scan_period)
+        if not models:
+            due = np.arange(max(past.times[0], since), past.times[-1], forecasts.period)
+            origins = past.times[np.unique(np.searchsorted(past.times, due))].tolist()
+        asked = -inf
+        for number, origin in enumerate(origins):
+            if origin - asked < ask_period:
+                continue
+            asked, known = origin, past.until(origin)
+            report(f"{trace.name}: {', '.join(others)}", number / len(origins))
+            for method, forecaster in others.items():
+                if (fan := forecaster(known)) is not None:
+                    yield method, origin, fan
+
+    return figures(trace, temperature, alphabet.gap, forecasts.horizons, made())
+
+
+def scores_along(
+    trace: Trace,
+    present: Model,
+    new: Model | None,
+    *,
+    seed: int,
+    report: Callable[[str, float], None],
+    most: int = MOST_OF_CYCLE,
+    until: float = inf,
+) -> list[dict[str, Any]]:
+    """A row for each horizon (s) and method along a trace: how many forecasts, CRPS and MAE (degC), coverage.
+
+    The forecasts are those that are made `until` then (s), `most` at most; what comes after it is their outcome. They
+    lie evenly, from a moment on that is drawn: where each cycle began with one, some part of a cycle, such as its last
+    minutes, would never be judged.
+
+    Without a `new` model the present one is alone beside persistence. Methods are compared at the moments at which all
+    of them have a forecast. Raises ValueError for a trace that a model cannot follow.
+    """
+    begin = float(trace.times[0])
+    lasts = min(float(trace.times[-1]), until) - begin
+    period = max(LEAST_PERIOD, lasts / most)
+    rows = common(
+        skill_rows(
+            trace,
+            present.temperature,
+            present.alphabet,
+            models={PRESENT: [present]} | ({} if new is None else {NEW: [new]}),
+            others={PERSISTENCE: partial(persist, horizons=HORIZONS)},
+            forecasts=ForecastSection(horizons=HORIZONS, period=period, seed=seed),
+            since=begin + period * np.random.default_rng((seed, abs(int(begin)))).random(),
+            report=report,
+        )
+    )
+    own = [row for row in rows if row.origin <= lasts]
+    found = means(own, {"horizon": lambda row: row.horizon, "method": lambda row: row.method})
+    return [{"trace": trace.name, **row} for row in sorted(found, key=lambda row: (row["horizon"], row["method"]))]
+
+
+def rivals_room() -> Any:
+    """The module `sim.lab.judge.rivals`. Raises ValueError where it cannot be loaded.
+
+    Loaded only where it is wanted: its methods bring scikit-learn, which nothing else here needs.
+    """
+    try:
+        return import_module("sim.lab.judge.rivals")
+    except ModuleNotFoundError as error:
+        raise ValueError(f"the rivals cannot be loaded ({error}); leave them out") from None
+
+
+def other_methods(
+    training: Sequence[Trace] | None,
+    temperature: str,
+    alphabet: Alphabet,
+    *,
+    horizons: tuple[float, ...],
+    scan: float,
+    seed: int,
+) -> tuple[dict[str, PastForecaster], list[str]]:
+    """(persistence and the rivals fitted to `training` by name, a sentence about those that cannot be).
+
+    None asks for no rivals. Each is asked for `horizons` (s); the traces are read by scans every `scan` s. Raises
+    ValueError where the rivals cannot be loaded.
+    """
+    methods: dict[str, PastForecaster] = {PERSISTENCE: partial(persist, horizons=horizons)}
+    absent: dict[str, list[str]] = {}
+    if training is not None:
+        past = [scanned(trace, temperature, alphabet, scan) for trace in training]
+        for rival in rivals_room().rivals(seed):
+            try:
+                methods[rival.name] = trained(rival, past, horizons)
+            except (ImportError, ValueError) as error:
+                absent.setdefault(sentence(error), []).append(rival.name)
+    return methods, [f"without {', '.join(names)}: {reason}" for reason, names in absent.items()]
+
+
+def lacking(trace: Trace, rows: Sequence[SkillRow], horizons: Sequence[float]) -> list[str]:
+    """A sentence for the horizons (s) that no forecast along the trace has come due for."""
+    missing = [f"{horizon:g}" for horizon in horizons if all(row.horizon != horizon for row in rows)]
+    lasts = f"{trace.times[-1] - trace.times[0]:.4g} s" if trace.times.size else "no time: it has no rows"
+    return [f"{trace.name}: no forecast for {', '.join(missing)} s came due; it lasts {lasts}"] if missing else []
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,18 +242,11 @@ def judged_forecasts(
     if not models:
         return JudgedForecasts([], ["no model can be run, so there are no forecasts"], methods)
     first = next(iter(models.values()))
-    horizons = ForecastSection().horizons
-    others: dict[str, PastForecaster] = {PERSISTENCE: partial(persist, horizons=horizons)}
-    notes: list[str] = []
-    if training is not None:
-        fitted, notes = fitted_rivals(
-            training, first.temperature, first.alphabet, horizons=horizons, scan=SCAN, seed=seed
-        )
-        others |= fitted
+    others, notes = other_methods(training, first.temperature, first.alphabet, horizons=HORIZONS, scan=SCAN, seed=seed)
     rows: list[SkillRow] = []
     for trace in traces:
         lasts = float(trace.times[-1] - trace.times[0]) if trace.times.size else 0.0
-        section = ForecastSection(horizons=horizons, period=max(LEAST_PERIOD, lasts / MOST_FORECASTS), seed=seed)
+        section = ForecastSection(horizons=HORIZONS, period=max(LEAST_PERIOD, lasts / MOST_FORECASTS), seed=seed)
         asked: Mapping[str, PastForecaster] = others
         own: list[SkillRow] = []
         followed = False
@@ -107,45 +273,5 @@ def judged_forecasts(
             own += made
             followed = True
         rows += own
-        notes += lacking(trace, own, horizons) if followed else []
+        notes += lacking(trace, own, HORIZONS) if followed else []
     return JudgedForecasts(rows, notes, methods, first.unit)
-
-
-def skill_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The options by which a command is asked for forecasts too."""
-    forecasts = click.option(
-        "--skill/--no-skill",
-        default=False,
-        show_default=True,
-        help="Also score forecasts 60, 300 and 900 s ahead, made as the running gateway does (seconds a trace).",
-    )
-    rivals = click.option(
-        "--rivals", is_flag=True, help="Statistical methods beside them, fitted to --training; implies --skill."
-    )
-    return forecasts(rivals(command))
-
-
-def gate_of(model: Model) -> tuple[bool, str]:
-    """Whether verification lets the model be deployed, and the sentence that says so."""
-    verification = verify(model)
-    if verification.deployable:
-        return (
-            True,
-            f"verified: {len([check for check in verification.checks if check.blocking])} blocking checks are proven",
-        )
-    return False, "; ".join(verification.reasons)
-
-
-def facts_of(prepared: Prepared) -> dict[str, Facts]:
-    """What a model at hand says of itself, by semantics; a model that cannot be run fails the gate."""
-    facts = {"": Facts(verified=False, gate="; ".join(prepared.refusals.values()))}
-    for semantics, model in prepared.variants.items():
-        verified, gate = gate_of(model)
-        facts[semantics] = replace(origin_of(model), verified=verified, gate=gate)
-    return facts
-
-
-def origin_of(model: Model) -> Facts:
-    """Artefacts and models by hand do not say what they were learned from."""
-    known = bool(model.provenance.data_hash or model.provenance.traces)
-    return Facts(synthetic=model.provenance.synthetic if known else None)

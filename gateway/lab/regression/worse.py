@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.lab.judging.comparison import NEW, PRESENT, HorizonComparison, compared
 from gateway.lab.regression.history import RegressionHistory
+from sim.lab.judge import NEW, PRESENT, HorizonComparison, compared
 from sim.sha import shown_unit
 
 LEAST = 1.01

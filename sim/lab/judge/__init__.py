@@ -1,26 +1,29 @@
 """One judge of models: figures of a model along recordings, paired verdicts on them, and the views on both."""
 
 from sim.lab.judge.campaign import CampaignPlan, Progress, conduct, outcomes_by_model, run_here, run_there, unread
-from sim.lab.judge.differences import Paired, holm, paired
+from sim.lab.judge.comparison import NEW, PRESENT, HorizonComparison, compared, verdict_on
+from sim.lab.judge.differences import Paired, holm, paired, unit_differences
 from sim.lab.judge.fitness import (
     Facts,
     FitnessLimits,
+    facts_of,
     findings_of,
     fitness_of,
     fitness_sentence,
     judge,
     limits_of,
+    model_facts,
     why,
 )
-from sim.lab.judge.free_run import TROUBLE, TraceJob, TraceRunSettings, run_job
+from sim.lab.judge.free_run import TROUBLE, HeldOutFold, TraceJob, TraceRunSettings, held_out, run_job
 from sim.lab.judge.output_folder import CAMPAIGN, LEARNED, check_folder, claim_folder, held, read_results
-from sim.lab.judge.past import Past, persistence
+from sim.lab.judge.past import Past, PastForecaster, persist, persistence, trained
 from sim.lab.judge.pictures import Curve, Picture, draw
 from sim.lab.judge.ranking import Ranking, Weights, entrants, rank
 from sim.lab.judge.ranking_page import as_plain, draw_ranking, write_page
 from sim.lab.judge.report import CampaignSummary, natural
 from sim.lab.judge.results import TraceResult
-from sim.lab.judge.rows import NOMINAL, Skill, SkillRow, common, grouped, skill
+from sim.lab.judge.rows import NOMINAL, Skill, SkillRow, common, figures, grouped, machine_of, means, skill
 from sim.lab.judge.skill_picture import draw_skill
 from sim.lab.judge.stage_records import load_stage
 from sim.lab.judge.stages import Prepared, Wanted, prepare, relabelled
@@ -31,7 +34,9 @@ __all__ = [
     "AHEAD",
     "CAMPAIGN",
     "LEARNED",
+    "NEW",
     "NOMINAL",
+    "PRESENT",
     "TROUBLE",
     "CampaignPlan",
     "CampaignSummary",
@@ -39,8 +44,11 @@ __all__ = [
     "Facts",
     "FitnessLimits",
     "ForecastSkill",
+    "HeldOutFold",
+    "HorizonComparison",
     "Paired",
     "Past",
+    "PastForecaster",
     "Picture",
     "Prepared",
     "Progress",
@@ -56,11 +64,14 @@ __all__ = [
     "check_folder",
     "claim_folder",
     "common",
+    "compared",
     "conduct",
     "draw",
     "draw_ranking",
     "draw_skill",
     "entrants",
+    "facts_of",
+    "figures",
     "findings_of",
     "fitness_of",
     "fitness_sentence",
@@ -68,13 +79,18 @@ __all__ = [
     "gain",
     "grouped",
     "held",
+    "held_out",
     "holm",
     "judge",
     "limits_of",
     "load_stage",
+    "machine_of",
+    "means",
+    "model_facts",
     "natural",
     "outcomes_by_model",
     "paired",
+    "persist",
     "persistence",
     "prepare",
     "rank",
@@ -86,8 +102,11 @@ __all__ = [
     "skill",
     "summaries",
     "tables",
+    "trained",
+    "unit_differences",
     "unread",
     "verdict",
+    "verdict_on",
     "why",
     "write_page",
 ]

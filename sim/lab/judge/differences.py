@@ -1,12 +1,17 @@
 """Comparisons on the same traces: signed-rank test, bootstrap interval, Holm's correction, what few traces can tell."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import nan, sqrt
+from typing import TypeVar
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
+
+from sim.sha import Array
+
+Unit = TypeVar("Unit")
 
 RESAMPLES = 10_000
 LEAST_FOR_INTERVAL = 5
@@ -68,6 +73,11 @@ def paired(differences: ArrayLike, rng: np.random.Generator, resamples: int = RE
         # All differences of one sign are one of 2^n equally likely patterns of signs, and there are two such sides.
         least=min(1.0, 2.0 ** (1 - n)),
     )
+
+
+def unit_differences(one: Mapping[Unit, float], other: Mapping[Unit, float]) -> Array:
+    """(n,) one minus the other, of the independent units (traces, machines, days) that both have, in one's order."""
+    return np.array([value - other[unit] for unit, value in one.items() if unit in other])
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

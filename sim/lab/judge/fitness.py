@@ -6,7 +6,9 @@ from math import isfinite, nan
 from typing import Literal
 
 from sim.lab.judge.results import TRAINED_ON, TraceResult
-from sim.sha import DEGREES, shown_unit
+from sim.lab.judge.stages import Prepared
+from sim.proof import verify
+from sim.sha import DEGREES, Model, shown_unit
 
 Fitness = Literal["fit", "limited", "unfit"]
 """The one answer to "may I use this model": yes; yes, but not where something is not known; no."""
@@ -67,6 +69,25 @@ class Facts:
     synthetic: bool | None = None
     verified: bool | None = None
     gate: str = ""
+
+
+def model_facts(model: Model) -> Facts:
+    """What a model says of itself; artefacts and models by hand do not say what they were learned from."""
+    verification, origin = verify(model), model.provenance
+    passed = sum(check.blocking for check in verification.checks)
+    return Facts(
+        synthetic=origin.synthetic if origin.data_hash or origin.traces else None,
+        verified=verification.deployable,
+        gate=f"verified: {passed} blocking checks are proven"
+        if verification.deployable
+        else "; ".join(verification.reasons),
+    )
+
+
+def facts_of(prepared: Prepared) -> dict[str, Facts]:
+    """What a model at hand says of itself, by semantics ("" for all others); one that cannot be run fails the gate."""
+    unfit = Facts(verified=False, gate="; ".join(prepared.refusals.values()))
+    return {"": unfit} | {name: model_facts(model) for name, model in prepared.variants.items()}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Stages 5 to 8 for one model and one trace: encode, check, simulate, compare, score. Pure but for the wall clock."""
+"""A model's free run along one trace: stages 5 to 8 (encode, check, simulate, compare, score), or in closed form."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,6 +18,7 @@ from sim.engine import (
     errors,
     measured,
     moments,
+    open_loop,
     open_loop_schedule,
     schedule,
     score,
@@ -27,6 +28,7 @@ from sim.engine import (
 from sim.lab.judge.compatibility import Compatibility, compatibility, dense_events, symbols_of
 from sim.lab.judge.metrics import error_quantiles, judge_band, mae_interval, rmse_interval
 from sim.lab.judge.results import Seen, TraceResult
+from sim.scores import crps_gaussian, log_score_gaussian
 from sim.sha import Array, Event, Model, Trace, distributions, encode, encoded, unit_of
 
 MEMORY = 128 * 2**20
@@ -37,6 +39,8 @@ CLAMPED = 0.01
 """Share of the runs that may meet the border of the model's range unsaid: a normal law has tails."""
 DRAWN = 2_000
 """Points of a curve that a picture needs."""
+LEAST_SIGMA = 1e-6
+"""A least standard deviation (degC) of a law that has a likelihood."""
 TROUBLE = (ValueError, ArithmeticError, MemoryError)
 """What unusable numbers and a lack of room can raise; everything else is a defect and is not caught."""
 
@@ -277,4 +281,49 @@ def _course(model: Model, trace: Trace, prediction: Prediction, band: tuple[Arra
         inputs=inputs,
         events=tuple(trace.events[place] for place in _spread(len(trace.events), DRAWN).tolist()),
         seen=len(trace.events),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutFold:
+    """How a model predicts one trace: means over its readings but the first, at which the run starts.
+
+    `crps` and `mae` in degC, `log_likelihood` in nats per reading; `largest` is the largest error (degC).
+    """
+
+    trace: str
+    readings: int
+    crps: float
+    log_likelihood: float
+    mae: float
+    largest: float
+
+
+def predicted(model: Model, trace: Trace) -> tuple[Array, Array, Array]:
+    """(readings, mean, standard deviation), each (n - 1,) in degC, of an open-loop run from the first of n readings.
+
+    Closed form: mean and variance of `moments`, with the sensor's variance added. The trace is encoded by the model's
+    own alphabet; an event without an edge leads where its symbol does most often (`resync`). Raises ValueError where
+    the model cannot be run along the trace.
+    """
+    run = open_loop(model, encoded(trace, model.alphabet), "resync")
+    times, values = measured(trace, model.temperature)
+    # The last output at each reading's time; without the first reading, from which the run starts.
+    rows = np.searchsorted(run.times, times, side="right")[1:] - 1
+    return values[1:], run.mean[rows], np.sqrt(run.variance[rows] + model.sensor_sigma**2)
+
+
+def held_out(model: Model, trace: Trace) -> HeldOutFold:
+    """The scores of one trace. Raises ValueError as `predicted` does."""
+    values, mean, sigma = predicted(model, trace)
+    error = mean - values
+    # A model may be certain of itself (sigma 0): the log-likelihood would be infinite, so it gets a least sigma. The
+    # CRPS needs none: there it is the absolute error.
+    return HeldOutFold(
+        trace=trace.name,
+        readings=int(values.size),
+        crps=float(np.mean(crps_gaussian(mean, sigma, values))),
+        log_likelihood=-float(np.mean(log_score_gaussian(mean, np.maximum(sigma, LEAST_SIGMA), values))),
+        mae=float(np.mean(np.abs(error))),
+        largest=float(np.max(np.abs(error))),
     )

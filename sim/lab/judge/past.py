@@ -1,12 +1,13 @@
 """What a forecaster may know at its origin, the last reading held, and quantiles of errors that were seen."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.forecast import DENSE
 from sim.sha import Array
 
 GAP = 30.0
@@ -39,6 +40,11 @@ class Past:
     def until(self, time: float) -> "Past":
         """What was known at `time`: the rows up to and including it."""
         return self.rows(slice(0, int(np.searchsorted(self.times, time, side="right"))))
+
+    def of(self, names: Sequence[str]) -> "Past":
+        """With these inputs alone; one that was never read is NaN."""
+        unknown = np.full(self.times.shape, np.nan)
+        return Past(self.times, self.temperature, {name: self.inputs.get(name, unknown) for name in names})
 
     def rows(self, rows: slice) -> "Past":
         """These rows only; views, nothing is copied."""
@@ -131,3 +137,19 @@ def persistence(times: Array, temperature: Array, horizons: Sequence[float], lev
             changes = np.abs(np.interp(at[starts] + lag, at, values) - values[starts])
             fan[:, column] += signs * np.quantile(changes, shares) * np.sqrt(horizon / lag)
     return fan
+
+
+PastForecaster = Callable[[Past], Array | None]
+"""A method that is asked at an origin: (L, H) quantiles in degC at the levels DENSE; None where it says nothing."""
+
+
+def persist(past: Past, horizons: tuple[float, ...]) -> Array | None:
+    """Persistence for these horizons (s)."""
+    return persistence(past.times, past.temperature, horizons, DENSE)
+
+
+def trained(rival: Rival, training: Sequence[Past], horizons: tuple[float, ...]) -> PastForecaster:
+    """A rival fitted to whole traces by the inputs that all of them have. Raises ValueError as its `fit` does."""
+    names = sorted(set.intersection(*(set(past.inputs) for past in training)))
+    fitted = rival.fit([past.of(names) for past in training], horizons)
+    return lambda past: np.asarray(fitted.forecast(past.of(names), horizons, DENSE))

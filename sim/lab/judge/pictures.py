@@ -15,7 +15,7 @@ import numpy as np
 from drivers.named_files import writing
 from sim.lab.judge.free_run import TraceOutcome
 from sim.lab.judge.output_folder import places, stopped_at
-from sim.lab.pictures import check_picture
+from sim.lab.pictures import blank_figure, check_picture
 from sim.sha import DEGREES, UNKNOWN, Array, Event, shown_unit
 
 if TYPE_CHECKING:
@@ -74,9 +74,6 @@ def draw(picture: Picture, path: Path, *also: Path) -> Path:
     for file in (path, *also):
         check_picture(file)
     # Minutes up to three hours, hours up to three days, then days.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     times = picture.measured.times
     origin, span = (float(times[0]), float(times[-1] - times[0])) if times.size else (0.0, 0.0)
     unit, seconds = TIME_UNITS[(span > 3 * 3600) + (span > 3 * 86_400)]
@@ -86,8 +83,7 @@ def draw(picture: Picture, path: Path, *also: Path) -> Path:
 
     rows = 2 + bool(picture.inputs)
     heights = [4.2] + [1.6] * bool(picture.inputs) + [0.9]
-    figure = Figure(figsize=(11, 1.6 + sum(heights)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(11, 1.6 + sum(heights))
     axes = figure.subplots(rows, 1, sharex=True, gridspec_kw={"height_ratios": heights}, squeeze=False)[:, 0]
     _temperatures(axes[0], picture, clock)
     if picture.inputs:

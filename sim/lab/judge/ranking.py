@@ -7,7 +7,7 @@ from math import isfinite, nan
 
 import numpy as np
 
-from sim.lab.judge.differences import Paired, holm, paired
+from sim.lab.judge.differences import Paired, holm, paired, unit_differences
 from sim.lab.judge.fitness import Facts, Finding, Fitness, FitnessLimits, fitness_of, judge
 from sim.lab.judge.results import TRAINED_ON, Seen, TraceResult
 from sim.lab.judge.worth import ForecastSkill
@@ -219,10 +219,7 @@ def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed
     """Every two of `names` on the traces that both have, in the order of the names."""
     couples = list(combinations(names, 2))
     rng = np.random.default_rng(seed)
-    differences = []
-    for first, second in couples:
-        shared = [trace for trace in scores[first] if trace in scores[second]]
-        differences.append(np.array([scores[first][trace] - scores[second][trace] for trace in shared]))
+    differences = [unit_differences(scores[first], scores[second]) for first, second in couples]
     tests = [paired(values, rng) for values in differences]
     # Corrected over all pairs at once, so this cannot be done pair by pair.
     corrected = holm([1.0 if test.n == 0 else test.p for test in tests])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from sim.lab.judge.pictures import MEASURED
 from sim.lab.judge.ranking import Ranking, entrants
 from sim.lab.judge.results import TraceResult
 from sim.lab.pages import page_environment
-from sim.lab.pictures import check_picture, save_picture
+from sim.lab.pictures import blank_figure, svg_text, write_picture
 from sim.sha import Array, shown_unit
 
 if TYPE_CHECKING:
@@ -70,13 +69,9 @@ def spreads(ranking: Ranking, results: Sequence[TraceResult]) -> list[Spread]:
 
 def figure(ranking: Ranking, results: Sequence[TraceResult]) -> Figure:
     """Two panels: the errors of each model, and on how many traces each is better than each other one."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     shown = spreads(ranking, results)
     rows = max(len(ranking.standings), 2)
-    canvas = Figure(figsize=(13, 2.2 + 0.55 * rows), layout="constrained")
-    FigureCanvasAgg(canvas)
+    canvas = blank_figure(13, 2.2 + 0.55 * rows)
     left, right = canvas.subplots(1, 2, gridspec_kw={"width_ratios": [3, 2]})
     words = {standing.entrant: standing.fitness for standing in ranking.standings}
     for row, spread in enumerate(shown):
@@ -142,10 +137,7 @@ def _label(name: str) -> str:
 
 def draw_ranking(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> Path:
     """Write the picture and return the path. Raises ValueError as `check_picture`, and OSError."""
-    check_picture(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_picture(figure(ranking, results), path, path.suffix[1:].lower())
-    return path
+    return write_picture(figure(ranking, results), path)
 
 
 def write_page(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> Path:
@@ -158,17 +150,11 @@ def write_page(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> 
 
 def page(ranking: Ranking, results: Sequence[TraceResult]) -> str:
     """The page: pictures inside, every name escaped."""
-    text = StringIO()
-    save_picture(figure(ranking, results), text, "svg")
-    _, tag, rest = text.getvalue().partition("<svg")  # without the XML prologue, which has no place inside HTML
-    environment = page_environment("sim.lab.judge", figure=_figure)
-    return environment.get_template("ranking.html").render(
-        ranking=ranking, unit=shown_unit(ranking.unit), picture=tag + rest
+    return (
+        page_environment("sim.lab.judge")
+        .get_template("ranking.html")
+        .render(ranking=ranking, unit=shown_unit(ranking.unit), picture=svg_text(figure(ranking, results)))
     )
-
-
-def _figure(value: float, digits: int = 3) -> str:
-    return f"{value:.{digits}g}" if np.isfinite(value) else "–"
 
 
 def as_plain(ranking: Ranking) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from sim.lab.judge.results import Interval, Seen, TraceResult
 from sim.lab.judge.stages import Prepared, Stage, location_row
 from sim.lab.judge.verdicts import SAMPLE, Gain, TraceVerdict, VerdictSummary, gain, summaries, verdict
 from sim.lab.judge.worth import ForecastSkill
-from sim.lab.pages import page_environment
+from sim.lab.pages import number, page_environment
 from sim.sha import shown_unit
 
 if TYPE_CHECKING:
@@ -260,13 +260,7 @@ def index_html(campaign: CampaignSummary, entries: Sequence[ReportEntry], log: S
 
 
 def _environment() -> Environment:
-    return page_environment("sim.lab.judge", number=_number, share=_share, interval=_interval)
-
-
-def _number(value: float | None, digits: int = 2, sign: bool = False) -> str:
-    if value is None or not isfinite(value):
-        return "–"
-    return f"{value:{'+' if sign else ''}.{digits}f}"
+    return page_environment("sim.lab.judge", share=_share, interval=_interval)
 
 
 def _share(value: float, digits: int = 0) -> str:
@@ -274,4 +268,4 @@ def _share(value: float, digits: int = 0) -> str:
 
 
 def _interval(value: Interval, digits: int = 2) -> str:
-    return f"{_number(value.low, digits)}–{_number(value.high, digits)}" if isfinite(value.low) else "–"
+    return f"{number(value.low, digits)}–{number(value.high, digits)}" if isfinite(value.low) else "–"

@@ -1,16 +1,17 @@
-"""One forecast held against what came true, the means of many, and what the differences of two methods tell."""
+"""Figures of forecasts along recordings: each held against what came true, the means of many, differences of two."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import nan
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from sim.forecast import DENSE
-from sim.lab.judge.differences import Paired, paired
+from sim.lab.judge.differences import Paired, paired, unit_differences
+from sim.lab.learning import outcomes_of
 from sim.scores import crps_quantiles
-from sim.sha import Array
+from sim.sha import Array, Trace
 
 Key = TypeVar("Key")
 Row = TypeVar("Row")
@@ -95,6 +96,51 @@ def skill(rows: Sequence[SkillRow]) -> Skill:
     )
 
 
+def figures(
+    trace: Trace,
+    temperature: str,
+    gap: float,
+    horizons: Sequence[float],
+    made: Iterable[tuple[str, float, Array]],
+) -> list[SkillRow]:
+    """The rows of what methods forecast along a recording, for the moments whose outcome was read.
+
+    `made` are (method, absolute s of the origin, (99, H) quantiles in degC for the H `horizons`); over steps longer
+    than `gap` (s) nothing is read. Raises ValueError where the trace has no such temperature.
+    """
+    if temperature not in trace.signals:
+        raise ValueError(f"trace {trace.name!r}: has no signal {temperature!r}, which is to be forecast")
+    outcomes = outcomes_of(trace, temperature, gap)
+    rows = []
+    for method, time, fan in made:
+        for column, horizon in enumerate(horizons):
+            outcome = outcomes.at(time + horizon)
+            if outcome is not None and np.all(np.isfinite(fan[:, column])):
+                rows.append(
+                    SkillRow(
+                        machine=machine_of(trace),
+                        trace=trace.name,
+                        method=method,
+                        horizon=horizon,
+                        origin=time - float(trace.times[0]),
+                        outcome=outcome,
+                        quantiles=fan[:, column],
+                    )
+                )
+    return rows
+
+
+def machine_of(trace: Trace) -> str:
+    """The machine that a trace was measured on: the one that it names, or else its file's name."""
+    return trace.machine or trace.name
+
+
+def means(rows: Iterable[SkillRow], keys: Mapping[str, Callable[[SkillRow], Any]]) -> list[dict[str, Any]]:
+    """The figures of the rows that share what the `keys` say of them, beside that: plain values, in their order."""
+    groups = grouped(rows, lambda row: tuple(key(row) for key in keys.values()))
+    return [{**dict(zip(keys, group, strict=True)), **asdict(skill(own))} for group, own in groups.items()]
+
+
 def common(rows: Sequence[SkillRow]) -> list[SkillRow]:
     """The rows of those moments at which every method has a forecast: no method is judged by easier ones."""
     methods = {row.method for row in rows}
@@ -120,8 +166,7 @@ def stretch(row: SkillRow) -> str:
 def difference(rows: Sequence[SkillRow], others: Sequence[SkillRow], rng: np.random.Generator) -> Paired:
     """What the machines say of the difference in CRPS (degC), `rows` minus `others`, at the moments that both have."""
     theirs = {row.moment: row for row in others}
-    pairs = [(row, theirs[row.moment]) for row in rows if row.moment in theirs]
-    by_machine = grouped((row for row, _ in pairs), lambda row: row.machine)
-    return paired(
-        [skill(own).crps - skill([theirs[row.moment] for row in own]).crps for own in by_machine.values()], rng
-    )
+    by_machine = grouped((row for row in rows if row.moment in theirs), lambda row: row.machine)
+    ours = {machine: skill(own).crps for machine, own in by_machine.items()}
+    same = {machine: skill([theirs[row.moment] for row in own]).crps for machine, own in by_machine.items()}
+    return paired(unit_differences(ours, same), rng)

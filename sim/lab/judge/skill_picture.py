@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.lab.judge.rows import NO_SKILL, NOMINAL, STRETCHES, SkillRow, grouped, skill, stretch
 from sim.lab.learning import PERSISTENCE
-from sim.lab.pictures import check_picture, save_picture
+from sim.lab.pictures import blank_figure, write_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,19 +35,12 @@ def draw_skill(rows: Mapping[str, Sequence[SkillRow]], path: Path) -> Path:
     The rows of each title are those at the moments that its methods share. Raises ValueError for another ending than a
     picture's, and OSError.
     """
-    check_picture(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_picture(skill_figure(rows), path, path.suffix[1:].lower())
-    return path
+    return write_picture(skill_figure(rows), path)
 
 
 def skill_figure(rows: Mapping[str, Sequence[SkillRow]]) -> Figure:
     """CRPS and MAE relative to persistence's and coverage by horizon; coverage by the time since a trace's start."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(16, 1.2 + 3.1 * max(len(rows), 1)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(16, 1.2 + 3.1 * max(len(rows), 1))
     methods = list(dict.fromkeys(row.method for own in rows.values() for row in own))
     axes = figure.subplots(max(len(rows), 1), 4, squeeze=False)
 

@@ -1,12 +1,13 @@
 """What forecasts are worth beside persistence and rivals: tables of figures, and plain sentences."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
 
-from sim.lab.judge.rows import STRETCHES, SkillRow, common, difference, grouped, skill, stretch
+from sim.lab.judge.rows import STRETCHES, SkillRow, common, difference, grouped, means, stretch
 from sim.sha import DEGREES, shown_unit
 
 
@@ -85,31 +86,30 @@ def forecast_skill(
     said = list(notes)
     if rows and not shared:
         said.append("the methods have no forecast for the same moment, so they cannot be compared")
+    found = tables(shared, ours, seed)
+    crps: dict[float, dict[str, dict[str, float]]] = {}
+    for row in (*found["by horizon"], *found["by machine"]):
+        places = crps.setdefault(row["horizon"], {})
+        places.setdefault(row.get("machine", ""), {})[row["method"]] = row["crps"]
     worth = []
-    for horizon, here in sorted(grouped(shared, lambda row: row.horizon).items()):
-        machines = grouped(here, lambda row: row.machine)
+    for horizon, places in crps.items():
         # One machine alone is all of them: its verdict would say the same once more.
-        places = {"": here, **(machines if len(machines) > 1 else {})}
-        for method in ours:
-            for machine, part in places.items():
-                crps = {name: skill(own).crps for name, own in grouped(part, lambda row: row.method).items()}
-                others = {name: value for name, value in crps.items() if name not in ours}
-                if method not in crps or not others:
-                    continue
+        for method, machine in product(ours, list(places)[: None if len(places) > 2 else 1]):
+            here = places[machine]
+            others = {name: value for name, value in here.items() if name not in ours}
+            if method in here and others:
                 best = min(others, key=lambda name: others[name])
                 worth.append(
                     Worth(
                         method=method,
                         horizon=horizon,
                         machine=machine,
-                        crps=crps[method],
+                        crps=here[method],
                         best=best,
                         best_crps=others[best],
                     )
                 )
-    return ForecastSkill(
-        ours=tuple(ours), tables=tables(shared, ours, seed), worth=tuple(worth), notes=tuple(said), unit=unit
-    )
+    return ForecastSkill(ours=tuple(ours), tables=found, worth=tuple(worth), notes=tuple(said), unit=unit)
 
 
 AHEAD = 1.05
@@ -121,41 +121,30 @@ def tables(rows: Sequence[SkillRow], ours: Sequence[str], seed: int = 0) -> dict
 
     The best other method of a horizon is the one with the lowest CRPS there.
     """
-    parts: Mapping[str, Any] = {
-        "by horizon": lambda row: (row.horizon, row.method),
-        "by machine": lambda row: (row.horizon, row.machine, row.method),
-        "by time": lambda row: (row.horizon, stretch(row), row.method),
-    }
-    names = {"by horizon": (), "by machine": ("machine",), "by time": ("since start",)}
     places = {name: place for place, name in enumerate(STRETCHES)}
-    found: dict[str, list[dict[str, Any]]] = {}
-    for title, key in parts.items():
-        groups = grouped(rows, key)
+    keys: dict[str, Callable[[SkillRow], Any]] = {
+        "horizon": lambda row: row.horizon,
+        "machine": lambda row: row.machine,
+        "since start": stretch,
+        "method": lambda row: row.method,
+    }
+    found = {}
+    for title, names in (("by horizon", ()), ("by machine", ("machine",)), ("by time", ("since start",))):
+        own = means(rows, {name: keys[name] for name in ("horizon", *names, "method")})
         # Methods stand in the order in which they came, the parts of a trace in theirs.
-        order = {group: (group[0], places.get(group[1], 0)) for group in groups}
-        found[title] = [
-            {
-                "horizon": group[0],
-                **dict(zip(names[title], group[1:-1], strict=True)),
-                "method": group[-1],
-                **asdict(skill(own)),
-            }
-            for group, own in sorted(groups.items(), key=lambda item: order[item[0]])
-        ]
+        found[title] = sorted(own, key=lambda row: (row["horizon"], places.get(row.get("since start", ""), 0)))
+    crps = {(row["horizon"], row["method"]): row["crps"] for row in found["by horizon"]}
     found["differences"] = []
     rng = np.random.default_rng(seed)
-    for horizon, here in grouped(rows, lambda row: row.horizon).items():
+    for horizon, here in grouped(rows, keys["horizon"]).items():
         by_method = grouped(here, lambda row: row.method)
-        others = {name: skill(own).crps for name, own in by_method.items() if name not in ours}
-        if not others:
-            continue
-        best = min(others, key=lambda name: others[name])
+        others = {name: crps[horizon, name] for name in by_method if name not in ours}
+        best = min(others, key=lambda name: others[name], default="")
         for name in ours:
-            if name in by_method:
+            if name in by_method and best:
                 apart = difference(by_method[name], by_method[best], rng)
-                ratio = skill(by_method[name]).crps / others[best] if others[best] > 0 else float("nan")
+                ratio = crps[horizon, name] / others[best] if others[best] > 0 else float("nan")
                 row = {"horizon": horizon, "method": name, "best other": best, "ratio": ratio, "machines": apart.n}
-                found["differences"].append(
-                    {**row, "difference": apart.mean, "low": apart.low, "high": apart.high, "p": apart.p}
-                )
+                row |= {"difference": apart.mean, "low": apart.low, "high": apart.high, "p": apart.p}
+                found["differences"].append(row)
     return found

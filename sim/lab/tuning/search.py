@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from sim.lab.judge import TROUBLE, Paired, paired
-from sim.lab.tuning.cross_validation import HeldOutFold, folds, held_out, usable
+from sim.lab.judge import TROUBLE, HeldOutFold, Paired, held_out, paired, unit_differences
+from sim.lab.learning import in_order
 from sim.lab.tuning.methods import Method, Settings, Task, Taught, method_of
 from sim.lab.tuning.study import REASON, Facts, ask, finished_trials, interrupt, opened, unbroken
 from sim.lab.workers import parallel
@@ -26,6 +26,8 @@ Objective = Literal["crps", "likelihood"]
 OBJECTIVES: tuple[Objective, ...] = ("crps", "likelihood")
 Progress = Callable[[str, float], None]
 SCORES, SECONDS = "scores", "seconds"
+LEAST_READINGS = 3
+"""A trace with fewer is not held out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +173,46 @@ def final_model(
     return replace(taught, model=replace(taught.model, provenance=origin))
 
 
+def usable(traces: Sequence[Trace], temperature: str) -> tuple[tuple[Trace, ...], tuple[str, ...], str]:
+    """(the traces that can be held out, in an order of their own; sentences about the others; the hash of the first).
+
+    Copies count once. Traces of equal names but other content get a number, so that scores can be told apart.
+    """
+    readable, notes = [], []
+    for trace in traces:
+        readings = int(np.isfinite(trace.signals.get(temperature, np.empty(0))).sum())
+        if readings < LEAST_READINGS:
+            notes.append(f"{trace.name} is left out: it has {readings} readings of {temperature!r}")
+        else:
+            readable.append(trace)
+    ordered, digest = in_order(readable)
+    copies = len(readable) - len(ordered)
+    if copies:
+        notes.append(f"{copies} cop{'y is' if copies == 1 else 'ies are'} left out")
+    names: dict[str, int] = {}
+    named = []
+    for trace in ordered:
+        names[trace.name] = names.get(trace.name, 0) + 1
+        number = names[trace.name]
+        named.append(trace if number == 1 else replace(trace, name=f"{trace.name} #{number}"))
+    return tuple(named), tuple(notes), digest
+
+
+def folds(count: int, wanted: int, seed: int) -> list[list[int]]:
+    """Which of `count` traces each fold holds out: shuffled by `seed`, dealt one after another.
+
+    There are no more folds than traces. Raises ValueError for fewer than two traces or folds.
+    """
+    if count < 2 or wanted < 2:
+        raise ValueError(
+            f"a cross-validation by trace needs 2 traces and 2 folds at least; there are {count} usable traces and "
+            f"{wanted} folds (a long recording can be cut into cycles first)"
+        )
+    shuffled = np.random.default_rng(seed).permutation(count)
+    number = min(wanted, count)
+    return [sorted(shuffled[first::number].tolist()) for first in range(number)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _TuningSearch:
     plan: StudyPlan
@@ -293,9 +335,7 @@ def summary(trials: Sequence[StudyTrial], notes: Sequence[str] = (), *, stopped:
     gain = None
     if best is not None and default is not None and best is not default:
         # Paired by trace, which takes out how much harder one trace is than another.
-        before, after = default.by_trace or {}, best.by_trace or {}
-        differences = [before[trace] - after[trace] for trace in before if trace in after]
-        gain = paired(differences, np.random.default_rng(0))
+        gain = paired(unit_differences(default.by_trace or {}, best.by_trace or {}), np.random.default_rng(0))
     better = gain is not None and gain.mean > gain.error
     if best is None:
         failed = next((trial.reason for trial in trials if trial.state == "failed"), "")

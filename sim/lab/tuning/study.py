@@ -8,8 +8,6 @@ Optuna and its database layer are the optional extra `tune`, so they are importe
 in one sentence that it is missing.
 """
 
-import fcntl
-import os
 import signal
 import sqlite3
 import threading
@@ -21,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim.files import held_alone
 from sim.lab.tuning.methods import Parameter, Real, Whole
 
 if TYPE_CHECKING:
@@ -76,7 +75,8 @@ def opened(file: Path, facts: Facts, *, prune: bool) -> Iterator["Study"]:
     pruner = optuna.pruners.MedianPruner(BEFORE_PRUNING) if prune else optuna.pruners.NopPruner()
     file.parent.mkdir(parents=True, exist_ok=True)
     _check_file(file)
-    with _alone(file):
+    busy = ValueError(f"{file}: another process is working on this study; wait for it or give another --study file")
+    with held_alone(file.with_name(file.name + ".lock"), busy):
         with unbroken():
             try:
                 storage = RDBStorage(str(URL.create("sqlite", database=str(file))))
@@ -92,22 +92,6 @@ def opened(file: Path, facts: Facts, *, prune: bool) -> Iterator["Study"]:
         finally:
             storage.remove_session()
             storage.engine.dispose()
-
-
-@contextmanager
-def _alone(file: Path) -> Iterator[None]:
-    """Holds FILE.lock, which the system releases when the process dies. Raises ValueError where another holds it."""
-    handle = os.open(file.with_name(file.name + ".lock"), os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(
-                f"{file}: another process is working on this study; wait for it or give another --study file"
-            ) from None
-        yield
-    finally:
-        os.close(handle)
 
 
 def _check_file(file: Path) -> None:

@@ -1,72 +1,23 @@
-"""Two models on the same cycles, forecast as the gateway forecasts, and what a paired test says at each horizon."""
+"""Two models on the same recordings: what a paired test says at each horizon, and whether the new one is proposed."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from itertools import accumulate
-from math import inf
 from typing import Any, Literal
 
 import numpy as np
 
-from gateway.lab.judging.skill import persist, skill_rows
-from gateway.settings import ForecastSection
-from sim.lab.judge import Paired, common, grouped, holm, paired, skill
+from sim.lab.judge.differences import Paired, holm, paired, unit_differences
+from sim.lab.judge.rows import grouped
 from sim.lab.learning import PERSISTENCE
-from sim.sha import Model, Trace, shown_unit
+from sim.sha import shown_unit
 
 PRESENT, NEW = "present", "new"
+METHODS = (PRESENT, NEW, PERSISTENCE)
 LEVEL = 0.05
 """The chance at most that any horizon of a set is called better or worse where both models are alike."""
 WORSE = 1.05
 """A CRPS so many times the present model's is worse even where the cycles are too few to tell it apart."""
-HORIZONS = ForecastSection().horizons
-LONGEST_HORIZON = max(HORIZONS)
-"""s: the outcome of a cycle's last forecast comes so long after it."""
-LEAST_PERIOD, MOST_FORECASTS = 60.0, 40
-"""s between two forecasts, and how many of them a cycle gets at most."""
-
-
-def scores_along(
-    trace: Trace,
-    present: Model,
-    new: Model | None,
-    *,
-    seed: int,
-    report: Callable[[str, float], None],
-    most: int = MOST_FORECASTS,
-    until: float = inf,
-) -> list[dict[str, Any]]:
-    """A row for each horizon (s) and method along a trace: how many forecasts, CRPS and MAE (degC), coverage.
-
-    The forecasts are those that are made `until` then (s), `most` at most; what comes after it is their outcome. They
-    lie evenly, from a moment on that is drawn: where each cycle began with one, some part of a cycle, such as its last
-    minutes, would never be judged.
-
-    Without a `new` model the present one is alone beside persistence. Methods are compared at the moments at which all
-    of them have a forecast. Raises ValueError for a trace that a model cannot follow.
-    """
-    begin = float(trace.times[0])
-    lasts = min(float(trace.times[-1]), until) - begin
-    period = max(LEAST_PERIOD, lasts / most)
-    first = begin + period * np.random.default_rng((seed, abs(int(begin)))).random()
-    rows = common(
-        skill_rows(
-            trace,
-            present.temperature,
-            present.alphabet,
-            models={PRESENT: [present]} | ({} if new is None else {NEW: [new]}),
-            others={PERSISTENCE: partial(persist, horizons=HORIZONS)},
-            forecasts=ForecastSection(horizons=HORIZONS, period=period, seed=seed),
-            since=first,
-            report=report,
-        )
-    )
-    rows = [row for row in rows if row.origin <= lasts]
-    return [
-        {"trace": trace.name, "horizon": horizon, "method": method, **asdict(skill(own))}
-        for (horizon, method), own in sorted(grouped(rows, lambda row: (row.horizon, row.method)).items())
-    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,26 +91,26 @@ def compared(
     """
     rng = np.random.default_rng(seed)
     found: list[tuple[float, dict[str, float], dict[str, float], Paired]] = []
-    for horizon in sorted({row["horizon"] for row in scores}):
-        own = [row for row in scores if row["horizon"] == horizon]
-        by_method: dict[str, dict[Any, dict[str, float]]] = {method: {} for method in (PRESENT, NEW, PERSISTENCE)}
-        for (method, name), rows in grouped(own, lambda row: (row["method"], row[unit])).items():
-            by_method[method][name] = {
-                figure: float(np.mean([row[figure] for row in rows])) for figure in ("crps", "coverage")
-            }
-        both = [name for name in by_method[PRESENT] if name in by_method[NEW]]
-        if not both:
-            continue
-        differences = [by_method[NEW][name]["crps"] - by_method[PRESENT][name]["crps"] for name in both]
-        means = {
-            figure: {
-                method: float(np.mean([mean[figure] for mean in own_means.values()]))
-                for method, own_means in by_method.items()
-                if own_means
+    for horizon, own in sorted(grouped(scores, lambda row: row["horizon"]).items()):
+        by_unit = grouped(own, lambda row: (row["method"], row[unit]))
+        crps, cover = (
+            {
+                method: {
+                    name: float(np.mean([row[figure] for row in rows]))
+                    for (whose, name), rows in by_unit.items()
+                    if whose == method
+                }
+                for method in METHODS
             }
             for figure in ("crps", "coverage")
-        }
-        found.append((horizon, means["crps"], means["coverage"], paired(differences, rng)))
+        )
+        differences = unit_differences(crps[NEW], crps[PRESENT])
+        if differences.size:
+            means = [
+                {method: float(np.mean(list(by_name.values()))) for method, by_name in figure.items() if by_name}
+                for figure in (crps, cover)
+            ]
+            found.append((horizon, means[0], means[1], paired(differences, rng)))
     alone = [difference.p for *_, difference in found]
     better = [difference.p if difference.mean < 0 else 1.0 for *_, difference in found]
     in_sequence = list(accumulate(reversed(better), max))[::-1]
