@@ -23,8 +23,7 @@ from sim.lab.judge.report import (
     shown,
 )
 from sim.lab.judge.results import Interval, TraceResult
-from sim.lab.judge.stage_records import records
-from sim.lab.judge.stages import Prepared, Stage
+from sim.lab.judge.stages import Prepared, Stage, records
 from sim.lab.judge.verdicts import gain, summaries, verdict
 from sim.sha.trace import Trace
 from tests.validation.small_plant import location, plant_model, plant_trace

@@ -1,20 +1,16 @@
 """`decanter model rank`: several models on the same traces; which of them are fit for deployment."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import click
 
-from drivers.named_files import regular
 from gateway.console import emit, json_option, progress, table
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.judging.request import JudgingRequest, judging_options
 from gateway.lab.judging.skill import show_skill
 from sim.lab.judge import (
-    CAMPAIGN,
     Facts,
     ForecastSkill,
     Progress,
@@ -28,6 +24,7 @@ from sim.lab.judge import (
     limits_of,
     outcomes_by_model,
     read_results,
+    recorded_facts,
     relabelled,
     run_here,
     unread,
@@ -37,8 +34,6 @@ from sim.lab.judge import rank as ranked
 from sim.lab.pictures import check_picture
 from sim.lab.recordings import load_map, load_traces
 from sim.sha import shown_unit
-
-GENERATION = "04_model_generation.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,15 +65,7 @@ def compared(request: JudgingRequest, folders: Sequence[Path], progress: Progres
         return RankingInput(results, facts_at_hand, made.skill(seed=settings.seed) if made else None)
     results = [result for folder in folders for result in read_results(folder)]
     labels = sorted({result.model for result in results})
-    facts: dict[str, dict[str, Facts]] = {}
-    for path in folders:
-        # What the campaign's records say of its models, by label and semantics; a missing or odd record says nothing.
-        folder = path if path.is_dir() else path.parent
-        for label, place in _document(folder / CAMPAIGN).get("folders", {}).items():
-            facts[label] = {}
-            for semantics, row in _document(folder / place / GENERATION).get("variants", {}).items():
-                traced = bool(row.get("data_hash") or row.get("training_traces"))
-                facts[label][semantics] = Facts(synthetic=bool(row.get("synthetic")) if traced else None)
+    facts = {label: found for folder in folders for label, found in recorded_facts(folder).items()}
     # A model at hand is that of the results with its name: it is verified, which the records cannot say.
     for at_hand in relabelled([request.prepared(where, column_map, None) for where in request.models]):
         if at_hand.label not in labels:
@@ -108,14 +95,6 @@ def _by_entrant(results: Sequence[TraceResult], facts: Mapping[str, Mapping[str,
         elif "" in known:
             by_entrant[name] = known[""]
     return by_entrant
-
-
-def _document(file: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(regular(file).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return document if isinstance(document, dict) else {}
 
 
 LIMITS = """

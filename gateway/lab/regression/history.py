@@ -15,6 +15,7 @@ from gateway.lab.judging.figures import scores_along
 from gateway.lab.regression.standard import CodeVersion, StandardSet
 from sim.artefacts import model_hash
 from sim.files import at, held_alone
+from sim.lab.judge import PRESENT
 from sim.sha import Model, content_hash
 
 FORMAT = 1
@@ -122,6 +123,11 @@ def opened_history(path: Path) -> Iterator[RegressionHistory]:
                 raise at(path, number, "is no row of a history of regressions; give another file, or a new name")
             checked_row(path, number, row, ROWS[row["kind"]])
         yield RegressionHistory(path, rows)
+
+
+def own_scores(row: Mapping[str, Any]) -> dict[float, Mapping[str, Any]]:
+    """The model's own scores of a result, by horizon (s)."""
+    return {score["horizon"]: score for score in row["scores"] if score["method"] == PRESENT}
 
 
 def run_standard(

@@ -1,13 +1,12 @@
 """What became worse since which run, and what of former runs is not there at the last one."""
 
 import os
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.lab.regression.history import RegressionHistory
+from gateway.lab.regression.history import RegressionHistory, own_scores
 from sim.lab.judge import NEW, PRESENT, HorizonComparison, compared
 from sim.sha import shown_unit
 
@@ -86,17 +85,12 @@ def regressions_of(subject: str, history: RegressionHistory, *, seed: int) -> li
 def worse_by_horizon(before: Results, now: Results, seed: int) -> dict[float, HorizonComparison]:
     """The horizons (s) at which the later run is worse on the traces that both have forecasts along."""
     scores: list[dict[str, Any]] = []
-    for content in before.keys() & now.keys():
-        both = [
-            {**score, "trace": content, "method": method}
-            for method, row in ((PRESENT, before[content]), (NEW, now[content]))
-            for score in row["scores"]
-            if score["method"] == PRESENT
-        ]
+    for content in sorted(before.keys() & now.keys()):
+        present, new = own_scores(before[content]), own_scores(now[content])
         # A horizon that only one of them has would be in one mean and not in the other.
-        counts = Counter(score["horizon"] for score in both)
-        scores += [score for score in both if counts[score["horizon"]] == 2]
-    scores.sort(key=lambda score: score["trace"])
+        for horizon in (each for each in present if each in new):
+            scores.append({**present[horizon], "trace": content})
+            scores.append({**new[horizon], "trace": content, "method": NEW})
     return {
         comparison.horizon: comparison
         for comparison in compared(SET, scores, seed=seed)
@@ -105,12 +99,8 @@ def worse_by_horizon(before: Results, now: Results, seed: int) -> dict[float, Ho
 
 
 def _crps(results: Results, horizon: float) -> dict[str, float]:
-    return {
-        content: score["crps"]
-        for content, row in results.items()
-        for score in row["scores"]
-        if (score["method"], score["horizon"]) == (PRESENT, horizon)
-    }
+    own = {content: own_scores(row) for content, row in results.items()}
+    return {content: scores[horizon]["crps"] for content, scores in own.items() if horizon in scores}
 
 
 Run = Mapping[str, Any]

@@ -2,7 +2,7 @@
 
 from sim.lab.judge.campaign import CampaignPlan, Progress, conduct, outcomes_by_model, run_here, run_there, unread
 from sim.lab.judge.comparison import NEW, PRESENT, HorizonComparison, compared, verdict_on
-from sim.lab.judge.differences import Paired, holm, paired, unit_differences
+from sim.lab.judge.differences import Paired, paired, unit_differences
 from sim.lab.judge.fitness import (
     Facts,
     FitnessLimits,
@@ -16,8 +16,8 @@ from sim.lab.judge.fitness import (
     why,
 )
 from sim.lab.judge.free_run import TROUBLE, HeldOutFold, TraceJob, TraceRunSettings, held_out, run_job
-from sim.lab.judge.output_folder import CAMPAIGN, LEARNED, check_folder, claim_folder, held, read_results
-from sim.lab.judge.past import Past, PastForecaster, persist, persistence, trained
+from sim.lab.judge.output_folder import LEARNED, check_folder, claim_folder, held, read_results, recorded_facts
+from sim.lab.judge.past import Past, PastForecaster, persist, trained
 from sim.lab.judge.pictures import Curve, Picture, draw
 from sim.lab.judge.ranking import Ranking, Weights, entrants, rank
 from sim.lab.judge.ranking_page import as_plain, draw_ranking, write_page
@@ -25,14 +25,12 @@ from sim.lab.judge.report import CampaignSummary, natural
 from sim.lab.judge.results import TraceResult
 from sim.lab.judge.rows import NOMINAL, Skill, SkillRow, common, figures, grouped, machine_of, means, skill
 from sim.lab.judge.skill_picture import draw_skill
-from sim.lab.judge.stage_records import load_stage
-from sim.lab.judge.stages import Prepared, Wanted, prepare, relabelled
+from sim.lab.judge.stages import Prepared, Wanted, load_stage, prepare, relabelled
 from sim.lab.judge.verdicts import gain, summaries, verdict
 from sim.lab.judge.worth import AHEAD, ForecastSkill, forecast_skill, tables
 
 __all__ = [
     "AHEAD",
-    "CAMPAIGN",
     "LEARNED",
     "NEW",
     "NOMINAL",
@@ -80,7 +78,6 @@ __all__ = [
     "grouped",
     "held",
     "held_out",
-    "holm",
     "judge",
     "limits_of",
     "load_stage",
@@ -91,10 +88,10 @@ __all__ = [
     "outcomes_by_model",
     "paired",
     "persist",
-    "persistence",
     "prepare",
     "rank",
     "read_results",
+    "recorded_facts",
     "relabelled",
     "run_here",
     "run_job",

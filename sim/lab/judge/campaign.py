@@ -17,8 +17,7 @@ from sim.lab.judge.output_folder import COMPLETE, RESULTS, SKILL, Folder, result
 from sim.lab.judge.pictures import draw_one, drawings
 from sim.lab.judge.report import CampaignSummary, ModelReport, ReportEntry, index_html, model_html, shown
 from sim.lab.judge.results import TraceResult, seen_traces
-from sim.lab.judge.stage_records import records
-from sim.lab.judge.stages import Prepared, Stage, timed
+from sim.lab.judge.stages import Prepared, Stage, records, timed
 from sim.lab.judge.worth import ForecastSkill
 from sim.lab.recordings import LoadReport
 from sim.lab.workers import cluster, parallel, processes

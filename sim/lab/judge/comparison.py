@@ -7,10 +7,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sim.lab.judge.differences import Paired, holm, paired, unit_differences
+from sim.lab.judge.differences import Paired, tested, unit_differences
 from sim.lab.judge.rows import grouped
 from sim.lab.learning import PERSISTENCE
-from sim.sha import shown_unit
+from sim.sha import Array, shown_unit
 
 PRESENT, NEW = "present", "new"
 METHODS = (PRESENT, NEW, PERSISTENCE)
@@ -89,11 +89,10 @@ def compared(
 
     `unit` is the key of the rows by which they are independent of one another: rows that share it are one, their mean.
     """
-    rng = np.random.default_rng(seed)
-    found: list[tuple[float, dict[str, float], dict[str, float], Paired]] = []
+    found: list[tuple[float, list[dict[str, float]], Array]] = []
     for horizon, own in sorted(grouped(scores, lambda row: row["horizon"]).items()):
         by_unit = grouped(own, lambda row: (row["method"], row[unit]))
-        crps, cover = (
+        crps, coverage = (
             {
                 method: {
                     name: float(np.mean([row[figure] for row in rows]))
@@ -108,17 +107,23 @@ def compared(
         if differences.size:
             means = [
                 {method: float(np.mean(list(by_name.values()))) for method, by_name in figure.items() if by_name}
-                for figure in (crps, cover)
+                for figure in (crps, coverage)
             ]
-            found.append((horizon, means[0], means[1], paired(differences, rng)))
-    alone = [difference.p for *_, difference in found]
-    better = [difference.p if difference.mean < 0 else 1.0 for *_, difference in found]
+            found.append((horizon, means, differences))
+    tests = tested([differences for *_, differences in found], np.random.default_rng(seed))
+    better = [difference.p if difference.mean < 0 else 1.0 for difference, _ in tests]
     in_sequence = list(accumulate(reversed(better), max))[::-1]
     return [
         HorizonComparison(
-            subject=subject, horizon=horizon, crps=crps, coverage=cover, difference=difference, p=p, sequence=sequence
+            subject=subject,
+            horizon=horizon,
+            crps=means[0],
+            coverage=means[1],
+            difference=difference,
+            p=p,
+            sequence=sequence,
         )
-        for (horizon, crps, cover, difference), p, sequence in zip(found, holm(alone), in_sequence, strict=True)
+        for (horizon, means, _), (difference, p), sequence in zip(found, tests, in_sequence, strict=True)
     ]
 
 

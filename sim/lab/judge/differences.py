@@ -89,3 +89,9 @@ def holm(p_values: Sequence[float]) -> list[float]:
         so_far = max(so_far, (len(p_values) - rank) * p_values[place])
         adjusted[place] = min(1.0, so_far)
     return adjusted
+
+
+def tested(families: Sequence[ArrayLike], rng: np.random.Generator) -> list[tuple[Paired, float]]:
+    """What each of several sets of differences says, with its p-value corrected for all of them (`holm`)."""
+    tests = [paired(differences, rng) for differences in families]
+    return list(zip(tests, holm([test.p if test.n else 1.0 for test in tests]), strict=True))

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from math import isfinite, nan
+from math import isfinite
 from typing import Literal
 
 from sim.lab.judge.results import TRAINED_ON, TraceResult
 from sim.lab.judge.stages import Prepared
+from sim.lab.judge.verdicts import mean
 from sim.proof import verify
 from sim.sha import DEGREES, Model, shown_unit
 
@@ -207,7 +208,7 @@ def _diverging(case: Case) -> Said:
 
 def _covered(case: Case) -> Said:
     low, high = case.limits.coverage_low, case.limits.coverage_high
-    share = _mean(result.coverage for result in case.judged)
+    share = mean(result.coverage for result in case.judged)
     if not isfinite(share):
         return None, "no coverage is known"
     return (
@@ -221,7 +222,7 @@ def _persistence(case: Case) -> Said:
     pairs = [pair for pair in pairs if all(map(isfinite, pair))]
     if not pairs:
         return None, "no error of persistence is known"
-    own, rival = (_mean(column) for column in zip(*pairs, strict=True))
+    own, rival = (mean(column) for column in zip(*pairs, strict=True))
     words = f"MAE {own:.3g} {_unit(case)} against {rival:.3g} {_unit(case)} of the first reading held"
     return own < case.limits.persistence * rival, f"{words} (limit {case.limits.persistence:g} times)"
 
@@ -253,11 +254,6 @@ CRITERIA: Mapping[str, tuple[Callable[[Case], Said], str]] = {
     "from a plant": (_from_plant, "learn from the plant's own traces"),
 }
 """Every criterion by name: whether it is kept (None: not known) with its figure, and the next step where it is not."""
-
-
-def _mean(values: Iterable[float]) -> float:
-    known = [value for value in values if isfinite(value)]
-    return sum(known) / len(known) if known else nan
 
 
 def _traces(count: int) -> str:

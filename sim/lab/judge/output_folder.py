@@ -16,6 +16,7 @@ from drivers.csv_rows import write_rows
 from drivers.named_files import regular
 from sim.engine import Score
 from sim.files import replace_durably
+from sim.lab.judge.fitness import Facts
 from sim.lab.judge.results import Interval, TraceResult
 from sim.lab.judge.semantics import CARRIED, RESAMPLED
 from sim.lab.judge.stages import Stage
@@ -24,6 +25,7 @@ from sim.strict_json import json_text
 CAMPAIGN = "campaign.json"
 RESULTS = "results"
 SKILL = "skill.json"
+GENERATION = "04_model_generation.json"
 FORMAT = "decanter-validation"
 VERSION = 1
 FORMER_SEMANTICS = {"own": CARRIED, "thesis": RESAMPLED}
@@ -235,3 +237,25 @@ def _restored(value: Any, kind: Any) -> Any:
     if isinstance(value, list):
         return tuple(nan if inner is None else inner for inner in value)
     return nan if value is None else value
+
+
+def recorded_facts(path: Path) -> dict[str, dict[str, Facts]]:
+    """What a campaign's records say of its models, by label and semantics; a missing or odd record says nothing.
+
+    `path` is the folder or its results.json.
+    """
+    folder, facts = path if path.is_dir() else path.parent, dict[str, dict[str, Facts]]()
+    for label, place in _record(folder / CAMPAIGN).get("folders", {}).items():
+        facts[label] = {}
+        for semantics, row in _record(folder / place / GENERATION).get("variants", {}).items():
+            traced = bool(row.get("data_hash") or row.get("training_traces"))
+            facts[label][semantics] = Facts(synthetic=bool(row.get("synthetic")) if traced else None)
+    return facts
+
+
+def _record(file: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(regular(file).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return document if isinstance(document, dict) else {}

@@ -7,7 +7,7 @@ from math import isfinite, nan
 
 import numpy as np
 
-from sim.lab.judge.differences import Paired, holm, paired, unit_differences
+from sim.lab.judge.differences import Paired, tested, unit_differences
 from sim.lab.judge.fitness import Facts, Finding, Fitness, FitnessLimits, fitness_of, judge
 from sim.lab.judge.results import TRAINED_ON, Seen, TraceResult
 from sim.lab.judge.worth import ForecastSkill
@@ -220,11 +220,8 @@ def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed
     couples = list(combinations(names, 2))
     rng = np.random.default_rng(seed)
     differences = [unit_differences(scores[first], scores[second]) for first, second in couples]
-    tests = [paired(values, rng) for values in differences]
-    # Corrected over all pairs at once, so this cannot be done pair by pair.
-    corrected = holm([1.0 if test.n == 0 else test.p for test in tests])
     pairs = []
-    for (first, second), values, test, p in zip(couples, differences, tests, corrected, strict=True):
+    for (first, second), values, (test, p) in zip(couples, differences, tested(differences, rng), strict=True):
         below, above, ties = int((values < 0).sum()), int((values > 0).sum()), int((values == 0).sum())
         better = None
         if test.n and len(couples) * test.least > LEVEL:
