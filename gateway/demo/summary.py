@@ -21,19 +21,9 @@ from gateway.demo.prepare import DemoBearing, DemoRun
 from gateway.machine.reading import STALE_PERIODS
 from gateway.settings import load_device
 from gateway.store import events, history, matured, samples, scorecard, to_trace
-from sim.lab.judge import (
-    Curve,
-    FitnessLimits,
-    Picture,
-    TraceJob,
-    TraceRunSettings,
-    draw,
-    fitness_of,
-    model_facts,
-    run_job,
-    why,
-)
+from sim.lab.judge import FitnessLimits, TraceJob, TraceRunSettings, fitness_of, model_facts, run_job, why
 from sim.lab.judge import judge as criteria
+from sim.lab.pictures import Curve, Picture, draw
 from sim.sha import Array, Mask, Model
 
 AHEAD_S = 300.0

@@ -12,7 +12,7 @@ from sim.lab.formats.find import FoundModel
 from sim.lab.judge.campaign import jobs_of
 from sim.lab.judge.discovery import Discovery
 from sim.lab.judge.free_run import TraceOutcome, TraceRunSettings, run_job
-from sim.lab.judge.pictures import draw, drawings
+from sim.lab.judge.pictures import drawings
 from sim.lab.judge.report import (
     CampaignSummary,
     ModelReport,
@@ -25,6 +25,7 @@ from sim.lab.judge.report import (
 from sim.lab.judge.results import Interval, TraceResult
 from sim.lab.judge.stages import Prepared, Stage, records
 from sim.lab.judge.verdicts import gain, summaries, verdict
+from sim.lab.pictures import draw
 from sim.sha.trace import Trace
 from tests.validation.small_plant import location, plant_model, plant_trace
 

@@ -18,7 +18,6 @@ from sim.lab.judge.fitness import (
 from sim.lab.judge.free_run import TROUBLE, HeldOutFold, TraceJob, TraceRunSettings, held_out, run_job
 from sim.lab.judge.output_folder import LEARNED, check_folder, claim_folder, held, read_results, recorded_facts
 from sim.lab.judge.past import Past, PastForecaster, persist, trained
-from sim.lab.judge.pictures import Curve, Picture, draw
 from sim.lab.judge.ranking import Ranking, Weights, entrants, rank
 from sim.lab.judge.ranking_page import as_plain, draw_ranking, write_page
 from sim.lab.judge.report import CampaignSummary, natural
@@ -38,7 +37,6 @@ __all__ = [
     "TROUBLE",
     "CampaignPlan",
     "CampaignSummary",
-    "Curve",
     "Facts",
     "FitnessLimits",
     "ForecastSkill",
@@ -47,7 +45,6 @@ __all__ = [
     "Paired",
     "Past",
     "PastForecaster",
-    "Picture",
     "Prepared",
     "Progress",
     "Ranking",
@@ -64,7 +61,6 @@ __all__ = [
     "common",
     "compared",
     "conduct",
-    "draw",
     "draw_ranking",
     "draw_skill",
     "entrants",

@@ -11,11 +11,10 @@ import numpy as np
 
 from drivers.named_files import writing
 from sim.lab.judge.metrics import QUANTILES
-from sim.lab.judge.pictures import MEASURED
 from sim.lab.judge.ranking import Ranking, entrants
 from sim.lab.judge.results import TraceResult
 from sim.lab.pages import page_environment
-from sim.lab.pictures import blank_figure, svg_text, write_picture
+from sim.lab.pictures import MEASURED, blank_figure, svg_text, write_picture
 from sim.sha import Array, shown_unit
 
 if TYPE_CHECKING:
