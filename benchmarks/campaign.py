@@ -27,10 +27,10 @@ from benchmarks.processes import learned_model
 from sim.engine.open_loop_run import open_loop_schedule, start_law
 from sim.engine.simulation import simulate
 from sim.lab.formats.find import find_model
-from sim.lab.validation.campaign import slim
-from sim.lab.validation.pictures import draw_one, drawings
-from sim.lab.validation.semantics import side_by_side
-from sim.lab.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
+from sim.lab.judge.campaign import slim
+from sim.lab.judge.free_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
+from sim.lab.judge.pictures import draw_one, drawings
+from sim.lab.judge.semantics import side_by_side
 from sim.lab.workers import parallel
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.sha.automaton import Input, Location

@@ -15,12 +15,12 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
+from sim.lab.judge.differences import Paired, paired
+from sim.lab.judge.free_run import HeldOutFold, held_out
+from sim.lab.judge.semantics import side_by_side
 from sim.lab.learning.bins.learn import learn_bins
-from sim.lab.paired import Paired, paired
-from sim.lab.ranking.cross_validation import HeldOutFold, held_out
 from sim.lab.recordings.column_map import load_map
 from sim.lab.recordings.traces import load_traces
-from sim.lab.validation.semantics import side_by_side
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.sha.events import DECANTER, Alphabet, encode
 from sim.sha.trace import Trace

@@ -1,7 +1,7 @@
 """How good are our forecasts beside rivals? MAE, CRPS and coverage of the 90 % band along traces held out.
 
 Each machine or trip is held out in turn: a model is learned from the others and follows the held-out trace as the
-running gateway does (`lab.judging.skill`), events to come unknown and bands widened online. SKAB's one recording is
+running gateway does (`lab.judging.figures`), events to come unknown and bands widened online. SKAB's one recording is
 held out by its halves. The trip of another car is forecast by models of all trips of the first. `--judge` takes
 folders `carobd`, `skab`, `femto` of machines that are in no training: models of all shared traces forecast them.
 
@@ -22,14 +22,26 @@ from joblib import Parallel, delayed
 
 from benchmarks.figures import Figure, give
 from gateway.console import table
-from gateway.lab.judging.skill import PastForecaster, persist, rivals_room, scanned, skill_rows, train
+from gateway.lab.judging.figures import rivals_room, scanned, skill_rows
 from gateway.settings import ForecastSection
+from sim.lab.judge import (
+    AHEAD,
+    PastForecaster,
+    Skill,
+    SkillRow,
+    common,
+    draw_skill,
+    grouped,
+    persist,
+    skill,
+    tables,
+    trained,
+)
 from sim.lab.learning import PERSISTENCE
 from sim.lab.learning.bins import learn_bins
 from sim.lab.learning.lsha import learn_lsha
 from sim.lab.pictures import check_picture
 from sim.lab.recordings import ColumnMap, load_map, load_traces
-from sim.lab.skill import AHEAD, Skill, SkillRow, common, draw_skill, grouped, skill, tables
 from sim.sha import Model, Trace
 
 ROOT = Path(__file__).parents[1]
@@ -121,7 +133,7 @@ def fitted(fold: Fold, methods: Sequence[str], pace: Pace) -> tuple[dict[str, Pa
     for name in methods:
         try:
             if name in rivals:
-                made[name] = train(rivals[name], past, HORIZONS)
+                made[name] = trained(rivals[name], past, HORIZONS)
             elif name == PERSISTENCE:
                 made[name] = partial(persist, horizons=HORIZONS)
         except (ImportError, ValueError) as error:

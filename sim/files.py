@@ -1,7 +1,9 @@
 """Files of artefacts (models, reports, exports): read whole, replaced at one moment, refused in one sentence."""
 
+import fcntl
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from drivers.errors import OneLineError
@@ -53,6 +55,23 @@ def refused(path: Path, error: OSError) -> ArtefactError:
     return at(
         path, None, f"cannot be written ({error.strerror}); make room there, or choose a directory where you may write"
     )
+
+
+@contextmanager
+def held_alone(lock: Path, busy: Exception) -> Iterator[None]:
+    """Holds a lock file, made if need be, which the system releases when the process dies.
+
+    Raises `busy` where another process holds it, and OSError.
+    """
+    handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise busy from None
+        yield
+    finally:
+        os.close(handle)
 
 
 def write_durably(path: Path, content: str) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.year.plant import CHANGES, MONTHS, YEAR
-from sim.lab.skill import NOMINAL
+from sim.lab.judge import NOMINAL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,6 +13,7 @@ from gateway.demo.heat import headline, raised_alarms, started
 from gateway.demo.lead_time import TRUE_WITHIN_S
 from gateway.demo.prepare import DemoBearing, DemoRun
 from gateway.store import history, matured, to_trace
+from sim.lab.pictures import blank_figure
 from sim.sha import Array, Trace
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ def draw_heat(
     setting: DemoRun, heat: Mapping[str, Any], historian: Path, happened: Sequence[Mapping[str, Any]], path: Path
 ) -> Path:
     """Draw the run from its `historian`, its figures `heat` and the PLC's events `happened` into `path`."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
     begin, without = started(setting.trace, happened)
 
@@ -40,8 +39,7 @@ def draw_heat(
         return (np.asarray(absolute, dtype=float) - begin) / 60.0
 
     further = len(setting.bearings) - 1
-    figure = Figure(figsize=(11, 7 + 2.3 * further), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(11, 7 + 2.3 * further)
     heights = [4.0, *[2.0] * further, 1.2]
     axes = figure.subplots(len(heights), 1, sharex=True, gridspec_kw={"height_ratios": heights})
     upper, lower = axes[0], axes[-1]

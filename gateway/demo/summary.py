@@ -5,7 +5,6 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -19,22 +18,12 @@ from gateway.demo.folder import FURTHER_PICTURE
 from gateway.demo.heat import heat_result, raised_alarms
 from gateway.demo.heat_picture import draw_heat
 from gateway.demo.prepare import DemoBearing, DemoRun
-from gateway.lab.judging.facts import gate_of, origin_of
 from gateway.machine.reading import STALE_PERIODS
 from gateway.settings import load_device
 from gateway.store import events, history, matured, samples, scorecard, to_trace
-from sim.lab.validation import (
-    Curve,
-    FitnessLimits,
-    Picture,
-    TraceJob,
-    TraceRunSettings,
-    draw,
-    fitness_of,
-    run_job,
-    why,
-)
-from sim.lab.validation import judge as criteria
+from sim.lab.judge import FitnessLimits, TraceJob, TraceRunSettings, fitness_of, model_facts, run_job, why
+from sim.lab.judge import judge as criteria
+from sim.lab.pictures import Curve, Picture, draw
 from sim.sha import Array, Mask, Model
 
 AHEAD_S = 300.0
@@ -54,9 +43,7 @@ def fitness(setting: DemoRun, model: Model) -> dict[str, str]:
     trace = setting.trace
     run = TraceRunSettings(FITNESS_RUNS, seed=setting.seed)
     job = TraceJob(label=model.sha.name, semantics="carried", model=model, trace=trace, settings=run, seen="no")
-    verified, gate = gate_of(model)
-    facts = replace(origin_of(model), verified=verified, gate=gate)
-    found = criteria([run_job(job).result], facts, FitnessLimits(synthetic=trace.synthetic))
+    found = criteria([run_job(job).result], model_facts(model), FitnessLimits(synthetic=trace.synthetic))
     return {"word": fitness_of(found), "why": why(found)}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from math import isfinite
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
 
 @cache
 def page_environment(package: str, **filters: Callable[..., str]) -> Environment:
-    """The templates of a package with these filters, each template compiled once; `page.html` is there to be extended.
+    """The templates of a package with these filters beside `number` and `figure`; `page.html` is there to be extended.
 
     Names of models, signals and traces come from whoever wrote them: they are escaped, and a variable that a template
     misspells stops the page instead of leaving a hole in it.
@@ -26,5 +27,17 @@ def page_environment(package: str, **filters: Callable[..., str]) -> Environment
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= filters
+    environment.filters |= {"number": number, "figure": figure, **filters}
     return environment
+
+
+def number(value: float | None, digits: int = 2, sign: bool = False) -> str:
+    """A number with so many decimals; a dash where there is none."""
+    if value is None or not isfinite(value):
+        return "–"
+    return f"{value:{'+' if sign else ''}.{digits}f}"
+
+
+def figure(value: float | None, digits: int = 3) -> str:
+    """A number with so many significant digits; a dash where there is none."""
+    return f"{value:.{digits}g}" if value is not None and isfinite(value) else "–"

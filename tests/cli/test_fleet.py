@@ -16,10 +16,10 @@ from gateway.lab.fleet import study
 from gateway.lab.fleet.sources import sources_in
 from sim.artefacts import read_model
 from sim.effects import of_machine as of_the_type
+from sim.lab.judge import held
 from sim.lab.learning.bins.candidates import CANDIDATES
 from sim.lab.learning.bins.learn import learn_bins
 from sim.lab.recordings import load_map, write_trace
-from sim.lab.validation import held
 from tests.cli.support import ROOT, decanter, only_object, refused
 from tests.learning.test_machines import of_machine
 from tests.rig.no_bands import without_bands

@@ -66,7 +66,7 @@ def test_validate_reports_forecasts_beside_the_rivals_that_are_there(
 ) -> None:
     rivals = (Clairvoyant(), Absent("one"), Absent("two"))
     room = SimpleNamespace(Past=Past, rivals=lambda seed: rivals)
-    monkeypatch.setitem(sys.modules, "sim.lab.rivals", room)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "sim.lab.judge.rivals", room)  # type: ignore[arg-type]
     out = tmp_path / "out"
     command = ("model", "validate", plant / "model", "--traces", plant, "--training", plant / "own", "--out", out)
     done = decanter(*command, "--runs", 100, "--no-pictures", "--jobs", 1, "--rivals")

@@ -85,7 +85,7 @@ def test_skill_speaks_by_horizon_machine_and_time_and_draws_it(plant: Path, tmp_
 def test_skill_asks_rivals_with_the_past_alone(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rival = Clairvoyant()
     room = SimpleNamespace(Past=Past, rivals=lambda seed: (rival,))
-    monkeypatch.setitem(sys.modules, "sim.lab.rivals", room)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "sim.lab.judge.rivals", room)  # type: ignore[arg-type]
     options = (
         "--traces",
         plant / "a.csv",

@@ -12,8 +12,8 @@ import pytest
 from click.testing import Result
 
 from sim.lab.formats.find import find_model
-from sim.lab.validation.discovery import discover, own_check, report_beside
-from sim.lab.validation.output_folder import read_results
+from sim.lab.judge.discovery import discover, own_check, report_beside
+from sim.lab.judge.output_folder import read_results
 from tests.cli.artefact_set import EDGES, FLOWS, HISTOGRAM, REPORT, THESIS, files, source, written
 from tests.cli.support import DATA, decanter, misused, only_object, refused
 from tests.rig.no_bands import without_bands
@@ -396,7 +396,7 @@ def test_an_interrupted_campaign_is_seen_as_such_and_can_be_replaced(
 
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr("sim.lab.validation.campaign_run.index_html", killed)
+        patch.setattr("sim.lab.judge.campaign.index_html", killed)
         decanter_result = validate(model, traces, out)
     assert decanter_result.exit_code == 130
     assert f"what was done lies in {out}" in decanter_result.stderr

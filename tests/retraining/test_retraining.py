@@ -16,11 +16,12 @@ import numpy as np
 import pytest
 
 from drivers.tag import Quality, Sample, Tag
+from gateway.lab.judging import figures as judging
+from gateway.lab.judging.figures import scores_along
 from gateway.lab.learning.familiar import free_run_error
-from gateway.lab.retraining import cutting, judging, lineage, shadow, study
+from gateway.lab.retraining import cutting, lineage, shadow, study
 from gateway.lab.retraining.cutting import CycleSource, and_after, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
-from gateway.lab.retraining.judging import NEW, PRESENT, compared, scores_along, verdict_on
 from gateway.lab.retraining.report import coverage_figure
 from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, joined, new_cycles, source_of, sparse
 from gateway.lab.retraining.training_record import read_record
@@ -29,8 +30,9 @@ from gateway.machine.records import Keeper
 from gateway.store import open_historian
 from sim.artefacts import current, load, promote, read_familiarity, version_directory, versions
 from sim.lab.formats import save
+from sim.lab.judge.comparison import NEW, PRESENT, compared, verdict_on
 from sim.lab.learning.semi_markov import sojourns
-from sim.lab.ranking import METHODS, Taught
+from sim.lab.tuning import METHODS, Taught
 from sim.sha import Distribution, Location, Model, Trace, content_hash, encode, encoded
 from tests.cli.support import decanter, only_object, refused
 from tests.gateway.support import TEMPERATURE, one_machine, two_modes

@@ -13,10 +13,10 @@ from benchmarks.year.judge import HORIZONS, DayScore, day_score
 from benchmarks.year.kept_days import KeptDays
 from benchmarks.year.plant import BEARING, SENSOR, TEMPERATURE, Day, dates_of, day_of, days_before, overheated, plant_on
 from gateway.lab.retraining import shadow, study
-from gateway.lab.retraining.judging import NEW, PRESENT
 from gateway.store import newest_scan, reading
 from sim.artefacts import current, versions
-from sim.lab.ranking import METHODS, Taught
+from sim.lab.judge.comparison import NEW, PRESENT
+from sim.lab.tuning import METHODS, Taught
 from sim.sha import Trace
 from tests.retraining.test_retraining import BEGIN, heated, plant
 

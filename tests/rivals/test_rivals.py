@@ -8,11 +8,10 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from sim.lab.rivals import FittedRival, Past, Rival, rivals
-from sim.lab.rivals.features import feature_table
-from sim.lab.rivals.past import temperature_at
-from sim.lab.rivals.persistence import Persistence
-from sim.lab.rivals.univariate import Univariate
+from sim.lab.judge.direct_rivals import feature_table
+from sim.lab.judge.past import temperature_at
+from sim.lab.judge.rivals import FittedRival, Past, Persistence, Rival, rivals
+from sim.lab.judge.univariate_rivals import Univariate
 
 HORIZONS = (60.0, 300.0)
 LEVELS = (0.05, 0.5, 0.95)
@@ -150,6 +149,6 @@ def test_what_cannot_be_is_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -
         rival("ARX, direct").fit([past(np.full(20, 50.0))], (300.0,))
     with pytest.raises(ValueError, match="shape"):
         Past(np.arange(3.0), np.zeros(2), {})
-    monkeypatch.setattr("sim.lab.rivals.univariate.find_spec", lambda name: None)
+    monkeypatch.setattr("sim.lab.judge.univariate_rivals.find_spec", lambda name: None)
     with pytest.raises(ValueError, match=r"decanter-gateway\[bench\]"):
         Univariate("AutoETS", "auto_ets").fit([driven(1)], HORIZONS)

@@ -6,12 +6,13 @@ from functools import partial
 import numpy as np
 import pytest
 
-from gateway.lab.judging.skill import machine_of, persist, scanned, skill_rows
+from gateway.lab.judging.figures import scanned, skill_rows
 from gateway.machine.model.along import forecasts_along, machine_offset_along, recorded_scans
 from gateway.machine.model.predict import Predictor
 from gateway.settings.config import ForecastSection
+from sim.lab.judge.past import persist
+from sim.lab.judge.rows import machine_of, skill
 from sim.lab.learning.plain import PERSISTENCE
-from sim.lab.skill.rows import skill
 from sim.sha.automaton import Distribution, Effect, Flow, Location
 from sim.sha.model import Model
 from sim.sha.trace import Array, Trace

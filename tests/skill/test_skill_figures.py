@@ -8,10 +8,10 @@ import pytest
 from scipy.special import ndtri
 
 from sim.forecast.ensemble import DENSE
-from sim.lab.skill.last_reading import persistence
-from sim.lab.skill.picture import draw_skill
-from sim.lab.skill.report import tables
-from sim.lab.skill.rows import NO_SKILL, SkillRow, common, difference, skill, stretch
+from sim.lab.judge.past import persistence
+from sim.lab.judge.rows import NO_SKILL, SkillRow, common, difference, skill, stretch
+from sim.lab.judge.skill_picture import draw_skill
+from sim.lab.judge.worth import tables
 from sim.scores import crps_gaussian
 from sim.sha.trace import Array
 

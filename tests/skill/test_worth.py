@@ -7,8 +7,8 @@ import pytest
 from scipy.special import ndtri
 
 from sim.forecast.ensemble import DENSE
-from sim.lab.skill.rows import SkillRow
-from sim.lab.skill.worth import forecast_skill
+from sim.lab.judge.rows import SkillRow
+from sim.lab.judge.worth import forecast_skill
 
 NORMAL = ndtri(np.array(DENSE))
 

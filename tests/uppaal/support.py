@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.lab.ranking.tuning_methods import METHODS, Task
+from sim.lab.tuning.methods import METHODS, Task
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Input, Location
 from sim.sha.events import DECANTER, Alphabet, Bins, encode

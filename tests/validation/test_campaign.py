@@ -12,9 +12,8 @@ import pytest
 
 from sim.lab import workers
 from sim.lab.formats.find import FoundModel
-from sim.lab.recordings.load_report import FileReport, LoadReport
-from sim.lab.validation import campaign
-from sim.lab.validation.campaign import (
+from sim.lab.judge import campaign
+from sim.lab.judge.campaign import (
     Runner,
     Unread,
     jobs_of,
@@ -23,11 +22,12 @@ from sim.lab.validation.campaign import (
     run_there,
     unread,
 )
-from sim.lab.validation.discovery import Discovery
-from sim.lab.validation.output_folder import results_json
-from sim.lab.validation.results import TraceResult
-from sim.lab.validation.stages import Prepared
-from sim.lab.validation.trace_run import TraceRunSettings
+from sim.lab.judge.discovery import Discovery
+from sim.lab.judge.free_run import TraceRunSettings
+from sim.lab.judge.output_folder import results_json
+from sim.lab.judge.results import TraceResult
+from sim.lab.judge.stages import Prepared
+from sim.lab.recordings.load_report import FileReport, LoadReport
 from sim.lab.workers import cluster, parallel, waited_for
 from sim.sha.trace import Trace
 from tests.validation.killed import divided, twice

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim.lab.validation import metrics
-from sim.lab.validation.metrics import block_length, judge_band, mae_interval, rmse_interval
+from sim.lab.judge import metrics
+from sim.lab.judge.metrics import block_length, judge_band, mae_interval, rmse_interval
 from sim.scores import block_bootstrap, crps_gaussian
 from sim.sha.trace import Array
 

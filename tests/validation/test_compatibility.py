@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from sim.engine.schedules import Policy
-from sim.lab.validation.compatibility import compatibility, dense_events
+from sim.lab.judge.compatibility import compatibility, dense_events
 from sim.sha.automaton import Edge
 from sim.sha.events import encode
 from sim.sha.trace import UNKNOWN, Event

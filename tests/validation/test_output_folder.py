@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sim.engine.open_loop_run import Score
-from sim.lab.validation.output_folder import (
+from sim.lab.judge.output_folder import (
     check_folder,
     claim_folder,
     held,
@@ -17,7 +17,7 @@ from sim.lab.validation.output_folder import (
     results_csv,
     results_json,
 )
-from sim.lab.validation.results import Interval, TraceResult
+from sim.lab.judge.results import Interval, TraceResult
 
 FULL = TraceResult(
     "plant",

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from sim.lab.validation.plots import Curve, Picture, draw
+from sim.lab.pictures import Curve, Picture, draw
 from sim.sha.trace import UNKNOWN, Event
 
 EPOCH = 1_700_000_000.0

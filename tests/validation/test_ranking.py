@@ -12,12 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.engine.open_loop_run import Score
-from sim.lab.paired import holm, paired
-from sim.lab.ranking.ranking import Ranking, Weights, rank, score
-from sim.lab.ranking.report import as_plain, draw_ranking, page, spreads, win_matrix
-from sim.lab.validation.fitness import CRITERIA, Facts, FitnessLimits, fitness_of, fitness_sentence, judge, limits_of
-from sim.lab.validation.results import TraceResult
-from sim.lab.validation.seen import Seen
+from sim.lab.judge.differences import holm, paired
+from sim.lab.judge.fitness import CRITERIA, Facts, FitnessLimits, fitness_of, fitness_sentence, judge, limits_of
+from sim.lab.judge.ranking import Ranking, Weights, rank, score
+from sim.lab.judge.ranking_page import as_plain, draw_ranking, page, spreads, win_matrix
+from sim.lab.judge.results import Seen, TraceResult
 
 KNOWN = Facts(synthetic=False, verified=True)
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from sim.lab.formats.find import FoundModel
-from sim.lab.ranking.ranking import rank
-from sim.lab.validation.campaign import outcomes_by_model, run_here
-from sim.lab.validation.discovery import Discovery
-from sim.lab.validation.output_folder import results_csv
-from sim.lab.validation.results import TraceResult
-from sim.lab.validation.stages import Prepared
-from sim.lab.validation.trace_run import TraceRunSettings
+from sim.lab.judge.campaign import outcomes_by_model, run_here
+from sim.lab.judge.discovery import Discovery
+from sim.lab.judge.free_run import TraceRunSettings
+from sim.lab.judge.output_folder import results_csv
+from sim.lab.judge.ranking import rank
+from sim.lab.judge.results import TraceResult
+from sim.lab.judge.stages import Prepared
 from sim.sha.trace import Array, Trace
 from tests.validation.small_plant import COLD, HOT, K, plant_model, plant_trace
 

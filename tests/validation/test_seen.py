@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from sim.lab.validation.seen import seen_traces
+from sim.lab.judge.results import seen_traces
 from sim.plant.scenarios import scenario
 from sim.sha.automaton import SHA, Flow, Location
 from sim.sha.events import Alphabet

@@ -9,7 +9,7 @@ import pytest
 from sim.engine.open_loop_run import errors, open_loop
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
-from sim.lab.validation.semantics import side_by_side
+from sim.lab.judge.semantics import side_by_side
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model, Stay

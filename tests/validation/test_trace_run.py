@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.lab.validation import trace_run
-from sim.lab.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
+from sim.lab.judge import free_run as trace_run
+from sim.lab.judge.free_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Trace

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.lab.ranking import study, tuning_methods
-from sim.lab.ranking.cross_validation import folds, held_out, usable
-from sim.lab.ranking.tuning import StudyPlan, StudyTrial, Tuning, final_model, tune
-from sim.lab.ranking.tuning_methods import ANY, METHODS, Choice, Real, Task, Whole, method_of, tuned_alphabet
+from sim.lab.judge.free_run import held_out
+from sim.lab.tuning import methods as tuning_methods
+from sim.lab.tuning import study
+from sim.lab.tuning.methods import ANY, METHODS, Choice, Real, Task, Whole, method_of, tuned_alphabet
+from sim.lab.tuning.search import StudyPlan, StudyTrial, Tuning, final_model, folds, tune, usable
 from sim.plant.scenarios import scenario
 from sim.sha.events import DECANTER, Bins
 from sim.sha.trace import Trace

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from sim.lab.formats.find import FoundModel
-from sim.lab.validation.campaign import jobs_of
-from sim.lab.validation.discovery import Discovery
-from sim.lab.validation.pictures import drawings
-from sim.lab.validation.plots import draw
-from sim.lab.validation.report import (
+from sim.lab.judge.campaign import jobs_of
+from sim.lab.judge.discovery import Discovery
+from sim.lab.judge.free_run import TraceOutcome, TraceRunSettings, run_job
+from sim.lab.judge.pictures import drawings
+from sim.lab.judge.report import (
     CampaignSummary,
     ModelReport,
     ReportEntry,
@@ -22,11 +22,10 @@ from sim.lab.validation.report import (
     model_html,
     shown,
 )
-from sim.lab.validation.results import Interval, TraceResult
-from sim.lab.validation.stage_records import records
-from sim.lab.validation.stages import Prepared, Stage
-from sim.lab.validation.trace_run import TraceOutcome, TraceRunSettings, run_job
-from sim.lab.validation.verdicts import gain, summaries, verdict
+from sim.lab.judge.results import Interval, TraceResult
+from sim.lab.judge.stages import Prepared, Stage, records
+from sim.lab.judge.verdicts import gain, summaries, verdict
+from sim.lab.pictures import draw
 from sim.sha.trace import Trace
 from tests.validation.small_plant import location, plant_model, plant_trace
 

@@ -10,8 +10,8 @@ import sys
 import time
 from pathlib import Path
 
-from sim.lab.ranking import tuning_methods
-from sim.lab.ranking.tuning import StudyPlan, tune
+from sim.lab.tuning import methods as tuning_methods
+from sim.lab.tuning.search import StudyPlan, tune
 from tests.validation.tuning_plant import ALPHABET, relaxing, relaxing_method, traces
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.lab.ranking.tuning_methods import Choice, Method, Real, Settings, Task, Taught
+from sim.lab.tuning.methods import Choice, Method, Real, Settings, Task, Taught
 from sim.sha.automaton import SHA, Distribution, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model

@@ -11,6 +11,7 @@ from drivers.named_files import writing
 from sim.lab.checking.query import Always, Expression, Hypothesis, Indicator, Probability, Quantity, Simulation
 from sim.lab.checking.smc import Answer
 from sim.lab.checking.smc.rules import one_or_two_sided
+from sim.lab.pictures import blank_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,11 +50,7 @@ def draw_answer(answer: Answer, text: str, path: Path, unit: str) -> None:
 
 
 def _figure(rows: int) -> tuple[Figure, list[Axes]]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 1.6 + min(3.2 * rows, 60.0)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(10, 1.6 + min(3.2 * rows, 60.0))
     panels = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
     for axes in panels:
         axes.grid(alpha=0.3)

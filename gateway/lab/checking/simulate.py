@@ -16,7 +16,7 @@ from sim.engine import Policy, Start, errors, measured, open_loop, open_loop_sch
 from sim.engine import simulate as sample_runs
 from sim.forecast import beyond, standardised
 from sim.lab.formats import find_model
-from sim.lab.validation import Curve, Picture, draw
+from sim.lab.pictures import Curve, Picture, draw
 from sim.sha import Model, Trace, encoded, shown_unit, unit_of
 
 BAND = (0.05, 0.95)

@@ -21,15 +21,15 @@ from gateway.lab.fleet.sources import TABLE, sources_in
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.models.show import spread_sentence
 from sim.forecast import Z90
+from sim.lab.judge import held
 from sim.lab.learning import MachineSpread, StandsOut, spread_of
+from sim.lab.pictures import blank_figure
 from sim.lab.recordings import load_map, units
-from sim.lab.validation import held
 from sim.lab.workers import cluster, processes
 from sim.sha import shown_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PICTURE = "fleet.png"
 MOST_NAMED = 40
@@ -196,15 +196,11 @@ def draw(found: FleetFindings, words: Mapping[str, str], path: Path) -> None:
 
     Beside them the targets of each group of locations in which a machine stands out.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     groups = sorted({one.group for places in found.outstanding.values() for one in places})
     striking = {group: {name for name, each in found.outstanding.items() if group in _groups(each)} for group in groups}
     names = sorted(found.spread.offsets, key=lambda name: found.spread.offsets[name])
     size = (10 + 4 * len(groups), 1.8 + min(0.22 * len(names), 9.0))
-    figure: Figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(*size)
     whole, *others = figure.subplots(1, 1 + len(groups), squeeze=False, sharey=True)[0]
     unit = shown_unit(found.model.unit)
     _panel(whole, found.spread, names, set(found.outstanding))

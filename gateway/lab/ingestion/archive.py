@@ -24,7 +24,7 @@ from typing import Any, Literal
 from drivers.named_files import regular, writing
 from gateway.lab.ingestion.recognising import BESIDE_SQLITE, PLACES, FileStamps, IngestUnit, RecognisedUnit
 from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
-from sim.files import ArtefactError, at, sync_directory
+from sim.files import ArtefactError, at, held_alone, sync_directory
 from sim.lab.formats import FLOW_FILE, SUFFIXES
 from sim.lab.recordings import TraceError, unread_hash
 
@@ -298,15 +298,9 @@ def opened_archive(folder: Path, *, dry: bool = False) -> Iterator[IngestArchive
         yield IngestArchive(folder, dry=True)
         return
     folder.mkdir(parents=True, exist_ok=True)
-    handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise PassingError(f"{folder}: another process is ingesting into this archive; wait for it") from None
+    busy = PassingError(f"{folder}: another process is ingesting into this archive; wait for it")
+    with held_alone(folder / LOCK, busy):
         for place in PLACES.values():
             for half in (folder / place).rglob(f".*{PART}"):
                 half.unlink()
         yield IngestArchive(folder)
-    finally:
-        os.close(handle)

@@ -1,44 +1,39 @@
 """`decanter model rank`: several models on the same traces; which of them are fit for deployment."""
 
-import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import click
 
-from drivers.named_files import regular
-from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.console import emit, json_option, progress, table
 from gateway.entry import Exit, fail, interruptible, sentences
-from gateway.lab.judging.facts import facts_of, gate_of, origin_of
-from gateway.lab.judging.judged_forecasts import judged_forecasts, skill_options
+from gateway.lab.judging.request import JudgingRequest, judging_options
 from gateway.lab.judging.skill import show_skill
-from sim.lab.pictures import check_picture
-from sim.lab.ranking import Ranking, Weights, as_plain, draw_ranking, entrants, write_page
-from sim.lab.ranking import rank as ranked
-from sim.lab.recordings import load_map, load_traces
-from sim.lab.skill import ForecastSkill
-from sim.lab.validation import (
-    CAMPAIGN,
+from sim.lab.judge import (
     Facts,
-    Prepared,
+    ForecastSkill,
     Progress,
+    Ranking,
     TraceResult,
-    TraceRunSettings,
-    Wanted,
+    Weights,
+    as_plain,
+    draw_ranking,
+    entrants,
+    facts_of,
     limits_of,
     outcomes_by_model,
-    prepare,
     read_results,
+    recorded_facts,
     relabelled,
     run_here,
     unread,
+    write_page,
 )
-from sim.sha import Trace, shown_unit
-
-GENERATION = "04_model_generation.json"
+from sim.lab.judge import rank as ranked
+from sim.lab.pictures import check_picture
+from sim.lab.recordings import load_map, load_traces
+from sim.sha import shown_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,85 +45,43 @@ class RankingInput:
     skill: ForecastSkill | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RankingRequest:
-    """What to compare: `models` along the traces of `paths`, or the results in `folders` (with models at hand)."""
-
-    models: Sequence[str]
-    paths: Sequence[str]
-    folders: Sequence[Path]
-    map_file: Path
-    wanted: Wanted
-    training: Sequence[str]
-    runs: int
-    jobs: int | None
-    seed: int
-    skill: bool
-    rivals: bool
-
-
-def compared(request: RankingRequest, progress: Progress) -> RankingInput:
+def compared(request: JudgingRequest, folders: Sequence[Path], progress: Progress) -> RankingInput:
     """Runs every model along every trace, or reads what an earlier campaign found.
 
     Raises ValueError or OSError for what cannot be read, and for a model at hand that has no results in the folders.
     """
-    if not request.folders:
-        column_map = load_map(request.map_file)
+    column_map = load_map(request.map_file)
+    if not folders:
         traces, report = load_traces(list(request.paths), column_map)
         training = load_traces(list(request.training), column_map)[0] if request.training else None
-        prepared = _prepared(request, training)
-        run = run_here(request.jobs or len(os.sched_getaffinity(0)))
-        settings = TraceRunSettings(request.runs, seed=request.seed)
+        prepared = relabelled([request.prepared(where, column_map, training) for where in request.models])
+        run, settings = run_here(request.workers), request.settings
         by_model = outcomes_by_model(
             prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
         )
         results = [outcome.result for _, outcomes in by_model for outcome in outcomes]
         facts_at_hand = _by_entrant(results, {model.label: facts_of(model) for model in prepared})
-        if not request.skill:
-            return RankingInput(results, facts_at_hand)
-        learned = training if request.rivals else None
-        made = judged_forecasts(prepared, traces, training=learned, seed=request.seed, report=progress)
-        return RankingInput(results, facts_at_hand, made.skill(seed=request.seed))
-    results = [result for folder in request.folders for result in read_results(folder)]
+        made = request.forecasts(prepared, traces, training, progress)
+        return RankingInput(results, facts_at_hand, made.skill(seed=settings.seed) if made else None)
+    results = [result for folder in folders for result in read_results(folder)]
     labels = sorted({result.model for result in results})
-    facts: dict[str, dict[str, Facts]] = {}
-    for path in request.folders:
-        # What the campaign's records say of its models, by label and semantics; a missing or odd record says nothing.
-        folder = path if path.is_dir() else path.parent
-        for label, place in _document(folder / CAMPAIGN).get("folders", {}).items():
-            facts[label] = {}
-            for semantics, row in _document(folder / place / GENERATION).get("variants", {}).items():
-                traced = bool(row.get("data_hash") or row.get("training_traces"))
-                facts[label][semantics] = Facts(synthetic=bool(row.get("synthetic")) if traced else None)
+    facts = {label: found for folder in folders for label, found in recorded_facts(folder).items()}
     # A model at hand is that of the results with its name: it is verified, which the records cannot say.
-    for at_hand in _prepared(request, None):
+    for at_hand in relabelled([request.prepared(where, column_map, None) for where in request.models]):
         if at_hand.label not in labels:
             raise ValueError(
                 f"{at_hand.where}: the results have no model {at_hand.label!r}; they have {', '.join(labels) or 'none'}"
             )
-        own: dict[str, Facts] = {}
-        for semantics, model in at_hand.variants.items():
-            verified, gate = gate_of(model)
-            own[semantics] = replace(origin_of(model), verified=verified, gate=gate)
+        own = facts_of(at_hand)
+        unfit = own.pop("")
         # The gate's word on the model at hand is its word on the recorded semantics too.
-        word = next(iter(own.values()), Facts(verified=False, gate="; ".join(at_hand.refusals.values())))
+        word = next(iter(own.values()), unfit)
         recorded = {
             name: replace(known, verified=word.verified, gate=word.gate)
             for name, known in facts.get(at_hand.label, {}).items()
         }
         facts[at_hand.label] = {**recorded, **own}
     return RankingInput(results, _by_entrant(results, facts))
-
-
-def _prepared(request: RankingRequest, training: Sequence[Trace] | None) -> list[Prepared]:
-    column_map = load_map(request.map_file)
-    alphabet, temperature = column_map.alphabet, column_map.temperature
-    return relabelled(
-        [
-            prepare(where, alphabet, temperature, wanted=request.wanted, training=training, seed=request.seed)
-            for where in request.models
-        ]
-    )
 
 
 def _by_entrant(results: Sequence[TraceResult], facts: Mapping[str, Mapping[str, Facts]]) -> dict[str, Facts]:
@@ -142,14 +95,6 @@ def _by_entrant(results: Sequence[TraceResult], facts: Mapping[str, Mapping[str,
         elif "" in known:
             by_entrant[name] = known[""]
     return by_entrant
-
-
-def _document(file: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(regular(file).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return document if isinstance(document, dict) else {}
 
 
 LIMITS = """
@@ -175,21 +120,10 @@ Limits of fitness, judged on traces that were not in training where there are an
     type=click.Path(path_type=Path),
     help="The folder of an earlier `validate`; may be given again.",
 )
-@map_option
-@click.option(
-    "--semantics",
-    "wanted",
-    type=click.Choice(["written", "carried", "resampled", "both"]),
-    default="written",
-    show_default=True,
-    help="The temperature is carried over events or resampled on entry (the thesis); both are ranked apart.",
+@judging_options(
+    semantics="both are ranked apart",
+    training="Traces that give the resampled semantics its entry laws; rivals are fitted to them.",
 )
-@click.option(
-    "--training",
-    multiple=True,
-    help="Traces that give the resampled semantics its entry laws; rivals are fitted to them.",
-)
-@skill_options
 @click.option(
     "--weights",
     type=click.FloatRange(0.0),
@@ -207,8 +141,6 @@ Limits of fitness, judged on traces that were not in training where there are an
     help="A limit of fitness, as `--limit coverage_low 0.85`; may be given again. Names and defaults are below.",
 )
 @click.option("--allow-synthetic", is_flag=True, help="A model learned from synthetic traces may be fit.")
-@click.option("--runs", type=click.IntRange(100, 100_000), default=1000, show_default=True, help="Runs a trace.")
-@click.option("--jobs", type=click.IntRange(1), help="Worker processes.  [default: one a core]")
 @click.option(
     "--page", type=click.Path(path_type=Path, dir_okay=False), help="Also write the ranking as one HTML page."
 )
@@ -217,25 +149,15 @@ Limits of fitness, judged on traces that were not in training where there are an
     type=click.Path(path_type=Path, dir_okay=False),
     help="Also draw errors and wins to this file (.png, .pdf, .svg).",
 )
-@seed_option
 @json_option
 def rank(
-    models: Sequence[str],
-    paths: Sequence[str],
+    request: JudgingRequest,
     folders: Sequence[Path],
-    map_name: str,
-    wanted: Wanted,
-    training: Sequence[str],
-    skill: bool,
-    rivals: bool,
     weights: tuple[float, float, float],
     limits: Sequence[tuple[str, str]],
     allow_synthetic: bool,
-    runs: int,
-    jobs: int | None,
     page: Path | None,
     picture: Path | None,
-    seed: int,
     as_json: bool,
 ) -> None:
     """Compare models on the same traces by S = w1 MAE + w2 largest error + w3 sigma(error), with paired tests.
@@ -245,32 +167,25 @@ def rank(
     fitness for deployment are options; `open` means that one of them could not be looked at. With --skill the models'
     forecasts along the traces are scored too, beside persistence, and it is said where they are not worth it.
     """
-    if bool(paths) == bool(folders) or (paths and not models):
+    if bool(request.paths) == bool(folders) or (request.paths and not request.models):
         raise click.UsageError("Give MODEL... with --traces, or --results of an earlier campaign.")
-    if (skill or rivals) and not paths:
+    if request.skill and not request.paths:
         raise click.UsageError("--skill forecasts along traces: give MODEL... with --traces instead of --results.")
-    if rivals and not training:
-        raise click.UsageError("--rivals are fitted to traces: name them with --training")
+    request.check_training()
     try:
         with sentences(), progress("ranking") as bar, interruptible(bar) as report:
             if picture is not None:
                 check_picture(picture)
             used, bounds = Weights(*weights), limits_of(limits, synthetic=allow_synthetic)
-            request = RankingRequest(
-                models=models,
-                paths=paths,
-                folders=folders,
-                map_file=shipped("traces", map_name),
-                wanted=wanted,
-                training=training,
-                runs=runs,
-                jobs=jobs,
-                seed=seed,
-                skill=skill or rivals,
-                rivals=rivals,
+            seen = compared(request, folders, report)
+            ranking = ranked(
+                seen.results,
+                seen.facts,
+                weights=used,
+                limits=bounds,
+                seed=request.settings.seed,
+                skill=seen.skill,
             )
-            seen = compared(request, report)
-            ranking = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed, skill=seen.skill)
             if page is not None:
                 write_page(ranking, seen.results, page)
             if picture is not None:

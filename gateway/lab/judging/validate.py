@@ -1,7 +1,5 @@
 """`decanter model validate`: models along measured traces in nine stages, with a report each."""
 
-import os
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
@@ -12,36 +10,30 @@ from time import perf_counter
 
 import click
 
-from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.console import emit, json_option, progress, table
 from gateway.entry import Exit, fail, interruptible, sentences
-from gateway.lab.judging.facts import facts_of
-from gateway.lab.judging.judged_forecasts import judged_forecasts, skill_options
+from gateway.lab.judging.request import JudgingRequest, judging_options
 from gateway.lab.traces.load import warned_of
-from sim.engine import Policy
 from sim.lab.formats import write_model_directory
-from sim.lab.ranking import METHODS, Task
-from sim.lab.recordings import ColumnMap, load_map, load_traces, units
-from sim.lab.skill import ForecastSkill
-from sim.lab.validation import (
+from sim.lab.judge import (
     LEARNED,
     CampaignPlan,
     CampaignSummary,
     Facts,
+    ForecastSkill,
     Prepared,
     Progress,
     TraceResult,
-    TraceRunSettings,
-    Wanted,
     check_folder,
     claim_folder,
     conduct,
+    facts_of,
     findings_of,
     fitness_sentence,
     gain,
     held,
     load_stage,
     natural,
-    prepare,
     relabelled,
     run_here,
     run_there,
@@ -49,27 +41,9 @@ from sim.lab.validation import (
     unread,
     verdict,
 )
+from sim.lab.recordings import ColumnMap, load_map, load_traces, units
+from sim.lab.tuning import METHODS, Task
 from sim.sha import Trace, shown_unit
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ValidationRequest:
-    """The options of `decanter model validate`. `created` is the time for the report, in seconds UTC."""
-
-    models: Sequence[str]
-    paths: Sequence[str]
-    map_file: Path
-    out: Path
-    overwrite: bool
-    wanted: Wanted
-    training: Sequence[str]
-    settings: TraceRunSettings
-    jobs: int | None
-    address: str | None
-    pictures: bool
-    created: float
-    skill: bool
-    rivals: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,16 +64,25 @@ class CampaignFindings:
         return sentences
 
 
-def campaign(request: ValidationRequest, tell: Callable[[str], None], progress: Progress) -> CampaignFindings:
-    """What came out; the folder is complete then.
+def campaign(
+    request: JudgingRequest,
+    out: Path,
+    *,
+    overwrite: bool,
+    address: str | None,
+    pictures: bool,
+    created: str,
+    tell: Callable[[str], None],
+    progress: Progress,
+) -> CampaignFindings:
+    """What came out; the folder `out` is complete then. `created` is the time that its reports say.
 
     Raises ValueError or OSError, before anything is written, for a folder, a map, a model, a set of traces or a cluster
     that cannot be used. Models that are to be learned (see `methods_in`) are learned once all that is known to be good.
     """
-    check_folder(request.out, overwrite=request.overwrite)
+    check_folder(out, overwrite=overwrite)
     column_map = load_map(request.map_file)
-    workers = request.jobs or len(os.sched_getaffinity(0))
-    with nullcontext(run_here(workers)) if request.address is None else run_there(request.address) as run:
+    with nullcontext(run_here(request.workers)) if address is None else run_there(address) as run:
         # The models come before the traces and the learning after both: what can be refused at once is refused first.
         unlearned = to_learn(request.models)
         if unlearned and not request.training:
@@ -115,7 +98,7 @@ def campaign(request: ValidationRequest, tell: Callable[[str], None], progress: 
         ready: list[tuple[str, Prepared | None]] = []
         for number, where in enumerate(request.models):
             progress(where, number / len(request.models))
-            ready.append((where, None if where in unlearned else _prepared(where, request, column_map, training)))
+            ready.append((where, None if where in unlearned else request.prepared(where, column_map, training)))
         progress("reading traces", 0.0)
         begin = perf_counter()
         traces, report = load_traces(list(request.paths), column_map)
@@ -129,28 +112,27 @@ def campaign(request: ValidationRequest, tell: Callable[[str], None], progress: 
             "seed": str(request.settings.seed),
             "decanter": version("decanter-gateway"),
         }
-        created = datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC")
         plan = CampaignPlan(
             settings=request.settings,
             run=run,
-            workers=workers,
-            pictures=request.pictures,
+            workers=request.workers,
+            pictures=pictures,
             units=units(column_map),
             campaign=CampaignSummary(created, facts),
         )
-        with held(request.out):
-            stale = check_folder(request.out, overwrite=request.overwrite)  # again: nobody else can write there now
-            folder = claim_folder(request.out, stale, (), {"created": created, **facts})
+        with held(out):
+            stale = check_folder(out, overwrite=overwrite)  # again: nobody else can write there now
+            folder = claim_folder(out, stale, (), {"created": created, **facts})
             known = training or ()
-            models = [model or _learned(where, request, column_map, known, progress) for where, model in ready]
+            models = [
+                model or _learned(where, request, column_map, known, out=out, progress=progress)
+                for where, model in ready
+            ]
             prepared = relabelled(models)
             folder.assign([model.label for model in prepared])
-            skill = {}
-            if request.skill:
-                seed = request.settings.seed
-                rivals = training if request.rivals else None
-                made = judged_forecasts(prepared, traces, training=rivals, seed=seed, report=progress)
-                skill = {model.label: made.skill(model.label, seed=seed) for model in prepared}
+            made = request.forecasts(prepared, traces, training, progress)
+            seed = request.settings.seed
+            skill = {model.label: made.skill(model.label, seed=seed) for model in prepared} if made else {}
             known_facts = {model.label: facts_of(model) for model in prepared}
             results = conduct(
                 prepared,
@@ -172,21 +154,14 @@ def to_learn(models: Sequence[str]) -> list[str]:
     return [name for name in models if name in METHODS and not Path(name).exists()]
 
 
-def _prepared(
-    where: str, request: ValidationRequest, column_map: ColumnMap, training: Sequence[Trace] | None
-) -> Prepared:
-    return prepare(
-        where,
-        column_map.alphabet,
-        column_map.temperature,
-        wanted=request.wanted,
-        training=training,
-        seed=request.settings.seed,
-    )
-
-
 def _learned(
-    name: str, request: ValidationRequest, column_map: ColumnMap, training: Sequence[Trace], progress: Progress
+    name: str,
+    request: JudgingRequest,
+    column_map: ColumnMap,
+    training: Sequence[Trace],
+    *,
+    out: Path,
+    progress: Progress,
 ) -> Prepared:
     """A model learned by the method `name` with its defaults, written to the campaign's folder, and then prepared."""
     progress(f"learning by {name}", 0.0)
@@ -194,9 +169,9 @@ def _learned(
     silent = [replace(trace, events=()) for trace in training]
     task = Task(silent, column_map.alphabet, column_map.temperature, request.settings.seed, name)
     learned = METHODS[name].learn(task, {})
-    place = request.out / LEARNED / name
+    place = out / LEARNED / name
     write_model_directory(place, learned.model, learned.values)
-    return _prepared(str(place), request, column_map, training)
+    return request.prepared(str(place), column_map, training)
 
 
 MOST_REASONS = 5
@@ -206,23 +181,13 @@ MOST_REASONS = 5
 @click.command(short_help="Validate models along measured traces in nine stages; write a report for each.")
 @click.argument("models", nargs=-1, required=True, metavar="MODEL...")
 @click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
-@map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder for reports and results.")
 @click.option("--overwrite", is_flag=True, help="Replace the results of an earlier campaign in --out.")
-@click.option(
-    "--semantics",
-    "wanted",
-    type=click.Choice(["written", "carried", "resampled", "both"]),
-    default="written",
-    show_default=True,
-    help="The temperature is carried over events or resampled on entry (the thesis); both side by side.",
+@judging_options(
+    semantics="both side by side",
+    training="Traces to learn `bins` or `lsha` from, to give the resampled semantics its entry laws, "
+    "and to fit rivals to.",
 )
-@click.option(
-    "--training",
-    multiple=True,
-    help="Traces to learn `bins` or `lsha` from, to give the resampled semantics its entry laws, and to fit rivals to.",
-)
-@skill_options
 @click.option(
     "--policy",
     type=click.Choice(["reject", "ignore", "resync"]),
@@ -230,29 +195,11 @@ MOST_REASONS = 5
     show_default=True,
     help="An event without an edge.",
 )
-@click.option("--runs", type=click.IntRange(100, 100_000), default=1000, show_default=True, help="Runs a trace.")
-@click.option("--jobs", type=click.IntRange(1), help="Worker processes.  [default: one a core]")
 @click.option("--cluster", "address", help="Run on the Dask cluster whose scheduler is at this address (tcp://...).")
 @click.option("--pictures/--no-pictures", default=True, show_default=True, help="A PNG and a PDF a trace.")
-@seed_option
 @json_option
 def validate(
-    models: Sequence[str],
-    paths: Sequence[str],
-    map_name: str,
-    out: Path,
-    overwrite: bool,
-    wanted: Wanted,
-    training: Sequence[str],
-    skill: bool,
-    rivals: bool,
-    policy: Policy,
-    runs: int,
-    jobs: int | None,
-    address: str | None,
-    pictures: bool,
-    seed: int,
-    as_json: bool,
+    request: JudgingRequest, out: Path, overwrite: bool, address: str | None, pictures: bool, as_json: bool
 ) -> None:
     """Validate models along measured traces: artefacts checked, every event followed, open-loop runs compared.
 
@@ -262,29 +209,20 @@ def validate(
     and the others go on; the exit code is 1 only when nothing could be simulated. With --skill the models' forecasts
     along the traces are scored too, beside persistence, and it is said where they are not worth it.
     """
-    if rivals and not training:
-        raise click.UsageError("--rivals are fitted to traces: name them with --training")
+    request.check_training()
     try:
         with sentences(), progress("validating") as bar, interruptible(bar) as report:
-            place, settings = shipped("traces", map_name), TraceRunSettings(runs, policy, seed)
-            request = ValidationRequest(
-                models=models,
-                paths=paths,
-                map_file=place,
-                out=out,
+            # With --json the stages are in the folder alone.
+            found = campaign(
+                request,
+                out,
                 overwrite=overwrite,
-                wanted=wanted,
-                training=training,
-                settings=settings,
-                jobs=jobs,
                 address=address,
                 pictures=pictures,
-                created=time.time(),
-                skill=skill or rivals,
-                rivals=rivals,
+                created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+                tell=(lambda _: None) if as_json else click.echo,
+                progress=report,
             )
-            # With --json the stages are in the folder alone.
-            found = campaign(request, (lambda _: None) if as_json else click.echo, report)
     except KeyboardInterrupt:
         begun = (out / "campaign.json").is_file()
         left = f"what was done lies in {out}, and --overwrite begins anew there" if begun else "nothing was written"

@@ -11,9 +11,9 @@ from gateway.console import emit, json_option, map_option, progress, seed_option
 from gateway.entry import Exit, interruptible, sentences
 from gateway.lab.traces.load import load, warned_of
 from sim.lab.formats import write_model_directory
-from sim.lab.ranking import Objective, StudyPlan, Tuning, final_model
-from sim.lab.ranking import tune as searched
 from sim.lab.recordings import split_cycles
+from sim.lab.tuning import Objective, StudyPlan, Tuning, final_model
+from sim.lab.tuning import tune as searched
 from sim.sha import shown_unit, unit_of
 
 SHOWN = 10

@@ -1,7 +1,5 @@
 """The history of a standard set: one JSON object a line, each result once, and what models there were at each run."""
 
-import fcntl
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,10 +11,11 @@ from typing import Any
 
 from gateway.entry import sentence
 from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
+from gateway.lab.judging.figures import scores_along
 from gateway.lab.regression.standard import CodeVersion, StandardSet
-from gateway.lab.retraining.judging import scores_along
 from sim.artefacts import model_hash
-from sim.files import at
+from sim.files import at, held_alone
+from sim.lab.judge import PRESENT
 from sim.sha import Model, content_hash
 
 FORMAT = 1
@@ -116,20 +115,19 @@ def opened_history(path: Path) -> Iterator[RegressionHistory]:
     Raises ArtefactError where it is no such file or another process holds it, OSError where it cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle = os.open(path.with_name(f".{path.name}.lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise at(path, None, "another process is writing this history; wait for it") from None
+    busy = at(path, None, "another process is writing this history; wait for it")
+    with held_alone(path.with_name(f".{path.name}.lock"), busy):
         rows = read_rows(path)
         for number, row in enumerate(rows, 1):
             if row.get("format") != FORMAT or row.get("kind") not in tuple(ROWS):
                 raise at(path, number, "is no row of a history of regressions; give another file, or a new name")
             checked_row(path, number, row, ROWS[row["kind"]])
         yield RegressionHistory(path, rows)
-    finally:
-        os.close(handle)
+
+
+def own_scores(row: Mapping[str, Any]) -> dict[float, Mapping[str, Any]]:
+    """The model's own scores of a result, by horizon (s)."""
+    return {score["horizon"]: score for score in row["scores"] if score["method"] == PRESENT}
 
 
 def run_standard(

@@ -11,12 +11,11 @@ import click
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, table
 from gateway.entry import Exit, interruptible, sentences
-from gateway.lab.regression.gone import gone_models, trace_notes
 from gateway.lab.regression.history import opened_history, run_standard
 from gateway.lab.regression.standard import StandardSet, code_version, models_in, read_standard
-from gateway.lab.regression.worse import regressions_of
-from gateway.lab.retraining.judging import PRESENT
+from gateway.lab.regression.worse import gone_models, regressions_of, trace_notes
 from sim.files import ArtefactError, check_utf8, resolved
+from sim.lab.judge import PRESENT
 from sim.lab.learning import PERSISTENCE
 from sim.sha import DEGREES, Model, shown_unit
 

@@ -7,7 +7,6 @@ Every change is one transaction, and a file of readings is there before the row 
 leaves a library that the next command goes on with.
 """
 
-import fcntl
 import json
 import os
 import sqlite3
@@ -23,7 +22,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from sim.familiarity import COLUMNS
-from sim.files import sync_directory
+from sim.files import held_alone, sync_directory
 from sim.sha import Array, Trace, content_hash
 
 Rating = Literal["badly predicted", "rare", "near a difficult one", "ordinary"]
@@ -234,26 +233,19 @@ def opened_library(
     if not file.is_file() and (machine is None or temperature is None):
         raise ValueError(f"{folder}: {NO_LIBRARY}")
     folder.mkdir(parents=True, exist_ok=True)
-    lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(f"{folder}: another process is working on this library; wait for it") from None
-        with _connected(file) as (connection, layout):
-            if layout == 0:
-                # In one transaction: a kill in between leaves an empty file, which is a new one.
-                connection.executescript(f"BEGIN;{SCHEMA}PRAGMA user_version = {LAYOUT};COMMIT;")
-            library = CycleLibrary(folder, connection)
-            for name, value in (("machine", machine), ("temperature", temperature)):
-                known = library.fact(name)
-                if value is not None and known is None:
-                    library.set_fact(name, value)
-                elif value is not None and known != value:
-                    raise ValueError(f"{folder}: is of the {name} {known!r}, not of {value!r}; give another --library")
-            yield library
-    finally:
-        os.close(lock)
+    busy = ValueError(f"{folder}: another process is working on this library; wait for it")
+    with held_alone(folder / ".lock", busy), _connected(file) as (connection, layout):
+        if layout == 0:
+            # In one transaction: a kill in between leaves an empty file, which is a new one.
+            connection.executescript(f"BEGIN;{SCHEMA}PRAGMA user_version = {LAYOUT};COMMIT;")
+        library = CycleLibrary(folder, connection)
+        for name, value in (("machine", machine), ("temperature", temperature)):
+            known = library.fact(name)
+            if value is not None and known is None:
+                library.set_fact(name, value)
+            elif value is not None and known != value:
+                raise ValueError(f"{folder}: is of the {name} {known!r}, not of {value!r}; give another --library")
+        yield library
 
 
 @contextmanager

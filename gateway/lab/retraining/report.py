@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from io import StringIO
-from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gateway.lab.retraining.cycle_library import RATINGS, CycleRow
-from gateway.lab.retraining.judging import NEW, PRESENT, HorizonComparison
 from sim.familiarity import FEATURES, ClassFigures
+from sim.lab.judge import NEW, PRESENT, HorizonComparison
 from sim.lab.learning import PERSISTENCE
 from sim.lab.pages import page_environment
-from sim.lab.pictures import save_picture
+from sim.lab.pictures import blank_figure, svg_text
 from sim.sha import shown_unit
 from sim.strict_json import json_text
 
@@ -108,11 +106,7 @@ def coverage_figure(cycles: Sequence[CycleRow], trained: frozenset[str]) -> Figu
 
     What a person has excluded is left out.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure as Canvas
-
-    canvas = Canvas(figsize=(9, 5), layout="constrained")
-    FigureCanvasAgg(canvas)
+    canvas = blank_figure(9, 5)
     axes = canvas.subplots()
     names = list(FEATURES)
     across, up = names.index(ACROSS), names.index(UP)
@@ -138,19 +132,12 @@ def coverage_figure(cycles: Sequence[CycleRow], trained: frozenset[str]) -> Figu
 
 def _page(found: Retraining, cycles: list[CycleRow], trained: frozenset[str]) -> str:
     """One HTML file that needs no other."""
-    text = StringIO()
-    save_picture(coverage_figure(cycles, trained), text, "svg")
-    _, tag, rest = text.getvalue().partition("<svg")
-    environment = page_environment("gateway.lab.retraining", figure=_figure)
+    environment = page_environment("gateway.lab.retraining")
     shown = [row for row in cycles if row.rating != "ordinary" or row.excluded]
     return environment.get_template("retraining.html").render(
         found=found,
         unit=shown_unit(found.unit),
-        picture=tag + rest,
+        picture=svg_text(coverage_figure(cycles, trained)),
         cycles=shown,
         methods={"new": NEW, "present": PRESENT, "persistence": PERSISTENCE},
     )
-
-
-def _figure(value: float | None, digits: int = 3) -> str:
-    return f"{value:.{digits}g}" if value is not None and isfinite(value) else "–"

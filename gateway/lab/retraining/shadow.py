@@ -15,18 +15,13 @@ import click
 
 from gateway.console import emit, historian_machine_option, json_option, progress, seed_option, table
 from gateway.entry import interruptible, sentences
+from gateway.lab.judging.figures import LONGEST_HORIZON, MOST_OF_CYCLE, scores_along
 from gateway.lab.retraining.cutting import CycleSource, Progress, and_after, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
-from gateway.lab.retraining.judging import (
-    LONGEST_HORIZON,
-    MOST_FORECASTS,
-    HorizonComparison,
-    compared,
-    scores_along,
-)
 from gateway.lab.retraining.training_record import created_of, read_record
 from gateway.store import machines, newest_scan, reading
 from sim.artefacts import current, load, promote, ran, read_familiarity, version_directory, versions
+from sim.lab.judge import HorizonComparison, compared
 from sim.sha import Trace, encoded, shown_unit
 
 LIVE = "live cycles"
@@ -69,7 +64,7 @@ def side_by_side(
     promotes: bool = False,
     seed: int,
     report: Progress,
-    most: int = MOST_FORECASTS,
+    most: int = MOST_OF_CYCLE,
 ) -> SideBySide:
     """Both versions on the cycles since the younger of them was made, and what the stated policy makes of it.
 

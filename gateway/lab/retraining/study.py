@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from gateway.entry import sentence as error_sentence
+from gateway.lab.judging.figures import LONGEST_HORIZON, MOST_OF_CYCLE, scores_along
 from gateway.lab.learning.familiar import (
     ErrorPair,
     cycles_with_points,
@@ -29,7 +30,6 @@ from gateway.lab.learning.familiar import (
 )
 from gateway.lab.retraining.cutting import CycleSource, and_after, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import RATINGS, CycleLibrary, CycleRow
-from gateway.lab.retraining.judging import LONGEST_HORIZON, MOST_FORECASTS, compared, scores_along, verdict_on
 from gateway.lab.retraining.report import Retraining, report_files
 from gateway.lab.retraining.training_record import RECORD, TrainingRecord, code_hash, read_record, software
 from gateway.store import moment_of, oldest_scan, reading
@@ -50,7 +50,8 @@ from sim.familiarity import ClassFigures, measured_classes
 from sim.files import replace_durably
 from sim.lab.discrepancy import diagnose
 from sim.lab.formats import save, write_model_directory
-from sim.lab.ranking import METHODS, Settings, StudyPlan, Task, Taught, tune
+from sim.lab.judge import compared, verdict_on
+from sim.lab.tuning import METHODS, Settings, StudyPlan, Task, Taught, tune
 from sim.proof import verify
 from sim.sha import Alphabet, Model, Trace, content_hash, encoded, joint_hash
 
@@ -95,7 +96,7 @@ class RetrainingRequest:
     diagnosis: bool
     yellow: float
     red: float
-    forecasts: int = MOST_FORECASTS
+    forecasts: int = MOST_OF_CYCLE
 
 
 def source_of(request: RetrainingRequest, last: float) -> CycleSource:

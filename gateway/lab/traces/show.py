@@ -10,8 +10,8 @@ from gateway.console import emit, json_option, map_option, shipped
 from gateway.entry import sentences
 from gateway.lab.traces.picture import picture_option
 from gateway.lab.traces.summary import show_summaries, summary_of
+from sim.lab.pictures import Curve, Picture, draw
 from sim.lab.recordings import load_map, load_traces
-from sim.lab.validation import Curve, Picture, draw
 
 MOST_INPUTS = 3
 """Inputs that are drawn below the temperature."""

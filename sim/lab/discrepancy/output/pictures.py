@@ -25,6 +25,7 @@ from sim.lab.discrepancy import (
     heat_map,
     shown_time,
 )
+from sim.lab.pictures import blank_figure
 from sim.sha import DEGREES, Array, shown_unit
 
 if TYPE_CHECKING:
@@ -61,19 +62,19 @@ def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
     jobs: list[tuple[str, Figure]] = []
     unit = diagnosis.unit
     if diagnosis.missing_heat is not None:
-        figure = _figure(11.0, MISSING_HEIGHT)
+        figure = blank_figure(11.0, MISSING_HEIGHT)
         draw_missing_heat(figure.subplots(), diagnosis.missing_heat, diagnosis.began, unit)
         jobs.append((MISSING, figure))
     if heat is not None:
-        figure = _figure(11.0 if heat.after is not None else 8.0, _map_height(heat))
+        figure = blank_figure(11.0 if heat.after is not None else 8.0, _map_height(heat))
         draw_where(figure, heat, unit)
         jobs.append((WHERE, figure))
     if course is not None and shown:
-        figure = _figure(11.0, 4.6)
+        figure = blank_figure(11.0, 4.6)
         draw_cycles(figure, course, shown, held_out, unit)
         jobs.append((CYCLES, figure))
     if held_out is not None and held_out.per_cycle:
-        figure = _figure(8.0, 3.2)
+        figure = blank_figure(8.0, 3.2)
         draw_errors(figure.subplots(), held_out, labels, unit)
         jobs.append((ERRORS, figure))
     if len(jobs) > 1:
@@ -110,7 +111,7 @@ def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequen
     heights += [_map_height(heat)] if heat else []
     heights += [4.6] if course is not None and shown else []
     heights += [3.2] if errors else []
-    figure = _figure(11.5, sum(heights) + 0.4)
+    figure = blank_figure(11.5, sum(heights) + 0.4)
     parts = iter(figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0])
     if missing is not None:
         draw_missing_heat(next(parts).subplots(), missing, diagnosis.began, diagnosis.unit)
@@ -123,15 +124,6 @@ def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequen
         cycles = [] if course is None else held_out_cycles(course)
         draw_errors(next(parts).subplots(), held_out, cycles, diagnosis.unit)
     figure.suptitle(title, fontsize=13, x=0.01, ha="left", parse_math=False)
-    return figure
-
-
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
     return figure
 
 

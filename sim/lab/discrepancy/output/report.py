@@ -89,9 +89,7 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
     }
     best = max((tried.gain for tried in diagnosis.candidates if isfinite(tried.gain)), default=0.0)
     unit, held = shown_unit(diagnosis.unit), diagnosis.held_out
-    environment = page_environment(
-        "sim.lab.discrepancy.output", number=_number, share=_share, span=_span, shown_unit=shown_unit
-    )
+    environment = page_environment("sim.lab.discrepancy.output", share=_share, span=_span, shown_unit=shown_unit)
     return environment.get_template("diagnosis.html").render(
         one=diagnosis,
         unit=unit,
@@ -138,12 +136,6 @@ def rivals_of(effect: NamedEffect, candidates: Sequence[TriedEffect]) -> tuple[s
     """The names that look somewhat like a named effect in these data, outside its class."""
     own = next((candidate for candidate in candidates if candidate.name == effect.name), None)
     return () if own is None else tuple(name for name in own.rivals if name not in effect.members)
-
-
-def _number(value: float | None, digits: int = 2, sign: bool = False) -> str:
-    if value is None or not isfinite(value):
-        return "–"
-    return f"{value:{'+' if sign else ''}.{digits}f}"
 
 
 def _share(value: float | None, digits: int = 0, sign: bool = False) -> str:

@@ -1,0 +1,150 @@
+"""What forecasts are worth beside persistence and rivals: tables of figures, and plain sentences."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+
+from sim.lab.judge.rows import STRETCHES, SkillRow, common, difference, grouped, means, stretch
+from sim.sha import DEGREES, shown_unit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Worth:
+    """A method of ours against the best other one at one `horizon` (s), on one machine or on all of them ("").
+
+    `crps` and `best_crps` are the means of both in the temperature's unit; the best has the lowest at that place.
+    """
+
+    method: str
+    horizon: float
+    machine: str
+    crps: float
+    best: str
+    best_crps: float
+
+    @property
+    def verdict(self) -> Literal["better", "as good", "worse"]:
+        """What the model is: as good as the best other method while neither CRPS is AHEAD times the other's."""
+        if self.crps > AHEAD * self.best_crps:
+            return "worse"
+        return "better" if AHEAD * self.crps < self.best_crps else "as good"
+
+    def sentence(self, unit: str) -> str:
+        """The verdict with its figures, in `unit` as people read it."""
+        where = f"on {self.machine} at {self.horizon:g} s" if self.machine else f"at {self.horizon:g} s"
+        own, other = f"{self.crps:.3g}", f"{self.best_crps:.3g}"
+        if self.verdict == "better":
+            return f"{where} the model is better than {self.best} (CRPS {own} against {other} {unit})"
+        if self.verdict == "worse":
+            beaten = f"{where} {self.best} is better (CRPS {other} against {own} {unit})"
+        else:
+            beaten = f"{where} {self.best} is as good (CRPS {other} against {own} {unit})"
+        return f"{beaten}: the model is not worth its trouble there"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForecastSkill:
+    """How good the forecasts of the methods `ours` are beside the others: `tables` of figures, and what they are worth.
+
+    Figures are in `unit`; `notes` say what could not be scored.
+    """
+
+    ours: tuple[str, ...]
+    tables: Mapping[str, Sequence[Mapping[str, Any]]]
+    worth: tuple[Worth, ...]
+    notes: tuple[str, ...] = ()
+    unit: str = DEGREES
+
+    @property
+    def sentences(self) -> list[str]:
+        """A sentence for each method and horizon, and for each machine on which that turns out otherwise."""
+        whole = {(each.method, each.horizon): each for each in self.worth if not each.machine}
+        told = []
+        for each in self.worth:
+            over_all = whole[each.method, each.horizon]
+            if each.machine and (each.verdict == "better") == (over_all.verdict == "better"):
+                continue
+            name = f"{each.method}: " if len(self.ours) > 1 else ""
+            told.append(name + each.sentence(shown_unit(self.unit)))
+        return told
+
+    def as_plain(self) -> dict[str, Any]:
+        """All of it as plain values for JSON."""
+        worth = [{**asdict(each), "verdict": each.verdict} for each in self.worth]
+        plain = {"worth": worth, "sentences": self.sentences, "notes": list(self.notes), "unit": self.unit}
+        return {**{name: [dict(row) for row in rows] for name, rows in self.tables.items()}, **plain}
+
+
+def forecast_skill(
+    rows: Sequence[SkillRow], ours: Sequence[str], *, seed: int = 0, notes: Sequence[str] = (), unit: str = DEGREES
+) -> ForecastSkill:
+    """The skill of the methods `ours` among all that have rows, at the moments that all of them share."""
+    shared = common(rows)
+    said = list(notes)
+    if rows and not shared:
+        said.append("the methods have no forecast for the same moment, so they cannot be compared")
+    found = tables(shared, ours, seed)
+    crps: dict[float, dict[str, dict[str, float]]] = {}
+    for row in (*found["by horizon"], *found["by machine"]):
+        places = crps.setdefault(row["horizon"], {})
+        places.setdefault(row.get("machine", ""), {})[row["method"]] = row["crps"]
+    worth = []
+    for horizon, places in crps.items():
+        # One machine alone is all of them: its verdict would say the same once more.
+        for method, machine in product(ours, list(places)[: None if len(places) > 2 else 1]):
+            here = places[machine]
+            others = {name: value for name, value in here.items() if name not in ours}
+            if method in here and others:
+                best = min(others, key=lambda name: others[name])
+                worth.append(
+                    Worth(
+                        method=method,
+                        horizon=horizon,
+                        machine=machine,
+                        crps=here[method],
+                        best=best,
+                        best_crps=others[best],
+                    )
+                )
+    return ForecastSkill(ours=tuple(ours), tables=found, worth=tuple(worth), notes=tuple(said), unit=unit)
+
+
+AHEAD = 1.05
+"""A method is as good as the best other one while its CRPS is at most so many times that one's."""
+
+
+def tables(rows: Sequence[SkillRow], ours: Sequence[str], seed: int = 0) -> dict[str, list[dict[str, Any]]]:
+    """`by horizon`, `by machine`, `by time` since the trace's start, and `differences` of ours to the best other.
+
+    The best other method of a horizon is the one with the lowest CRPS there.
+    """
+    places = {name: place for place, name in enumerate(STRETCHES)}
+    keys: dict[str, Callable[[SkillRow], Any]] = {
+        "horizon": lambda row: row.horizon,
+        "machine": lambda row: row.machine,
+        "since start": stretch,
+        "method": lambda row: row.method,
+    }
+    found = {}
+    for title, names in (("by horizon", ()), ("by machine", ("machine",)), ("by time", ("since start",))):
+        own = means(rows, {name: keys[name] for name in ("horizon", *names, "method")})
+        # Methods stand in the order in which they came, the parts of a trace in theirs.
+        found[title] = sorted(own, key=lambda row: (row["horizon"], places.get(row.get("since start", ""), 0)))
+    crps = {(row["horizon"], row["method"]): row["crps"] for row in found["by horizon"]}
+    found["differences"] = []
+    rng = np.random.default_rng(seed)
+    for horizon, here in grouped(rows, keys["horizon"]).items():
+        by_method = grouped(here, lambda row: row.method)
+        others = {name: crps[horizon, name] for name in by_method if name not in ours}
+        best = min(others, key=lambda name: others[name], default="")
+        for name in ours:
+            if name in by_method and best:
+                apart = difference(by_method[name], by_method[best], rng)
+                ratio = crps[horizon, name] / others[best] if others[best] > 0 else float("nan")
+                row = {"horizon": horizon, "method": name, "best other": best, "ratio": ratio, "machines": apart.n}
+                row |= {"difference": apart.mean, "low": apart.low, "high": apart.high, "p": apart.p}
+                found["differences"].append(row)
+    return found

@@ -1,0 +1,6 @@
+"""Settings of learning methods searched by cross-validation over traces."""
+
+from sim.lab.tuning.methods import METHODS, Settings, Task, Taught
+from sim.lab.tuning.search import Objective, StudyPlan, Tuning, final_model, tune
+
+__all__ = ["METHODS", "Objective", "Settings", "StudyPlan", "Task", "Taught", "Tuning", "final_model", "tune"]
