@@ -296,12 +296,6 @@ class _Disarm(ControlRequest):
 R = TypeVar("R", bound=ControlRequest)
 
 
-def disarm_words(request: Mapping[str, Any]) -> tuple[str, str, Mapping[str, int]]:
-    """Who disarms, why, and at which process. Raises ControlError."""
-    given = _checked(_Disarm, request)
-    return given.by, given.reason, given.process
-
-
 def _checked(kind: type[R], request: Mapping[str, Any]) -> R:
     """The request as its command has it. Raises ControlError about the first thing that is wrong."""
     try:
