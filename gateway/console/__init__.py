@@ -17,6 +17,7 @@ from gateway.console.places import (
     config_dir,
     find_plant_file,
     plant_here,
+    service_of,
     shipped,
 )
 
@@ -36,6 +37,7 @@ __all__ = [
     "progress",
     "renamed_option",
     "seed_option",
+    "service_of",
     "shipped",
     "socket_option",
     "table",

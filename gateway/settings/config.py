@@ -596,7 +596,7 @@ def read_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
 
 
 def _take_out_workers(data: dict[str, Any], path: Path) -> None:
-    """Leave out `[plant] workers = 1`, of former releases: it says what is so. Raises ConfigError for any other."""
+    """Leave out `[plant] workers = 1`, which former versions had: it says what is so. Raises ConfigError for more."""
     plant = data.get("plant")
     if not isinstance(plant, dict) or "workers" not in plant:
         return
