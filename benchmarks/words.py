@@ -4,7 +4,7 @@ import click
 
 from benchmarks.figures import Figure, give
 from gateway.cli.main import main as decanter
-from gateway.commission.session.connection import SharedOption, shared_options
+from gateway.connection import SharedOption, shared_options
 from gateway.entry import LazyGroup
 
 BEFORE = {"leaf commands": 48, "option places": 777}

@@ -113,7 +113,7 @@ class CommissioningGroup(LazyGroup):
 
 def _connection() -> ModuleType:
     """The shared options' module, which is not loaded for the help of `decanter` itself."""
-    return import_module("gateway.commission.session.connection")
+    return import_module("gateway.connection")
 
 
 @click.group(

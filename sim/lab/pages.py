@@ -20,7 +20,7 @@ def page_environment(package: str, **filters: Callable[..., str]) -> Environment
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader(package), PackageLoader("sim")]),
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("sim.lab")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -51,7 +51,11 @@ async def canopen_bench() -> AsyncIterator[Bench]:
 
             async def lose() -> None:
                 await asyncio.to_thread(node.stop)
-                await asyncio.sleep(DETECTION + 0.02)
+                # What the node said last may lie for a while on a machine that does much else.
+                async with asyncio.timeout(60):
+                    while driver.connected:
+                        await asyncio.sleep(DETECTION / 10)
+                        await driver.read(TAGS.read)
 
             async def restore() -> None:
                 await asyncio.to_thread(node.start)

@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from drivers.named_files import parse_toml
-from gateway.commission.session.connection import CONNECTION_OPTIONS, RECORD_OPTIONS
+from gateway.connection import CONNECTION_OPTIONS, RECORD_OPTIONS
 from gateway.console import find_plant_file
 
 

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from gateway.commission.session import make_target
-from gateway.commission.session.connection import SharedOption
+from gateway.connection import SharedOption
 from gateway.console import table
 from gateway.console.output import bands
 from gateway.entry.lazy import LazyGroup
