@@ -14,12 +14,14 @@ from ipaddress import ip_address, ip_network
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from deploy import build_deb
 from gateway.cli.main import main
 from gateway.cli.plant.top import EXITS
 from gateway.console import SERVICE_FOLDER, service_of
 from gateway.outside.status import Health
+from gateway.settings import load_config
 
 DEPLOY = Path(__file__).parents[1] / "deploy"
 UNIT, TEMPLATE = DEPLOY / "decanter.service", DEPLOY / "decanter@.service"
@@ -105,6 +107,19 @@ def test_records_and_log_lie_where_the_commands_look_for_them(tmp_path: Path) ->
         assert Path("/var/log") / service["LogsDirectory"] == places.log
     for folder in (tmp_path, SERVICE_FOLDER / "a group", SERVICE_FOLDER / "north/models"):
         assert service_of(folder) is None
+
+
+def test_a_group_has_a_plant_with_its_own_places_and_is_told_its_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gateway.console.places.SERVICE_FOLDER", tmp_path)
+    command = ["init", "--device", "decanter_plc", "--host", "127.0.0.1"]
+    for folder, unit, page in ((tmp_path, "restart decanter", True), (tmp_path / "north", "decanter@north", False)):
+        done = CliRunner().invoke(main, [*command, str(folder)])
+        assert done.exit_code == 0 and unit in done.output, done.output
+        config = load_config(folder / "plant.toml")
+        place = Path("/var/lib/decanter", *folder.relative_to(tmp_path).parts)
+        assert config.historian.path.parent == place and config.page.enabled is page
 
 
 def test_the_service_of_a_group_is_the_plain_one_in_folders_of_its_own_and_all_share_one_bound_of_memory() -> None:

@@ -25,7 +25,7 @@ from gateway.commission.files import (
 from gateway.commission.import_list import bindings
 from gateway.commission.read import ORDERS
 from gateway.commission.session import SharedOptions, link_options
-from gateway.console import SERVICE_FOLDER, emit, make_folder, service_of, shipped
+from gateway.console import emit, make_folder, service_of, shipped
 from gateway.entry import sentences
 from gateway.lab.traces.map import asked_map
 from gateway.settings import load_device
@@ -319,7 +319,7 @@ def _of_service(folder: Path) -> dict[str, object]:
         "log.path": str(service.log / "gateway.log.jsonl"),
     }
     # Of several services only one has the page's usual port.
-    return {**places, "page.enabled": True} if folder.absolute() == SERVICE_FOLDER else {**places}
+    return {**places, "page.enabled": True} if service.unit == "decanter" else {**places}
 
 
 def _next(folder: Path, trace: Path | None, temperatures: Sequence[str]) -> list[str]:
@@ -327,7 +327,7 @@ def _next(folder: Path, trace: Path | None, temperatures: Sequence[str]) -> list
     begin = "decanter run            # and `decanter top` in another terminal"
     if (service := service_of(folder)) is not None:
         begin = f"systemctl enable --now {service.unit}"
-        if folder.absolute() == SERVICE_FOLDER:
+        if service.unit == "decanter":
             begin = "systemctl restart decanter   # and the page: http://127.0.0.1:8080"
     lines = [] if folder.resolve() == Path.cwd() else [f"cd {folder}"]
     lines += ["decanter plc check      # every tag, read once", begin]
