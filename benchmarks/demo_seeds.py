@@ -29,7 +29,7 @@ from sim.plant import heat_day_uncontrolled, heat_history
 from sim.sha import Model, Trace, encode
 
 FORECASTS = (("forecast", AHEAD_S, P_LIMIT), ("forecast, 10 % in 5 min", 300.0, 0.1))
-"""The demonstration's own alarm, and the one that was chosen on other days than are reported here (record 0110)."""
+"""The demonstration's own alarm, and the one that was chosen on other days than are reported here."""
 
 
 @cache

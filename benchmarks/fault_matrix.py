@@ -73,7 +73,7 @@ FAULTS: Mapping[str, Mapping[str, Any]] = {
 }
 """What is ordered from the PLC, by the row's name: each of its faults that any face can show, at its defaults unless
 it has a row above. One frozen register behind a living heartbeat is not among them: nothing but a tag's own
-`frozen_after` can tell it (decision 0006)."""
+`frozen_after` can tell it (decision 0005)."""
 TOLERATED = ("split reply", "duplicate reply")
 """No reading and no block may be lost to these."""
 PUNCTUAL = (*TOLERATED, "write ignored", "illegal register", "words swapped in mid-run")

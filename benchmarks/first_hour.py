@@ -194,28 +194,20 @@ def _watched(hour: Hour) -> dict[str, Any]:
     return status
 
 
-_HEAD = """\
-# A newcomer's hour
-
-From an empty environment and the wheel to a prediction and a shadow block, as typed by
-`python -m benchmarks.first_hour --record docs/first_hour.md`. It moves the plant itself, and reads its HMI.
-"""
-
-
 def _code(text: str) -> str:
     plain = text.replace("`", "'")
     return f"`{plain}`" if plain else ""
 
 
 def page(hour: Hour) -> str:
-    """The hour as a table."""
+    """The hour as a table in Markdown."""
     rows = [
         f"| {number} | `{typed.line}` | {typed.seconds:.1f} | {_code(typed.answer)} |"
         for number, typed in enumerate(hour.typed, 1)
     ]
     total = sum(typed.seconds for typed in hour.typed)
     last = f"| | {len(hour.typed)} commands, 0 files written by hand | {total:.1f} | |"
-    text = "\n".join([_HEAD, "| | typed | seconds | its last line |", "|---|---|---|---|", *rows, last])
+    text = "\n".join(["| | typed | seconds | its last line |", "|---|---|---|---|", *rows, last])
     return text.replace(str(hour.folder), ".") + "\n"
 
 
@@ -226,8 +218,7 @@ def page(hour: Hour) -> str:
     "--model-folder", "model", type=click.Path(path_type=Path), help="A model that is there; none is learned."
 )
 @click.option("--wheel", type=click.Path(path_type=Path, exists=True), help="A wheel that is there; else one is built.")
-@click.option("--record", type=click.Path(path_type=Path, dir_okay=False), help="Keep the commands as a page.")
-def main(as_json: bool, quick: bool, model: Path | None, wheel: Path | None, record: Path | None) -> None:
+def main(as_json: bool, quick: bool, model: Path | None, wheel: Path | None) -> None:
     with tempfile.TemporaryDirectory(prefix="decanter-hour-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         if wheel is None and not quick:
@@ -249,8 +240,6 @@ def main(as_json: bool, quick: bool, model: Path | None, wheel: Path | None, rec
                     os.kill(int((folder / kept).read_text(encoding="ascii")), signal.SIGTERM)
             time.sleep(1.0)
         text = page(hour)
-    if record is not None:
-        record.write_text(text, encoding="utf-8")
     if not as_json:
         click.echo(text)
     seconds = sum(typed.seconds for typed in hour.typed)

@@ -1,4 +1,4 @@
-"""What it costs that rates are the same for all machines in a model, on machines whose rates differ (record 0070).
+"""What it costs that rates are the same for all machines in a model, on machines whose rates differ (record 0013).
 
 Nine synthetic machines relax at rates that scatter by a given share; a model of six of them forecasts the other three
 as the gateway does, events to come unknown. It stands against models that each of the three taught itself in other

@@ -1,7 +1,8 @@
 """Seventy mistakes of a first hour: what was typed, what `decanter` answered, and its exit code.
 
 Each is answered by one sentence that says what is wrong and what would be right: no traceback, nothing on standard
-output, nothing written. `python -m benchmarks.mistakes` prints the table; tests/cli/test_mistakes.py runs each of them.
+output, nothing written. `python -m benchmarks.mistakes` prints the table, `--write` puts it into docs/commissioning.md;
+tests/cli/test_mistakes.py runs each of them and holds the page to it.
 """
 
 import os
@@ -183,26 +184,38 @@ def prepare(folder: Path) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-@click.command(help=__doc__)
-def main() -> None:
-    click.echo(
-        "# Mistakes, and what they are answered\n\nPrinted by `python -m benchmarks.mistakes`; each is a test.\n"
+PAGE = Path(__file__).parent.parent / "docs" / "commissioning.md"
+"""Where the table stands, between two marks."""
+BEGIN, END = "<!-- made: mistakes -->\n", "<!-- end -->"
+
+
+def row(words: str, result: Result, folder: Path) -> str:
+    """The table's row: what was typed, the answer without what differs from machine to machine, the exit code."""
+    said = (
+        result.stderr.strip()
+        .removeprefix("decanter: ")
+        .replace(f"{folder}{os.sep}", "")
+        .replace(f"{config_dir().parent}{os.sep}", "")
+        .replace("|", "\\|")
+        .replace("`", "'")
     )
-    click.echo("| typed after `decanter` | answer | exit code |\n|---|---|---|")
+    return f"| `{words}` | `{said}` | {result.exit_code} |".replace("\n", " ")
+
+
+@click.command(help=__doc__)
+@click.option("--write", is_flag=True, help="Put the table into docs/commissioning.md.")
+def main(write: bool) -> None:
+    lines = ["| typed after `decanter` | answer | exit code |", "|---|---|---|"]
     with tempfile.TemporaryDirectory() as name:
-        prepare(Path(name))
-        for words, _, _ in MISTAKES:
-            result = answered(words, Path(name))
-            said = (
-                result.stderr.strip()
-                .removeprefix("decanter: ")
-                .replace(name + os.sep, "")
-                # Where this program's own files lie differs from machine to machine.
-                .replace(str(config_dir().parent) + os.sep, "")
-                .replace("|", "\\|")
-                .replace("`", "'")
-            )
-            click.echo(f"| `{words}` | `{said}` | {result.exit_code} |".replace("\n", " "))
+        folder = Path(name)
+        prepare(folder)
+        lines += [row(words, answered(words, folder), folder) for words, _, _ in MISTAKES]
+    table = "\n".join(lines) + "\n"
+    if not write:
+        click.echo(table)
+        return
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    PAGE.write_text(before + BEGIN + table + END + rest.partition(END)[2], encoding="utf-8")
 
 
 if __name__ == "__main__":

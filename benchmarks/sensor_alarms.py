@@ -1,4 +1,4 @@
-"""How often the alarms about sensors and the straight line come in vain, and how soon they find a fault (record 0133).
+"""How often the alarms about sensors and the straight line come in vain, and how soon they find a fault (record 0132).
 
 In vain: on the shipped scenarios, on days of production, and on measured data beside the project (`--data`,
 ../shared/data by default; a set that is not there is left out). A sensor of the run-to-failure tests that jumps does so

@@ -2,7 +2,7 @@
 
 A model is learned as at a plant, and follows held-out days as the gateway does. From one moment after the other the
 sensor is bad for two hours: the model goes on without it, alone and with what the bearing beside it tells (record
-0174), and what they say is held against what the sensor would have read. Held out are days of production of the
+0151), and what they say is held against what the sensor would have read. Held out are days of production of the
 simulated plant, whose two bearings share friction and disturbances, and each measured trace of cars, pump and bearings
 (`--data`, ../shared/data by default; what is not there is left out) with a model of the others and no twin.
 """

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from drivers.tag import Quality
+from tests.rig.decision_index import INDEX, NAMED, dangling, index, records
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *ROOT.glob("*.md")])
@@ -50,3 +51,30 @@ def test_no_name_of_a_constant_stands_in_for_a_figure(page: Path) -> None:
 def test_such_names_are_found_in_prose_alone() -> None:
     text = "It takes MEMORY, is SENSOR_FAILURE. AGREEMENT\n```\nEXAMPLE\n```\n`CODE_NAME`, README.md: RARE_COVERAGE."
     assert placeholders(text) == ["MEMORY", "AGREEMENT", "RARE_COVERAGE"]
+
+
+def test_the_index_of_decisions_is_made_of_the_records() -> None:
+    assert INDEX.read_text(encoding="utf-8") == index(), "python -m tests.rig.decision_index"
+
+
+def test_every_record_that_is_named_is_there() -> None:
+    assert dangling() == []
+
+
+def test_a_record_that_is_gone_is_found_wherever_it_is_named() -> None:
+    text = "as record 0001 and decisions 0002, 0003 say (0004, 0005); [0006](x), decisions/0008; mode 0660 (0.0012)"
+    numbers = [number for match in NAMED.finditer(text) for number in re.findall(r"\d{4}", match[0])]
+    assert numbers == ["0001", "0002", "0003", "0004", "0005", "0006", "0008"]
+
+
+def test_no_number_of_a_record_is_given_twice() -> None:
+    given = [number for one in records() for number in (one.number, *one.takes_in)]
+    assert len(given) == len(set(given))
+
+
+def test_the_glossary_defines_each_word_once() -> None:
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (?!word|term)([^|-][^|]*?) \|", text, flags=re.MULTILINE)
+    words = [word for row in rows for word in re.split(r", | / ", row)]
+    assert len(words) > 250
+    assert [word for word in words if words.count(word) > 1] == []

@@ -1,7 +1,7 @@
 """Rivals on the same cases: one-step regression with BIC, and sparse regression (pysindy's STLSQ, alone and ensemble).
 
 All three regress the rate of change of block means on the baseline's own terms and on candidate columns. Their settings
-were chosen on the development set alone (docs/discrepancy_benchmark.md says how), once, for all strata.
+were chosen on the development set alone (docs/discrepancy.md says how), once, for all strata.
 """
 
 import warnings

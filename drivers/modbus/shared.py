@@ -8,7 +8,7 @@ taken to be silent: it is asked one question after `silent_first` seconds, then 
 `silent_cap`, and not at all in between; all silent ones together once in `silent_first` seconds. Its failures are its
 own as long as others answer in between. All other failures are the connection's (`drivers.link`), which is made anew.
 
-What waiting for one unit costs the others is bounded (record 0154): the first question without an answer has its whole
+What waiting for one unit costs the others is bounded (record 0116): the first question without an answer has its whole
 deadline, the next ones only what the unit's own replies take; and what a unit wastes beyond one reading's deadlines it
 pays back out of its share of the time, resting meanwhile.
 """

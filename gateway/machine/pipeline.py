@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 SAVE_SECONDS = 10.0
 PAST_SECONDS = 3600.0
-"""What is read back from the historian at a start: as far as the points of a cycle look back (record 0174)."""
+"""What is read back from the historian at a start: as far as the points of a cycle look back (record 0151)."""
 MODEL_PART = "model"
 """What a machine's models are called among its parts that may be missing."""
 ORDERS = ("WritePermit", ACKNOWLEDGE_BITS)

@@ -77,7 +77,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "inputs bad": AlarmKind(
         subject="machine", bit=4,
         watches="whether the readings that a model needs, or that are watched, are good",
-        response="readings are stale or bad: see values and link in the status, then look at PLC and cable",
+        response="readings are old or bad: see values and link in the status, then look at PLC and cable",
         consequence="nothing is predicted, and a temperature over its limit may not be seen",
     ),
     "review": AlarmKind(

@@ -37,7 +37,7 @@ OF_THE_TYPE = (
 )
 MAX_ARMED_MINUTES = 480.0
 FORMER_HISTORIAN = Path("../out/historian.sqlite")
-"""Where the records were by default, from the plant file on (record 0109)."""
+"""Where the records were by default, from the plant file on (record 0079)."""
 LEAST_BLOCKS = 10.0
 
 
@@ -846,7 +846,7 @@ def _northbound(section: NorthboundSection, home: Path) -> NorthboundSection:
 def historian_file(section: HistorianSection, home: Path) -> Path:
     """The database file: the one named, or the default beside the plant file.
 
-    Of a plant file that names none and has its records where the default once was, those (record 0109).
+    Of a plant file that names none and has its records where the default once was, those (record 0079).
     """
     file, former = home / section.path, home / FORMER_HISTORIAN
     named = "path" in section.model_fields_set

@@ -1,6 +1,6 @@
 """The table of all kinds of effects, and what is asked of the effects that an automaton has.
 
-docs/effects.md has the equations and how exactly each engine solves them; docs/adding_an_effect.md adds a row.
+docs/effects.md has the equations, how exactly each engine solves them, and how a row is added.
 """
 
 from dataclasses import replace

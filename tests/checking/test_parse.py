@@ -13,7 +13,8 @@ from sim.sha.automaton import SHA, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model
 
-DOCS = (Path(__file__).parents[2] / "docs" / "queries.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "checking.md").read_text(encoding="utf-8")
+DOCS = PAGE.partition("\n## Queries\n")[2].partition("\n## ")[0]
 PLANT = SHA(
     "plant",
     tuple(

@@ -1,10 +1,10 @@
-"""Mistakes of a first hour: each is answered by one sentence that says what is wrong, and its exit code."""
+"""Mistakes of a first hour: each is answered by one sentence and its exit code, as docs/commissioning.md has it."""
 
 from pathlib import Path
 
 import pytest
 
-from benchmarks.mistakes import MISTAKES, answered, prepare
+from benchmarks.mistakes import MISTAKES, PAGE, answered, prepare, row
 
 
 @pytest.fixture(scope="module")
@@ -30,3 +30,5 @@ def test_a_mistake_is_answered_by_one_sentence(words: str, code: int, part: str,
     assert part in sentence or any(part in line for line in warnings)
     made = {path.name for path in folder.iterdir()} - {*before, "out"}
     assert made == set()
+    # The page is made of these answers: python -m benchmarks.mistakes --write
+    assert row(words, result, folder) in PAGE.read_text(encoding="utf-8").splitlines()

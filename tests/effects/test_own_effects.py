@@ -292,7 +292,7 @@ def test_a_line_inside_a_model_is_checked_as_well(lines: dict[str, EffectLine]) 
 
 
 def test_the_page_is_literally_true(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "own_effects.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
     (entry,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     path = tmp_path / "effects.toml"
     path.write_text(entry, encoding="utf-8")

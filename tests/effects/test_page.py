@@ -1,4 +1,4 @@
-"""docs/adding_an_effect.md followed literally, and docs/effects.md against the table."""
+"""docs/effects.md: its table against the program's, and what adds a row followed literally."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ from tests.effects.engines import LEARNERS, check_one_course
 from tests.sha import effect_reference
 
 DOCS = Path(__file__).parents[2] / "docs"
-BLOCKS = re.findall(r"```python\n(.*?)```", (DOCS / "adding_an_effect.md").read_text(encoding="utf-8"), re.DOTALL)
+BLOCKS = re.findall(r"```python\n(.*?)```", (DOCS / "effects.md").read_text(encoding="utf-8"), re.DOTALL)
 
 
 @pytest.fixture

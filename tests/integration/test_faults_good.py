@@ -95,7 +95,7 @@ def assert_noticed(row: Row) -> None:
 
 
 def test_the_judge_finds_the_wrong_values_of_a_gateway_that_does_not_watch_the_heartbeat(tmp_path: Path) -> None:
-    """The control: without the rule that decision 0006 makes, the same run has wrong good values."""
+    """The control: without the rule that decision 0005 makes, the same run has wrong good values."""
     device = tmp_path / "device.toml"
     lines = MAP.read_text(encoding="utf-8").splitlines()
     device.write_text("\n".join(line for line in lines if not line.startswith("heartbeat =")), encoding="utf-8")

@@ -1,7 +1,7 @@
 """The REST interface against its own OpenAPI document, by requests that schemathesis makes up: right and wrong ones.
 
 Each operation is asked by an administrator, so that nothing stops at the door: no answer is a failure of the gateway's,
-and each is one that the document has. schemathesis is no part of the locked development set (record 0168).
+and each is one that the document has. schemathesis is no part of the locked development set (record 0129).
 """
 
 from collections.abc import Iterator

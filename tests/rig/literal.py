@@ -1,4 +1,4 @@
-"""A slow evaluator of the query language, written from docs/queries.md alone, and runs of its own to evaluate.
+"""A slow evaluator of the query language, written from docs/checking.md alone, and runs of its own to evaluate.
 
 A course is a list of stays in which the temperature moves along a straight line. In each stay the instants at which a
 comparison changes are solved for; between two of them nothing changes, so that one instant stands for all. Each path
@@ -118,7 +118,7 @@ def cells(course: Sequence[CourseStay], formulas: Sequence[Formula], instants: S
 
 
 def holds(path: Path, course: Sequence[CourseStay], bound: Fraction) -> bool:
-    """Whether a path holds on a course that is long enough: docs/queries.md, "When a formula holds"."""
+    """Whether a path holds on a course that is long enough: docs/checking.md, "When a formula holds"."""
     a = Fraction(path.span.low)
     if isinstance(path, BoundedResponse):
         return _responds(path, course, bound, a, Fraction(path.span.high))

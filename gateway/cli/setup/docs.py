@@ -39,7 +39,7 @@ def docs(page: str | None, examples: Path | None, as_json: bool) -> None:
             titles = {name: _title(name) for name in sorted(_names()) if "/" not in name and name != "index"}
             width = max(map(len, titles))
             lines = [f"{name:{width}}  {title}" for name, title in titles.items()]
-            lines.append("\ndecanter docs PAGE prints one; a record of a decision has a number: decanter docs 0001")
+            lines.append("\ndecanter docs PAGE prints one, decanter docs 0001 a decision; decisions/index lists these")
             emit({"pages": titles}, lambda: click.echo("\n".join(lines)), as_json_line=as_json)
 
 

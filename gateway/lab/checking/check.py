@@ -116,7 +116,7 @@ def check(
 ) -> None:
     """Answer QUERY about MODEL: Pr[<=T](...), a test >= p, a comparison, E[<=T; N](max: ...), simulate, E<>, A[] ...
 
-    docs/queries.md is the language, docs/checking.md says how answers come about and how exact they are. Times are
+    docs/checking.md has the language, and says how answers come about and how exact they are. Times are
     seconds from where the runs start.
 
     Exit codes: 0 answered or it holds, 1 a test, comparison or symbolic query whose answer is no, or stays open within

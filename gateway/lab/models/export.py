@@ -126,7 +126,7 @@ def _exported(model: Model, trace: Trace, order: ExportOptions, engine: Path | N
 @click.option("--trace", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder to write to.")
-@click.option("--query", "queries", multiple=True, help="One more query (docs/queries.md); may be given again.")
+@click.option("--query", "queries", multiple=True, help="One more query (docs/checking.md); may be given again.")
 @click.option(
     "--policy",
     type=click.Choice(["reject", "ignore", "resync"]),

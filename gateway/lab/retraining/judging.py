@@ -79,7 +79,7 @@ class HorizonComparison:
     `p` by Holm, by which the new model is worse at any of them; `sequence` by taking them one after the other from the
     longest, by which it is better (a fixed sequence: the largest p-value so far, 1 from the first horizon on at which
     it is not the better one). What protects a bearing is the longest horizon, and few cycles that show a large gain
-    there must not fail for the minute ahead, at which nothing changes (record 0175).
+    there must not fail for the minute ahead, at which nothing changes (record 0146).
     """
 
     subject: str

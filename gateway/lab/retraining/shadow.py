@@ -78,7 +78,7 @@ def side_by_side(
     must not have run, is judged instead, and promoted where it is better at some horizon and worse at none, as a
     retraining proposes: on the cycles of its first TRIAL_DAYS and no others, so that it is judged once, however often a
     timer asks. There the test takes a day as one difference, as the cycles of a day share operator, product and weather
-    (record 0198). A cycle has `most` forecasts at most. Raises ValueError where there is no such version.
+    (record 0146). A cycle has `most` forecasts at most. Raises ValueError where there is no such version.
     """
     running = current(store)
     other = version or ran_before(store)

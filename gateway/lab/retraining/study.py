@@ -381,8 +381,8 @@ def _in_turn(cycles: Sequence[CycleRow], room: int) -> list[CycleRow]:
 
     One that is older than the newest RECENT times `room` rows (scans) comes after all of these, but for the newest of a
     region that the plant has not been in since: a plant that was changed is learned as it is, and nothing that it once
-    did is forgotten (record 0195). How wrong the present model was is no reason to be learned from: a model of those
-    cycles alone is wrong the other way (record 0182).
+    did is forgotten (record 0145). How wrong the present model was is no reason to be learned from: a model of those
+    cycles alone is wrong the other way (record 0145).
     """
     turn: dict[str, int] = {}
     placed: list[tuple[bool, int, CycleRow]] = []

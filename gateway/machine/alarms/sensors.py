@@ -1,7 +1,7 @@
 """What is wrong with a sensor (NAMUR NE 107) and where a temperature is heading, from the readings alone.
 
 Each watch takes one reading a scan and gives numbers that the alarms look at; None is not known. What the constants are
-measured against says decision record 0133; `python -m benchmarks.sensor_alarms` measures it again.
+measured against says decision record 0132; `python -m benchmarks.sensor_alarms` measures it again.
 """
 
 from collections import deque

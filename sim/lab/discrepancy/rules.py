@@ -36,14 +36,14 @@ class DecisionRules:
     # ---- what a name needs of the likelihood
     least_gain_nats: float = 14.0
     """That a name needs. Chance makes so much of one shape in one case of eight million: of a whole catalogue of them
-    in less than one case of a hundred, unless it has 80,000 that do not resemble one another (decision 0201)."""
+    in less than one case of a hundred, unless it has 80,000 that do not resemble one another (decision 0029)."""
     same_least_cosine: float = 0.9
     """From which two effects are of one class."""
     near_least_cosine: float = 0.6
     """From which two effects are rivals."""
     margin_nats: float = 6.0
     """By which a name must beat every rival outside its class; and by which held-out cycles are foreseen better with
-    names whose leavings bound the floor (decision 0207)."""
+    names whose leavings bound the floor (decision 0031)."""
     margin_share: float = 0.01
     """Of a gain, the margin for one of its class where that is more: by so little a shape that is not quite the plant's
     may win over its twin."""

@@ -32,7 +32,7 @@ ORIGINS = 400
 LONG_STEP = 150.0
 """s between the readings that are looked at, on average, from which on a record is long: the horizon of 300 s has less
 than two of them, and that of 60 s none. What the flows do not describe adds up over such a step, and would be taken for
-noise of every second (record 0173)."""
+noise of every second."""
 CLOSE_STEP = 60.0
 """s between the readings from which the noise of a long record is told: the shortest horizon."""
 STEP = 1e-4

@@ -211,7 +211,7 @@ def _probability(question: ExportedQuery, answer: VerifytaAnswer, seen: int) -> 
 
 
 def _checked(question: ExportedQuery, query: q.Query, answer: VerifytaAnswer, start: Start) -> ComparisonRow:
-    """A query that only the checker (docs/queries.md) answers here: its figure, or its verdict."""
+    """A query that only the checker (docs/checking.md) answers here: its figure, or its verdict."""
     own = native_answer(query, start, QuerySettings(runs=None if isinstance(query, q.Hypothesis) else NATIVE_RUNS))
     if own.verdict is not None:
         return replace(_row(question.formula, note=_verdict_words(answer)), agree=answer.satisfied == own.verdict)

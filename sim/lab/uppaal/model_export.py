@@ -65,7 +65,7 @@ def export(
 
     `policy` is what an event without an edge does in the main model (the minimal one stops there, that is its
     question); `tick` (s) bounds the time between two draws of the noise, 0 draws it at events only; `formulas` are
-    queries (docs/queries.md) besides the default set. Raises ExportError, saying what is wrong,
+    queries (docs/checking.md) besides the default set. Raises ExportError, saying what is wrong,
     for a model with guards or several targets for one event, an input or temperature that the trace does not have,
     and a query that UPPAAL would refuse.
     """

@@ -41,7 +41,7 @@ def default_questions(replay: ReplayedTrace, peak: float) -> tuple[ExportedQuery
 
 
 def questions_of(texts: Sequence[str], model: Model) -> tuple[tuple[ExportedQuery, ...], tuple[ExportedQuery, ...]]:
-    """Queries in the program's own language (docs/queries.md) as (main, minimal) questions of the export.
+    """Queries in the program's own language (docs/checking.md) as (main, minimal) questions of the export.
 
     Symbolic ones go to the minimal model, since UPPAAL decides none over hybrid clocks. A query about the players or
     the counters (`p_1.next_i`, `m_1.taken` ...) is UPPAAL's alone and passed on as it is. Raises QueryError for text

@@ -92,7 +92,7 @@ COMMENT.4: /\/\/[^\n]*|\/\*(?:.|\n)*?\*\//
 
 FORMS = (
     "a query is Pr[<=444](<> Temp > 80), simulate [<=444; 10] {Temp}, E[<=444; 1000](max: Temp), A[] !deadlock "
-    "or another form of docs/queries.md"
+    "or another form of docs/checking.md"
 )
 MOST_PARTS, MOST_CHARACTERS = 300, 50_000
 """Names, numbers and operators of one query, and its characters: more is no question that a person asks."""

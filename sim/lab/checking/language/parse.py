@@ -54,7 +54,7 @@ def scope_of(sha: SHA, temperature: str) -> Scope:
 
 
 def parse_query(text: str, model: Model | SHA, temperature: str = "Temp") -> q.Query:
-    """The query that `text` asks of a model; docs/queries.md is the language's reference.
+    """The query that `text` asks of a model; docs/checking.md is the language's reference.
 
     An automaton alone has no name for its temperature: `temperature` gives it, and is not looked at for a Model.
     Raises QueryError (a ValueError) with the column, what stands there and what would be right.

@@ -1,6 +1,6 @@
 """A query as a tree of plain records: what the parser makes and the checkers read. No text, no evaluation in here.
 
-The language is UPPAAL's for statistical and symbolic queries; docs/queries.md is its reference. Times are in seconds
+The language is UPPAAL's for statistical and symbolic queries; docs/checking.md is its reference. Times are in seconds
 since the query's start, temperatures in degC.
 """
 
