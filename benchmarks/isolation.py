@@ -1,7 +1,7 @@
 """What one machine can do to the others: a plant of machines, one of them under every fault in turn.
 
-`python -m benchmarks.isolation [--machines N] [--seconds S] [--speed X] [--armed] [--link L] [--workers N] [--quick]
-[--json]`. The machines are served by one software PLC, the gateway is one process (or `--workers`) with a model, a
+`python -m benchmarks.isolation [--machines N] [--seconds S] [--speed X] [--armed] [--link L] [--quick] [--json]`.
+The machines are served by one software PLC, the gateway is one process with a model, a
 forecast and blocks in shadow (or written, `--armed`) for each. It runs first without a fault, then as long with each
 fault of the matrix in turn on one machine, each once that one is well again; the figures are the other machines', of
 the whole time and fault by fault. Lateness is how long after its absolute deadline a scan's last reply was complete.
@@ -152,13 +152,11 @@ def device_rows(link: str, names: Sequence[str], plc: Plc, bus: Path) -> dict[st
     return rows
 
 
-def plant_file(folder: Path, link: str, devices: Mapping[str, str], workers: int, speed: float) -> Path:
+def plant_file(folder: Path, link: str, devices: Mapping[str, str], speed: float) -> Path:
     """The gateway's configuration for machines of which `devices` says where they are."""
     period = PERIODS[link] * speed
     common = f"file = {json.dumps(str(MAP))}\ntimeout = {TIMEOUT_S:g}" if link in ("tcp", "units") else ""
     text = f"""
-[plant]
-workers = {workers}
 [device]
 {common}
 heartbeat_period = {5 * CYCLE_S:g}
@@ -259,7 +257,6 @@ def measured(
     link: str,
     machines: int,
     seconds: float,
-    workers: int,
     faults: Mapping[str, Mapping[str, Any]],
     *,
     speed: float = 1.0,
@@ -280,7 +277,7 @@ def measured(
             *("--trace", folder / "trace.csv", "--cycle", CYCLE_S, "--loop", "--stdin", "--speed", speed),
         )
         ending.callback(end, plc.process)
-        file = plant_file(folder, link, device_rows(link, names, plc, bus), workers, speed)
+        file = plant_file(folder, link, device_rows(link, names, plc, bus), speed)
         status = folder / "status.json"
         command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(file), "--quiet"]
         process = Popen([*command, "--clock", plc.clock, "--status", str(status)], stderr=PIPE, text=True, cwd=ROOT)
@@ -357,7 +354,6 @@ def measured(
 @click.option("--speed", type=click.FloatRange(1.0, 200.0), default=1.0, show_default=True, help="Plant s a second.")
 @click.option("--armed", is_flag=True, help="Blocks are written, and those that the PLC took are counted.")
 @click.option("--fault", "only", multiple=True, metavar="NAME", help="This fault only; may be given again.")
-@click.option("--workers", type=click.IntRange(1, 16), default=1, show_default=True, help="The gateway's processes.")
 @click.option("--quick", is_flag=True, help="Three machines, two seconds.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
 def main(
@@ -368,7 +364,6 @@ def main(
     speed: float,
     armed: bool,
     only: tuple[str, ...],
-    workers: int,
     quick: bool,
     as_json: bool,
 ) -> None:
@@ -380,7 +375,7 @@ def main(
         raise click.BadParameter(f"{unknown[0]!r} is none of {', '.join(faults)}", param_hint="--fault")
     faults = {name: fault for name, fault in faults.items() if not only or name in only}
     with tempfile.TemporaryDirectory(prefix="decanter-isolation-") as folder:
-        found = measured(Path(folder), link, machines, seconds, workers, faults, speed=speed, armed=armed)
+        found = measured(Path(folder), link, machines, seconds, faults, speed=speed, armed=armed)
     without, under, memory = found.without, found.under, np.array(found.memory)
     slope, error = growth(np.array(found.minutes), memory)
     tenth = max(memory.size // 10, 1)

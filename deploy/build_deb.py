@@ -44,6 +44,8 @@ Parquet for the decanter gateway's exports
  exported as Parquet, and fleets are read from such files.""",
 }
 """Packages decanter-gateway-NAME, by NAME, each with the locked packages of requirements-NAME.lock."""
+UNITS = ("decanter.service", "decanter@.service", "system-decanter.slice")
+"""The service, that of a group of machines, and what all groups share (systemd puts `decanter@` there by itself)."""
 _START = """\
 #!/{home}/bin/{python}
 # -I: neither the working folder nor the environment of who calls it has a say in what is imported.
@@ -161,7 +163,7 @@ def fill_rest(tree: Path, number: str, date: int) -> None:
     """What is not the environment: command, unit, documents."""
     for source, target, mode in (
         ("decanter.sh", "usr/bin/decanter", 0o755),
-        ("decanter.service", "lib/systemd/system/decanter.service", 0o644),
+        *((unit, f"lib/systemd/system/{unit}", 0o644) for unit in UNITS),
         ("copyright", f"usr/share/doc/{NAME}/copyright", 0o644),
         ("../docs/operations.md", f"usr/share/doc/{NAME}/operations.md", 0o644),
     ):

@@ -12,7 +12,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 from drivers.capabilities import Capabilities, LinkKind
 from drivers.connections import Connections
-from drivers.errors import DriverError
+from drivers.errors import DriverError, missing_part
 from drivers.supervision import Supervisor
 from drivers.tag import Sample, Tag, Value
 
@@ -272,9 +272,17 @@ def link_of(driver: str, settings: Mapping[str, Any]) -> str:
 
 
 def load_function(target: str) -> Callable[..., Any]:
-    """The function that `module:function` names; only now is its module imported, with the libraries that it needs."""
+    """The function that `module:function` names; only now is its module imported, with the libraries that it needs.
+
+    Raises DriverError where that part of the program is not installed.
+    """
     module, _, name = target.partition(":")
-    function: Callable[..., Any] = getattr(import_module(module), name)
+    try:
+        function: Callable[..., Any] = getattr(import_module(module), name)
+    except ModuleNotFoundError as error:
+        if not (lacking := missing_part(error)):
+            raise
+        raise DriverError(f"{name} {lacking}") from None
     return function
 
 

@@ -60,6 +60,16 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"did you mean {by_folded[close[0]]!r}?" if close else ""
 
 
+OWN_PACKAGES = ("drivers", "sim", "gateway")
+
+
+def missing_part(error: ModuleNotFoundError) -> str:
+    """That a part of this program is not installed, as the end of a sentence; "" where another module is missing."""
+    if (error.name or "").partition(".")[0] not in OWN_PACKAGES:
+        return ""
+    return f"needs {error.name}, a part of the program that is not installed here; install decanter-gateway whole"
+
+
 class OneLineError(Exception):
     """An error whose sentence is one line and steers no terminal, whatever it quotes (`one_sentence`)."""
 

@@ -36,15 +36,13 @@ class EndedUnasked(RuntimeError):
 class Worker:
     """One thread or task: how often it failed, why it last did ("" never) and when (monotonic s).
 
-    `running` is false while it pauses after a failure and once it has ended for good, `is_mended` from a failure until
-    it is begun anew.
+    `running` is false while it pauses after a failure and once it has ended for good.
     """
 
     name: str
     restarts: int = 0
     failure: str = ""
     running: bool = True
-    is_mended: bool = True
     failed_at: float = 0.0
     carrier: "threading.Thread | asyncio.Task[Any] | None" = None
 
@@ -85,7 +83,7 @@ class Supervisor:
                 if stopping:
                     return
                 stop.wait(pause)
-                worker.running = worker.is_mended = True
+                worker.running = True
 
         thread = threading.Thread(target=keep, name=name, daemon=True)
         worker = self._known(name, thread)
@@ -116,7 +114,7 @@ class Supervisor:
                     if task.cancelling():
                         return
                     await asyncio.sleep(pause)
-                    worker.running = worker.is_mended = True
+                    worker.running = True
             finally:
                 worker.running = False
 
@@ -148,7 +146,7 @@ class Supervisor:
         """Count a failure of a part that its owner begins anew."""
         worker = self._workers.get(name) or self._known(name, None)
         self._failed(worker, error)
-        worker.running = worker.is_mended = True
+        worker.running = True
 
     @contextmanager
     def hearing_all(self) -> Iterator[None]:
@@ -226,7 +224,6 @@ class Supervisor:
                 "running": part.running,
                 "restarts": part.restarts,
                 "failure": part.failure,
-                "mended": part.is_mended,
             }
             for name, part in self.parts().items()
         }
@@ -256,7 +253,7 @@ class Supervisor:
         """Note a failure; False if the part had been well for a while."""
         reason, well, self._has_failed = repr(error), worker.well, True
         same = reason == worker.failure and not well
-        worker.running, worker.is_mended, worker.restarts = False, False, worker.restarts + 1
+        worker.running, worker.restarts = False, worker.restarts + 1
         worker.failure, worker.failed_at = reason, monotonic()
         # Said by change: what fails in the same way every ten seconds is counted, and does not fill the log.
         if not same:

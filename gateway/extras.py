@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+from drivers.errors import missing_part
+
 DEBIAN_PACKAGES: Mapping[str, str] = {
     "mqtt": "decanter-gateway",
     "opcua": "decanter-gateway",
@@ -13,7 +15,9 @@ DEBIAN_PACKAGES: Mapping[str, str] = {
 
 
 def missing(extra: str, error: ImportError) -> str:
-    """What is missing of an extra, and what would be right, as the end of a sentence."""
+    """What is missing of an extra, or of this program, and what would be right, as the end of a sentence."""
+    if isinstance(error, ModuleNotFoundError) and (lacking := missing_part(error)):
+        return lacking
     return (
         f"needs {error.name or error}, which is not installed; pip install 'decanter-gateway[{extra}]', or on Debian "
         f"install the package {DEBIAN_PACKAGES[extra]}"

@@ -8,36 +8,47 @@ import re
 import shlex
 import shutil
 import subprocess
+from collections.abc import Callable
 from configparser import RawConfigParser
 from ipaddress import ip_address, ip_network
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from deploy import build_deb
 from gateway.cli.main import main
 from gateway.cli.plant.top import EXITS
-from gateway.console import SERVICE_FOLDER, SERVICE_LOG, SERVICE_RECORDS
+from gateway.console import SERVICE_FOLDER, service_of
 from gateway.outside.status import Health
+from gateway.settings import load_config
 
 DEPLOY = Path(__file__).parents[1] / "deploy"
-UNIT = DEPLOY / "decanter.service"
+UNIT, TEMPLATE = DEPLOY / "decanter.service", DEPLOY / "decanter@.service"
 SCRIPTS = [DEPLOY / "decanter.sh", *sorted((DEPLOY / "maintainer").iterdir())]
 MOST_EXPOSED = 2.0
 
 
-def unit() -> RawConfigParser:
+def unit(path: Path = UNIT) -> RawConfigParser:
     found = RawConfigParser(strict=False)  # SystemCallFilter and DeviceAllow stand there several times
     found.optionxform = str  # type: ignore[assignment,method-assign]
-    found.read(UNIT)
+    found.read(path)
     return found
 
 
-def test_the_unit_may_do_little_by_systemds_own_measure() -> None:
+def of_group(folder: Path, group: str = "north") -> Path:
+    """The unit of a group of machines, as systemd makes it of the template."""
+    path = folder / f"decanter@{group}.service"
+    path.write_text(TEMPLATE.read_text(encoding="utf-8").replace("%i", group), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("of", [lambda _: UNIT, of_group], ids=["plain", "of a group"])
+def test_the_unit_may_do_little_by_systemds_own_measure(of: Callable[[Path], Path], tmp_path: Path) -> None:
     if shutil.which("systemd-analyze") is None:
         pytest.skip("systemd-analyze is not installed here")
     done = subprocess.run(
-        ["systemd-analyze", "security", "--offline=true", "--no-pager", str(UNIT)],
+        ["systemd-analyze", "security", "--offline=true", "--no-pager", str(of(tmp_path))],
         capture_output=True,
         text=True,
         check=False,
@@ -86,9 +97,42 @@ def test_the_unit_speaks_of_what_is_there() -> None:
         known = {option for parameter in found.params for option in parameter.opts}
         assert {option for option in options if option.startswith("--")} <= known
         assert options[-1] == str(SERVICE_FOLDER / "plant.toml") == unit()["Unit"]["ConditionPathExists"]
-    service = unit()["Service"]
-    assert Path("/var/lib") / service["StateDirectory"] == SERVICE_RECORDS
-    assert Path("/var/log") / service["LogsDirectory"] == SERVICE_LOG
+
+
+def test_records_and_log_lie_where_the_commands_look_for_them(tmp_path: Path) -> None:
+    for path, folder in ((UNIT, SERVICE_FOLDER), (of_group(tmp_path), SERVICE_FOLDER / "north")):
+        service, places = unit(path)["Service"], service_of(folder)
+        assert places is not None and f"{places.unit}.service" == path.name
+        assert Path("/var/lib") / service["StateDirectory"] == Path(service["WorkingDirectory"]) == places.records
+        assert Path("/var/log") / service["LogsDirectory"] == places.log
+    for folder in (tmp_path, SERVICE_FOLDER / "a group", SERVICE_FOLDER / "north/models"):
+        assert service_of(folder) is None
+
+
+def test_a_group_has_a_plant_with_its_own_places_and_is_told_its_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gateway.console.places.SERVICE_FOLDER", tmp_path)
+    command = ["init", "--device", "decanter_plc", "--host", "127.0.0.1"]
+    for folder, unit, page in ((tmp_path, "restart decanter", True), (tmp_path / "north", "decanter@north", False)):
+        done = CliRunner().invoke(main, [*command, str(folder)])
+        assert done.exit_code == 0 and unit in done.output, done.output
+        config = load_config(folder / "plant.toml")
+        place = Path("/var/lib/decanter", *folder.relative_to(tmp_path).parts)
+        assert config.historian.path.parent == place and config.page.enabled is page
+
+
+def test_the_service_of_a_group_is_the_plain_one_in_folders_of_its_own_and_all_share_one_bound_of_memory() -> None:
+    plain, template = (
+        [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith(("#", "Description"))]
+        for path in (UNIT, TEMPLATE)
+    )
+    bounds = [line for line in plain if line.startswith("Memory") and line.endswith("%")]
+    assert [line.replace("/%i", "") for line in template] == [line for line in plain if line not in bounds]
+    own = [line for line in template if re.search(r"(/etc|/var/lib)/decanter|Directory=decanter", line)]
+    assert own and all("decanter/%i" in line for line in own), "no group writes where another one does"
+    common = (DEPLOY / "system-decanter.slice").read_text(encoding="utf-8").splitlines()
+    assert len(bounds) == 2 and set(bounds) <= set(common)
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
@@ -102,21 +146,25 @@ def test_the_scripts_are_scripts_and_take_nothing_away(script: Path) -> None:
 SYSTEM = """#!/bin/sh
 # Stands for systemd's and Debian's commands: says what it was asked for, and whether the service runs.
 echo "${0##*/} $*" >> "$ASKED"
-case "$*" in "is-active decanter.service") echo "$RUNS"; [ "$RUNS" = active ] ;; esac
+case "$*" in
+    "is-active decanter.service") echo "$RUNS"; [ "$RUNS" = active ] ;;
+    list-units*) for name in $GROUPS_RUNNING; do echo "decanter@$name.service loaded active running Gateway"; done ;;
+esac
 """
 
 
 def script_after_prerm(
-    folder: Path, runs: str, *arguments: str, prerm: str | None = "upgrade", system: bool = True
+    folder: Path, runs: str, *arguments: str, prerm: str | None = "upgrade", system: bool = True, groups: str = ""
 ) -> list[str]:
-    """What postinst asks the system for, after prerm, in a folder that stands for /, where the service `runs`."""
+    """What postinst asks the system for, after prerm, in a folder that stands for /, where the service `runs`, and
+    those of these `groups`."""
     run, commands, asked = folder / "run", folder / "commands", folder / "asked"
-    (run / "systemd/system" if system else run).mkdir(parents=True)
-    commands.mkdir()
+    (run / "systemd/system" if system else run).mkdir(parents=True, exist_ok=True)
+    commands.mkdir(exist_ok=True)
     for name in ("systemctl", "deb-systemd-invoke", "deb-systemd-helper", "getent", "adduser", "install"):
         (commands / name).write_text(SYSTEM, encoding="utf-8")
         (commands / name).chmod(0o755)
-    given = {"PATH": f"{commands}:/usr/bin:/bin", "ASKED": str(asked), "RUNS": runs}
+    given = {"PATH": f"{commands}:/usr/bin:/bin", "ASKED": str(asked), "RUNS": runs, "GROUPS_RUNNING": groups}
     for name, words in (("prerm", () if prerm is None else (prerm,)), ("postinst", arguments)):
         if not words:
             continue
@@ -146,6 +194,17 @@ def test_what_did_not_run_or_is_new_is_started_unless_somebody_has_disabled_it(
     assert STARTED_IF_ENABLED in asked and STARTED not in asked
 
 
+def test_the_groups_that_ran_before_an_upgrade_are_stopped_and_run_after_it_and_no_other(tmp_path: Path) -> None:
+    asked = script_after_prerm(tmp_path, "inactive", groups="north south")
+    assert asked[-1].split()[1:] == ["stop", "decanter.service", "decanter@north.service", "decanter@south.service"]
+    asked = script_after_prerm(tmp_path, "inactive", "configure", prerm=None)
+    assert [line for line in asked if "decanter@" in line] == [
+        "systemctl start decanter@north.service", "systemctl start decanter@south.service",
+    ]  # fmt: skip
+    asked = script_after_prerm(tmp_path, "inactive", "configure", prerm=None)
+    assert not [line for line in asked if "decanter@" in line]
+
+
 def test_without_systemd_nothing_is_asked_of_it(tmp_path: Path) -> None:
     asked = script_after_prerm(tmp_path, "active", "configure", system=False)
     assert not [line for line in asked if line.startswith(("systemctl", "deb-systemd-invoke"))]
@@ -171,7 +230,8 @@ def test_the_package_has_what_it_promises_and_is_the_same_each_time(
     rows = subprocess.run(["dpkg-deb", "-c", files[0]], capture_output=True, text=True, check=True).stdout.splitlines()
     rights = {row.split()[5]: (row.split()[0], row.split()[1]) for row in rows}
     assert rights["./usr/bin/decanter"] == rights["./usr/lib/decanter/bin/decanter"] == ("-rwxr-xr-x", "root/root")
-    assert rights["./lib/systemd/system/decanter.service"] == ("-rw-r--r--", "root/root")
+    for name in ("decanter.service", "decanter@.service", "system-decanter.slice"):
+        assert rights[f"./lib/systemd/system/{name}"] == ("-rw-r--r--", "root/root")
     assert "./usr/share/doc/decanter-gateway/operations.md" in rights
     # What is the plant's is nobody's file but its own: no removal or upgrade touches it.
     assert not [name for name in rights if name.startswith(("./etc", "./var"))]

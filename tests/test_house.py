@@ -192,8 +192,6 @@ def test_a_class_name_stands_for_one_class(figures: Figures) -> None:
 
 POSITIONAL = {
     "gateway/commission/session/pcap.py": "struct.pack takes the fields of a header in their order",
-    "sim/engine/belief.py": "one reading makes one Belief: by keywords that costs a fifth of the whole step",
-    "sim/engine/belief_state.py": "each scan moves some Beliefs: by keywords that costs as much as a whole step",
 }
 """Modules in which a call may have more than five positional arguments, each with its reason."""
 

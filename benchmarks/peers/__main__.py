@@ -5,7 +5,6 @@ as fast as they go, say how far from its limit it is. The contenders, each a pro
 
     plant        `decanter run` with a [[machine]] for each PLC: quality and the historian
     plant+blocks the same with a belief at each scan, a forecast every ten seconds, and a block after each scan
-    plant x2     the plant with [plant] workers = 2, and plant+blocks x2
     streams      of the gateway a stream of scans a PLC with quality, and one historian: what reading alone takes
     pymodbus     its asynchronous client in a loop a PLC; it keeps nothing
     C loop       the same polls from C, one after another: the limit
@@ -49,10 +48,8 @@ from benchmarks.peers.thingsboard import configure, environment
 from benchmarks.processes import ROOT, BenchmarkError, cpu_seconds, family_of, resident_kilobytes
 
 PLANTS = {
-    "plant": {"blocks": False, "workers": 1},
-    "plant+blocks": {"blocks": True, "workers": 1},
-    "plant x2": {"blocks": False, "workers": 2},
-    "plant+blocks x2": {"blocks": True, "workers": 2},
+    "plant": {"blocks": False},
+    "plant+blocks": {"blocks": True},
 }
 """The gateway as users run it, by the name of the contender."""
 CONTENDERS = (*PLANTS, "streams", "pymodbus", "C loop", "ThingsBoard")
@@ -218,9 +215,6 @@ def measure(
             bare = None
             # The bare client first: the others' figures stand against it.
             for name in sorted(names, key=lambda name: name != "pymodbus"):
-                # No more processes than machines.
-                if name in PLANTS and PLANTS[name]["workers"] > count:
-                    continue
                 run = measured(
                     name,
                     program,

@@ -42,11 +42,10 @@ def device_text(*, blocks: bool) -> str:
     return "\n".join((head, *tags, f"{block}\ntimeout_s = 5.0\nunknown = 65535\n{fields}]")) + "\n"
 
 
-def plant_command(folder: Path, *, port: int, count: int, period: float, blocks: bool, workers: int) -> list[str]:
+def plant_command(folder: Path, *, port: int, count: int, period: float, blocks: bool) -> list[str]:
     """Write the files of a plant and have its PLCs permit blocks; gives the command that runs it."""
     (folder / "device.toml").write_text(device_text(blocks=blocks), encoding="utf-8")
     lines = [
-        f"[plant]\nworkers = {workers}",
         '[device]\nfile = "device.toml"\ntimeout = 0.3\nheartbeat_period = 0.2',
         f"[scan]\nperiod = {period:g}",
         '[historian]\npath = "historian.sqlite"\nmax_interval = 60',

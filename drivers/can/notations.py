@@ -14,6 +14,7 @@ from drivers.can.reception import Channel, Reception, Slot
 from drivers.can.settings import CanSettings
 from drivers.codec import Reading
 from drivers.driver import PlanLine
+from drivers.errors import AddressError, missing_part
 from drivers.supervision import Supervisor
 from drivers.tag import Tag
 
@@ -69,7 +70,46 @@ def is_message_tag(tag: Tag) -> bool:
 
 
 def message_decoder(settings: CanSettings, reception: Reception, supervisor: Supervisor) -> MessageDecoder:
-    """The decoder of such tags. Raises DriverError for a setting that it cannot use."""
+    """The decoder of such tags; where none is installed, one that refuses them.
+
+    Raises DriverError for a setting that it cannot use.
+    """
     module, _, name = DECODER.partition(":")
-    decoder: MessageDecoder = getattr(import_module(module), name)(settings, reception, supervisor)
+    try:
+        made = getattr(import_module(module), name)
+    except ModuleNotFoundError as error:
+        if not (lacking := missing_part(error)):
+            raise
+        return _NoDecoder(lacking)
+    decoder: MessageDecoder = made(settings, reception, supervisor)
     return decoder
+
+
+class _NoDecoder:
+    """Stands for a decoder that is not installed: it refuses each tag of its notations, and hears and asks nothing."""
+
+    listens = False
+
+    def __init__(self, lacking: str) -> None:
+        self._lacking = lacking
+
+    def listen(self, tag: Tag, now: float) -> tuple[Channel, Slot]:
+        raise AddressError(f"{tag.name}: {tag.address} {self._lacking}")
+
+    def take(self, frame: CanFrame, now: float) -> Sequence[Slot]:
+        return ()
+
+    def reading(self, slot: Slot) -> Reading:
+        raise LookupError("no tag was listened for")
+
+    def describe(self) -> list[PlanLine]:
+        return []
+
+    def counts(self) -> Mapping[str, int]:
+        return {}
+
+    def start(self, send: Send) -> None:
+        return
+
+    def stop(self) -> None:
+        return

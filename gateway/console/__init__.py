@@ -17,6 +17,7 @@ from gateway.console.places import (
     config_dir,
     find_plant_file,
     plant_here,
+    service_of,
     shipped,
 )
 from gateway.console.result import CommandResult, Line, Part, Rows, View, conclude
@@ -44,6 +45,7 @@ __all__ = [
     "progress",
     "renamed_option",
     "seed_option",
+    "service_of",
     "shipped",
     "socket_option",
     "table",

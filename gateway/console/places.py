@@ -1,6 +1,8 @@
 """Where files lie: those that are shipped with the program, and the plant file of the folder that one works in."""
 
+import re
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 PLANT_FILES = (Path("plant.toml"), Path("config/plant.toml"))
@@ -9,6 +11,30 @@ SERVICE_FOLDER = Path("/etc/decanter")
 """The folder of the plant that the installed service runs: looked in last, so that its commands work from anywhere."""
 SERVICE_RECORDS, SERVICE_LOG = Path("/var/lib/decanter"), Path("/var/log/decanter")
 """Where the service's records and its log lie."""
+_GROUP = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+"""A group's name: what systemd takes in a unit's name as it is (systemd.unit(5))."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServicePlaces:
+    """Of an installed service: the name of its unit, and the folders of its records and its log."""
+
+    unit: str
+    records: Path
+    log: Path
+
+
+def service_of(folder: Path) -> ServicePlaces | None:
+    """The installed service that runs the plant of a folder; None where it is no service's.
+
+    In a folder of SERVICE_FOLDER it is that of a group of machines: the unit `decanter@GROUP`.
+    """
+    folder = folder.absolute()
+    if folder == SERVICE_FOLDER:
+        return ServicePlaces("decanter", SERVICE_RECORDS, SERVICE_LOG)
+    if folder.parent == SERVICE_FOLDER and _GROUP.fullmatch(group := folder.name):
+        return ServicePlaces(f"decanter@{group}", SERVICE_RECORDS / group, SERVICE_LOG / group)
+    return None
 
 
 def plant_here() -> Path | None:

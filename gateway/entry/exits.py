@@ -24,6 +24,7 @@ from drivers.errors import (
     RecordingError,
     ReplyTimeout,
     WriteForbidden,
+    missing_part,
     one_line,
     one_sentence,
 )
@@ -101,6 +102,11 @@ def run_answered(run: Callable[..., Any], words: Sequence[str]) -> NoReturn:
         context = getattr(error, "ctx", None)
         remedy = f"; see `{context.command_path} --help`" if context is not None else ""
         fail(said + remedy, error.exit_code, answer=answer)
+    except ModuleNotFoundError as error:
+        # What serves other needs than a plant's may be left out of an installation; what asks for it says so.
+        if "--traceback" in words or not (lacking := missing_part(error)):
+            raise
+        fail(f"this command {lacking}", answer=answer)
     sys.exit(code if isinstance(code, int) else Exit.OK)
 
 

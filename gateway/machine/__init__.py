@@ -9,8 +9,7 @@ if TYPE_CHECKING:
     from gateway.machine.phase import Phase
     from gateway.machine.pipeline import MODEL_PART, ORDERS, Machine
     from gateway.machine.plant_records import PlantRecords
-    from gateway.machine.trust import RECORDING
 else:
     __getattr__ = opened_at_use(__name__)
 
-__all__ = ["MODEL_PART", "ORDERS", "RECORDING", "FollowedTemperature", "Machine", "Phase", "PlantRecords"]
+__all__ = ["MODEL_PART", "ORDERS", "FollowedTemperature", "Machine", "Phase", "PlantRecords"]

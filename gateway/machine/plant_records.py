@@ -21,7 +21,7 @@ class PlantRecords:
     cannot be written ("": it can), `unreached` which of the systems that are told what is on record are out of reach,
     `undelivered` which recipients of messages about alarms, and why; `without` which parts of the whole gateway could
     not be begun, and why, by their names.
-    `files` are those on which a promise rests. Without a `historian` that of the configurations is opened.
+    `files` are those on which a promise rests.
 
     Raises HistorianError.
     """
@@ -34,14 +34,13 @@ class PlantRecords:
         log: FilteringBoundLogger,
         supervisor: Supervisor,
         log_failure: Callable[[], str] = lambda: "",
-        historian: Historian | None = None,
     ) -> None:
         first = configs[0]
         self.supervisor, self.log_failure = supervisor, log_failure
         self.unreached: Callable[[], str] = lambda: ""
         self.undelivered: Callable[[], str] = lambda: ""
         self.without: Mapping[str, str] = {}
-        self.historian = historian or open_historian(
+        self.historian: Historian = open_historian(
             first.historian.path,
             max_mb=first.historian.max_mb,
             mend=True,

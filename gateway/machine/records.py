@@ -28,16 +28,7 @@ class Keeper:
     def rows(self, scan: Scan) -> list[Row]:
         """The rows of `samples` for this scan."""
         rows: list[Row] = []
-        kept, now, most = self._kept, scan.time, self.max_interval
         for name, sample in scan.samples.items():
-            before = kept.get(name)
-            if (
-                before is not None
-                and before.value == sample.value
-                and before.quality is sample.quality
-                and now - before.time < most
-            ):
-                continue  # as it was kept, like most of them: what `_worth` would say, without asking it
             if name in self.left_out or not self._worth(name, sample, scan.time):
                 continue
             good = sample.quality.is_good

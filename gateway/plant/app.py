@@ -29,8 +29,7 @@ from gateway.plant.log_file import LogFile
 from gateway.plant.service import ServiceManager, service_manager
 from gateway.plant.shortfalls import MESSAGES, NORTHBOUND, PAGE, checked_northbound, of_plant
 from gateway.plant.status import write_status
-from gateway.plant.worker_pool import WorkerPool
-from gateway.settings import Config, NorthboundSecrets, load_plant
+from gateway.settings import Config, NorthboundSecrets
 from gateway.store import FileRule
 
 if TYPE_CHECKING:
@@ -39,8 +38,6 @@ if TYPE_CHECKING:
 
 STATUS_SECONDS = 0.25
 CLOCK_TOLERANCE = 5.0
-IDLE_LOOK_SECONDS = 5.0
-"""How often worker processes are asked how their machines are where nobody is shown it."""
 PAGE_STOP_SECONDS = 3.0
 
 
@@ -85,36 +82,16 @@ async def run(
         except ConfigError as error:  # its files may have changed since the look above
             without[NORTHBOUND] = error.in_one_line
         log_failure: Callable[[], str] = (lambda: "") if file is None else file.complaint
-        fleet: Fleet | WorkerPool
-        watched = status_path is not None or say is not None or configs[0].page.enabled
-        if configs[0].plant.workers > 1 and not configs[0].several:
-            log.warning(
-                "plant.workers has no effect: the file has no [[machine]] tables, and one machine is one process's",
-                path=str(configs[0].path),
-                workers=configs[0].plant.workers,
-            )
-        if configs[0].in_workers and isinstance(clock, PlantClock):
-            fleet = WorkerPool(
-                configs,
-                clock=clock,
-                log=log,
-                log_failure=log_failure,
-                read_anew=read_anew or partial(load_plant, configs[0].path),
-                look_seconds=STATUS_SECONDS if watched else IDLE_LOOK_SECONDS,
-            )
-            if not await _opened(fleet, stop):
-                return {"machines": {}}
-        else:
-            fleet = Fleet(
-                configs,
-                clock=clock,
-                log=log,
-                rng=rng or SystemRandom(),
-                log_failure=log_failure,
-                driver=driver,
-                read_anew=read_anew,
-            )
-            fleet.start(stop)
+        fleet = Fleet(
+            configs,
+            clock=clock,
+            log=log,
+            rng=rng or SystemRandom(),
+            log_failure=log_failure,
+            driver=driver,
+            read_anew=read_anew,
+        )
+        fleet.start(stop)
         fleet.on_taken_over = partial(_kept, fleet, "reload")
         without.pop(MESSAGES, None)  # whose alarm is another one
         _go_without(fleet, without)
@@ -158,20 +135,7 @@ async def run(
     return _plain(fleet, last)
 
 
-async def _opened(pool: WorkerPool, stop: asyncio.Event) -> bool:
-    """Begin all machines of the pool; False if it is told to stop before they have begun."""
-    opening, stopped = asyncio.create_task(pool.open()), asyncio.create_task(stop.wait())
-    await asyncio.wait((opening, stopped), return_when=asyncio.FIRST_COMPLETED)
-    begun = opening.done()
-    for task in (opening, stopped):
-        task.cancel()
-    outcomes = await asyncio.gather(opening, stopped, return_exceptions=True)
-    if begun and isinstance(outcomes[0], BaseException):
-        raise outcomes[0]
-    return begun
-
-
-def _kept(fleet: Fleet | WorkerPool, note: str, configs: Sequence[Config]) -> None:
+def _kept(fleet: Fleet, note: str, configs: Sequence[Config]) -> None:
     """Keep the configuration that was taken over; a gateway that cannot keep it runs all the same."""
     try:
         keep_configuration(configs, now=fleet.clock.now(), note=note)
@@ -179,7 +143,7 @@ def _kept(fleet: Fleet | WorkerPool, note: str, configs: Sequence[Config]) -> No
         fleet.log.warning("the configuration could not be kept for the history", reason=str(error))
 
 
-def _go_without(fleet: Fleet | WorkerPool, without: Mapping[str, str]) -> None:
+def _go_without(fleet: Fleet, without: Mapping[str, str]) -> None:
     """Say, once and in an alarm that stands, what could not be begun."""
     fleet.records.without = {**fleet.records.without, **without}
     for part, reason in without.items():
@@ -187,7 +151,7 @@ def _go_without(fleet: Fleet | WorkerPool, without: Mapping[str, str]) -> None:
 
 
 @asynccontextmanager
-async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIterator[None]:
+async def _page(configs: Sequence[Config], fleet: Fleet) -> AsyncIterator[None]:
     """Serve the page meanwhile, in a thread of its own."""
     # Here and below: a gateway without the page, or that tells nobody, loads nothing of it.
     from gateway.outside.web import PageServer, accounts_problem
@@ -218,7 +182,7 @@ async def _page(configs: Sequence[Config], fleet: Fleet | WorkerPool) -> AsyncIt
 
 
 @asynccontextmanager
-async def _northbound(config: Config, secrets: NorthboundSecrets, fleet: Fleet | WorkerPool) -> AsyncIterator[None]:
+async def _northbound(config: Config, secrets: NorthboundSecrets, fleet: Fleet) -> AsyncIterator[None]:
     """Tell others meanwhile what is on record, each in a thread of its own."""
     from gateway.outside.northbound import Northbound
 
@@ -242,7 +206,7 @@ async def _northbound(config: Config, secrets: NorthboundSecrets, fleet: Fleet |
         await asyncio.to_thread(northbound.close)
 
 
-async def _reloaded_at(hangup: asyncio.Event, fleet: Fleet | WorkerPool) -> None:
+async def _reloaded_at(hangup: asyncio.Event, fleet: Fleet) -> None:
     """Read the plant file anew whenever the event is set; a file that is refused changes nothing."""
     while True:
         await hangup.wait()
@@ -261,14 +225,14 @@ def _log_file(config: Config) -> LogFile | None:
 # -------------------------------------------------------------------- status
 
 
-def _plain(fleet: Fleet | WorkerPool, statuses: dict[str, GatewayStatus]) -> dict[str, Any]:
+def _plain(fleet: Fleet, statuses: dict[str, GatewayStatus]) -> dict[str, Any]:
     """The one machine's status as it is; by their names where the file may have several."""
     plain = {name: asdict(status) for name, status in statuses.items()}
     # The only one is not there while a reload begins it anew.
     return {"machines": plain} if fleet.several else next(iter(plain.values()), {})
 
 
-async def _report(fleet: Fleet | WorkerPool, path: Path | None, say: Callable[[str], None] | None) -> None:
+async def _report(fleet: Fleet, path: Path | None, say: Callable[[str], None] | None) -> None:
     warned, complaint = False, ""
     lines: dict[str, ChangeLines] = {}
     while True:
@@ -292,7 +256,7 @@ async def _report(fleet: Fleet | WorkerPool, path: Path | None, say: Callable[[s
         await asyncio.sleep(STATUS_SECONDS)
 
 
-def _write(fleet: Fleet | WorkerPool, path: Path | None, statuses: dict[str, GatewayStatus], before: str = "") -> str:
+def _write(fleet: Fleet, path: Path | None, statuses: dict[str, GatewayStatus], before: str = "") -> str:
     """Write the status file; what stands in its way is logged when it is not what it was `before`, and returned."""
     if path is None:
         return ""

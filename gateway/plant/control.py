@@ -9,7 +9,7 @@ import asyncio
 import os
 import socket
 import struct
-from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
@@ -92,28 +92,23 @@ class ControlScope:
 
     def one(self, request: "ControlRequest") -> Machine:
         """The machine that a request names, or the only one. Raises ControlError."""
-        name = request.machine
+        name, names = request.machine, list(self.machines)
         if (name in self.changing and name not in self.machines) or not self.machines:
             changing = name or ", ".join(self.changing)
             raise ControlError(f"machine {changing!r} is being taken over; ask again in a moment")
-        return self.machines[meant_machine(list(self.machines), request.machine)]
+        if name is None and len(names) > 1:
+            raise ControlError(f"which machine? Name one of {', '.join(names)} (--machine NAME)")
+        if name is not None and name not in names:
+            raise ControlError(f"there is no machine {name[:60]!r}; this gateway has {', '.join(names)}")
+        return self.machines[names[0] if name is None else name]
 
     async def answer(self, line: bytes) -> dict[str, Any]:
         """The reply to one request."""
         return await answer(self, line)
 
 
-def meant_machine(names: Sequence[str], name: str | None) -> str:
-    """The machine of a gateway's that a request speaks of, by default the only one. Raises ControlError."""
-    if name is None and len(names) > 1:
-        raise ControlError(f"which machine? Name one of {', '.join(names)} (--machine NAME)")
-    if name is not None and name not in names:
-        raise ControlError(f"there is no machine {name[:60]!r}; this gateway has {', '.join(names)}")
-    return names[0] if name is None else name
-
-
 class Answering(Protocol):
-    """Who answers for a gateway: its machines (`ControlScope`), or the process that has them in others."""
+    """Who answers for a gateway: its machines as they are then (`ControlScope`), or the fleet of them."""
 
     async def answer(self, line: bytes) -> dict[str, Any]: ...
 
@@ -294,12 +289,6 @@ class _Disarm(ControlRequest):
 
 
 R = TypeVar("R", bound=ControlRequest)
-
-
-def disarm_words(request: Mapping[str, Any]) -> tuple[str, str, Mapping[str, int]]:
-    """Who disarms, why, and at which process. Raises ControlError."""
-    given = _checked(_Disarm, request)
-    return given.by, given.reason, given.process
 
 
 def _checked(kind: type[R], request: Mapping[str, Any]) -> R:

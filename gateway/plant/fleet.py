@@ -26,8 +26,8 @@ from gateway.outside.status import ControlError, GatewayStatus
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
 from gateway.plant.service import ScanProgress
+from gateway.plant.shared_connections import on_one_connection
 from gateway.plant.shortfalls import MESSAGES, checked_notify, of_machines, of_plant
-from gateway.plant.split import on_one_connection
 from gateway.plant.status import snapshot
 from gateway.settings import Config, changed_machines, load_plant
 
@@ -58,9 +58,7 @@ class Fleet:
 
     Raises ConfigError, HistorianError or AuditError for what cannot be opened; nothing is left open then. `driver` is
     used for the first machine, by default all have those of their configurations. `read_anew` gives the configurations
-    as they are in the file by now. `open_records` is called for the records once the models are read, by a worker
-    process, which has some of the plant's machines and none of its stores; so is `show`, for each scan of a machine
-    that peers are served.
+    as they are in the file by now.
     """
 
     def __init__(
@@ -73,8 +71,6 @@ class Fleet:
         log_failure: Callable[[], str] = lambda: "",
         driver: Driver | None = None,
         read_anew: Callable[[], Sequence[Config]] | None = None,
-        open_records: Callable[[Supervisor], PlantRecords] | None = None,
-        show: Callable[[Config, Scan], None] | None = None,
     ) -> None:
         self.clock, self.log, self._rng = clock, log, rng
         self.several = configs[0].several
@@ -89,26 +85,20 @@ class Fleet:
         self.changing = set[str]()
         self._connections = Connections()
         self.images: dict[int, DeviceImage] = {}
-        self._show = show or self._take_into_image
         drivers = {config.machine: self._driver(config) for config in configs[1 if driver else 0 :]}
         if driver is not None:
             drivers[configs[0].machine] = driver
         # What can be refused is read first: a model that does not suit its machine leaves no records behind.
         models = {config.machine: models_at_start(config) for config in configs}
         make_notifier, untold = _notifier_at_start(configs[0])
-        self.records = (
-            PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
-            if open_records is None
-            else open_records(self.supervisor)
-        )
+        self.records = PlantRecords(configs, clock=clock, log=log, supervisor=self.supervisor, log_failure=log_failure)
         self.notifier = make_notifier and make_notifier(now=clock.now, supervisor=self.supervisor, log=log)
         if (notifier := self.notifier) is not None:
-            elsewhere = self.records.undelivered  # what a worker process hears of the others' recipients
-            self.records.undelivered = lambda: notifier.complaint or elsewhere()
+            self.records.undelivered = lambda: notifier.complaint
         elif untold:
             self._go_without(MESSAGES, untold)
             self.records.undelivered = lambda: untold
-        alone = len(configs) == 1 and open_records is None
+        alone = len(configs) == 1
         opened = False
         try:
             if configs[0].page.enabled:
@@ -354,10 +344,7 @@ class Fleet:
 
     def _shown(self, machine: Machine) -> Callable[[Scan], None] | None:
         """Who takes a machine's scans for its peers; None where nothing is served."""
-        return None if machine.config.serve.port is None else partial(self._show, machine.config)
-
-    def _take_into_image(self, config: Config, scan: Scan) -> None:
-        self.images[config.serve.unit].take(scan)
+        return None if machine.config.serve.port is None else self.images[machine.config.serve.unit].take
 
     def stopping(self) -> None:
         """Say of every machine that it is being stopped."""

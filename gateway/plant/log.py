@@ -141,30 +141,7 @@ def open_log(
         yield _logger(tee, level)
 
 
-class _Handed:
-    """Hands each finished event on as it is."""
-
-    def __init__(self, take: Callable[[Mapping[str, Any]], None]) -> None:
-        self._take = take
-
-    def msg(self, **event: Any) -> None:
-        self._take(event)
-
-    debug = info = warning = error = critical = msg
-
-
-def handed_logger(take: Callable[[Mapping[str, Any]], None], level: str) -> FilteringBoundLogger:
-    """A logger whose events, as plain values with `event` and `level`, go to `take`: another process has the file."""
-    return _logger(_Handed(take), level)
-
-
-def log_again(log: FilteringBoundLogger, event: Mapping[str, Any]) -> None:
-    """Write an event that was handed on (`handed_logger`)."""
-    rest = {key: value for key, value in event.items() if key not in ("event", "level")}
-    log.log(LEVELS.get(str(event.get("level")), logging.ERROR), str(event.get("event")), **rest)
-
-
-def _logger(tee: _Tee | _Handed, level: str) -> FilteringBoundLogger:
+def _logger(tee: _Tee, level: str) -> FilteringBoundLogger:
     logger: FilteringBoundLogger = structlog.wrap_logger(
         tee,
         processors=[

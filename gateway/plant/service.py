@@ -30,7 +30,7 @@ class ScanProgress:
 
 
 class ScannedMachines(Protocol):
-    """The machines of a running gateway, in this process or in others."""
+    """The machines of a running gateway."""
 
     def progress(self) -> Mapping[str, ScanProgress]:
         """How far each machine that is to be read has come, by name; none that is being stopped."""

@@ -281,18 +281,6 @@ class ServeSection(Section):
 
 PAGE_SUBJECT = "page"
 """The subject of the page's rows in the audit log, beside those of the machines by their names."""
-MOST_WORKERS = 64
-
-
-class PlantSection(Section):
-    """How the machines of a plant are carried: by one process, or split over several."""
-
-    workers: int = Field(
-        1,
-        ge=1,
-        le=MOST_WORKERS,
-        description=f"a whole number of processes that the machines are split over, 1 to {MOST_WORKERS}",
-    )
 
 
 class PageSection(Section):
@@ -365,11 +353,10 @@ class _PlantFile(Section):
     control: ControlSection = Field(default_factory=ControlSection, description="a [control] table")
     clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
     serve: ServeSection = Field(default_factory=ServeSection, description="a [serve] table")
-    plant: PlantSection = Field(default_factory=PlantSection, description="a [plant] table")
     page: PageSection = Field(default_factory=PageSection, description="a [page] table")
 
 
-COMMON = ("historian", "log", "control", "notify", "northbound", "plant", "page")
+COMMON = ("historian", "log", "control", "notify", "northbound", "page")
 """Sections of the whole gateway: no machine has one of its own."""
 COMMON_KEYS = {
     "clock": ("speed",),
@@ -415,7 +402,6 @@ class Config:
     control: ControlSection
     clock: ClockSection
     serve: ServeSection
-    plant: PlantSection
     page: PageSection
     links: tuple[DeviceLink, ...]
 
@@ -435,11 +421,6 @@ class Config:
         (plain,) = _plain_configs().dump_python((self,), exclude={"__all__": _NOT_WRITTEN_BY})
         text = json.dumps(plain, sort_keys=True, default=_plain_text)
         return sha256(text.encode()).hexdigest()[:_ARMED_FOR_LETTERS]
-
-    @property
-    def in_workers(self) -> bool:
-        """Whether the machines run in worker processes; a file without [[machine]] tables has none to be split."""
-        return self.several and self.plant.workers > 1
 
     @property
     def followed(self) -> tuple["Config", ...]:
@@ -590,6 +571,7 @@ def read_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     stamp = path.stat().st_mtime if path.is_file() else 0.0
     # Overrides come before the check, so that they are held to the same rules as the file.
     data = {key: dict(value) if isinstance(value, dict) else value for key, value in read_toml(path).items()}
+    _take_out_workers(data, path)
     rows = data.pop("machine", None)
     for key, value in (overrides or {}).items():
         section, _, name = key.partition(".")
@@ -622,6 +604,25 @@ def read_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     return tuple(machines)
 
 
+def _take_out_workers(data: dict[str, Any], path: Path) -> None:
+    """Leave out `[plant] workers = 1`, which former versions had: it says what is so. Raises ConfigError for more."""
+    plant = data.get("plant")
+    if not isinstance(plant, dict) or "workers" not in plant:
+        return
+    workers = plant.pop("workers")
+    if workers is True or workers != 1:
+        raise ConfigError(
+            [
+                f"{path}: plant.workers: {workers!r} is no longer taken, as one process has all machines of a file; "
+                "take the key out, or give each group of machines a plant file and a service of its own "
+                "(/etc/decanter/GROUP/plant.toml, systemctl enable --now decanter@GROUP), with the same PostgreSQL, "
+                "MQTT and Prometheus as their common view"
+            ]
+        )
+    if not plant:
+        del data["plant"]
+
+
 _ARMED_FOR_LETTERS = 16
 _NOT_WRITTEN_BY: Any = {
     **dict.fromkeys((*COMMON, "path", "stamp", "machine", "several", "leads", "clock", "serve"), True),
@@ -637,17 +638,6 @@ def _plain_text(value: object) -> str:
 @cache
 def _plain_configs() -> TypeAdapter[tuple[Config, ...]]:
     return TypeAdapter(tuple[Config, ...])  # at its first use: few programs need it, and it takes its time
-
-
-def configs_to_json(configs: Sequence[Config]) -> str:
-    """Checked configurations as JSON, for a process of our own: it need not read the files, which may have changed."""
-    # Without what was not given: some tables may not have keys beside others, not even at their defaults.
-    return _plain_configs().dump_json(tuple(configs), exclude_unset=True).decode()
-
-
-def configs_from_json(text: str) -> tuple[Config, ...]:
-    """The configurations that `configs_to_json` has made JSON of, equal to those."""
-    return _plain_configs().validate_json(text)
 
 
 def _device_of(link: DeviceLink) -> Hashable:

@@ -23,11 +23,9 @@ if TYPE_CHECKING:
         EXPIRED,
         NO_PROCESS,
         Audit,
-        AuditColumns,
         AuditEntry,
         AuditError,
         AuditRow,
-        EndedElsewhere,
         detail_about,
         head,
         open_audit,
@@ -75,8 +73,7 @@ if TYPE_CHECKING:
         rows_between,
     )
     from gateway.store.historian import Historian, HistorianView, open_historian, saved_state
-    from gateway.store.numbers import Source
-    from gateway.store.queues import Batch, LostRows, Row
+    from gateway.store.queues import Row
     from gateway.store.read_back import (
         events,
         history,
@@ -140,15 +137,12 @@ __all__ = [
     "SQLITE_HEADER",
     "TABLE_COLUMNS",
     "Audit",
-    "AuditColumns",
     "AuditEntry",
     "AuditError",
     "AuditRow",
     "AuditVerdict",
     "BackupError",
-    "Batch",
     "Cells",
-    "EndedElsewhere",
     "FileRule",
     "FollowedRow",
     "FollowedRows",
@@ -156,7 +150,6 @@ __all__ = [
     "Historian",
     "HistorianError",
     "HistorianView",
-    "LostRows",
     "Manifest",
     "ReliedFiles",
     "Row",
@@ -164,7 +157,6 @@ __all__ = [
     "RowStream",
     "SignedHead",
     "SigningKeyError",
-    "Source",
     "TableColumn",
     "Uptime",
     "WitnessPlaces",

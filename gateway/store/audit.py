@@ -281,14 +281,6 @@ class Audit:
             return ticket.result()
         return self._given_up(ticket, undo)
 
-    def submit(self, entries: Iterable[AuditEntry]) -> "list[Future[AuditRow]]":
-        """Have entries committed now, all in one commit where no others of their subjects wait; a ticket for each.
-
-        A ticket fails with sqlite3.Error if the disk refuses, and is cancelled at once while the log is being closed.
-        """
-        with self._wake:
-            return [self._submitted(entry) for entry in entries]
-
     async def kept(self, entry: AuditEntry, timeout: float) -> None:
         """Have the entry stored and wait for it; what takes longer than `timeout` goes on with nobody waiting."""
         if await self.stored(entry, timeout) is None:

@@ -269,14 +269,11 @@ class Historian:
             for source in sources_in(self._normal):
                 for table in (*MEASURED, "writes"):
                     self._tended(table, partial(deleted_before, self._normal, table, source, moment))
-            self._forgotten(moment)
+            with self._wake:
+                # Another moment may have been given while the deletion ran; that one is still to be done.
+                self._forget = None if self._forget == moment else self._forget
             self._least = 0  # it may become smaller now
             self._tended("", partial(gave_back, self._normal))
-
-    def _forgotten(self, moment: float) -> None:
-        with self._wake:
-            # Another moment may have been given while the deletion ran; that one is still to be done.
-            self._forget = None if self._forget == moment else self._forget
 
     def _attached(self) -> bool:
         """Whether there is a file to write to: the one that is open, or, where it has gone, another one."""
@@ -322,7 +319,7 @@ class Historian:
         """Commit what waits now, of the measurements only if `everything`; False if the disk refused some of it."""
         self._at_once = False
         whole = self._commit(self._urgent, durable=True)
-        if everything and self._usable:  # it was given up if the first of the two found it damaged
+        if everything and self._file is not None:  # it was given up if the first of the two found it damaged
             whole = self._commit(self._rows, durable=False) and whole
         with self._wake:
             if whole:
@@ -331,11 +328,6 @@ class Historian:
                 self._waits_since = monotonic() if self._rows.rows or self._urgent.rows else None
             self._wake.notify_all()
         return whole
-
-    @property
-    def _usable(self) -> bool:
-        """Whether there is anything that rows can be given to."""
-        return self._file is not None
 
     def _packed(self, packer: Packer, table: str) -> bool:
         """Have one batch of a table packed; False if none has enough rows for one."""

@@ -88,7 +88,7 @@ class ReliedFiles:
     """The files that are relied on, in groups by what they are; any thread may watch, forget and look.
 
     `complaint` says what is wrong with them now, `note` what ever was ("": nothing); `taken` counts how often
-    something was begun to be wrong. What another process of the gateway finds of its own is told by `hear`.
+    something was begun to be wrong.
     """
 
     def __init__(self, on_read_only_disk: Callable[[Path], bool] | None = None) -> None:
@@ -96,23 +96,8 @@ class ReliedFiles:
         self._groups: dict[str, tuple[_ReliedFile, ...]] = {}
         self._gone: tuple[_ReliedFile, ...] = ()
         self._changing, self._looking = Lock(), Lock()
-        self._own = self._own_note = self._elsewhere = self._note_elsewhere = ""
-        self._taken = self._taken_elsewhere = 0
-
-    @property
-    def complaint(self) -> str:
-        """What is wrong with one of them now; "" if nothing is."""
-        return self._own or self._elsewhere
-
-    @property
-    def note(self) -> str:
-        """What was wrong with one of them, however it is now: it stands until the next start."""
-        return self._own_note or self._note_elsewhere
-
-    @property
-    def taken(self) -> int:
-        """How often something was done to one of them."""
-        return self._taken + self._taken_elsewhere
+        self.complaint = self.note = ""
+        self.taken = 0
 
     def watch(self, what: str, files: Mapping[Path, FileRule]) -> None:
         """Rely on these files from the next look on, as they are then, and no more on others of this name."""
@@ -145,16 +130,16 @@ class ReliedFiles:
             self._let_go()
             found = {name: _first(self._found(group)) for name, group in self._groups.items()}
             wrong = "; ".join(dict.fromkeys(filter(None, found.values())))
-            if wrong and not self._own:
-                self._taken += 1
-            self._own, self._own_note = wrong, self._own_note or wrong
+            if wrong and not self.complaint:
+                self.taken += 1
+            self.complaint, self.note = wrong, self.note or wrong
         return found.get(what, "") if what else wrong
 
     def tell(self, problem: str) -> None:
         """Take what the owner of a file has found in it that no look from outside tells: it was done to it."""
         with self._looking:
-            self._taken += 1
-            self._own_note = self._own_note or problem
+            self.taken += 1
+            self.note = self.note or problem
 
     def _let_go(self) -> None:
         """Hold no more what is relied on no more (no look is under way)."""
@@ -162,10 +147,6 @@ class ReliedFiles:
             gone, self._gone = self._gone, ()
         for file in gone:
             file.let_go()
-
-    def hear(self, complaint: str, note: str, taken: int) -> None:
-        """Take what the process that has the stores finds of its files."""
-        self._elsewhere, self._note_elsewhere, self._taken_elsewhere = complaint, note, taken
 
     def _found(self, group: Iterable[_ReliedFile]) -> Iterable[str]:
         for file in group:
@@ -191,7 +172,7 @@ class ReliedFiles:
             return file.hold(read_only)
         if changed and rule.fixed:
             same = _digest(file.path) == file.digest
-            if not same and not self._own:
+            if not same and not self.complaint:
                 time.sleep(_SETTLE_SECONDS)  # perhaps it is being written
                 same = _digest(file.path) == file.digest
             if not same:

@@ -128,7 +128,7 @@ def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
     tracker = compiled(model)
     if tracker.plant is None:
         x, xx, xm, clamped = _prior(tracker, belief, time)
-        return belief.moved(time, x, xx, xm, belief.clamps + clamped)
+        return replace(belief, time=time, x=x, xx=xx, xm=xm, clamps=belief.clamps + clamped)
     # Each delayed thing acts at its own moment, so the step up to `time` is cut there; what is due at `time` itself
     # acts now, before a reading of that instant.
     while belief.hidden is not None and belief.hidden.pending and belief.hidden.pending[0].due <= time:
@@ -172,29 +172,21 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
     # The Kalman update with H = (1, 0), written out. xx R / (xx + R) is xx - xx^2 / (xx + R) without its cancellation,
     # so xx stays positive after a reading far better than the prediction; mm has no such form and is held at 0.
     variance = xx + sensor
-    # By position, in the order of the fields: this is the filter's inner step. A type called by nineteen keywords
-    # collects them in a dict first (CPython), which takes a fifth of the whole step.
-    posterior = Belief(
-        belief.location,
-        belief.entered,
-        time,
-        x + xx / variance * value,
-        belief.m + xm / variance * value,
-        xx * sensor / variance,
-        xm * sensor / variance,
-        max(belief.mm - xm * xm / variance, 0.0),
-        belief.offset,
-        belief.signals,
-        Innovation(value, expected, square),
-        recent[-tracker.window :],
-        belief.evidence - 0.5 * (log(2.0 * pi * expected) + square),
-        belief.samples + 1,
-        belief.unmatched,
-        belief.late,
-        True,
-        belief.clamps + clamped,
-        belief.hidden,
-        time,
+    posterior = replace(
+        belief,
+        time=time,
+        x=x + xx / variance * value,
+        m=belief.m + xm / variance * value,
+        xx=xx * sensor / variance,
+        xm=xm * sensor / variance,
+        mm=max(belief.mm - xm * xm / variance, 0.0),
+        last=Innovation(value, expected, square),
+        recent=recent[-tracker.window :],
+        evidence=belief.evidence - 0.5 * (log(2.0 * pi * expected) + square),
+        samples=belief.samples + 1,
+        seen=True,
+        clamps=belief.clamps + clamped,
+        read_at=time,
     )
     return posterior if tracker.plant is None else state_estimate.corrected(tracker.plant, posterior, value, variance)
 
@@ -271,7 +263,7 @@ def with_inputs(model: Model | Tracker, belief: Belief, time: float, signals: Ma
 
 def _held(tracker: Tracker, belief: Belief, news: Mapping[str, float]) -> Belief:
     held = {**belief.signals, **news}
-    moved = belief.holding(held, tracker.modes[belief.location].offset(held))
+    moved = replace(belief, signals=held, offset=tracker.modes[belief.location].offset(held))
     if tracker.plant is None or not tracker.plant.late:
         return moved
     return replace(moved, hidden=state_estimate.holding(tracker.plant, belief, held))

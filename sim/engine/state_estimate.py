@@ -289,7 +289,8 @@ def _with_states(
         pending=hidden.pending,
         late=hidden.late,
     )
-    return belief.estimated(
+    return replace(
+        belief,
         time=time,
         x=means[read] + sensor_offset(plant.sha, time),
         m=means[d],

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.files import ArtefactError
-from sim.lab.formats.bundle import Artefacts, read_artefacts, texts, write_artefacts
-from sim.lab.formats.convert import Parameter, to_sha
-from sim.lab.formats.dot import parse_source
-from sim.lab.formats.flow_file import parse_flow_file
-from sim.lab.formats.from_model import to_artefacts
-from sim.lab.formats.histogram import parse_histogram
-from sim.lab.formats.report import parse_report
+from sim.lab.formats.foreign.bundle import Artefacts, read_artefacts, texts, write_artefacts
+from sim.lab.formats.foreign.convert import Parameter, to_sha
+from sim.lab.formats.foreign.dot import parse_source
+from sim.lab.formats.foreign.flow_file import parse_flow_file
+from sim.lab.formats.foreign.from_model import to_artefacts
+from sim.lab.formats.foreign.histogram import parse_histogram
+from sim.lab.formats.foreign.report import parse_report
 from sim.sha.automaton import Distribution, Edge, Flow, Location
 from sim.sha.model import Model
 from tests.artefacts.models import decanter_model, models, normal

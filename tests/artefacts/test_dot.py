@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.files import ArtefactError
-from sim.lab.formats.convert import structure
-from sim.lab.formats.dot import Source, SourceLocation, parse_source, source_text
+from sim.lab.formats.foreign.convert import structure
+from sim.lab.formats.foreign.dot import Source, SourceLocation, parse_source, source_text
 from sim.sha.automaton import Edge, nondeterminism
 
 PUBLIC = """digraph hybrid_automaton {

@@ -10,11 +10,11 @@ from click.testing import CliRunner
 from gateway.cli.main import main
 from sim.artefacts.model_json import model_document, model_hash, model_text, parse_model
 from sim.files import ArtefactError
-from sim.lab.formats.bundle import texts
-from sim.lab.formats.convert import to_sha
 from sim.lab.formats.find import find_model
-from sim.lab.formats.from_model import to_artefacts
-from sim.lab.formats.report import parse_report
+from sim.lab.formats.foreign.bundle import texts
+from sim.lab.formats.foreign.convert import to_sha
+from sim.lab.formats.foreign.from_model import to_artefacts
+from sim.lab.formats.foreign.report import parse_report
 from sim.lab.formats.write_model import write_model_directory
 from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch

@@ -7,9 +7,9 @@ import pytest
 from sim.artefacts.model_directory import MODEL_FILE
 from sim.artefacts.store import Force, promote
 from sim.files import ArtefactError
-from sim.lab.formats.bundle import write_artefacts
 from sim.lab.formats.find import find_model
-from sim.lab.formats.from_model import to_artefacts
+from sim.lab.formats.foreign.bundle import write_artefacts
+from sim.lab.formats.foreign.from_model import to_artefacts
 from sim.lab.formats.write_model import save, write_model_directory
 from tests.artefacts.models import decanter_model
 from tests.artefacts.real import REAL, SETS, real_data

@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.files import ArtefactError
-from sim.lab.formats.flow_file import flow_file_text, parse_equation, parse_flow_file
-from sim.lab.formats.flow_kinds import equation_text, flow_of, same_equation
+from sim.lab.formats.foreign.flow_file import flow_file_text, parse_equation, parse_flow_file
+from sim.lab.formats.foreign.flow_kinds import equation_text, flow_of, same_equation
 from sim.sha.automaton import Flow, Input
 from tests.artefacts.models import flows, numbers
 

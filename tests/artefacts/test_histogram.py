@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.files import ArtefactError
-from sim.lab.formats.histogram import (
+from sim.lab.formats.foreign.histogram import (
     Histogram,
     disagreements,
     distinct_runs,
@@ -15,7 +15,7 @@ from sim.lab.formats.histogram import (
     merge,
     parse_histogram,
 )
-from sim.lab.formats.report import ReportedLaw
+from sim.lab.formats.foreign.report import ReportedLaw
 
 ONE = "D_0:\n1.0\n3.0\nD_1:\n0.5\n"
 OTHER = "D_0:\n10.0\nD_1:\n0.7\n"

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from sim.files import ArtefactError
-from sim.lab.formats.bundle import KINDS, SUFFIXES, read_artefacts, texts
-from sim.lab.formats.convert import structure, to_sha
-from sim.lab.formats.dot import read_source
-from sim.lab.formats.histogram import distinct_runs, evidence, read_histogram
+from sim.lab.formats.foreign.bundle import KINDS, SUFFIXES, read_artefacts, texts
+from sim.lab.formats.foreign.convert import structure, to_sha
+from sim.lab.formats.foreign.dot import read_source
+from sim.lab.formats.foreign.histogram import distinct_runs, evidence, read_histogram
 from sim.sha.automaton import nondeterminism
 from tests.artefacts.real import SETS, real_data
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.files import ArtefactError
-from sim.lab.formats.report import (
+from sim.lab.formats.foreign.report import (
     Report,
     ReportedLaw,
     ReportedLocation,

@@ -26,7 +26,7 @@ from sim.artefacts.store import (
     versions,
 )
 from sim.files import ArtefactError
-from sim.lab.formats.bundle import read_artefacts
+from sim.lab.formats.foreign.bundle import read_artefacts
 from sim.lab.formats.write_model import save, write_model_directory
 from sim.sha.model import Model
 from tests.artefacts.models import decanter_model

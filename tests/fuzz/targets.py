@@ -33,10 +33,10 @@ from sim.artefacts.model_json import model_text, read_model_file
 from sim.familiarity import error_curve, fit_reference
 from sim.files import ArtefactError
 from sim.lab.checking.language.parse import QueryError, parse_query
-from sim.lab.formats.dot import read_source
-from sim.lab.formats.flow_file import read_flow_file
-from sim.lab.formats.histogram import read_histogram
-from sim.lab.formats.report import read_report
+from sim.lab.formats.foreign.dot import read_source
+from sim.lab.formats.foreign.flow_file import read_flow_file
+from sim.lab.formats.foreign.histogram import read_histogram
+from sim.lab.formats.foreign.report import read_report
 from sim.lab.recordings import ColumnMap, load_map
 from sim.lab.recordings.load_report import TraceError
 from sim.lab.recordings.traces import load_traces

@@ -165,13 +165,12 @@ async def test_it_is_the_plants_in_journal_messages_and_on_the_page(tmp_path: Pa
         assert shown["level"] == without["level"], "it says nothing of the machine"
 
 
-@pytest.mark.parametrize("workers", [1, 2])
 async def test_one_broker_out_of_reach_is_one_alarm_listed_and_acknowledged_without_naming_a_machine(
-    tmp_path: Path, workers: int
+    tmp_path: Path,
 ) -> None:
     pytest.importorskip("paho.mqtt")
     top = TOP.replace('host = "127.0.0.1"\n', f'host = "127.0.0.1"\nport = {free_port()}\n').split("[notify]")[0]
-    plant = plant_of(tmp_path, "a", "b", top=f"[plant]\nworkers = {workers}\n[scan]\nperiod = 0.2\n{top}")
+    plant = plant_of(tmp_path, "a", "b", top=f"[scan]\nperiod = 0.2\n{top}")
     stop = asyncio.Event()
     work = asyncio.create_task(run(*plant, stop=stop))
 

@@ -306,9 +306,3 @@ async def test_a_write_that_fails_does_not_stop_the_scan(tmp_path: Path) -> None
     status = await go(config, bench, 30)
     assert status["scan"]["count"] >= 28 and status["writeback"]["failed"] >= 28
     assert [row["verdict"] for row in logged(tmp_path) if row["event"] == "write-back"] == ["failed"], "said once"
-
-
-async def test_workers_that_a_file_of_one_machine_cannot_have_are_no_silence(tmp_path: Path) -> None:
-    config = config_in(tmp_path, plant__workers=2)
-    await go(config, Bench(config, JumpClock()), 3)
-    assert [event for event in logged(tmp_path) if "plant.workers has no effect" in event["event"]]

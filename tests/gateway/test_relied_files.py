@@ -83,14 +83,6 @@ def test_what_is_forgotten_may_go_and_is_held_no_more(tmp_path: Path) -> None:
     assert files.look() == "" and len(list(Path("/proc/self/fd").iterdir())) == before
 
 
-def test_another_process_is_heard(tmp_path: Path) -> None:
-    files = relied(tmp_path / "model.json", FIXED)
-    files.hear("audit.sqlite: is gone", "audit.sqlite: is gone", 1)
-    assert files.complaint == files.note == "audit.sqlite: is gone" and files.taken == 1
-    files.hear("", "audit.sqlite: is gone", 1)
-    assert files.complaint == "" and files.note and files.taken == 1
-
-
 def test_an_index_that_was_cut_under_a_database_ends_nobody(tmp_path: Path) -> None:
     """The kernel ended the process that looked there: it is given its length back, and made anew from the WAL."""
     path = tmp_path / "a.sqlite"

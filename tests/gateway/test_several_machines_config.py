@@ -62,6 +62,26 @@ def test_a_machine_has_what_is_common_but_for_what_it_says_itself(tmp_path: Path
     assert load_config(path, machine="south") == south
 
 
+def test_a_file_of_a_former_gateway_of_one_process_means_what_it_meant(tmp_path: Path) -> None:
+    plain, former = written(tmp_path, COMMON + TWO), tmp_path / "former.toml"
+    former.write_text(f"[plant]\nworkers = 1\n{COMMON}{TWO}", encoding="utf-8")
+    armed_for = {config.armed_for for config in load_plant(plain)}
+    assert {config.armed_for for config in load_plant(former)} == armed_for
+
+
+@pytest.mark.parametrize("workers", ["2", "64", "0", "1.5", '"two"', "true"])
+@pytest.mark.parametrize("machines", [TWO, ""])
+def test_a_file_whose_machines_were_split_is_told_where_they_go_in_one_sentence(
+    tmp_path: Path, workers: str, machines: str
+) -> None:
+    text = COMMON.replace("timeout", 'host = "127.0.0.1"\ntimeout')
+    path = written(tmp_path, f"[plant]\nworkers = {workers}\n{text}{machines}")
+    (problem,) = problems(path)
+    assert problem.startswith(f"{path}: plant.workers: ") and ". " not in problem.removeprefix(str(path))
+    for word in ("take the key out", "decanter@GROUP", "PostgreSQL, MQTT and Prometheus"):
+        assert word in problem
+
+
 def test_a_file_of_one_machine_means_what_it_meant(tmp_path: Path) -> None:
     path = plant_file(tmp_path, model=two_modes())
     (config,) = load_plant(path)

@@ -16,7 +16,7 @@ from sim.artefacts.model_directory import read_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.effects.check import check_sha
 from sim.engine.open_loop_run import measured, open_loop
-from sim.lab.formats.bundle import read_artefacts
+from sim.lab.formats.foreign.bundle import read_artefacts
 from sim.lab.formats.write_model import write_model_directory
 from sim.lab.learning.bins.candidates import CANDIDATES
 from sim.lab.learning.bins.learn import learn_bins

@@ -7,8 +7,8 @@ import pytest
 
 from sim.artefacts.model_directory import read_model_directory
 from sim.engine.open_loop_run import open_loop
-from sim.lab.formats.bundle import read_artefacts
-from sim.lab.formats.convert import to_sha
+from sim.lab.formats.foreign.bundle import read_artefacts
+from sim.lab.formats.foreign.convert import to_sha
 from sim.lab.formats.write_model import write_model_directory
 from sim.lab.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.lab.learning.lsha.segments import stays_after

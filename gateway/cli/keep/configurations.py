@@ -12,7 +12,7 @@ from drivers.named_files import place_of
 from drivers.settings import ConfigError, read_toml
 from gateway.cli.plant.plant_file import config_option
 from gateway.commission.session import login
-from gateway.console import SERVICE_FOLDER, SERVICE_RECORDS, emit, json_option, table
+from gateway.console import emit, json_option, service_of, table
 from gateway.entry import Exit, fail, sentences
 from gateway.outside.status import ControlError, connect
 from gateway.plant import (
@@ -58,7 +58,8 @@ def _kept(path: Path, folder: Path | None) -> list[KeptConfiguration]:
 
 def _beside(path: Path) -> Path:
     """The folder of a plant file that cannot be used: by what can be read of it, else where it is by default."""
-    records = SERVICE_RECORDS if path.absolute().parent == SERVICE_FOLDER else path.parent / "out"
+    service = service_of(path.parent)
+    records = path.parent / "out" if service is None else service.records
     with suppress(ConfigError, KeyError, TypeError):
         records = path.parent / Path(str(read_toml(path)["historian"]["path"])).parent
     return records / FOLDER

@@ -59,8 +59,7 @@ def run(
         # After the configuration, so that what is wrong with it is said at once.
         from gateway.plant import keep_freed_memory, serve
 
-        if not configs[0].in_workers:
-            keep_freed_memory()
+        keep_freed_memory()
         if stdin:
             threading.Thread(target=_stop_at_end, name="stdin", daemon=True).start()
         drawn = watch and sys.stdout.isatty()
@@ -74,8 +73,7 @@ def run(
                 say=None if silent else _say,
                 read_anew=read_anew,
             )
-    if not (machines := last.get("machines", {"": last})):
-        return  # told to stop before any machine had begun
+    machines = last.get("machines", {"": last})
     # What is lost is one count for all: the records are common.
     records = next(iter(machines.values()))["historian"]
     if records["failure"]:
@@ -86,8 +84,7 @@ def run(
         f"{name} {part}".strip(): how
         for name, status in machines.items()
         for part, how in status["parts"].items()
-        # A process that was ended from outside and begun anew is mended; any other part that failed is a defect.
-        if how["restarts"] and not (part == "process" and how.get("mended", False))
+        if how["restarts"]
     }
     if failed:
         reasons = "; ".join(f"{name} ({part['restarts']}): {part['failure']}" for name, part in failed.items())

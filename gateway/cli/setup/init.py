@@ -25,7 +25,7 @@ from gateway.commission.files import (
 from gateway.commission.import_list import bindings
 from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.read import ORDERS
-from gateway.console import SERVICE_FOLDER, SERVICE_LOG, SERVICE_RECORDS, emit, make_folder, shipped
+from gateway.console import emit, make_folder, service_of, shipped
 from gateway.entry import sentences
 from gateway.lab.traces.map import asked_map
 from gateway.settings import load_device
@@ -35,12 +35,6 @@ from sim.lab.recordings.mapping import RUNNING, Answers, Undecided
 _PATH = click.Path(path_type=Path)
 _LIST_ENDINGS = (".csv", ".xlsx", ".txt", ".tsv")
 _NO_NUMBERS = ("bool", "string")
-_OF_SERVICE = {
-    "historian.path": str(SERVICE_RECORDS / "historian.sqlite"),
-    "log.path": str(SERVICE_LOG / "gateway.log.jsonl"),
-    "page.enabled": True,
-}
-"""What is other in the folder of the installed service, which may write nothing beside its plant file."""
 _HEARTBEAT = re.compile("heart ?beat|life ?(bit|counter|word)|watchdog|contatore ?vita|lebens", re.IGNORECASE)
 
 
@@ -72,8 +66,9 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
 
     On a terminal it asks for what is not given. Where the PLC is, --host or --serial say, or any other option of
     `decanter plc`; where its tags lie, --list or --device FILE, which may be a shipped one such as decanter_plc. In
-    /etc/decanter it is the plant of the installed service: records in /var/lib/decanter, the page enabled. The PLC is
-    not asked, and nothing is written where something is wrong: what is made is checked as `decanter run` does.
+    /etc/decanter it is the plant of the installed service: records in /var/lib/decanter, the page enabled; in
+    /etc/decanter/GROUP that of the service decanter@GROUP. The PLC is not asked, and nothing is written where something
+    is wrong: what is made is checked as `decanter run` does.
     """
     with sentences():
         asked = _Asked(terminal())
@@ -103,7 +98,7 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
                     # A second one makes tables of them.
                     **{f"temperature.{tag}.tag": tag for tag in temperatures[1:]},
                     "alarms.tags": list(temperatures),
-                    **(_OF_SERVICE if folder.absolute() == SERVICE_FOLDER else {}),
+                    **_of_service(folder),
                 },
             ),
             template=template(),
@@ -315,16 +310,27 @@ def _letters(text: str) -> str:
     return "".join(letter for letter in text.casefold() if letter.isalnum())
 
 
+def _of_service(folder: Path) -> dict[str, object]:
+    """What is other in the folder of an installed service, which may write nothing beside its plant file."""
+    if (service := service_of(folder)) is None:
+        return {}
+    places = {
+        "historian.path": str(service.records / "historian.sqlite"),
+        "log.path": str(service.log / "gateway.log.jsonl"),
+    }
+    # Of several services only one has the page's usual port.
+    return {**places, "page.enabled": True} if service.unit == "decanter" else {**places}
+
+
 def _next(folder: Path, trace: Path | None, temperatures: Sequence[str]) -> list[str]:
     """What to type next; the trace's column map speaks of the first temperature."""
-    service = folder.absolute() == SERVICE_FOLDER
+    begin = "decanter run            # and `decanter top` in another terminal"
+    if (service := service_of(folder)) is not None:
+        begin = f"systemctl enable --now {service.unit}"
+        if service.unit == "decanter":
+            begin = "systemctl restart decanter   # and the page: http://127.0.0.1:8080"
     lines = [] if folder.resolve() == Path.cwd() else [f"cd {folder}"]
-    lines += [
-        "decanter plc check      # every tag, read once",
-        "systemctl restart decanter   # and the page: http://127.0.0.1:8080"
-        if service
-        else "decanter run            # and `decanter top` in another terminal",
-    ]
+    lines += ["decanter plc check      # every tag, read once", begin]
     if trace is not None:
         path = trace.absolute() if lines[0].startswith("cd ") else trace
         key = "model.path" if len(temperatures) == 1 else f"temperature.{temperatures[0]}.model"

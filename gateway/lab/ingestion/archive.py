@@ -25,8 +25,9 @@ from drivers.named_files import regular, writing
 from gateway.lab.ingestion.recognising import BESIDE_SQLITE, PLACES, FileStamps, IngestUnit, RecognisedUnit
 from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
 from sim.files import ArtefactError, at, held_alone, sync_directory
-from sim.lab.formats import FLOW_FILE, SUFFIXES
+from sim.lab.formats.foreign import FLOW_FILE
 from sim.lab.recordings import TraceError, unread_hash
+from sim.lab.suffixes import SUFFIXES
 
 MANIFEST, LOCK, PART = "manifest.jsonl", ".lock", ".part"
 NAMING = (SUFFIXES["source"], SUFFIXES["histogram"])

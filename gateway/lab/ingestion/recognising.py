@@ -15,8 +15,9 @@ from drivers.named_files import regular
 from gateway.store import SQLITE_HEADER, machines, newest_scan, oldest_scan, reading
 from sim.artefacts import MODEL_FILE, STORE_FILE
 from sim.files import ArtefactError, at, check_utf8
-from sim.lab.formats import FLOW_FILE, SUFFIXES, file_names, read_artefacts, read_flow_file, read_report
+from sim.lab.formats.foreign import FLOW_FILE, file_names, read_artefacts, read_flow_file, read_report
 from sim.lab.recordings import ColumnMap, TraceError, load_traces
+from sim.lab.suffixes import SUFFIXES
 from sim.sha import joint_hash
 
 Kind = Literal["trace", "artefact set", "flow file", "PLC recording", "historian", "CAN log", "plot"]

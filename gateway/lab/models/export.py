@@ -13,7 +13,8 @@ from gateway.console import emit, json_option, map_option, progress, seed_option
 from gateway.entry import Exit, fail, sentence, sentences
 from gateway.lab.traces.load import load
 from sim.engine import Policy, Start
-from sim.lab.formats import FoundModel, file_names, find_model, to_artefacts, write_artefacts
+from sim.lab.formats import FoundModel, find_model
+from sim.lab.formats.foreign import file_names, to_artefacts, write_artefacts
 from sim.lab.recordings import ColumnMap
 from sim.lab.uppaal import EngineError, base_name, compare, find_engine, native_runs, run_engine, write
 from sim.lab.uppaal import export as export_trace

@@ -17,8 +17,9 @@ from gateway.lab.retraining.training_record import code_hash
 from gateway.lab.traces.load import load_reported
 from sim.artefacts import MODEL_FILE, current, is_store, versions
 from sim.files import ArtefactError, at, check_utf8, read_text
-from sim.lab.formats import SUFFIXES, find_model
+from sim.lab.formats import find_model
 from sim.lab.recordings import files_by_machine
+from sim.lab.suffixes import SUFFIXES
 from sim.sha import Alphabet, Model, Trace
 
 KEYS = ("traces", "map")

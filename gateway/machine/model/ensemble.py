@@ -50,9 +50,6 @@ PLAIN_RUNS = 64
 RETRY_SECONDS = 60.0
 """Plant seconds after which a member that failed is begun anew."""
 
-SCANS_AT_ONCE = 8
-"""Members are moved on by so many scans together, some milliseconds at most after a block."""
-
 
 @dataclass(frozen=True, slots=True)
 class ForecastJob:
@@ -192,11 +189,9 @@ class Ensemble:
         # A reading may come some scans after the moment that a forecast spoke of, and still counts as of that moment.
         self.tolerance = max(5.0, 3.0 * scan_period)
         self.complaints: list[tuple[str, str]] = []
-        self._behind: list[Scan] = []
 
     def keep(self, former: "Ensemble") -> None:
         """Go on with the configured members as `former` has followed them; plain members are the first model's own."""
-        former.catch_up()
         self.members[: self.given - 1] = former.members[: former.given - 1]
 
     @property
@@ -219,34 +214,25 @@ class Ensemble:
         return np.array(weights_by_horizon([state.pool for state in self.evidence.values()], context))
 
     def follow(self, scan: Scan, measured: float | None) -> None:
-        """Take a scan in for all members, and learn from its reading what the forecasts that were due are worth.
-
-        They are moved on by some scans at a time: only their forecasts need them, and one after another costs less.
-        """
+        """Move all members on by a scan, and learn from its reading what the forecasts that were due are worth."""
         reading = float("nan") if measured is None else measured
-        self._behind.append(scan)
-        if len(self._behind) >= SCANS_AT_ONCE:
-            self.catch_up()
         for member in self.members:
+            self._track(member, scan)
             # Also of one that failed: forecasts that it made while it was well are still due.
             member.calibration = settle_bands(member.calibration, scan.time, reading)
         self.joint = settle_bands(self.joint, scan.time, reading)
         for horizon, state in self.evidence.items():
             self.evidence[horizon] = settle_pool(state, horizon, scan.time, reading, self.tolerance)
 
-    def catch_up(self) -> None:
-        """Move all members on by the scans that were taken in since the last time."""
-        scans, self._behind = self._behind, []
-        for member in self.members:
-            for scan in scans:
-                # One that failed rests for a while, then begins without a past: its state may be what made it fail.
-                if member.failure and scan.time - member.failed >= RETRY_SECONDS:
-                    member.predictor, member.failure = Predictor(member.predictor.model, self.first.temperature), ""
-                if not member.failure:
-                    try:
-                        member.known = member.predictor.track(scan)
-                    except FAULTS as error:
-                        self._fail(member, scan.time, repr(error))
+    def _track(self, member: Member, scan: Scan) -> None:
+        """Move a member on; one that failed rests for a while, then begins without a past: its state may be why."""
+        if member.failure and scan.time - member.failed >= RETRY_SECONDS:
+            member.predictor, member.failure = Predictor(member.predictor.model, self.first.temperature), ""
+        if not member.failure:
+            try:
+                member.known = member.predictor.track(scan)
+            except FAULTS as error:
+                self._fail(member, scan.time, repr(error))
 
     def widened(self, own: Mapping[float, float]) -> dict[float, float]:
         """A member's factors times those of the mixture: its runs are widened by both, on the way to the limit too."""
@@ -259,7 +245,6 @@ class Ensemble:
 
     def jobs(self) -> list[ForecastJob | None]:
         """What each member has to do for a forecast; None where its state is not known."""
-        self.catch_up()
         jobs: list[ForecastJob | None] = []
         for place, member in enumerate(self.members, start=1):
             belief = member.predictor.belief
@@ -275,7 +260,6 @@ class Ensemble:
 
     def take(self, mixed: MixedForecast, now: float) -> None:
         """Let finished forecasts wait for their readings."""
-        self.catch_up()  # before one is said to have failed now: the scans are from before
         for member, outcome in zip(self.members, mixed.members[1:], strict=True):
             if isinstance(outcome, str):
                 self._fail(member, now, outcome)
@@ -302,7 +286,6 @@ class Ensemble:
 
     def snapshot(self) -> dict[str, Any]:
         """Beliefs, bands and credits as JSON can carry them; forecasts that wait are not kept."""
-        self.catch_up()
         return {
             "hashes": self.hashes,
             "members": [member.predictor.snapshot() for member in self.members],

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
         disarm_in_log,
         end_by_mode,
         keep_disarming,
-        newest_stamp,
         next_start,
         own_process,
         signed,
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from gateway.machine.writing.block_stage import BlockStage
     from gateway.machine.writing.witnessing import (
         SIGN_SECONDS,
-        HeadWitnessing,
         clear_for_arming,
         countersign,
         places_for,
@@ -53,7 +51,6 @@ __all__ = [
     "ArmingError",
     "AuditTrail",
     "BlockStage",
-    "HeadWitnessing",
     "NextStart",
     "SessionWords",
     "Validity",
@@ -67,7 +64,6 @@ __all__ = [
     "disarm_in_log",
     "end_by_mode",
     "keep_disarming",
-    "newest_stamp",
     "next_heartbeat",
     "next_start",
     "open_audit_trail",

@@ -143,7 +143,6 @@ def disarm_in_log(
     stamp: float | None = None,
     *,
     subject: str = "",
-    process: Mapping[str, int] | None = None,
     say: Callable[[str], None] = lambda damage: None,
 ) -> AuditRow | None:
     """Take back what is in force of a subject, and what a plant file saved at `stamp` would arm at the next start.
@@ -160,7 +159,7 @@ def disarm_in_log(
     try:
         if audit.note:
             say(audit.note)
-        detail = {**(own_process() if process is None else process), **({} if stamp is None else {"stamp": stamp})}
+        detail = {**own_process(), **({} if stamp is None else {"stamp": stamp})}
         entry = AuditEntry(now, DISARMED, by, reason, detail)
         if not audit.record(entry.of(subject)):
             why = audit.failure or "the disk does not answer"

@@ -36,13 +36,18 @@ MOST_ASKED = 100
 is left out, and logged."""
 
 
+_METRICS = ("prometheus_client", "gateway.outside.northbound.metrics_server")
+_OPCUA = ("asyncua", "gateway.outside.northbound.opcua")
+"""What has to be there for the servers: a library, and the module here, which an installation may be without."""
+
+
 def check_northbound(config: Config) -> NorthboundSecrets:
     """The secrets of the section. Raises ConfigError, before anything runs, for what is missing."""
     section = config.northbound
     kinds = {name: rows[0].kind for name, rows in section.sink_tables.items()}
-    wanted = [(name, kind.extra, kind.needs) for name, kind in kinds.items()]
-    wanted += [("metrics", "prometheus", ("prometheus_client",))] if section.metrics.port is not None else []
-    wanted += [("opcua", "opcua", ("asyncua",))] if section.opcua.port is not None else []
+    wanted = [(name, kind.extra, (*kind.needs, kind.module)) for name, kind in kinds.items()]
+    wanted += [("metrics", "prometheus", _METRICS)] if section.metrics.port is not None else []
+    wanted += [("opcua", "opcua", _OPCUA)] if section.opcua.port is not None else []
     problems = [
         f"{config.path}: northbound.{name}: {lacking}"
         for name, extra, needs in wanted
@@ -58,7 +63,7 @@ def check_northbound(config: Config) -> NorthboundSecrets:
 
 
 def _missing(extra: str, needs: Iterable[str]) -> str:
-    """What of an extra is not installed; "" if all of it is."""
+    """What of an extra, or of this program, is not installed; "" if all of it is."""
     try:
         for module in needs:
             import_module(module)

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 from sim.artefacts import MODEL_FILE, STORE_FILE, load, read_model
 from sim.files import ArtefactError, at
-from sim.lab.formats.suffixes import SUFFIXES
+from sim.lab.suffixes import SUFFIXES
 from sim.sha import SHA, Alphabet, Model, Provenance
 
 if TYPE_CHECKING:
-    from sim.lab.formats.bundle import Artefacts
-    from sim.lab.formats.convert import Parameter
+    from sim.lab.formats.foreign import Artefacts, Parameter
 
 SOURCE = SUFFIXES["source"]
 OPTIONAL = ("report", "histogram", "flows")
@@ -70,8 +69,7 @@ def find_model(
             raise at(path, None, f"there is no model directory, store, file or set of artefacts of this name{others}")
         return FoundModel(model.sha.name, model.sha, model)
     # The grammars of the artefacts, of which a model of our own needs none.
-    from sim.lab.formats.bundle import read_artefacts
-    from sim.lab.formats.convert import structure, to_sha
+    from sim.lab.formats.foreign import read_artefacts, structure, to_sha
 
     artefacts = read_artefacts(base[0], base[1], OPTIONAL)
     bare = structure(artefacts.source, artefacts.name)

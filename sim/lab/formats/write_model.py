@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +31,7 @@ from sim.files import at, refused, replace_durably, sync_directory, write_durabl
 from sim.sha import Model
 
 if TYPE_CHECKING:
-    from sim.lab.formats.from_model import RawValues
+    from sim.lab.formats.foreign import RawValues
     from sim.lab.learning.lsha import ObservationTable
 
 STORE_TEXT = json.dumps({"format": "decanter-model-store", "version": 1}) + "\n"
@@ -42,11 +43,16 @@ Facts = Mapping[str, str | float]
 def directory_files(
     model: Model, histogram: RawValues | None = None, observations: ObservationTable | None = None
 ) -> dict[str, str]:
-    """The content of a model directory by file name, without the manifest. Raises ArtefactError."""
-    from sim.lab.formats.bundle import texts
-    from sim.lab.formats.from_model import to_artefacts
+    """The content of a model directory by file name, without the manifest. Raises ArtefactError.
 
-    return {MODEL_FILE: model_text(model)} | texts(to_artefacts(model, histogram, observations))
+    An installation without the learner's forms writes the model alone.
+    """
+    own = {MODEL_FILE: model_text(model)}
+    try:
+        from sim.lab.formats.foreign import texts, to_artefacts
+    except ModuleNotFoundError:
+        return own
+    return own | texts(to_artefacts(model, histogram, observations))
 
 
 def manifest_text(model: Model, files: Mapping[str, str], facts: Facts) -> str:
@@ -69,9 +75,10 @@ def check_free(out: Path, name: str) -> None:
 
     To be asked before a model is learned. `out` may be absent, empty, or a model directory.
     """
-    from sim.lab.formats.bundle import file_names
+    with suppress(ModuleNotFoundError):
+        from sim.lab.formats.foreign import file_names
 
-    file_names(name)
+        file_names(name)
     try:
         _present(out)
     except OSError as error:

@@ -9,13 +9,12 @@ from pathlib import Path
 from drivers.named_files import regular
 from sim.artefacts import MANIFEST, MODEL_FILE, STORE_FILE, version_directory
 from sim.files import at
-from sim.lab.formats import (
+from sim.lab.formats import artefact_base
+from sim.lab.formats.foreign import (
     PRINTED,
-    SUFFIXES,
     Artefacts,
     Histogram,
     Report,
-    artefact_base,
     evidence,
     file_names,
     fit,
@@ -23,6 +22,7 @@ from sim.lab.formats import (
     read_report,
     reported_laws,
 )
+from sim.lab.suffixes import SUFFIXES
 from sim.sha import Model
 
 OPTIONAL = ("histogram", "flows")

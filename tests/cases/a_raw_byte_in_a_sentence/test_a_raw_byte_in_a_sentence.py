@@ -18,7 +18,6 @@ from drivers.settings import ConfigError
 from gateway.entry import sentence
 from gateway.outside.northbound import OutgoingRow, SinkUnreachable
 from gateway.outside.northbound.influx import InfluxSink
-from gateway.plant.worker_line import WorkerEnded
 from gateway.settings import InfluxRow, load_config
 from gateway.store import AuditError, BackupError, HistorianError, SigningKeyError
 from tests.cases.a_slow_recipient_silenced_the_others.test_a_slow_recipient_silenced_the_others import ROW
@@ -63,9 +62,7 @@ def test_every_error_that_says_something_to_a_person_is_one_line() -> None:
     assert len(errors) > 50 and not loose
 
 
-@pytest.mark.parametrize(
-    "kind", [AuditError, BackupError, HistorianError, SigningKeyError, SinkUnreachable, WorkerEnded]
-)
+@pytest.mark.parametrize("kind", [AuditError, BackupError, HistorianError, SigningKeyError, SinkUnreachable])
 def test_what_an_error_quotes_is_escaped_and_cut(kind: type[Exception]) -> None:
     error = kind(f"file: begin {STEERING * 1000} end")
     shown(str(error))

@@ -21,12 +21,12 @@ from typing import Literal
 
 from sim.effects import check_sha
 from sim.files import ArtefactError
-from sim.lab.formats.bundle import Artefacts
-from sim.lab.formats.dot import INIT, Source, SourceLocation
-from sim.lab.formats.flow_file import FlowFile
-from sim.lab.formats.flow_kinds import flow_of, same_equation
-from sim.lab.formats.histogram import evidence, fit
-from sim.lab.formats.report import EFFECT, ReportedLocation
+from sim.lab.formats.foreign.bundle import Artefacts
+from sim.lab.formats.foreign.dot import INIT, Source, SourceLocation
+from sim.lab.formats.foreign.flow_file import FlowFile
+from sim.lab.formats.foreign.flow_kinds import flow_of, same_equation
+from sim.lab.formats.foreign.histogram import evidence, fit
+from sim.lab.formats.foreign.report import EFFECT, ReportedLocation
 from sim.sha import FIXED, FLOWS, RELAXING, SHA, Distribution, Entry, Flow, Input, Location, nondeterminism
 
 Parameter = Literal["rate", "target"]

@@ -18,7 +18,7 @@ from pathlib import Path
 from lark import Lark, Token, Tree
 
 from sim.files import ArtefactError, at, read_text
-from sim.lab.formats.grammar import parse_text, subtrees, trees
+from sim.lab.formats.foreign.grammar import parse_text, subtrees, trees
 from sim.sha import Edge
 
 INIT = "__init__"

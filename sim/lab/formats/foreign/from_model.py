@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, TypeVar
 
 from sim.effects import effect_summary
 from sim.files import ArtefactError
-from sim.lab.formats.bundle import Artefacts
-from sim.lab.formats.dot import INIT, Source, SourceLocation
-from sim.lab.formats.flow_file import FlowFile, parse_equation
-from sim.lab.formats.flow_kinds import equation_text, quoted
-from sim.lab.formats.histogram import Histogram
-from sim.lab.formats.report import (
+from sim.lab.formats.foreign.bundle import Artefacts
+from sim.lab.formats.foreign.dot import INIT, Source, SourceLocation
+from sim.lab.formats.foreign.flow_file import FlowFile, parse_equation
+from sim.lab.formats.foreign.flow_kinds import equation_text, quoted
+from sim.lab.formats.foreign.histogram import Histogram
+from sim.lab.formats.foreign.report import (
     EFFECT,
     EMPTY_WORD,
     UNOBSERVED,

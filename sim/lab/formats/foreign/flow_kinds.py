@@ -4,8 +4,8 @@ import re
 from fractions import Fraction
 
 from sim.files import ArtefactError
-from sim.lab.formats.flow_file import AGE, FUNCTIONS, PARAMETER, Equation, decay_rate, parse_equation
-from sim.lab.formats.polynomial import Monomial, Polynomial, scale, term_text
+from sim.lab.formats.foreign.flow_file import AGE, FUNCTIONS, PARAMETER, Equation, decay_rate, parse_equation
+from sim.lab.formats.foreign.polynomial import Monomial, Polynomial, scale, term_text
 from sim.sha import FLOWS, Flow, Input
 
 LIBRARY = f"the flow library has {', '.join(FLOWS)}"

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sim.files import ArtefactError, at, refused, replace_durably
-from sim.lab.formats.dot import Source, read_source, source_text
-from sim.lab.formats.flow_file import FLOW_FILE, FlowFile, flow_file_text, read_flow_file
-from sim.lab.formats.histogram import Histogram, histogram_text, read_histogram
-from sim.lab.formats.report import Report, read_report, report_text
-from sim.lab.formats.suffixes import SUFFIXES
+from sim.lab.formats.foreign.dot import Source, read_source, source_text
+from sim.lab.formats.foreign.flow_file import FLOW_FILE, FlowFile, flow_file_text, read_flow_file
+from sim.lab.formats.foreign.histogram import Histogram, histogram_text, read_histogram
+from sim.lab.formats.foreign.report import Report, read_report, report_text
+from sim.lab.suffixes import SUFFIXES
 
 KINDS = (*SUFFIXES, "flows")
 

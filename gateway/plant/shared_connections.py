@@ -1,39 +1,13 @@
-"""Which of a plant's machines share a process: those on one connection do, the rest is spread evenly."""
+"""Which of a plant's machines share a connection, a line or a bus."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import suppress
 
 from drivers.driver import capabilities, load_function
 from drivers.errors import DriverError
-from drivers.settings import ConfigError
 from gateway.settings import Config, DeviceLink
-
-
-def split_over(configs: Sequence[Config], workers: int, before: Mapping[str, int]) -> dict[str, int]:
-    """The number of each machine's worker process, from 0, fewer than `workers` of them.
-
-    `before` are the places of machines that stay where they are. Raises ConfigError for machines that have come to
-    share a connection and would have to leave their places.
-    """
-    places = dict(before)
-    groups = on_one_connection(configs)
-    # The largest first: what is spread last is what can be spread most evenly.
-    for group in sorted(groups, key=len, reverse=True):
-        names = [config.machine for config in group]
-        homes = {before[name]: name for name in names if name in before}
-        if len(homes) > 1:
-            raise ConfigError(
-                [
-                    f"{group[0].path}: machines {', '.join(homes.values())} have come to share a connection and run in "
-                    "different processes; stop the gateway and start it anew"
-                ]
-            )
-        loads = [sum(place == number for place in places.values()) for number in range(workers)]
-        home = next(iter(homes), loads.index(min(loads)))
-        places |= dict.fromkeys(names, home)
-    return places
 
 
 def on_one_connection(configs: Sequence[Config]) -> list[list[Config]]:

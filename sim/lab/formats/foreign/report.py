@@ -15,7 +15,7 @@ from pathlib import Path
 from lark import Lark, Token, Tree
 
 from sim.files import at, read_text
-from sim.lab.formats.grammar import finite, parse_text, tokens, trees
+from sim.lab.formats.foreign.grammar import finite, parse_text, tokens, trees
 
 GRAMMAR = r"""
 start: _NL? (labels | events | laws | table | performance | locations | _line)*

@@ -15,8 +15,8 @@ from math import fsum, sqrt
 from pathlib import Path
 
 from sim.files import at, read_text
-from sim.lab.formats.grammar import finite_number
-from sim.lab.formats.report import ReportedLaw
+from sim.lab.formats.foreign.grammar import finite_number
+from sim.lab.formats.foreign.report import ReportedLaw
 
 Values = Mapping[str, tuple[float, ...]]
 """The values of each distribution, by its name."""

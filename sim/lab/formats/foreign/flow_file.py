@@ -29,8 +29,8 @@ from pathlib import Path
 from lark import Lark, Token, Tree
 
 from sim.files import at, read_text
-from sim.lab.formats.grammar import finite_number, parse_text, tokens, trees
-from sim.lab.formats.polynomial import Polynomial, add, constant, degree, multiply, scale, variable
+from sim.lab.formats.foreign.grammar import finite_number, parse_text, tokens, trees
+from sim.lab.formats.foreign.polynomial import Polynomial, add, constant, degree, multiply, scale, variable
 
 FLOW_FILE = "flow_conditions.txt"
 MAX_DEGREE = 6

@@ -1,0 +1,38 @@
+"""The public learner's files: their grammars, a model made of them, and one written as they are; may be left out."""
+
+from typing import TYPE_CHECKING
+
+from sim.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from sim.lab.formats.foreign.bundle import Artefacts, file_names, read_artefacts, texts, write_artefacts
+    from sim.lab.formats.foreign.convert import Parameter, structure, to_sha
+    from sim.lab.formats.foreign.flow_file import FLOW_FILE, read_flow_file
+    from sim.lab.formats.foreign.from_model import RawValues, reported_laws, to_artefacts
+    from sim.lab.formats.foreign.histogram import PRINTED, Histogram, evidence, fit, read_histogram
+    from sim.lab.formats.foreign.report import Report, read_report
+else:
+    __getattr__ = opened_at_use(__name__)
+
+__all__ = [
+    "FLOW_FILE",
+    "PRINTED",
+    "Artefacts",
+    "Histogram",
+    "Parameter",
+    "RawValues",
+    "Report",
+    "evidence",
+    "file_names",
+    "fit",
+    "read_artefacts",
+    "read_flow_file",
+    "read_histogram",
+    "read_report",
+    "reported_laws",
+    "structure",
+    "texts",
+    "to_artefacts",
+    "to_sha",
+    "write_artefacts",
+]
