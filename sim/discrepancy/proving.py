@@ -10,26 +10,33 @@ from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import CandidateLaw, Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
 from sim.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on
 from sim.discrepancy.gap import Excess, at_most, excess, floor_of, sensor_noise, stated_errors
-from sim.discrepancy.held_out import HeldOutRun, RunsBefore, compared, let_run, runs_before, surely_nearer
+from sim.discrepancy.held_out import HeldOutRun, RunsBefore, compared, foretold, let_run, runs_before, surely_nearer
 from sim.discrepancy.judging import (
     NamingResult,
     above,
+    contradicted,
     description,
     doubts,
     evidence_of,
     felt,
     foreseen_better,
+    insignificant,
     least_told,
     left_over,
     matters,
     undeserved,
 )
 from sim.discrepancy.layout import DataLayout
+from sim.discrepancy.naming import NamingStep, margin_of_class
 from sim.discrepancy.onset import acting_since
 from sim.discrepancy.posterior import NamesEvidence, names_evidence
 from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.story import beginning_reason, little_sentence
 from sim.sha import Array, shown_unit
+
+
+DATED = "sensor-offset-step"
+"""The name that has a moment of its own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,9 +52,10 @@ class NamesSearched:
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What names are judged by: held-out cycles with their floor and the `runs` over them before there are names, what
-    the model states, excess and ceiling before."""
+    """What names are judged by: the refit `base`, held-out cycles with their floor and the `runs` over them before there
+    are names, what the model states, excess and ceiling before."""
 
+    base: Fitted
     held_out: Record
     runs: RunsBefore
     floor: NoiseFloor
@@ -70,6 +78,11 @@ class JudgedPath:
     second: HeldOutRun
     ceiling: Ceiling | None
     excess: Excess | None
+
+    @property
+    def kept(self) -> bool:
+        """Whether there are names and nothing speaks against them."""
+        return bool(self.path.taken) and not self.reasons
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,6 +137,7 @@ def prove(
     stated = stated_errors(layout.model, layout.traces, base)
     floor = floor_of(stated, paths[0].explained, held_out, seed, rules)
     proof = Proof(
+        base=base,
         held_out=held_out,
         runs=runs_before(base, held_out),
         floor=floor,
@@ -133,23 +147,22 @@ def prove(
         seed=seed,
         rules=rules,
     )
-    with_gap = with_the_gap_itself(proof, paths[0])
-    paths = paths if with_gap is paths[0] else (with_gap, *paths)
+    longer = with_rivals_told_apart(proof, paths[0]), with_the_gap_itself(proof, paths[0])
+    paths = (*(path for path in longer if path is not paths[0]), *paths)
     if not search.allowed:
         few = f"would be named from fewer than {rules.first_name_least_cycles} cycles"
         paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], few),)) for path in paths[:1])
     judged = longest_that_passes(proof, paths)
-    path, kept = judged.path, bool(judged.path.taken) and not judged.reasons
+    told, began = _told_since(proof, layout, entries, judged)
+    while judged.kept and began is not None and began_otherwise(judged.path, began):
+        shorter = [path for path in paths if len(path.taken) < len(judged.path.taken)]
+        judged = longest_that_passes(proof, shorter) if shorter else judged
+        if not judged.kept or not shorter:
+            judged = replace(judged, reasons=(contradicting(began),))
+        told, began = _told_since(proof, layout, entries, judged)
+    path, kept = judged.path, judged.kept
     floor = judged.floor if kept else floor
-    told = told_fits(proof, base, judged, kept=kept)
     gap = above(told.held, floor, sensor, rules)
-    # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
-    # Of an experiment nothing is told: what a machine lacks shows there as it never did, and would begin with it.
-    usual = training.where(training.cycle < layout.first_made)
-    trials = let_run(told.after, usual.by_cycles()), told.second
-    since = with_all_cycles(told.after, layout)
-    began = acting_since(since, entries, layout.present, rules.material_sigmas * sensor, rules)
-    began = began or beginning(trials, rules.material_sigmas * sensor, rules)
     covered = told.held.rmse_before <= rules.covered_most_times * floor.error
     evidence = evidence_of(path, search.ceiling, proof.before, covered=covered)
     material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))
@@ -194,6 +207,33 @@ def prove(
     )
 
 
+def _told_since(
+    proof: Proof, layout: DataLayout, entries: Sequence[CatalogueEntry], judged: JudgedPath
+) -> tuple[ToldFits, GapBeginning | None]:
+    """The fits of the report, and since when there is a gap that they leave."""
+    rules, training = proof.rules, proof.base.frame.record
+    least = rules.material_sigmas * sensor_noise(training)
+    told = told_fits(proof, judged, kept=judged.kept)
+    # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
+    # Of an experiment nothing is told: what a machine lacks shows there as it never did, and would begin with it.
+    usual = training.where(training.cycle < layout.first_made)
+    trials = let_run(told.after, usual.by_cycles()), told.second
+    since = with_all_cycles(told.after, layout)
+    return told, acting_since(since, entries, layout.present, least, rules) or beginning(trials, least, rules)
+
+
+def began_otherwise(path: NamingResult, began: GapBeginning) -> bool:
+    """Whether what begins says that the names are none: one of them acts from a moment on that the model would have
+    act all along, or a sensor is said to have moved at a moment and the gap still begins at one."""
+    names = {name for step in path.taken for name in step.members}
+    return bool(began.acts) and (began.acts in names or DATED in names)
+
+
+def contradicting(began: GapBeginning) -> str:
+    """Why names are withheld from a gap that begins."""
+    return f"the gap begins with it half-way still (most like {began.acts}), and a name would act all along"
+
+
 def with_laws(found: ProvenFindings, laws: Sequence[CandidateLaw]) -> ProvenFindings:
     """The findings, with a gap where a law foresees what the model's own noise does not cover: noise follows none."""
     if found.verdict == "unexplained" or found.excess is None or not laws:
@@ -211,12 +251,12 @@ def with_all_cycles(after: Fitted, layout: DataLayout) -> Fitted:
     return fit(on(after.frame, record), after.state.named, begin, rounds=2)
 
 
-def told_fits(proof: Proof, base: Fitted, judged: JudgedPath, *, kept: bool) -> ToldFits:
+def told_fits(proof: Proof, judged: JudgedPath, *, kept: bool) -> ToldFits:
     """The fits before and after that the report shows: with the names, where these are `kept`.
 
     Where nothing is added, both are the refit itself, or the model as given, if held-out cycles say that it is better.
     """
-    runs = proof.runs
+    base, runs = proof.base, proof.runs
     if kept:
         return ToldFits(base=base, after=judged.path.fitted, held=judged.held, first=runs.refit, second=judged.second)
     refit, sensor = judged.held.rmse_before, sensor_noise(base.frame.record)
@@ -248,6 +288,7 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
     if path.taken and foreseen >= proof.rules.margin_nats:
         floor = at_most(floor, held.rmse_after)
         held, *_ = compared(path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second)
+    path = replace(path, steps=tuple((step if why else told_apart(proof, step), why) for step, why in path.steps))
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
     excess_after = excess(proof.stated, path.fitted, proof.rules) if path.taken else proof.before
     reasons = (
@@ -261,10 +302,47 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
             shorter=None if shorter is None else let_run(shorter.fitted, proof.held_out),
         ),
         *left_over(path, foreseen, proof.before, excess_after),
+        *(f"{step.members[0]} {why}" for step in path.taken if (why := undeserved(step))),
     )
     return JudgedPath(
         path=path, reasons=reasons, floor=floor, held=held, second=second, ceiling=left, excess=excess_after
     )
+
+
+def told_apart(proof: Proof, step: NamingStep) -> NamingStep:
+    """The step with the gains of what stands near its best by all cycles: the held-out ones count as each foretells
+    them from the fitted."""
+    best, rules = step.best, step.rules
+    if best is None or best.fitted is None:
+        return step
+    reach = rules.told_apart_times * margin_of_class(best.gain, rules)
+    near = [each for each in step.evidence[1:] if each.fitted is not None and best.gain - each.gain < reach]
+    if not near:
+        return step
+    run = let_run(best.fitted, proof.held_out)
+    first = foretold(best.fitted, run, run.whitener)
+    moved = {
+        each.entry.name: foretold(each.fitted, let_run(each.fitted, proof.held_out), run.whitener) - first
+        for each in near
+        if each.fitted is not None
+    }
+    evidence = (replace(each, gain=each.gain + moved.get(each.entry.name, 0.0)) for each in step.evidence)
+    return replace(step, evidence=tuple(evidence))
+
+
+def with_rivals_told_apart(proof: Proof, path: NamingResult) -> NamingResult:
+    """The path with the effect that was refused for its rivals alone, where held-out cycles tell it from them."""
+    step = path.steps[-1][0]
+    best = step.best
+    names = [each.best.entry.name for each in path.taken if each.best is not None]
+    before = [named.entry.name for named in step.before.state.named if named.existing is None]
+    if best is None or best.fitted is None or best.entry.rival or names != before:
+        return path
+    if step.margin >= step.rules.margin_nats or insignificant(step, path.taken) or contradicted(step):
+        return path
+    if undeserved(told_apart(proof, step)):
+        return path
+    return replace(path, fitted=best.fitted, steps=(*((each, "") for each in path.taken), (step, "")))
 
 
 def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
