@@ -9,7 +9,7 @@ from sim.discrepancy.beginning import beginning
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import CandidateLaw, Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
 from sim.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on
-from sim.discrepancy.gap import Excess, at_most, excess, floor_of, sensor_noise, stated_errors
+from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors, with_what_is_left
 from sim.discrepancy.held_out import HeldOutRun, RunsBefore, compared, foretold, let_run, runs_before, surely_nearer
 from sim.discrepancy.judging import (
     NamingResult,
@@ -34,7 +34,6 @@ from sim.discrepancy.rules import DecisionRules
 from sim.discrepancy.story import beginning_reason, little_sentence
 from sim.sha import Array, shown_unit
 
-
 DATED = "sensor-offset-step"
 """The name that has a moment of its own."""
 
@@ -52,10 +51,9 @@ class NamesSearched:
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What names are judged by: the refit `base`, held-out cycles with their floor and the `runs` over them before there
-    are names, what the model states, excess and ceiling before."""
+    """What names are judged by: held-out cycles with their floor and the `runs` over them before there are names, what
+    the model states, excess and ceiling before."""
 
-    base: Fitted
     held_out: Record
     runs: RunsBefore
     floor: NoiseFloor
@@ -137,7 +135,6 @@ def prove(
     stated = stated_errors(layout.model, layout.traces, base)
     floor = floor_of(stated, paths[0].explained, held_out, seed, rules)
     proof = Proof(
-        base=base,
         held_out=held_out,
         runs=runs_before(base, held_out),
         floor=floor,
@@ -156,10 +153,10 @@ def prove(
     told, began = _told_since(proof, layout, entries, judged)
     while judged.kept and began is not None and began_otherwise(judged.path, began):
         shorter = [path for path in paths if len(path.taken) < len(judged.path.taken)]
-        judged = longest_that_passes(proof, shorter) if shorter else judged
-        if not judged.kept or not shorter:
-            judged = replace(judged, reasons=(contradicting(began),))
-        told, began = _told_since(proof, layout, entries, judged)
+        other = longest_that_passes(proof, shorter) if shorter else None
+        judged = other if other is not None and other.kept else replace(judged, reasons=(contradicting(began),))
+        told, still = _told_since(proof, layout, entries, judged)
+        began = still if judged.kept else still or began
     path, kept = judged.path, judged.kept
     floor = judged.floor if kept else floor
     gap = above(told.held, floor, sensor, rules)
@@ -211,7 +208,7 @@ def _told_since(
     proof: Proof, layout: DataLayout, entries: Sequence[CatalogueEntry], judged: JudgedPath
 ) -> tuple[ToldFits, GapBeginning | None]:
     """The fits of the report, and since when there is a gap that they leave."""
-    rules, training = proof.rules, proof.base.frame.record
+    rules, training = proof.rules, judged.path.base.frame.record
     least = rules.material_sigmas * sensor_noise(training)
     told = told_fits(proof, judged, kept=judged.kept)
     # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
@@ -256,7 +253,7 @@ def told_fits(proof: Proof, judged: JudgedPath, *, kept: bool) -> ToldFits:
 
     Where nothing is added, both are the refit itself, or the model as given, if held-out cycles say that it is better.
     """
-    base, runs = proof.base, proof.runs
+    base, runs = judged.path.base, proof.runs
     if kept:
         return ToldFits(base=base, after=judged.path.fitted, held=judged.held, first=runs.refit, second=judged.second)
     refit, sensor = judged.held.rmse_before, sensor_noise(base.frame.record)
@@ -286,9 +283,12 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
     floor = proof.floor
     foreseen = foreseen_better(first, second)
     if path.taken and foreseen >= proof.rules.margin_nats:
-        floor = at_most(floor, held.rmse_after)
+        fitted = np.unique(path.base.frame.record.window_cycle).size
+        floor = with_what_is_left(floor, held.rmse_after, held.pieces / (held.pieces + fitted))
         held, *_ = compared(path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second)
-    path = replace(path, steps=tuple((step if why else told_apart(proof, step), why) for step, why in path.steps))
+    apart = tuple(step if why else told_apart(proof, step) for step, why in path.steps)
+    if any(one is not step for one, (step, _) in zip(apart, path.steps, strict=True)):
+        path = replace(path, steps=tuple((one, why) for one, (_, why) in zip(apart, path.steps, strict=True)))
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
     excess_after = excess(proof.stated, path.fitted, proof.rules) if path.taken else proof.before
     reasons = (
@@ -326,8 +326,8 @@ def told_apart(proof: Proof, step: NamingStep) -> NamingStep:
         for each in near
         if each.fitted is not None
     }
-    evidence = (replace(each, gain=each.gain + moved.get(each.entry.name, 0.0)) for each in step.evidence)
-    return replace(step, evidence=tuple(evidence))
+    others = (replace(each, gain=each.gain + moved.get(each.entry.name, 0.0)) for each in step.evidence[1:])
+    return replace(step, evidence=(best, *others))
 
 
 def with_rivals_told_apart(proof: Proof, path: NamingResult) -> NamingResult:
