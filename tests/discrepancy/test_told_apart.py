@@ -8,6 +8,7 @@ import pytest
 from sim.discrepancy.diagnosis import GapBeginning, NoiseFloor
 from sim.discrepancy.fitting import (
     Fitted,
+    Named,
     Record,
     Whitener,
     catalogue,
@@ -20,9 +21,10 @@ from sim.discrepancy.fitting import (
 from sim.discrepancy.gap import with_what_is_left
 from sim.discrepancy.held_out import foretold, let_run, runs_before
 from sim.discrepancy.judging import NamingResult
-from sim.discrepancy.naming import NamingStep, confirm, step
+from sim.discrepancy.naming import NamingStep, confirm, entries_besides, step
 from sim.discrepancy.proving import Proof, began_otherwise, told_apart, with_rivals_told_apart
 from sim.discrepancy.rules import RULES
+from sim.discrepancy.screen import shapes_of
 from sim.discrepancy.workflow import diagnose
 from sim.sha import Array
 from tests.discrepancy.plants import model, plant
@@ -146,3 +148,14 @@ def test_a_feed_spread_about_more_than_there_was_would_be_the_pumps_cooling() ->
     for shift, reference in ((-6000.0, 60.0), (-120.0, 40.0), (300.0, 10.0)):
         assert feed.settled({"scale": 4.0, "shift": shift, **ends})["shift"] == pytest.approx(-3.0 * reference)
     assert feed.settled({"loss": 1e-4}) == {"loss": 1e-4}
+
+
+def test_beside_a_name_of_what_lies_before_the_reading_no_other_heat_comes_late(parts: tuple[Fitted, Record]) -> None:
+    def lags(*names: str) -> list[bool]:
+        named = [Named(one, {}, {}) for one in catalogue() if one.name in names]
+        entry = next(one for one in entries_besides(named) if one.name == "quadratic-current-heating")
+        shapes = shapes_of(parts[0], [entry], ROLES, parts[0].state.mean)
+        return ["lag" in each.params for each in shapes]
+
+    assert any(lags()) and any(lags("pump-cooling")) and not all(lags())
+    assert lags("dead-time") == [False] == lags("sensor-lag", "pump-cooling")
