@@ -8,7 +8,7 @@ import numpy as np
 from sim.discrepancy.beginning import beginning
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import CandidateLaw, Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
-from sim.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on, restored
 from sim.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors, with_what_is_left
 from sim.discrepancy.held_out import HeldOutRun, RunsBefore, compared, foretold, let_run, runs_before, surely_nearer
 from sim.discrepancy.judging import (
@@ -144,6 +144,7 @@ def prove(
         seed=seed,
         rules=rules,
     )
+    paths = (as_special_case(proof, paths[0]), *paths[1:])
     longer = with_rivals_told_apart(proof, paths[0]), with_the_gap_itself(proof, paths[0])
     paths = (*(path for path in longer if path is not paths[0]), *paths)
     if not search.allowed:
@@ -330,6 +331,28 @@ def told_apart(proof: Proof, step: NamingStep) -> NamingStep:
     return replace(step, evidence=(best, *others))
 
 
+def as_special_case(proof: Proof, path: NamingResult) -> NamingResult:
+    """The path whose last name is the special case of itself, where by all cycles it does no better than that."""
+    step = path.taken[-1] if path.taken else None
+    if step is None or step.best is None:
+        return path
+    wider, apart = step.best, told_apart(proof, step)
+    near = wider.gain - margin_of_class(wider.gain, step.rules)
+    special = [each for each in apart.evidence[1:] if each.entry.name in wider.entry.candidate.special]
+    same = [each for each in special if each.fitted is not None and each.gain > near]
+    if not same or same[0].fitted is None:
+        return path
+    fitted = restored(same[0].fitted)
+    names = [[each.entry.name for each in one.state.named if each.entry.name != own.entry.name]
+             for one, own in ((fitted, same[0]), (path.fitted, wider))]  # fmt: skip
+    if names[0] != names[1]:
+        return path
+    mine = next(each for each in step.evidence if each.entry.name == same[0].entry.name)
+    others = (each for each in step.evidence if each is not wider and each is not mine)
+    narrower = replace(step, evidence=(replace(mine, fitted=fitted), *others))
+    return replace(path, fitted=fitted, steps=(*((each, "") for each in path.taken[:-1]), (narrower, "")))
+
+
 def with_rivals_told_apart(proof: Proof, path: NamingResult) -> NamingResult:
     """The path with the effect that was refused for its rivals alone, where held-out cycles tell it from them."""
     step = path.steps[-1][0]
@@ -346,24 +369,30 @@ def with_rivals_told_apart(proof: Proof, path: NamingResult) -> NamingResult:
 
 
 def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
-    """The path with the effect beyond chance that was refused as too small, as a leftover of the names before or since
-    the fitted cycles contradict one another, where the gap of the held-out cycles is that effect.
+    """The path with the effect beyond chance that was refused as too little or too small, as a leftover of the names
+    before or since the fitted cycles contradict one another, where the gap of the held-out cycles is that effect.
 
     What it does to the fitted cycles says little of what the model's parameters, which have made room for it there, are
-    off by elsewhere; and what grows is greatest in the cycles that were kept.
+    off by elsewhere; and what grows is greatest in the cycles that were kept. These count for its being beyond chance,
+    by as much as the fitted ones at most.
     """
     step = path.nuisances[0] if path.nuisances and not path.taken else path.steps[-1][0]
     best, rules = step.best, step.rules
     names = [each.best.entry.name for each in path.taken if each.best is not None]
     before = [named.entry.name for named in step.before.state.named if named.existing is None]
-    if best is None or best.fitted is None or best.gain < rules.least_gain_nats or undeserved(step) or names != before:
+    if best is None or best.fitted is None or undeserved(step) or names != before:
         return path
     held, first, second = compared(path.fitted, best.fitted, proof.held_out, proof.seed, proof.floor)
     removed, interval = held.excess_removed, held.ci95
     if not matters(held, sensor_noise(path.base.frame.record), rules) or removed is None or interval is None:
         return path
-    if removed < rules.gap_itself_least_share or interval[0] <= 0:
+    foreseen = foreseen_better(first, second)
+    if removed < rules.gap_itself_least_share or foreseen < rules.least_gain_nats:
         return path
-    if foreseen_better(first, second) < rules.least_gain_nats:
+    # Of five cycles some samples have no excess at all, however well the others are foreseen.
+    if interval[0] <= 0 and foreseen < rules.beyond_doubt_nats:
+        return path
+    foretold_better = foretold(best.fitted, second, second.whitener) - foretold(path.fitted, first, second.whitener)
+    if best.gain + min(foretold_better, best.gain) < rules.least_gain_nats:
         return path
     return replace(path, fitted=best.fitted, steps=(*((each, "") for each in path.taken), (step, "")))
