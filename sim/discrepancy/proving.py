@@ -24,6 +24,7 @@ from sim.discrepancy.judging import (
     least_told,
     left_over,
     matters,
+    systematic,
     undeserved,
 )
 from sim.discrepancy.layout import DataLayout
@@ -287,10 +288,12 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
         fitted = np.unique(path.base.frame.record.window_cycle).size
         floor = with_what_is_left(floor, held.rmse_after, held.pieces / (held.pieces + fitted))
         held, *_ = compared(path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second)
-    apart = tuple(step if why else told_apart(proof, step) for step, why in path.steps)
+    left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
+    # What a free learner still finds says that the shapes are not quite right, and by so little one may beat another.
+    more = proof.rules.margin_nats if path.taken and systematic(left, proof.rules) else 0.0
+    apart = tuple(step if why else told_apart(proof, step, more) for step, why in path.steps)
     if any(one is not step for one, (step, _) in zip(apart, path.steps, strict=True)):
         path = replace(path, steps=tuple((one, why) for one, (_, why) in zip(apart, path.steps, strict=True)))
-    left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
     excess_after = excess(proof.stated, path.fitted, proof.rules) if path.taken else proof.before
     reasons = (
         *doubts(
@@ -310,9 +313,9 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
     )
 
 
-def told_apart(proof: Proof, step: NamingStep) -> NamingStep:
+def told_apart(proof: Proof, step: NamingStep, more: float = 0.0) -> NamingStep:
     """The step with the gains of what stands near its best by all cycles: the held-out ones count as each foretells
-    them from the fitted."""
+    them from the fitted, and `more` nats for each that the best must beat."""
     best, rules = step.best, step.rules
     if best is None or best.fitted is None:
         return step
@@ -323,7 +326,7 @@ def told_apart(proof: Proof, step: NamingStep) -> NamingStep:
     run = let_run(best.fitted, proof.held_out)
     first = foretold(best.fitted, run, run.whitener)
     moved = {
-        each.entry.name: foretold(each.fitted, let_run(each.fitted, proof.held_out), run.whitener) - first
+        each.entry.name: foretold(each.fitted, let_run(each.fitted, proof.held_out), run.whitener) - first + more
         for each in near
         if each.fitted is not None
     }

@@ -83,6 +83,9 @@ def test_held_out_cycles_tell_apart_what_the_fitted_ones_do_not(parts: tuple[Fit
     pump, churning = near.evidence
     wrong = told_apart(proof_of(parts), replace(near, evidence=(churning, replace(pump, gain=churning.gain - 8.0))))
     assert wrong.margin < RULES.margin_nats
+    # Where a free learner still finds something, the best must beat each by so much more.
+    plain, unsure = (told_apart(proof_of(parts), near, more).margin for more in (0.0, 6.0))
+    assert unsure == pytest.approx(plain - 6.0)
     far = replace(near, evidence=(pump, replace(churning, gain=pump.gain - 2.0 * RULES.told_apart_times * 6.0 - 99.0)))
     assert told_apart(proof_of(parts), far) is far
 
