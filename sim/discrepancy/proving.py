@@ -393,7 +393,7 @@ def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
     if removed < rules.gap_itself_least_share or foreseen < rules.least_gain_nats:
         return path
     # Of five cycles some samples have no excess at all, however well the others are foreseen.
-    if interval[0] <= 0 and foreseen < rules.beyond_doubt_nats:
+    if interval[0] <= 0 and foreseen < 2.0 * rules.overwhelming_nats:
         return path
     foretold_better = foretold(best.fitted, second, second.whitener) - foretold(path.fitted, first, second.whitener)
     if best.gain + min(foretold_better, best.gain) < rules.least_gain_nats:
