@@ -22,7 +22,14 @@ from sim.discrepancy.gap import with_what_is_left
 from sim.discrepancy.held_out import foretold, let_run, runs_before
 from sim.discrepancy.judging import NamingResult
 from sim.discrepancy.naming import NamingStep, confirm, entries_besides, step
-from sim.discrepancy.proving import Proof, began_otherwise, told_apart, with_rivals_told_apart
+from sim.discrepancy.proving import (
+    Proof,
+    as_special_case,
+    began_otherwise,
+    told_apart,
+    with_rivals_told_apart,
+    with_the_gap_itself,
+)
 from sim.discrepancy.rules import RULES
 from sim.discrepancy.screen import shapes_of
 from sim.discrepancy.workflow import diagnose
@@ -105,6 +112,32 @@ def test_a_name_that_only_rivals_held_back_is_given_where_held_out_cycles_tell_i
     assert with_rivals_told_apart(proof_of(parts), chance) is chance
 
 
+def test_what_is_too_little_on_fitted_cycles_counts_with_what_held_out_ones_foretell_of_it(
+    parts: tuple[Fitted, Record], near: NamingStep
+) -> None:
+    best = near.evidence[0]
+    for gain, given in ((10.0, True), (6.0, False)):
+        little = replace(near, evidence=(replace(best, gain=gain),))
+        refused = NamingResult(parts[0], parts[0], ((little, f"adds {gain} nats, and a name needs 14.0"),))
+        found = with_the_gap_itself(proof_of(parts), refused)
+        assert bool(found.taken) is given, "held-out cycles count for as much as the fitted ones at most"
+
+
+def test_what_is_no_better_than_its_special_case_by_all_cycles_is_that_case(
+    parts: tuple[Fitted, Record], near: NamingStep
+) -> None:
+    pump, churning = near.evidence
+    assert churning.fitted is not None
+    entry = replace(churning.entry, candidate=replace(churning.entry.candidate, special=("pump-cooling",)))
+    wider = replace(near, evidence=(replace(churning, entry=entry), replace(pump, gain=churning.gain - 8.0)))
+    path = NamingResult(parts[0], churning.fitted, ((wider, ""),))
+    found = as_special_case(proof_of(parts), path)
+    assert [step.best.entry.name for step in found.taken if step.best is not None] == ["pump-cooling"]
+    assert [named.entry.name for named in found.fitted.state.named] == ["pump-cooling"]
+    usual = replace(path, steps=((replace(near, evidence=(churning, pump)), ""),))
+    assert as_special_case(proof_of(parts), usual) is usual
+
+
 @pytest.mark.parametrize(
     ("left", "error", "source"),
     [
@@ -138,7 +171,7 @@ def test_heat_at_starts_from_a_day_on_is_dated_and_not_named_as_if_it_had_always
     def more(times: Array, on: Array, current: Array) -> tuple[Array, Array]:
         row = np.arange(on.size)
         age = 60.0 * (row - np.maximum.accumulate(np.where(np.diff(on, prepend=0.0) > 0, row, 0)))
-        return 15.0 / 3600.0 * on * np.exp(-age / 300.0) * (times - times[0] >= 1.4 * 86400.0), np.zeros(on.size)
+        return 30.0 / 3600.0 * on * np.exp(-age / 300.0) * (times - times[0] >= 2.2 * 86400.0), np.zeros(on.size)
 
     found = diagnose(model(), [plant(4, days=5, period=60.0, more=more)], seed=0).diagnosis
     assert found.verdict == "unexplained" and not found.effects
