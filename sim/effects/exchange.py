@@ -57,7 +57,22 @@ def _feeds(log: MachineLog) -> Sequence[Params]:
     usual, running = log.usual("feed", running=True), log.running > 0.5
     warm = float(np.median(log.smooth[running])) if running.any() else usual
     spread = [(scale, reference) for scale in (4.0, 40.0) for reference in (log.cold, usual, warm)]
-    return [{}, *({"scale": scale, "shift": (1.0 - scale) * reference} for scale, reference in spread)]
+    # About a reference far off all that is heat whenever the pump turns, whatever is fed: the pump's, and no feed's.
+    feed = log.signals["feed"]
+    ends = {
+        "coldest": float(min(np.min(feed), log.cold)),
+        "warmest": float(max(np.max(feed), np.quantile(log.smooth, 0.98))),
+    }
+    return [{}, *({"scale": scale, "shift": (1.0 - scale) * reference, **ends} for scale, reference in spread)]
+
+
+def _settled_feed(params: Params) -> Params:
+    """A feed that is spread about a reference, with that among the temperatures that there were."""
+    scale = params.get("scale", 1.0)
+    if scale == 1.0 or "warmest" not in params:
+        return params
+    reference = min(max(params["shift"] / (1.0 - scale), params["coldest"]), params["warmest"])
+    return {**params, "shift": (1.0 - scale) * reference}
 
 
 def _feed_text(writer: TextWriter, effect: Effect) -> str:
@@ -201,6 +216,7 @@ FLOWING = (
             look="what is fed: its temperature, and how much flows by the bearing",
             shapes=_feeds,
             refine={"shift": (-6000.0, 1000.0)},
+            settled=_settled_feed,
         ),
     ),
     EffectKind(

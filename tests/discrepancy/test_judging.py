@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.lab.discrepancy.diagnosis import HeldOutProof
+from sim.lab.discrepancy.diagnosis import Ceiling, HeldOutProof
 from sim.lab.discrepancy.fitting.baseline import frame_of, on
 from sim.lab.discrepancy.fitting.candidates import catalogue
 from sim.lab.discrepancy.fitting.free_run_fit import Fitted, fit
@@ -108,6 +108,30 @@ def test_a_name_that_leaves_nearly_all_of_a_gap_is_not_given(
         found, let_run(base, record), second=let_run(best.fitted, record), held=held, before=None, left=None
     )
     assert any("it removes 2%" in reason for reason in reasons) is withheld
+
+
+@pytest.mark.parametrize(
+    ("after", "gain", "withheld"),
+    [(0.2, 500.0, False), (0.21, 500.0, True), (0.2, RULES.beyond_doubt_nats - 1.0, True)],
+)
+def test_heat_of_some_minutes_does_not_speak_against_names_that_bring_the_error_down_to_the_noise(
+    base: Fitted, pumped: NamingStep, after: float, gain: float, withheld: bool
+) -> None:
+    best = pumped.evidence[0]
+    assert best.fitted is not None
+    found = NamingResult(base, best.fitted, ((replace(pumped, evidence=(replace(best, gain=gain),)), ""),))
+    record = base.frame.record.by_cycles()
+    held = HeldOutProof(5, 5, 0.6, 0.5, after, 0.2, 0.9, (0.5, 1.0), ())
+    found_left = Ceiling(share=0.66, p=0.0005, heat=0.34, drivers=())
+    reasons = doubts(
+        found,
+        let_run(base, record),
+        second=let_run(best.fitted, record),
+        held=held,
+        before=replace(found_left, share=0.2, heat=0.5),
+        left=found_left,
+    )
+    assert any("free learner" in reason for reason in reasons) is withheld
 
 
 def test_a_gap_within_the_noise_of_held_out_cycles_is_not_said_to_be_beyond_it() -> None:

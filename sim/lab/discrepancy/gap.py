@@ -112,19 +112,21 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
 
 
-def at_most(floor: NoiseFloor, left: float) -> NoiseFloor:
-    """The floor, no higher than what names leave (degC rms) of held-out cycles that they foresee better.
+def with_what_is_left(floor: NoiseFloor, left: float, share: float) -> NoiseFloor:
+    """The floor with what names leave (degC rms) of held-out cycles that they foresee better, `share` of all cycles.
 
     What is left of cycles that nothing was fitted to is their noise and what the names' shapes err by: noise alone is
-    no more. Before and after err by the same noise, so this bound is nearer than what other cycles' noise tells.
+    no more. Before and after err by the same noise, so this bound is nearer than what other cycles' noise tells. Where
+    it is more, but no more than chance makes, these cycles tell the noise as well as the fitted ones do, each as one.
     """
-    share = left / floor.error
-    if share >= 1.0:
-        return floor
     low, high = floor.interval
-    source = "what the names leave of the held-out cycles"
-    interval = low * share, high * share
-    return replace(floor, error=left, interval=interval, per_cycle=floor.per_cycle * share, source=source)
+    if left > high:
+        return floor
+    error = min(left, max(floor.error, float(np.sqrt((1.0 - share) * floor.error**2 + share * left**2))))
+    scale = error / floor.error
+    source = f"what the names leave of {'the held-out' if left <= floor.error else 'all'} cycles"
+    interval = low * scale, high * scale
+    return replace(floor, error=error, interval=interval, per_cycle=floor.per_cycle * scale, source=source)
 
 
 def believed_size(stated: float, told: float, pieces: int, rules: DecisionRules) -> tuple[float, float]:

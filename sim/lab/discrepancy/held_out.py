@@ -10,7 +10,17 @@ import numpy as np
 
 from sim.engine import linear_recursion
 from sim.lab.discrepancy.diagnosis import HeldOutProof, NoiseFloor
-from sim.lab.discrepancy.fitting import CourseState, Fitted, Record, Whitener, at, grid_at, named_of, on
+from sim.lab.discrepancy.fitting import (
+    CourseState,
+    Fitted,
+    Record,
+    Whitener,
+    at,
+    grid_at,
+    named_of,
+    on,
+    window_sensitivity,
+)
 from sim.lab.learning import Indices
 from sim.sha import Array, Mask
 
@@ -83,6 +93,19 @@ def let_run(fitted: Fitted, record: Record) -> HeldOutRun:
         order=order,
         whitener=whitener,
     )
+
+
+def foretold(fitted: Fitted, run: HeldOutRun, whitener: Whitener) -> float:
+    """nats of the held-out record, but for a constant, as a fit foretells it: under the noise of `whitener`, the fit's
+    parameters being as sure as the cycles that it was made of know them."""
+    columns = run.started(window_sensitivity(on(fitted.frame, run.record), run.state, run.start))
+    gram = whitener.gram(np.column_stack([run.residual, columns]))
+    # Woodbury: the residual's covariance is that of the noise and of what the parameters' errors do.
+    root = np.linalg.cholesky(fitted.covariance)
+    inner = np.eye(root.shape[0]) + root.T @ gram[1:, 1:] @ root
+    known = root.T @ gram[1:, 0]
+    misfit = float(gram[0, 0] - known @ np.linalg.solve(inner, known))
+    return -0.5 * (misfit + float(np.linalg.slogdet(inner)[1]))
 
 
 def as_given(fitted: Fitted) -> Fitted:

@@ -209,7 +209,8 @@ def doubts(
         reasons.append("the free run over the held-out cycles is no further off than noise alone: there is no gap")
     if shorter is not None and foreseen_better(shorter, second) <= 0:
         reasons.append("the held-out cycles are not better foreseen with the last name than without it")
-    if foreseen_better(first, second) <= 0:
+    foreseen = foreseen_better(first, second)
+    if foreseen <= 0:
         reasons.append("the held-out cycles are not better foreseen with it")
     if held.rmse_after > held.rmse_before:
         reasons.append("the free run over the held-out cycles is further off with it")
@@ -219,7 +220,10 @@ def doubts(
         reasons.append(f"it removes {held.excess_removed:.0%} of what the free run over the held-out cycles is off by")
     whole = systematic_whole(before, left)
     too_much = rules.ceiling_left_most_share * whole
-    if left is not None and systematic(left, rules) and systematic_heat(left) > too_much:
+    # What comes and goes within minutes is heat to a learner, and moves no temperature: not where the error is down to
+    # what noise makes.
+    covered = held.rmse_after <= held.noise_floor and min(foreseen, _gain(path)) >= rules.beyond_doubt_nats
+    if not covered and left is not None and systematic(left, rules) and systematic_heat(left) > too_much:
         reasons.append(f"a free learner still predicts {left.share:.0%} of the heat on cycles that it has not seen")
     return tuple(reasons)
 

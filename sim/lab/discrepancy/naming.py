@@ -375,7 +375,20 @@ def _without_columns(fitted: Fitted, name: str) -> Fitted:
 
 def entries_besides(named: Sequence[Named], entries: Sequence[CatalogueEntry] = ()) -> tuple[CatalogueEntry, ...]:
     """Of the entries (the catalogue, without any) those that are neither named already nor ruled out by a name; and the
-    rivals of all names."""
+    rivals of all names. Beside a name of `ONE_CHAIN` no other heat comes late either."""
     taken = {each.entry.name for each in named}
-    taken |= ONE_CHAIN if taken & ONE_CHAIN else set()
-    return tuple(entry for entry in (*(entries or catalogue()), *rivals()) if entry.name not in taken)
+    chained = bool(taken & ONE_CHAIN)
+    taken |= ONE_CHAIN if chained else set()
+    left = (entry for entry in (*(entries or catalogue()), *rivals()) if entry.name not in taken)
+    return tuple(_at_once(entry) if chained and entry.kind.late is not None else entry for entry in left)
+
+
+def _at_once(entry: CatalogueEntry) -> CatalogueEntry:
+    """The entry with those of its shapes in which nothing comes late."""
+    late, shapes = entry.kind.late, entry.candidate.shapes
+    if late is None:
+        return entry
+    lag = late.lag
+    return replace(
+        entry, candidate=replace(entry.candidate, shapes=lambda log: [each for each in shapes(log) if lag not in each])
+    )

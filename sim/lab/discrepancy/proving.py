@@ -8,28 +8,35 @@ import numpy as np
 from sim.lab.discrepancy.beginning import beginning
 from sim.lab.discrepancy.ceiling import ceiling
 from sim.lab.discrepancy.diagnosis import CandidateLaw, Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
-from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on
-from sim.lab.discrepancy.gap import Excess, at_most, excess, floor_of, sensor_noise, stated_errors
-from sim.lab.discrepancy.held_out import HeldOutRun, RunsBefore, compared, let_run, runs_before, surely_nearer
+from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on, restored
+from sim.lab.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors, with_what_is_left
+from sim.lab.discrepancy.held_out import HeldOutRun, RunsBefore, compared, foretold, let_run, runs_before, surely_nearer
 from sim.lab.discrepancy.judging import (
     NamingResult,
     above,
+    contradicted,
     description,
     doubts,
     evidence_of,
     felt,
     foreseen_better,
+    insignificant,
     least_told,
     left_over,
     matters,
+    systematic,
     undeserved,
 )
 from sim.lab.discrepancy.layout import DataLayout
+from sim.lab.discrepancy.naming import NamingStep, margin_of_class
 from sim.lab.discrepancy.onset import acting_since
 from sim.lab.discrepancy.posterior import NamesEvidence, names_evidence
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.discrepancy.story import beginning_reason, little_sentence
 from sim.sha import Array, shown_unit
+
+DATED = "sensor-offset-step"
+"""The name that has a moment of its own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,6 +77,11 @@ class JudgedPath:
     second: HeldOutRun
     ceiling: Ceiling | None
     excess: Excess | None
+
+    @property
+    def kept(self) -> bool:
+        """Whether there are names and nothing speaks against them."""
+        return bool(self.path.taken) and not self.reasons
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,23 +145,23 @@ def prove(
         seed=seed,
         rules=rules,
     )
-    with_gap = with_the_gap_itself(proof, paths[0])
-    paths = paths if with_gap is paths[0] else (with_gap, *paths)
+    paths = (as_special_case(proof, paths[0]), *paths[1:])
+    longer = with_rivals_told_apart(proof, paths[0]), with_the_gap_itself(proof, paths[0])
+    paths = (*(path for path in longer if path is not paths[0]), *paths)
     if not search.allowed:
         few = f"would be named from fewer than {rules.first_name_least_cycles} cycles"
         paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], few),)) for path in paths[:1])
     judged = longest_that_passes(proof, paths)
-    path, kept = judged.path, bool(judged.path.taken) and not judged.reasons
+    told, began = _told_since(proof, layout, entries, judged)
+    while judged.kept and began is not None and began_otherwise(judged.path, began):
+        shorter = [path for path in paths if len(path.taken) < len(judged.path.taken)]
+        other = longest_that_passes(proof, shorter) if shorter else None
+        judged = other if other is not None and other.kept else replace(judged, reasons=(contradicting(began),))
+        told, still = _told_since(proof, layout, entries, judged)
+        began = still if judged.kept else still or began
+    path, kept = judged.path, judged.kept
     floor = judged.floor if kept else floor
-    told = told_fits(proof, base, judged, kept=kept)
     gap = above(told.held, floor, sensor, rules)
-    # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
-    # Of an experiment nothing is told: what a machine lacks shows there as it never did, and would begin with it.
-    usual = training.where(training.cycle < layout.first_made)
-    trials = let_run(told.after, usual.by_cycles()), told.second
-    since = with_all_cycles(told.after, layout)
-    began = acting_since(since, entries, layout.present, rules.material_sigmas * sensor, rules)
-    began = began or beginning(trials, rules.material_sigmas * sensor, rules)
     covered = told.held.rmse_before <= rules.covered_most_times * floor.error
     evidence = evidence_of(path, search.ceiling, proof.before, covered=covered)
     material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))
@@ -194,6 +206,33 @@ def prove(
     )
 
 
+def _told_since(
+    proof: Proof, layout: DataLayout, entries: Sequence[CatalogueEntry], judged: JudgedPath
+) -> tuple[ToldFits, GapBeginning | None]:
+    """The fits of the report, and since when there is a gap that they leave."""
+    rules, training = proof.rules, judged.path.base.frame.record
+    least = rules.material_sigmas * sensor_noise(training)
+    told = told_fits(proof, judged, kept=judged.kept)
+    # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
+    # Of an experiment nothing is told: what a machine lacks shows there as it never did, and would begin with it.
+    usual = training.where(training.cycle < layout.first_made)
+    trials = let_run(told.after, usual.by_cycles()), told.second
+    since = with_all_cycles(told.after, layout)
+    return told, acting_since(since, entries, layout.present, least, rules) or beginning(trials, least, rules)
+
+
+def began_otherwise(path: NamingResult, began: GapBeginning) -> bool:
+    """Whether what begins says that the names are none: one of them acts from a moment on that the model would have
+    act all along, or a sensor is said to have moved at a moment and the gap still begins at one."""
+    names = {name for step in path.taken for name in step.members}
+    return bool(began.acts) and (began.acts in names or DATED in names)
+
+
+def contradicting(began: GapBeginning) -> str:
+    """Why names are withheld from a gap that begins."""
+    return f"the gap begins with it half-way still (most like {began.acts}), and a name would act all along"
+
+
 def with_laws(found: ProvenFindings, laws: Sequence[CandidateLaw]) -> ProvenFindings:
     """The findings, with a gap where a law foresees what the model's own noise does not cover: noise follows none."""
     if found.verdict == "unexplained" or found.excess is None or not laws:
@@ -211,12 +250,12 @@ def with_all_cycles(after: Fitted, layout: DataLayout) -> Fitted:
     return fit(on(after.frame, record), after.state.named, begin, rounds=2)
 
 
-def told_fits(proof: Proof, base: Fitted, judged: JudgedPath, *, kept: bool) -> ToldFits:
+def told_fits(proof: Proof, judged: JudgedPath, *, kept: bool) -> ToldFits:
     """The fits before and after that the report shows: with the names, where these are `kept`.
 
     Where nothing is added, both are the refit itself, or the model as given, if held-out cycles say that it is better.
     """
-    runs = proof.runs
+    base, runs = judged.path.base, proof.runs
     if kept:
         return ToldFits(base=base, after=judged.path.fitted, held=judged.held, first=runs.refit, second=judged.second)
     refit, sensor = judged.held.rmse_before, sensor_noise(base.frame.record)
@@ -246,9 +285,15 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
     floor = proof.floor
     foreseen = foreseen_better(first, second)
     if path.taken and foreseen >= proof.rules.margin_nats:
-        floor = at_most(floor, held.rmse_after)
+        fitted = np.unique(path.base.frame.record.window_cycle).size
+        floor = with_what_is_left(floor, held.rmse_after, held.pieces / (held.pieces + fitted))
         held, *_ = compared(path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second)
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
+    # What a free learner still finds says that the shapes are not quite right, and by so little one may beat another.
+    more = proof.rules.margin_nats if path.taken and systematic(left, proof.rules) else 0.0
+    apart = tuple(step if why else told_apart(proof, step, more) for step, why in path.steps)
+    if any(one is not step for one, (step, _) in zip(apart, path.steps, strict=True)):
+        path = replace(path, steps=tuple((one, why) for one, (_, why) in zip(apart, path.steps, strict=True)))
     excess_after = excess(proof.stated, path.fitted, proof.rules) if path.taken else proof.before
     reasons = (
         *doubts(
@@ -261,31 +306,96 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
             shorter=None if shorter is None else let_run(shorter.fitted, proof.held_out),
         ),
         *left_over(path, foreseen, proof.before, excess_after),
+        *(f"{step.members[0]} {why}" for step in path.taken if (why := undeserved(step))),
     )
     return JudgedPath(
         path=path, reasons=reasons, floor=floor, held=held, second=second, ceiling=left, excess=excess_after
     )
 
 
+def told_apart(proof: Proof, step: NamingStep, more: float = 0.0) -> NamingStep:
+    """The step with the gains of what stands near its best by all cycles: the held-out ones count as each foretells
+    them from the fitted, and `more` nats for each that the best must beat."""
+    best, rules = step.best, step.rules
+    if best is None or best.fitted is None:
+        return step
+    reach = rules.told_apart_times * margin_of_class(best.gain, rules)
+    near = [each for each in step.evidence[1:] if each.fitted is not None and best.gain - each.gain < reach]
+    if not near:
+        return step
+    run = let_run(best.fitted, proof.held_out)
+    first = foretold(best.fitted, run, run.whitener)
+    moved = {
+        each.entry.name: foretold(each.fitted, let_run(each.fitted, proof.held_out), run.whitener) - first + more
+        for each in near
+        if each.fitted is not None
+    }
+    others = (replace(each, gain=each.gain + moved.get(each.entry.name, 0.0)) for each in step.evidence[1:])
+    return replace(step, evidence=(best, *others))
+
+
+def as_special_case(proof: Proof, path: NamingResult) -> NamingResult:
+    """The path whose last name is the special case of itself, where by all cycles it does no better than that."""
+    step = path.taken[-1] if path.taken else None
+    if step is None or step.best is None:
+        return path
+    wider, apart = step.best, told_apart(proof, step)
+    near = wider.gain - margin_of_class(wider.gain, step.rules)
+    special = [each for each in apart.evidence[1:] if each.entry.name in wider.entry.candidate.special]
+    same = [each for each in special if each.fitted is not None and each.gain > near]
+    if not same or same[0].fitted is None:
+        return path
+    fitted = restored(same[0].fitted)
+    names = [[each.entry.name for each in one.state.named if each.entry.name != own.entry.name]
+             for one, own in ((fitted, same[0]), (path.fitted, wider))]  # fmt: skip
+    if names[0] != names[1]:
+        return path
+    mine = next(each for each in step.evidence if each.entry.name == same[0].entry.name)
+    others = (each for each in step.evidence if each is not wider and each is not mine)
+    narrower = replace(step, evidence=(replace(mine, fitted=fitted), *others))
+    return replace(path, fitted=fitted, steps=(*((each, "") for each in path.taken[:-1]), (narrower, "")))
+
+
+def with_rivals_told_apart(proof: Proof, path: NamingResult) -> NamingResult:
+    """The path with the effect that was refused for its rivals alone, where held-out cycles tell it from them."""
+    step = path.steps[-1][0]
+    best = step.best
+    names = [each.best.entry.name for each in path.taken if each.best is not None]
+    before = [named.entry.name for named in step.before.state.named if named.existing is None]
+    if best is None or best.fitted is None or best.entry.rival or names != before:
+        return path
+    if step.margin >= step.rules.margin_nats or insignificant(step, path.taken) or contradicted(step):
+        return path
+    if undeserved(told_apart(proof, step)):
+        return path
+    return replace(path, fitted=best.fitted, steps=(*((each, "") for each in path.taken), (step, "")))
+
+
 def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
-    """The path with the effect beyond chance that was refused as too small, as a leftover of the names before or since
-    the fitted cycles contradict one another, where the gap of the held-out cycles is that effect.
+    """The path with the effect beyond chance that was refused as too little or too small, as a leftover of the names
+    before or since the fitted cycles contradict one another, where the gap of the held-out cycles is that effect.
 
     What it does to the fitted cycles says little of what the model's parameters, which have made room for it there, are
-    off by elsewhere; and what grows is greatest in the cycles that were kept.
+    off by elsewhere; and what grows is greatest in the cycles that were kept. These count for its being beyond chance,
+    by as much as the fitted ones at most.
     """
     step = path.nuisances[0] if path.nuisances and not path.taken else path.steps[-1][0]
     best, rules = step.best, step.rules
     names = [each.best.entry.name for each in path.taken if each.best is not None]
     before = [named.entry.name for named in step.before.state.named if named.existing is None]
-    if best is None or best.fitted is None or best.gain < rules.least_gain_nats or undeserved(step) or names != before:
+    if best is None or best.fitted is None or undeserved(step) or names != before:
         return path
     held, first, second = compared(path.fitted, best.fitted, proof.held_out, proof.seed, proof.floor)
     removed, interval = held.excess_removed, held.ci95
     if not matters(held, sensor_noise(path.base.frame.record), rules) or removed is None or interval is None:
         return path
-    if removed < rules.gap_itself_least_share or interval[0] <= 0:
+    foreseen = foreseen_better(first, second)
+    if removed < rules.gap_itself_least_share or foreseen < rules.least_gain_nats:
         return path
-    if foreseen_better(first, second) < rules.least_gain_nats:
+    # Of five cycles some samples have no excess at all, however well the others are foreseen.
+    if interval[0] <= 0 and foreseen < 2.0 * rules.overwhelming_nats:
+        return path
+    foretold_better = foretold(best.fitted, second, second.whitener) - foretold(path.fitted, first, second.whitener)
+    if best.gain + min(foretold_better, best.gain) < rules.least_gain_nats:
         return path
     return replace(path, fitted=best.fitted, steps=(*((each, "") for each in path.taken), (step, "")))

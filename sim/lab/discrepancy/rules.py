@@ -47,6 +47,9 @@ class DecisionRules:
     margin_share: float = 0.01
     """Of a gain, the margin for one of its class where that is more: by so little a shape that is not quite the plant's
     may win over its twin."""
+    told_apart_times: float = 2.0
+    """Of the margin, up to which an effect that lies behind on the fitted cycles is held against the best on the
+    held-out ones too."""
     invisible_most_share: float = 0.05
     """Of an effect's size that the model's parameters leave, up to which it is not visible in the data."""
 
