@@ -13,7 +13,7 @@ def rooms(graph: ImportGraph) -> set[str]:
 
 
 class DoorsContract(Contract):
-    """What is inside a package is imported from outside only through the package itself (`__init__` with `__all__`).
+    """What is inside a package is imported from outside only through the package itself, whose imports it hands on.
 
     The modules directly in one of the `floors` stand in the open. `open_packages` have no door because nothing but
     programs starts there. `namespaces` are modules that a door hands out whole: tables of functions that read best with

@@ -7,30 +7,3 @@ from drivers.can.notations import Send, is_message_tag
 from drivers.can.reception import Channel, MessageRules, Reception, Slot
 from drivers.can.settings import CanSettings, DecodingSettings, PollingSettings
 from drivers.can.signals import SignalMap
-
-__all__ = [
-    "EXTENDED",
-    "PREFIX",
-    "Bits",
-    "CanFrame",
-    "CanSettings",
-    "Channel",
-    "Dbc",
-    "DecodingSettings",
-    "Field",
-    "FrameListener",
-    "LayoutCondition",
-    "MessageRules",
-    "PollingSettings",
-    "Reception",
-    "Send",
-    "SignalMap",
-    "Slot",
-    "TagReading",
-    "bits_of",
-    "conditions_of",
-    "frame_key",
-    "frame_name",
-    "is_message_tag",
-    "value_of",
-]

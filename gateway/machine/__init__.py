@@ -11,5 +11,3 @@ if TYPE_CHECKING:
     from gateway.machine.plant_records import PlantRecords
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = ["MODEL_PART", "ORDERS", "FollowedTemperature", "Machine", "Phase", "PlantRecords"]

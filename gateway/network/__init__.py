@@ -14,35 +14,10 @@ if TYPE_CHECKING:
         make_application,
         trusted_certificates,
     )
-    from gateway.network.key_pair import NOT_A_KEY, key_problem, load_pair
+    from gateway.network.key_pair import NOT_A_KEY, load_pair
     from gateway.network.listener import SharingListener
     from gateway.network.shares import SharedPlaces, origin_of
     from gateway.network.timed_socket import TimedSocket, addresses_of, answer_by, connect, seconds_left
     from gateway.network.timed_tls import TimedHttp, TimedTls, make_tls, reason_of
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = [
-    "NOT_A_KEY",
-    "OPC_UA_CERTIFICATE",
-    "OPC_UA_KEY",
-    "SharedPlaces",
-    "SharingListener",
-    "TimedHttp",
-    "TimedSocket",
-    "TimedTls",
-    "addresses_of",
-    "answer_by",
-    "application_problem",
-    "connect",
-    "days_left",
-    "key_problem",
-    "load_pair",
-    "make_all",
-    "make_application",
-    "make_tls",
-    "origin_of",
-    "reason_of",
-    "seconds_left",
-    "trusted_certificates",
-]

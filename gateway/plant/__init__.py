@@ -18,24 +18,6 @@ if TYPE_CHECKING:
         require_named_places,
         without_arming,
     )
-    from gateway.plant.device import link_driver, make_driver
     from gateway.plant.log import open_log
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = [
-    "FOLDER",
-    "KeptConfiguration",
-    "configuration_files",
-    "differences",
-    "history_folder",
-    "keep_files",
-    "keep_freed_memory",
-    "kept_configurations",
-    "link_driver",
-    "make_driver",
-    "open_log",
-    "require_named_places",
-    "serve",
-    "without_arming",
-]

@@ -24,30 +24,10 @@ import numpy as np
 
 from sim.effects import dead_time
 from sim.engine import state_estimate
-from sim.engine.belief_state import Belief, Delayed, Hidden, Innovation, belief_of
-from sim.engine.tracker import Tracker, compile_model, compiled, next_location, repeat_factor
+from sim.engine.belief_state import Belief, Delayed, Hidden, Innovation
+from sim.engine.tracker import Tracker, compiled, next_location, repeat_factor
 from sim.scores import surprise
 from sim.sha import UNKNOWN, Array, Event, Model, Trace, distributions
-
-__all__ = [
-    "Belief",
-    "Filtered",
-    "Hidden",
-    "Innovation",
-    "Tracker",
-    "advance",
-    "anomaly",
-    "belief_of",
-    "compile_model",
-    "filter_trace",
-    "machine_offset",
-    "observe",
-    "on_event",
-    "restarted",
-    "start",
-    "with_inputs",
-    "with_machine_offset",
-]
 
 _NO_SIGNALS: Mapping[str, float] = MappingProxyType({})
 

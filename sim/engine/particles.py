@@ -24,7 +24,7 @@ from math import exp, isfinite, sqrt
 import numpy as np
 
 from sim.effects import DisturbanceStep, disturbance_step
-from sim.engine.belief import Belief, Hidden
+from sim.engine.belief_state import Belief, Hidden
 from sim.engine.tracker import Tracker
 from sim.sha import SHA, Array, Indices, Mask, Paths, flows
 

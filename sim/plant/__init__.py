@@ -1,18 +1,5 @@
 """A decanter simulated by physics. It writes synthetic traces and is never the model under test."""
 
 from sim.plant.cooled import CooledPlant, cooled_days
-from sim.plant.decanter import LiveDecanter
 from sim.plant.heat import heat_day, heat_day_uncontrolled, heat_history
 from sim.plant.scenarios import SCENARIOS, production, scenario
-
-__all__ = [
-    "SCENARIOS",
-    "CooledPlant",
-    "LiveDecanter",
-    "cooled_days",
-    "heat_day",
-    "heat_day_uncontrolled",
-    "heat_history",
-    "production",
-    "scenario",
-]

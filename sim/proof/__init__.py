@@ -8,19 +8,6 @@ if TYPE_CHECKING:
     from sim.proof.envelope import DAY, Assumptions, Sojourn
     from sim.proof.verification import Verification, verify
     from sim.proof.word import TimedWord, parse_word, word_text
-    from sim.proof.word_replay import WordReplay, replay
+    from sim.proof.word_replay import replay
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = [
-    "DAY",
-    "Assumptions",
-    "Sojourn",
-    "TimedWord",
-    "Verification",
-    "WordReplay",
-    "parse_word",
-    "replay",
-    "verify",
-    "word_text",
-]

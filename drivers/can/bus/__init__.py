@@ -5,5 +5,3 @@ from drivers.can.bus.arrival import ClockBefore
 from drivers.can.bus.load import BusLoad, frame_bits
 from drivers.can.bus.pump import Pump
 from drivers.can.bus.silence import AttendedSilence, pause_between_looks
-
-__all__ = ["AttendedSilence", "BusLoad", "ClockBefore", "Pump", "frame_bits", "open_bus", "pause_between_looks"]

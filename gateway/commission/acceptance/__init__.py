@@ -2,5 +2,3 @@
 
 from gateway.commission.acceptance.data import gather
 from gateway.commission.acceptance.files import verify, write
-
-__all__ = ["gather", "verify", "write"]

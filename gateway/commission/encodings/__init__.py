@@ -3,5 +3,3 @@
 from gateway.commission.encodings.advice import advise
 from gateway.commission.encodings.reading import ReadingError, ShownNumber, parse_shown
 from gateway.commission.encodings.scoring import Observation, rank
-
-__all__ = ["Observation", "ReadingError", "ShownNumber", "advise", "parse_shown", "rank"]

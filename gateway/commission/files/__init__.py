@@ -1,6 +1,6 @@
 """The files that commissioning reads and changes: I/O lists, device files, plant files."""
 
-from gateway.commission.files.cells import ListError, ListSheet, key_of, read_sheet
+from gateway.commission.files.cells import ListError, key_of, read_sheet
 from gateway.commission.files.change import Binding, BlockPlace, FileChange, carry_out
 from gateway.commission.files.device_file import ENCODING
 from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
@@ -11,37 +11,3 @@ from gateway.commission.files.machines import with_machine, without_machine
 from gateway.commission.files.plan_files import Files, find_files, settings_of
 from gateway.commission.files.recording import ScanRecorder, SiteRecording, read_recording
 from gateway.commission.files.toml_edit import Edit, commit
-
-__all__ = [
-    "COLUMNS",
-    "DRY_RUN",
-    "ENCODING",
-    "HEARTBEAT",
-    "KEEP",
-    "Binding",
-    "BlockPlace",
-    "Edit",
-    "FileChange",
-    "Files",
-    "FirstFolder",
-    "IoList",
-    "ListError",
-    "ListSheet",
-    "Reading",
-    "ScanRecorder",
-    "SiteRecording",
-    "carry_out",
-    "commit",
-    "edit_files",
-    "find_files",
-    "flag_of",
-    "key_of",
-    "pairs",
-    "read_io_list",
-    "read_recording",
-    "read_sheet",
-    "settings_of",
-    "template",
-    "with_machine",
-    "without_machine",
-]

@@ -8,5 +8,3 @@ from gateway.commission.options.shared import (
     record_options,
     shared_options,
 )
-
-__all__ = ["SharedOption", "SharedOptions", "audit_option", "link_options", "record_options", "shared_options"]

@@ -13,35 +13,3 @@ from gateway.commission.session.records import (
 from gateway.commission.session.site import Site, device_of, period_of, words_of
 from gateway.commission.session.steps import CheckStep, failed, ok, result_of, step_lines, warning
 from gateway.commission.session.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, gateway_of, make_target
-
-__all__ = [
-    "CONNECT_S",
-    "DEFAULT_DRIVER",
-    "CheckStep",
-    "CommandRecord",
-    "RecordsError",
-    "Site",
-    "Target",
-    "TargetError",
-    "at",
-    "audit_path",
-    "broken_at",
-    "device_of",
-    "failed",
-    "gateway_of",
-    "login",
-    "make_target",
-    "mention_gateway",
-    "ok",
-    "perform",
-    "period_of",
-    "read_records",
-    "read_through",
-    "result_of",
-    "running_gateway",
-    "step_lines",
-    "target_of",
-    "versions",
-    "warning",
-    "words_of",
-]

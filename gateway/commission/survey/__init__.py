@@ -19,27 +19,3 @@ from gateway.commission.survey.network import (
 )
 from gateway.commission.survey.registers import BEHIND_GATEWAY, ILLEGAL_FUNCTION, first_register, scan_registers
 from gateway.commission.survey.units import scan_units
-
-__all__ = [
-    "BEHIND_GATEWAY",
-    "ILLEGAL_FUNCTION",
-    "LAST",
-    "SDO_S",
-    "AddressTextError",
-    "Register",
-    "addresses_of",
-    "connect_sentence",
-    "first_register",
-    "greeting_of",
-    "local_end",
-    "looks_like",
-    "not_modbus",
-    "parse_register",
-    "parse_stretch",
-    "probe_bus",
-    "reference_of",
-    "scan_can",
-    "scan_nodes",
-    "scan_registers",
-    "scan_units",
-]

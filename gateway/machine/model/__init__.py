@@ -1,31 +1,7 @@
 """What the model makes of a scan: prediction, guards, forecast, and a newer model that takes over."""
 
 from gateway.machine.model.along import forecasts_along, machine_offset_along, recorded_scans
-from gateway.machine.model.loading import (
-    LoadedModel,
-    LoadedModels,
-    load_members,
-    load_model,
-    load_models,
-    models_at_start,
-)
+from gateway.machine.model.loading import LoadedModel, LoadedModels, load_model, load_models, models_at_start
 from gateway.machine.model.outlook import FinishedForecast, block_values
 from gateway.machine.model.predict import ZONES, ScanPrediction
 from gateway.machine.model.unit import ModelUnit
-
-__all__ = [
-    "ZONES",
-    "FinishedForecast",
-    "LoadedModel",
-    "LoadedModels",
-    "ModelUnit",
-    "ScanPrediction",
-    "block_values",
-    "forecasts_along",
-    "load_members",
-    "load_model",
-    "load_models",
-    "machine_offset_along",
-    "models_at_start",
-    "recorded_scans",
-]

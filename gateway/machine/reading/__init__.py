@@ -5,19 +5,3 @@ from gateway.machine.reading.link_health import LinkHealth
 from gateway.machine.reading.quality import STALE_PERIODS, QualityRules, unread
 from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath, SwitchOver
 from gateway.machine.reading.scan import Scan, scans
-
-__all__ = [
-    "STALE_PERIODS",
-    "Clock",
-    "LinkHealth",
-    "PlantClock",
-    "QualityRules",
-    "RedundancyRules",
-    "Redundant",
-    "RedundantPath",
-    "Scan",
-    "SwitchOver",
-    "plant_clock",
-    "scans",
-    "unread",
-]

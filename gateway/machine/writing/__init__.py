@@ -7,7 +7,6 @@ from sim.doors import opened_at_use
 if TYPE_CHECKING:
     from gateway.machine.writing.arming import (
         ArmingError,
-        NextStart,
         arm_in_log,
         arming_of,
         disarm_in_log,
@@ -39,37 +38,3 @@ if TYPE_CHECKING:
     from gateway.machine.writing.writeback_stage import AuditTrail, WritebackStage, open_audit_trail
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = [
-    "FAILED",
-    "NO_NUMBER",
-    "NO_TEMPERATURE",
-    "REFUSED",
-    "SIGN_SECONDS",
-    "WRITE",
-    "Arming",
-    "ArmingError",
-    "AuditTrail",
-    "BlockStage",
-    "NextStart",
-    "SessionWords",
-    "Validity",
-    "WritebackStage",
-    "arm_in_log",
-    "arming_of",
-    "build",
-    "clear_for_arming",
-    "countersign",
-    "crc",
-    "disarm_in_log",
-    "end_by_mode",
-    "keep_disarming",
-    "next_heartbeat",
-    "next_start",
-    "open_audit_trail",
-    "own_process",
-    "places_for",
-    "places_of",
-    "signed",
-    "uptime",
-]

@@ -2,5 +2,3 @@
 
 from gateway.outside.panel.draw import framed, number, panel, status_rows
 from gateway.outside.panel.following import follow
-
-__all__ = ["follow", "framed", "number", "panel", "status_rows"]

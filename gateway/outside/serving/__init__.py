@@ -1,6 +1,4 @@
 """What the gateway has read, served to peers beside it as a read-only Modbus TCP server of its own."""
 
-from gateway.outside.serving.image import DeviceImage, ServedRow, served_rows
+from gateway.outside.serving.image import DeviceImage, served_rows
 from gateway.outside.serving.server import PeerServer
-
-__all__ = ["DeviceImage", "PeerServer", "ServedRow", "served_rows"]

@@ -2,5 +2,3 @@
 
 from gateway.outside.texts.strange import strange_sentence
 from gateway.outside.texts.words import LANGUAGES, Words, all_words, preferred
-
-__all__ = ["LANGUAGES", "Words", "all_words", "preferred", "strange_sentence"]

@@ -9,19 +9,9 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from gateway.outside.web.access import AccountsError, accounts_problem, read_accounts
+    from gateway.outside.web.access import accounts_problem
     from gateway.outside.web.box import box_facts
     from gateway.outside.web.server import PageServer, check_page
     from gateway.outside.web.views import machine_view
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = [
-    "AccountsError",
-    "PageServer",
-    "accounts_problem",
-    "box_facts",
-    "check_page",
-    "machine_view",
-    "read_accounts",
-]

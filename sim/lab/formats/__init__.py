@@ -9,5 +9,3 @@ if TYPE_CHECKING:
     from sim.lab.formats.write_model import check_free, save, write_model_directory
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = ["FoundModel", "artefact_base", "check_free", "find_model", "save", "write_model_directory"]

@@ -87,9 +87,6 @@ def _changes(at: Array, values: Array, horizon: float) -> Array:
     return np.asarray(changes[np.isfinite(changes)])
 
 
-__all__ = ["FittedRival", "Past", "Rival", "rivals"]
-
-
 def rivals(seed: int) -> tuple[Rival, ...]:
     """Every rival, the simplest first; `seed` is for those that draw numbers. Univariate ones need the extra."""
     return (

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from sim.lab.learning.calibrate import Coverage, HeldOutForecasts, Scored, coverage_of, score_forecasts
-    from sim.lab.learning.correction import FORMS, LearnedCorrection, corrected_model, learn_correction
+    from sim.lab.learning.calibrate import Coverage, HeldOutForecasts
+    from sim.lab.learning.correction import FORMS, corrected_model, learn_correction
     from sim.lab.learning.data import in_order
     from sim.lab.learning.fleet import (
         FALSE_FINDING_CHANCE,
@@ -48,10 +48,10 @@ if TYPE_CHECKING:
         next_stay,
         spread_of,
     )
-    from sim.lab.learning.max_rate import Bite, MaxRate, bite, learn_max_rate, with_max_rate
+    from sim.lab.learning.max_rate import bite, learn_max_rate, with_max_rate
     from sim.lab.learning.noise import Memories, NoiseLevels, drift_noise, fit_noise
-    from sim.lab.learning.outcomes import Outcomes, outcomes_of
-    from sim.lab.learning.plain import PERSISTENCE, TREND, learn_plain
+    from sim.lab.learning.outcomes import outcomes_of
+    from sim.lab.learning.plain import PERSISTENCE, learn_plain
     from sim.lab.learning.preparation import (
         LEAST_READINGS,
         LEAST_SHARE,
@@ -81,95 +81,3 @@ if TYPE_CHECKING:
     )
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = [
-    "FALSE_FINDING_CHANCE",
-    "FOLDS",
-    "FORMS",
-    "LEAST",
-    "LEAST_READINGS",
-    "LEAST_SHARE",
-    "PERSISTENCE",
-    "RATES",
-    "SWITCH_STEPS",
-    "TREND",
-    "Bite",
-    "Context",
-    "Coverage",
-    "FitShape",
-    "FreeRunFit",
-    "FreeRuns",
-    "GroupTargets",
-    "HeldOutErrors",
-    "HeldOutForecasts",
-    "Indices",
-    "LearnedCorrection",
-    "LearningError",
-    "LinearFit",
-    "MachineSpread",
-    "MaxRate",
-    "Memories",
-    "NoiseLevels",
-    "Outcomes",
-    "ParameterNames",
-    "Prior",
-    "Scored",
-    "StandsOut",
-    "announcements",
-    "bare_sha",
-    "believed",
-    "bite",
-    "check_data",
-    "choose",
-    "contexts",
-    "corrected_model",
-    "coverage_of",
-    "cross_validate",
-    "distance",
-    "drift_noise",
-    "first_switch",
-    "fit_at_rates",
-    "fit_free_run",
-    "fit_noise",
-    "fit_stays",
-    "folds",
-    "free_runs",
-    "grouped_targets",
-    "huber_scale",
-    "in_order",
-    "initial_law",
-    "judged_part",
-    "labels",
-    "learn_correction",
-    "learn_max_rate",
-    "learn_plain",
-    "level_signals",
-    "loads",
-    "machine_corrections",
-    "machine_spread",
-    "machines_of",
-    "name_of",
-    "nearest",
-    "next_stay",
-    "outcomes_of",
-    "outstanding",
-    "own_targets",
-    "pieces",
-    "predict",
-    "product_sha",
-    "reference",
-    "sampled",
-    "score_forecasts",
-    "shape_of",
-    "splits",
-    "spread_of",
-    "steps",
-    "target_groups",
-    "thinned",
-    "training_errors",
-    "with_events",
-    "with_inputs",
-    "with_max_rate",
-    "with_parameters",
-    "with_range",
-]

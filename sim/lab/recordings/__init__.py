@@ -7,7 +7,7 @@ from sim.doors import opened_at_use
 if TYPE_CHECKING:
     from sim.lab.recordings.auto_thresholds import Levels, levels_of, round_to, with_thresholds
     from sim.lab.recordings.cells import SWITCH_WORDS, booleans, numbers
-    from sim.lab.recordings.channel_use import ChannelUse, channel_uses
+    from sim.lab.recordings.channel_use import channel_uses
     from sim.lab.recordings.clock import read_clock
     from sim.lab.recordings.column_map import ClockColumns, ColumnMap, load_map, parse_map
     from sim.lab.recordings.cycles import split_cycles
@@ -18,31 +18,3 @@ if TYPE_CHECKING:
     from sim.lab.recordings.traces import files_by_machine, load_traces, units
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = [
-    "SEPARATORS",
-    "SWITCH_WORDS",
-    "ChannelUse",
-    "ClockColumns",
-    "ColumnMap",
-    "Levels",
-    "LoadReport",
-    "TraceError",
-    "booleans",
-    "channel_uses",
-    "decode_head",
-    "files_by_machine",
-    "levels_of",
-    "listed",
-    "load_map",
-    "load_traces",
-    "numbers",
-    "parse_map",
-    "read_clock",
-    "round_to",
-    "split_cycles",
-    "units",
-    "unread_hash",
-    "with_thresholds",
-    "write_trace",
-]

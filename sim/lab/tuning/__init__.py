@@ -2,5 +2,3 @@
 
 from sim.lab.tuning.methods import METHODS, Settings, Task, Taught
 from sim.lab.tuning.search import Objective, StudyPlan, Tuning, final_model, tune
-
-__all__ = ["METHODS", "Objective", "Settings", "StudyPlan", "Task", "Taught", "Tuning", "final_model", "tune"]

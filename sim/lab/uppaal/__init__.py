@@ -3,5 +3,3 @@
 from sim.lab.uppaal.comparison import compare, native_runs
 from sim.lab.uppaal.model_export import base_name, export, write
 from sim.lab.uppaal.verifyta import EngineError, find_engine, run_engine
-
-__all__ = ["EngineError", "base_name", "compare", "export", "find_engine", "native_runs", "run_engine", "write"]

@@ -1,5 +1,3 @@
 """The raw-frame CAN face of the software PLC."""
 
 from sim.plc.can.station import Station, record
-
-__all__ = ["Station", "record"]

@@ -2,5 +2,3 @@
 
 from sim.plc.modbus.server import ModbusServer
 from sim.plc.modbus.units import BehindFace, UnitsBehind
-
-__all__ = ["BehindFace", "ModbusServer", "UnitsBehind"]

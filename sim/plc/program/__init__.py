@@ -16,7 +16,7 @@ from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance, disturb
 from sim.plc.program.encoding import Unrepresentable, encode, encode_absent, is_bool
 from sim.plc.program.faults import FaultEffect, OrderedFault, describe, merged, parse_fault, shown_at
 from sim.plc.program.image import Undefined
-from sim.plc.program.live import LIVE_PLANTS, LivePlant, live_plant
+from sim.plc.program.live import LIVE_PLANTS, live_plant
 from sim.plc.program.live import status as plant_status
 from sim.plc.program.pdu import HEADER, ILLEGAL_FUNCTION, MAX_PDU, ModbusReply, ModbusRequest, crc
 from sim.plc.program.plc import Plc, PlcSettings, record_nothing
@@ -24,54 +24,3 @@ from sim.plc.program.registers import BlockLayout, Place, parse_address, read_ma
 from sim.plc.program.replay import TraceReplay, read_trace
 from sim.plc.program.schedule import CycleFaults, Scheduled
 from sim.plc.program.writeback import Intake, unusable
-
-__all__ = [
-    "HEADER",
-    "ILLEGAL_FUNCTION",
-    "LIVE_PLANTS",
-    "MAX_PDU",
-    "BlockLayout",
-    "BusDisturbance",
-    "CycleFaults",
-    "EmulatorClock",
-    "FaultEffect",
-    "FileTable",
-    "InputError",
-    "Intake",
-    "LivePlant",
-    "ModbusReply",
-    "ModbusRequest",
-    "NodeDisturbance",
-    "OrderedFault",
-    "Place",
-    "Plc",
-    "PlcSettings",
-    "Scheduled",
-    "TraceReplay",
-    "Undefined",
-    "Unrepresentable",
-    "checked_arguments",
-    "crc",
-    "describe",
-    "disturbed",
-    "encode",
-    "encode_absent",
-    "is_bool",
-    "listed",
-    "live_plant",
-    "merged",
-    "parse_address",
-    "parse_fault",
-    "plant_status",
-    "read_device",
-    "read_map",
-    "read_text",
-    "read_toml",
-    "read_trace",
-    "record_nothing",
-    "shown_at",
-    "signature_of",
-    "together",
-    "unusable",
-    "validated",
-]

@@ -1,5 +1,3 @@
 """The recorder of the software PLC, and the judge of what clients called good."""
 
 from sim.plc.record.recorder import PlcRecorder
-
-__all__ = ["PlcRecorder"]

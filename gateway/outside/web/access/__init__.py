@@ -10,7 +10,6 @@ if TYPE_CHECKING:
         AccountRole,
         Accounts,
         AccountsError,
-        PageAccount,
         PasswordChecks,
         accounts_problem,
         add_account,
@@ -23,21 +22,3 @@ if TYPE_CHECKING:
     from gateway.outside.web.access.sessions import Session, Sessions
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = [
-    "ROLES",
-    "AccountRole",
-    "Accounts",
-    "AccountsError",
-    "Lockout",
-    "PageAccount",
-    "PasswordChecks",
-    "Session",
-    "Sessions",
-    "accounts_problem",
-    "add_account",
-    "change_password",
-    "password_problem",
-    "read_accounts",
-    "remove_account",
-]

@@ -3,5 +3,3 @@
 from sim.lab.checking.language.grammar import QueryError
 from sim.lab.checking.language.parse import parse_query
 from sim.lab.checking.language.printing import query_text, uppaal_refusal
-
-__all__ = ["QueryError", "parse_query", "query_text", "uppaal_refusal"]

@@ -20,8 +20,6 @@ from sim.lab.checking.query import PROCESS, QUANTITIES, QuantityKind, identifier
 from sim.lab.checking.query import tree as q
 from sim.sha import SHA, Model
 
-__all__ = ["QueryError", "parse_query"]
-
 Node = Tree[Token]
 _COMPARISONS: Mapping[str, q.Comparison] = MappingProxyType(
     {"LT": "<", "LE": "<=", "EQ": "==", "NE": "!=", "GE": ">=", "GT": ">"}

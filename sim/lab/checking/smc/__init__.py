@@ -2,5 +2,3 @@
 
 from sim.lab.checking.smc.answers import Answer, QuerySettings, Rule, answer, decided
 from sim.lab.checking.smc.start import Start, believed, initial
-
-__all__ = ["Answer", "QuerySettings", "Rule", "Start", "answer", "believed", "decided", "initial"]

@@ -18,10 +18,8 @@ from sim.lab.checking.smc.monitors import PreparedPath, Totals, approximations, 
 from sim.lab.checking.smc.rules import Draw, Progress, RuleOutcome, anytime, fixed, paired, sprt, to_half_width
 from sim.lab.checking.smc.runs import Sampler, Trajectory, engine, extremes, sampler, trajectories
 from sim.lab.checking.smc.splitting import PilotFailed, refusal, split
-from sim.lab.checking.smc.start import Start, believed, initial
+from sim.lab.checking.smc.start import Start
 from sim.sha import SHA, Array
-
-__all__ = ["Answer", "QuerySettings", "Rule", "Start", "answer", "believed", "decided", "initial"]
 
 Rule = Literal["sequential", "fixed", "anytime"]
 

@@ -3,5 +3,3 @@
 from sim.lab.discrepancy.output.diagnosis_json import MISSING_HEAT, document
 from sim.lab.discrepancy.output.folder import MODEL, check_folder, write_diagnosis
 from sim.lab.discrepancy.output.report import Occasion
-
-__all__ = ["MISSING_HEAT", "MODEL", "Occasion", "check_folder", "document", "write_diagnosis"]

@@ -13,26 +13,3 @@ if TYPE_CHECKING:
     from sim.lab.formats.foreign.report import Report, read_report
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = [
-    "FLOW_FILE",
-    "PRINTED",
-    "Artefacts",
-    "Histogram",
-    "Parameter",
-    "RawValues",
-    "Report",
-    "evidence",
-    "file_names",
-    "fit",
-    "read_artefacts",
-    "read_flow_file",
-    "read_histogram",
-    "read_report",
-    "reported_laws",
-    "structure",
-    "texts",
-    "to_artefacts",
-    "to_sha",
-    "write_artefacts",
-]

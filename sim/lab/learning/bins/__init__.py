@@ -9,5 +9,3 @@ if TYPE_CHECKING:
     from sim.lab.learning.bins.learn import Learned, learn_bins
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = ["CANDIDATES", "Learned", "learn_bins"]

@@ -11,14 +11,3 @@ if TYPE_CHECKING:
     from sim.lab.learning.lsha.settings import FLOW_KINDS, LshaSettings
 else:
     __getattr__ = opened_at_use(__name__)
-
-__all__ = [
-    "FLOW_KINDS",
-    "LearnedLsha",
-    "LshaSettings",
-    "ObservationTable",
-    "TableRow",
-    "learn_lsha",
-    "report_document",
-    "report_text",
-]

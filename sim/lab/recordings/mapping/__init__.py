@@ -2,5 +2,3 @@
 
 from sim.lab.recordings.mapping.decide import NONE, Answers, Undecided
 from sim.lab.recordings.mapping.draft import RUNNING, DraftedMap, draft_map
-
-__all__ = ["NONE", "RUNNING", "Answers", "DraftedMap", "Undecided", "draft_map"]

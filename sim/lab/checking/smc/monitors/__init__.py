@@ -4,20 +4,3 @@ from sim.lab.checking.smc.monitors.formula import CompiledFormulas, affine, exis
 from sim.lab.checking.smc.monitors.monitor import ExtremeMonitor, Totals, TrajectoryMonitor, follow, inside
 from sim.lab.checking.smc.monitors.path import PreparedPath, approximations, cuts, prepare_path
 from sim.lab.checking.smc.monitors.response import ResponseMonitor
-
-__all__ = [
-    "CompiledFormulas",
-    "ExtremeMonitor",
-    "PreparedPath",
-    "ResponseMonitor",
-    "Totals",
-    "TrajectoryMonitor",
-    "affine",
-    "approximations",
-    "cuts",
-    "exists",
-    "follow",
-    "inside",
-    "linear_in_temperature",
-    "prepare_path",
-]

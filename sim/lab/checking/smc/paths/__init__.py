@@ -5,23 +5,3 @@ from sim.lab.checking.smc.paths.known_events import Affine, Cuts, known
 from sim.lab.checking.smc.paths.plan import LONGEST, Engine, Indices, Piece, State, World, with_extremes
 from sim.lab.checking.smc.paths.tilting import Tilts, balance, fitted, moved, neutral
 from sim.lab.checking.smc.paths.unknown_events import semi_markov
-
-__all__ = [
-    "LONGEST",
-    "Affine",
-    "Cuts",
-    "Engine",
-    "Indices",
-    "Piece",
-    "State",
-    "Tilts",
-    "World",
-    "augmented",
-    "balance",
-    "fitted",
-    "known",
-    "moved",
-    "neutral",
-    "semi_markov",
-    "with_extremes",
-]

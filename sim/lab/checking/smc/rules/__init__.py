@@ -9,5 +9,3 @@ from sim.lab.checking.smc.rules.estimation import (
     one_or_two_sided,
     to_half_width,
 )
-
-__all__ = ["Draw", "Progress", "RuleOutcome", "anytime", "fixed", "one_or_two_sided", "to_half_width"]

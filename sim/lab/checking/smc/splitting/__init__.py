@@ -2,5 +2,3 @@
 
 from sim.lab.checking.smc.splitting.estimator import refusal, split
 from sim.lab.checking.smc.splitting.pilot import PilotFailed
-
-__all__ = ["PilotFailed", "refusal", "split"]

@@ -25,12 +25,10 @@ from sim.lab.checking.query import Always, Eventually
 from sim.lab.checking.smc.monitors import PreparedPath
 from sim.lab.checking.smc.paths import Engine
 from sim.lab.checking.smc.rules import Progress
-from sim.lab.checking.smc.splitting.pilot import PilotFailed, SplittingPlan, find_plan
+from sim.lab.checking.smc.splitting.pilot import SplittingPlan, find_plan
 from sim.lab.checking.smc.splitting.stage import RareEvent, begin, nearest_line, resample, resampled, stage
 from sim.scores import Estimate
 from sim.sha import Array
-
-__all__ = ["PilotFailed", "SplitEstimate", "refusal", "split"]
 
 LEAST_SKEWNESS = 1e-4
 
