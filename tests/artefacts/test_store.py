@@ -109,6 +109,7 @@ import os, sys
 from pathlib import Path
 from sim.artefacts.store import promote
 from sim.lab.formats.write_model import save
+from tests.artefacts.test_store import FORCE, numbered
 store = Path(sys.argv[1])
 for line in sys.stdin:
     writer = os.fork()
