@@ -3,6 +3,7 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -295,6 +296,36 @@ def test_a_reader_says_what_decode_says(data: st.DataObject, order: Order, words
     for registers in (tuple(words), tuple(words[: registers_needed(tag)])):
         said, reference = reader(tag)(registers), decode(tag, registers)
         assert repr(said) == repr(reference) and type(said[0]) is type(reference[0])
+
+
+WORDS = np.arange(0x10000, dtype=np.uint16)
+FORMATS = {DType.INT8: np.int8, DType.UINT8: np.uint8, DType.INT16: np.int16, DType.UINT16: np.uint16}
+
+
+@pytest.mark.parametrize("order", [Order.ABCD, Order.BADC])
+@pytest.mark.parametrize("dtype", FORMATS)
+def test_a_reader_gives_each_of_the_65536_words_the_number_that_it_is(dtype: DType, order: Order) -> None:
+    """numpy says which number a word is."""
+    numbers = (WORDS.byteswap() if order is Order.BADC else WORDS).astype(FORMATS[dtype])
+    read = reader(Tag("t", "holding:0", dtype, order))
+    values, qualities, reasons = zip(*(read((word,)) for word in range(0x10000)), strict=True)
+    assert list(values) == numbers.tolist()
+    assert (set(map(type, values)), set(qualities), set(reasons)) == ({int}, {Quality.GOOD}, {""})
+    scaled = reader(Tag("t", "holding:0", dtype, order, scale=0.1, offset=-4.0, low=-50.0, high=90.0))
+    some = slice(None, None, 37)
+    values, qualities, _ = zip(*(scaled((word,)) for word in WORDS[some].tolist()), strict=True)
+    wanted = numbers[some] * 0.1 - 4.0
+    assert list(values) == wanted.tolist()
+    assert [quality is Quality.GOOD for quality in qualities] == ((wanted >= -50.0) & (wanted <= 90.0)).tolist()
+
+
+@pytest.mark.parametrize("order", [Order.ABCD, Order.BADC])
+@pytest.mark.parametrize("dtype", [DType.INT16, DType.UINT16])
+def test_an_encoder_writes_each_number_of_a_register_as_the_word_that_it_is(dtype: DType, order: Order) -> None:
+    numbers = WORDS.astype(FORMATS[dtype])
+    words = WORDS.byteswap() if order is Order.BADC else WORDS
+    write = encoder(Tag("t", "holding:0", dtype, order))
+    assert [write(number) for number in numbers.tolist()] == words[:, None].tolist()
 
 
 @settings(max_examples=150)
