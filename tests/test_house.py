@@ -11,7 +11,6 @@ from pathlib import Path
 import click
 import pytest
 
-from benchmarks.house import FLOORS, Figures, measure
 from gateway.cli.main import main
 from gateway.entry.lazy import LazyGroup
 from tests.conftest import COMPUTING
@@ -178,26 +177,3 @@ def test_the_tables_line_of_a_command_is_the_commands_own() -> None:
         if (own := command.get_short_help_str(limit=1000)) != line
     }
     assert different == {}
-
-
-@pytest.fixture(scope="module")
-def figures() -> Figures:
-    return measure(ROOT, FLOORS, text=False)
-
-
-def test_a_class_name_stands_for_one_class(figures: Figures) -> None:
-    shared = {name: places for name, places in figures.classes.items() if len(places) > 1}
-    assert shared == {}
-
-
-POSITIONAL = {
-    "gateway/commission/session/pcap.py": "struct.pack takes the fields of a header in their order",
-    "sim/engine/belief.py": "one reading makes one Belief: by keywords that costs a fifth of the whole step",
-    "sim/engine/belief_state.py": "each scan moves some Beliefs: by keywords that costs as much as a whole step",
-}
-"""Modules in which a call may have more than five positional arguments, each with its reason."""
-
-
-def test_no_call_has_more_than_five_positional_arguments(figures: Figures) -> None:
-    places = [place for place in figures.positional if place.partition(":")[0] not in POSITIONAL]
-    assert places == []
