@@ -7,7 +7,8 @@ unexport PYTHONDONTWRITEBYTECODE
 STAMP := $(VENV)/.installed
 REWRITTEN := $(VENV)/.rewritten
 
-.PHONY: setup demo test checks check lint types contracts unit fuzz durations docs lock bench deb deb-test clean
+.PHONY: setup demo test checks check lint types contracts unit counterparts mutants fuzz durations docs lock bench deb \
+	deb-test clean
 
 setup: $(STAMP)
 
@@ -63,6 +64,11 @@ contracts: $(STAMP)
 # for time to pass. A fourth, of low priority, computes while they all do.
 unit: $(STAMP)
 	$(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder --spare
+
+# Servers and programs that tests ask for, as far as Debian has them; root's. Without them those tests are skipped, and
+# `make test` says in its end which and how to get them.
+counterparts:
+	@.ci/counterparts
 
 # Every parser and protocol side, INPUTS each (100000); TARGET=name for one, SEED for others, JOBS targets at a time. It
 # goes on where it stopped (out/fuzz). Its short form is a test.
