@@ -7,7 +7,7 @@ unexport PYTHONDONTWRITEBYTECODE
 STAMP := $(VENV)/.installed
 REWRITTEN := $(VENV)/.rewritten
 
-.PHONY: setup demo test checks check lint types contracts unit counterparts mutants fuzz durations docs lock bench deb \
+.PHONY: setup demo test checks check lint types contracts unit counterparts mutants fuzz durations docs lock bench bench-tests deb \
 	deb-test clean
 
 setup: $(STAMP)
@@ -97,6 +97,10 @@ deb: $(STAMP)
 # That package in a small Debian of its own, under a real systemd; root's, and the first time with Debian's packages.
 deb-test: $(STAMP)
 	$(BIN)/python -m benchmarks.installed
+
+# Whether each benchmark still runs, in a tiny setting; `make test` only loads them.
+bench-tests: $(STAMP)
+	$(BIN)/pytest -m benchmark tests/benchmarks
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.run
