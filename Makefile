@@ -70,6 +70,11 @@ unit: $(STAMP)
 counterparts:
 	@.ci/counterparts
 
+# Bugs put in one by one where a wrong number would be believed ([tool.mutmut] in pyproject.toml lists the modules), and
+# whether a test fails with each: the share, and those with which none does. ONLY='drivers.codec.*' for some. Hours for all.
+mutants: $(STAMP)
+	nice -n 10 $(BIN)/python -m tests.mutants $(ONLY)
+
 # Every parser and protocol side, INPUTS each (100000); TARGET=name for one, SEED for others, JOBS targets at a time. It
 # goes on where it stopped (out/fuzz). Its short form is a test.
 fuzz: $(STAMP)
@@ -106,4 +111,4 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks.run
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build dist out
+	rm -rf $(VENV) mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build dist out
