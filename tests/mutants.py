@@ -10,8 +10,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 MADE = ROOT / "mutants"
-SURVIVED, NO_TEST = 0, 33
-"""mutmut's codes of a mutant with which all tests passed, and of one that no test comes by."""
+MUTMUT = [sys.executable, "-m", "mutmut"]
+NO_TEST = 33
+"""mutmut's code of a mutant that no test comes by."""
 KILLED = {1, 3, 24, 36, 37, 152, 255, -24}
 """Its codes of a test that failed, of one that took far too long, and of a mutant that the types refuse."""
 
@@ -24,21 +25,25 @@ def judged(made: Path) -> Iterator[tuple[str, str, int]]:
         yield from ((module, name, code) for name, code in codes.items() if code is not None)
 
 
-def main(words: list[str]) -> int:
-    # What was copied when other modules were listed is not mutated again.
-    shutil.rmtree(MADE, ignore_errors=True)
-    mutmut = [sys.executable, "-m", "mutmut"]
-    subprocess.run([*mutmut, "run", "--max-children", "1", *words], cwd=ROOT, check=False)
+def report() -> None:
+    """Print what survived, and the score of each module and of all."""
     codes: defaultdict[str, Counter[bool]] = defaultdict(Counter)
     for module, name, code in judged(MADE):
         codes[module][code in KILLED] += 1
         if code not in KILLED:
-            diff = subprocess.run([*mutmut, "show", name], cwd=ROOT, capture_output=True, text=True, check=False).stdout
+            shown = subprocess.run([*MUTMUT, "show", name], cwd=ROOT, capture_output=True, text=True, check=False)
             print(f"{name}: {'no test comes by' if code == NO_TEST else 'survived'}")
-            print("\n".join(line for line in diff.splitlines() if line[:2] in ("- ", "+ ")))
-    for module, count in [*codes.items(), ("all", sum(codes.values(), Counter()))]:
+            print("\n".join(line for line in shown.stdout.splitlines() if line[:2] in ("- ", "+ ")))
+    for module, count in [*codes.items(), ("all", sum(codes.values(), Counter[bool]()))]:
         print(f"{count[True]} of {count.total()} killed, {count[True] / max(count.total(), 1):.1%}: {module}")
-    return 0
+
+
+def main(words: list[str]) -> int:
+    # What was copied when other modules were listed is not mutated again.
+    shutil.rmtree(MADE, ignore_errors=True)
+    done = subprocess.run([*MUTMUT, "run", "--max-children", "1", *words], cwd=ROOT, check=False)
+    report()
+    return done.returncode
 
 
 if __name__ == "__main__":

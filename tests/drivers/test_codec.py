@@ -300,6 +300,35 @@ def test_a_reader_says_what_decode_says(data: st.DataObject, order: Order, words
         assert repr(said) == repr(reference) and type(said[0]) is type(reference[0])
 
 
+def swapped(low: float, high: float) -> tuple[float, list[int]]:
+    """A positive float32 in between, with its registers, that reads as a usual number with its words swapped."""
+    for number in range(10, 100_000):
+        first, second = struct.unpack(">2H", struct.pack(">f", number / 10.0))
+        (value,) = struct.unpack(">f", struct.pack(">2H", second, first))
+        if low < value < high:
+            return value, [second, first]
+    raise AssertionError("there is none")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "kept", "expecting"),
+    [
+        (1e-20, 1e-7, [{}, {"low": 0.0}, {"low": -1.0}, {"high": 1e6}], {"low": 1e-25}),
+        (1e13, 1e20, [{}, {"high": 1e12}, {"low": 0.0}], {"high": 1e25}),
+    ],
+)
+def test_a_rare_number_that_looks_swapped_is_believed_only_where_the_tag_expects_such(
+    low: float, high: float, kept: list[dict[str, float]], expecting: dict[str, float]
+) -> None:
+    value, registers = swapped(low, high)
+    for limits in kept:
+        tag = Tag("x", "holding:0", DType.FLOAT32, **limits)  # type: ignore[arg-type]
+        assert decode(tag, registers)[:2] == (None, Quality.DATA_ENCODING_INVALID), limits
+        assert decode(tag, registers, one_order=True)[1] in (Quality.GOOD, Quality.OUT_OF_RANGE), limits
+    expected = Tag("x", "holding:0", DType.FLOAT32, **expecting)  # type: ignore[arg-type]
+    assert decode(expected, registers) == (value, Quality.GOOD, "")
+
+
 WORDS = np.arange(0x10000, dtype=np.uint16)
 FORMATS = {DType.INT8: np.int8, DType.UINT8: np.uint8, DType.INT16: np.int16, DType.UINT16: np.uint16}
 
