@@ -1,6 +1,7 @@
 """The write-back block: it saturates, never wraps, and a reader with other code finds in it what was meant."""
 
 import struct
+from dataclasses import replace
 from itertools import product
 from math import inf, nan
 
@@ -60,6 +61,11 @@ def test_what_is_not_known_has_a_word_of_its_own() -> None:
     assert words["temperature_now"] == words["band_low"] == 0x8000
     assert words["location"] == words["age"] == 0xFFFF
     assert words["minutes_low"] == words["minutes_median"] == LAYOUT.unknown
+    other = replace(LAYOUT, unknown=40_000)
+    block = build(other, {"minutes_low": inf, "age": inf}, Validity.NONE, session(5, 1))
+    words = read(block.words)
+    assert (words["minutes_low"], words["minutes_median"], words["age"]) == (40_000, 40_000, 0xFFFF)
+    assert block.sequence == 5
 
 
 @settings(max_examples=200, deadline=None)
