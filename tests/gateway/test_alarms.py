@@ -1,5 +1,6 @@
 """Alarms: every move is in the table, delays and deadband hold, and not knowing changes nothing."""
 
+import json
 from dataclasses import replace
 from itertools import product
 
@@ -151,9 +152,27 @@ def test_an_alarm_saved_by_a_release_that_knew_four_states_is_read() -> None:
 
 def test_of_a_saved_alarm_tag_and_priority_are_the_conditions_and_a_delay_begins_anew() -> None:
     alarm = replace(new_alarm(HOT, 1.0), pending=3.0, kept=AlarmState.RETURNED, state=AlarmState.SHELVED, until=9.0)
-    read = from_plain(replace(HOT, tag="U", priority=4), to_plain(alarm))
+    read = from_plain(replace(HOT, tag="U", priority=4), json.loads(json.dumps(to_plain(alarm))))
     assert read == replace(alarm, tag="U", priority=4, pending=None)
     assert type(read.kept) is AlarmState and type(read.state) is AlarmState
+
+
+def test_when_an_alarm_was_announced_and_whether_it_was_the_first_is_kept_until_it_comes_anew() -> None:
+    first = replace(step(HOT, new_alarm(HOT, 0.0), 90.0, 1.0), first_up=True)
+    assert first.raised == 1.0
+    taken = moved(first, Change.ACKNOWLEDGE, 2.0, "Ada")
+    back = step(HOT, first, 20.0, 3.0)
+    assert [(each.raised, each.first_up) for each in (taken, back)] == [(1.0, True)] * 2
+    again = step(HOT, back, 90.0, 4.0)
+    assert (again.state, again.raised, again.first_up) == (AlarmState.UNACKNOWLEDGED, 4.0, True)
+    anew = step(HOT, replace(new_alarm(HOT, 0.0), first_up=True), 90.0, 5.0)
+    assert (anew.raised, anew.first_up) == (5.0, False)
+    shelved = moved(taken, Change.SHELVE, 6.0, "Ada", until=60.0)
+    assert (shelved.since, shelved.raised, shelved.first_up) == (6.0, 1.0, True)
+    out = moved(shelved, Change.UNSHELVE, 7.0)
+    assert (out.state, out.since, out.raised) == (AlarmState.UNACKNOWLEDGED, 7.0, 7.0)
+    removed = moved(shelved, Change.REMOVE, 8.0, "Ada")
+    assert (removed.state, removed.kept) == (AlarmState.OUT_OF_SERVICE, shelved.kept)
 
 
 def test_what_is_possible_depends_on_whether_the_alarm_latches() -> None:
