@@ -7,7 +7,8 @@ unexport PYTHONDONTWRITEBYTECODE
 STAMP := $(VENV)/.installed
 REWRITTEN := $(VENV)/.rewritten
 
-.PHONY: setup demo test checks check lint types contracts unit fuzz durations docs lock bench deb deb-test clean
+.PHONY: setup demo test checks check lint types contracts unit counterparts mutants fuzz durations docs lock bench bench-tests deb \
+	deb-test clean
 
 setup: $(STAMP)
 
@@ -64,6 +65,17 @@ contracts: $(STAMP)
 unit: $(STAMP)
 	$(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder --spare
 
+# Servers and programs that tests ask for, as far as Debian has them; root's. Without them those tests are skipped, and
+# `make test` says in its end which and how to get them.
+counterparts:
+	@.ci/counterparts
+
+# Bugs put in one by one where a wrong number would be believed ([tool.mutmut] in pyproject.toml lists the modules), and
+# whether a test fails with each: the share, and those with which none does. ONLY='drivers.codec.*' for some. Hours for all.
+mutants: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutants]'
+	nice -n 10 $(BIN)/python -m tests.mutants $(ONLY)
+
 # Every parser and protocol side, INPUTS each (100000); TARGET=name for one, SEED for others, JOBS targets at a time. It
 # goes on where it stopped (out/fuzz). Its short form is a test.
 fuzz: $(STAMP)
@@ -92,8 +104,12 @@ deb: $(STAMP)
 deb-test: $(STAMP)
 	$(BIN)/python -m benchmarks.installed
 
+# Whether each benchmark still runs, in a tiny setting; `make test` only loads them.
+bench-tests: $(STAMP)
+	$(BIN)/pytest -m benchmark tests/benchmarks
+
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.run
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build dist out
+	rm -rf $(VENV) mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build dist out

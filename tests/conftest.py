@@ -3,9 +3,10 @@
 import gc
 import json
 import os
+import re
 import signal
 import subprocess
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -147,6 +148,36 @@ def pytest_configure(config: pytest.Config) -> None:
     """The process that hears of all tests writes the durations; with several workers that is the one without tests."""
     if config.getoption("--write-durations") and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Durations(config))
+
+
+def untried(config: pytest.Config) -> Counter[str]:
+    """Why tests were skipped, and how many for each reason; a file that was skipped whole counts as one."""
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    reports = [] if reporter is None else reporter.stats.get("skipped", [])
+    return Counter(str(report.longrepr[2]).removeprefix("Skipped: ") for report in reports)
+
+
+def promised(reason: str) -> set[str]:
+    """The packages of a reason that CI says to have (`COUNTERPARTS`, .ci/run)."""
+    named = re.search(r"apt-get install ([^)]*)", reason)
+    return set(named[1].split()) & set(os.environ.get("COUNTERPARTS", "").split()) if named else set()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """A test is not skipped for want of what is there."""
+    if not hasattr(session.config, "workerinput") and any(map(promised, untried(session.config))):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """What was not tried on this machine, and how to get it."""
+    if not (reasons := untried(config)):
+        return
+    terminalreporter.section("not tried on this machine")
+    for reason, count in reasons.most_common():
+        failed = f"{', '.join(promised(reason))} is installed, and was not found: " if promised(reason) else ""
+        terminalreporter.write_line(f"{count:5} {failed}{reason}", red=bool(failed))
+    terminalreporter.write_line("`make counterparts` (root) installs what Debian has of them")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -46,7 +46,7 @@ def of_group(folder: Path, group: str = "north") -> Path:
 @pytest.mark.parametrize("of", [lambda _: UNIT, of_group], ids=["plain", "of a group"])
 def test_the_unit_may_do_little_by_systemds_own_measure(of: Callable[[Path], Path], tmp_path: Path) -> None:
     if shutil.which("systemd-analyze") is None:
-        pytest.skip("systemd-analyze is not installed here")
+        pytest.skip("needs systemd-analyze (apt-get install systemd)")
     done = subprocess.run(
         ["systemd-analyze", "security", "--offline=true", "--no-pager", str(of(tmp_path))],
         capture_output=True,
@@ -218,7 +218,7 @@ def small_environment(tree: Path, _work: Path) -> None:
     start.chmod(0o700)
 
 
-@pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="dpkg is not installed here")
+@pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="needs dpkg-deb (apt-get install dpkg)")
 def test_the_package_has_what_it_promises_and_is_the_same_each_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

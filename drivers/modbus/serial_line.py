@@ -50,7 +50,7 @@ class Quiet:
     owed: dict[int, Owed] = field(default_factory=dict)
 
 
-class _Port(Protocol):
+class _ByteStream(Protocol):
     """A way to move bytes: the two that exist are below."""
 
     @property
@@ -78,7 +78,7 @@ class LineWire:
     ) -> None:
         self._settings, self._quiet, self._clock = settings, quiet, clock
         self._on_lost, self._on_late = on_lost, on_late
-        self._port: _Port | None = None
+        self._port: _ByteStream | None = None
         self._data = b""
         self._heard = 0.0
         # The units whose question without an answer is of the present reading.
@@ -303,7 +303,7 @@ class LineWire:
         self._live_port()
         return True
 
-    def _live_port(self) -> _Port:
+    def _live_port(self) -> _ByteStream:
         if self._port is None:
             raise LinkDown(f"{self._settings.place} is closed")
         return self._port

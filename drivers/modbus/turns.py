@@ -16,7 +16,7 @@ LONG_PROBE = 8
 
 
 @dataclass(slots=True)
-class _Place:
+class _Waiter:
     """One who waits; `probe`: for a unit that is silent, or failed last while others answered."""
 
     unit: int
@@ -37,7 +37,7 @@ class Turns:
     def __init__(self, outstanding: int) -> None:
         self.outstanding = outstanding
         self._taken = self._probes = self._urgent_in_a_row = 0
-        self._waiting: dict[int, deque[_Place]] = {}
+        self._waiting: dict[int, deque[_Waiter]] = {}
         self._places = 0
         # Its order is the rotation: whose turn was longest ago stands first.
         self._order: dict[int, None] = {}
@@ -57,7 +57,7 @@ class Turns:
             self._had[unit] = max(had, self._now)
             self._note_granted(unit, urgent=urgent, probe=probe)
             return False
-        place = _Place(unit, urgent, probe, asyncio.get_running_loop().create_future())
+        place = _Waiter(unit, urgent, probe, asyncio.get_running_loop().create_future())
         self._order.setdefault(unit)
         queue = self._waiting.setdefault(unit, deque())
         if not queue:
@@ -105,7 +105,7 @@ class Turns:
         self._probes += probe
         self._urgent_in_a_row = self._urgent_in_a_row + 1 if urgent else 0
 
-    def _next(self) -> _Place | None:
+    def _next(self) -> _Waiter | None:
         """Whose unit has had least, of the urgent ones if there are any and their row is not too long."""
         eligible = [
             place

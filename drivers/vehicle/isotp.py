@@ -15,7 +15,7 @@ SINGLE, FIRST, CONSECUTIVE, FLOW_CONTROL = range(4)
 
 
 @dataclass(slots=True)
-class _Message:
+class _PartialMessage:
     """A message that is being received: `next` is the sequence number (0..15) that must come."""
 
     total: int
@@ -37,7 +37,7 @@ class Reassembler:
             ("payloads", "lost", "late", "replaced", "orphans", "malformed", "flow_control"), 0
         )
     )
-    _open: _Message | None = None
+    _open: _PartialMessage | None = None
 
     def take(self, time: float, data: bytes) -> bytes | None:
         """The payload that this frame completes, if it does. `time` in seconds; `data` are the frame's 0 to 8 bytes."""
@@ -79,7 +79,7 @@ class Reassembler:
         if len(data) != 8 or total <= 7:
             self.counts["malformed"] += 1
             return
-        self._open = _Message(total, bytearray(data[2:]), 1, time)
+        self._open = _PartialMessage(total, bytearray(data[2:]), 1, time)
 
     def _consecutive(self, time: float, data: bytes) -> bytes | None:
         message = self._open

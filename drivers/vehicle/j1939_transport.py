@@ -36,7 +36,7 @@ class Key(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Session:
+class _OpenMessage:
     """`data` is filled up to packet `next` - 1; `repeat` is the next packet if the receiver asked for some again."""
 
     pgn: int
@@ -61,7 +61,7 @@ class TransportSessions:
 
     frames: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("complete", *_DROPS, "orphans"), 0))
     sessions: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("complete", *_DROPS), 0))
-    _open: dict[Key, _Session] = field(default_factory=dict)
+    _open: dict[Key, _OpenMessage] = field(default_factory=dict)
 
     def counts(self) -> dict[str, int]:
         """Frames (`tp_`) and sessions (`sessions_`) by what became of them; a message that was given is complete."""
@@ -111,7 +111,7 @@ class TransportSessions:
         for key in list(self._open):
             self._drop(key, "lost")
 
-    def _stored(self, key: Key, session: _Session, number: int, part: bytes) -> Message | None:
+    def _stored(self, key: Key, session: _OpenMessage, number: int, part: bytes) -> Message | None:
         session.repeat = number + 1
         if number < session.next:
             return None  # asked for again by its receiver; we had it
@@ -137,7 +137,7 @@ class TransportSessions:
             return
         # Sessions that nobody ends are looked for when one begins, so that their number stays bounded.
         self._expire(time, list(self._open))
-        self._open[key] = _Session(pgn, size, packets, time)
+        self._open[key] = _OpenMessage(pgn, size, packets, time)
 
     def _answered(self, time: float, key: Key, data: bytes, pgn: int) -> None:
         """What the receiver says: which packets it wants next (CTS), or that it has all."""

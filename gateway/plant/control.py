@@ -268,7 +268,7 @@ class _Arm(ControlRequest):
     acknowledge: list[Line] = Field([], description="heads of lost rows, each as text")
 
 
-class _Reload(ControlRequest):
+class _ReloadRequest(ControlRequest):
     dry_run: bool = Field(False, description="true: only say what would change")
 
 
@@ -324,7 +324,7 @@ async def _model(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, A
 
 async def _reload(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """Read the plant file anew: what it changes, or why it is refused."""
-    given = _checked(_Reload, request)
+    given = _checked(_ReloadRequest, request)
     if scope.reload is None:
         raise ControlError("this gateway cannot read its file anew; stop it and start it")
     return {"pid": os.getpid(), **await scope.reload(apply=not given.dry_run)}

@@ -89,7 +89,7 @@ def move(
     which = np.arange(steps.dt.size)[row][at] if isinstance(row, slice) else np.full(at.size, row)
     spread = noise[at] if isinstance(noise, np.ndarray) else np.zeros((at.size, plant.size))
     rests = np.zeros(at.size) if rest is None else rest[at]
-    run = _Run(
+    run = _CrossingRuns(
         which=which,
         s=s[at],
         mode=mode[at],
@@ -117,7 +117,7 @@ def _affine(half: Half, row: Rows, s: Array, mode: Array, rest: Array | None) ->
 
 
 @dataclass(slots=True)
-class _Run:
+class _CrossingRuns:
     """n runs, each in its step `which`: states (n, d), m, the heat that the tangent leaves out, thermostat, noise.
 
     `share` is the part of the step for which the thermostat was open.
@@ -132,7 +132,7 @@ class _Run:
     share: Array
 
 
-def _switching(plant: Plant, steps: Tables, run: _Run, end: Array) -> Array:
+def _switching(plant: Plant, steps: Tables, run: _CrossingRuns, end: Array) -> Array:
     """(n, d) the ends of runs that would come to `end` if none switched: to the threshold, and from there switched.
 
     The thermostat of `run` is moved on. A run may switch several times in a step.
@@ -155,7 +155,7 @@ def _switching(plant: Plant, steps: Tables, run: _Run, end: Array) -> Array:
     return end
 
 
-def _crossing(plant: Plant, steps: Tables, run: _Run, begin: Array, end: Array) -> tuple[Array, Array]:
+def _crossing(plant: Plant, steps: Tables, run: _CrossingRuns, begin: Array, end: Array) -> tuple[Array, Array]:
     """(part of the step, state) at which each run meets its threshold, by the secant method on its exact course.
 
     The secant method (Press et al., Numerical Recipes, 9.2) needs no derivative of the course, which with a housing, a
@@ -177,7 +177,7 @@ def _crossing(plant: Plant, steps: Tables, run: _Run, begin: Array, end: Array) 
     return part, s
 
 
-def _piece(plant: Plant, steps: Tables, run: _Run, begin: Array, until: Array) -> Array:
+def _piece(plant: Plant, steps: Tables, run: _CrossingRuns, begin: Array, until: Array) -> Array:
     """(n, d) the states at `until` from the runs' at `begin`, both parts of their steps; noise is spread evenly."""
     closed, other = steps.closed.terms, (steps.open or steps.closed).terms
     which, opened, length = run.which, run.opened, until - begin

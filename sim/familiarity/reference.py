@@ -77,7 +77,7 @@ class ExcessSoFar:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Law:
+class _PointLaw:
     """The law of points, not calibrated: see FamiliarityReference."""
 
     features: tuple[str, ...]
@@ -118,7 +118,7 @@ class _Law:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FamiliarityReference(_Law):
+class FamiliarityReference(_PointLaw):
     """The law of the points of a training set. Arrays are over the `features` (F,) that all its cycles have.
 
     `mean` and `scale` standardise, `whitening` (F, F) makes the shrunk covariance the identity, `centres` (C, F) are
@@ -246,7 +246,7 @@ def fit_reference(cycles: Sequence[Array], groups: Sequence[str] | None = None) 
     scales, held_out = _calibrated(distances, [_ages(each) for each in own])
     law = _fitted(features, own, expected)
     return FamiliarityReference(
-        **{name: getattr(law, name) for name in _Law.__slots__}, scales=scales, held_out=np.sort(held_out)
+        **{name: getattr(law, name) for name in _PointLaw.__slots__}, scales=scales, held_out=np.sort(held_out)
     )
 
 
@@ -293,7 +293,7 @@ def _regressors(points: Array) -> Array:
     return np.column_stack([table, before, np.ones(len(points))])
 
 
-def _fitted(features: tuple[str, ...], cycles: Sequence[Array], expected: bool) -> _Law:
+def _fitted(features: tuple[str, ...], cycles: Sequence[Array], expected: bool) -> _PointLaw:
     """The law of the points, not calibrated yet."""
     points = np.vstack(cycles)
     own = points[:, [COLUMNS.index(name) for name in features]]
@@ -314,7 +314,7 @@ def _fitted(features: tuple[str, ...], cycles: Sequence[Array], expected: bool) 
         x = x / size
         target = points[:, COLUMNS.index("temperature")]
         expectation = np.linalg.solve(x.T @ x + RIDGE * len(x) * np.eye(len(size)), x.T @ target) / size
-    return _Law(
+    return _PointLaw(
         features=features,
         mean=mean,
         scale=scale,

@@ -90,7 +90,7 @@ class EncoderState:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Levels:
+class _ChannelLevels:
     """A channel ready to run: level i is kept while low[i] <= value < high[i]. A switch has two levels, cut at 0.5."""
 
     signal: str
@@ -106,13 +106,13 @@ class _Levels:
         return bisect_right(self.thresholds, value)
 
 
-def _levels(channel: Switch | Bins) -> _Levels:
+def _levels(channel: Switch | Bins) -> _ChannelLevels:
     if isinstance(channel, Switch):
         channel = Bins(channel.signal, (0.5,), (channel.falling, channel.rising), on_change=channel.on_change)
     thresholds, hysteresis = channel.thresholds, channel.hysteresis
     low = (-inf, *(threshold - hysteresis for threshold in thresholds))
     high = (*(threshold + hysteresis for threshold in thresholds), inf)
-    return _Levels(
+    return _ChannelLevels(
         signal=channel.signal,
         symbols=channel.symbols,
         thresholds=thresholds,
@@ -399,7 +399,7 @@ def encoded(trace: Trace, alphabet: Alphabet) -> Trace:
 class _Column:
     """A channel's readings in a trace: rows in which it has a reading; its values, NaN where they are bad."""
 
-    channel: _Levels
+    channel: _ChannelLevels
     has_reading: Mask
     values: Array
 

@@ -1,4 +1,7 @@
-"""Each benchmark runs in a tiny setting and prints its figures as JSON; whether they are fast is not asserted."""
+"""Each benchmark runs in a tiny setting and prints its figures as JSON; whether they are fast is not asserted.
+
+`make bench-tests` runs them all; `make test` one of them, and loads the others.
+"""
 
 import json
 import math
@@ -8,11 +11,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import skill, virtual_sensor
+from benchmarks import run, skill, virtual_sensor
 from benchmarks.figures import Figure, as_table
 from benchmarks.isolation import STOOD_STILL
 from benchmarks.latency import Scan, follow
@@ -57,6 +61,7 @@ def by_name(figures: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return {one["name"]: one for one in figures}
 
 
+@pytest.mark.benchmark
 def test_latency_follows_every_change_to_its_block(model_folder: Path) -> None:
     options = ("--changes", "6", "--period", "0.2", "--model-folder", str(model_folder))
     figures = by_name(said("latency", *options)["figures"])
@@ -64,12 +69,14 @@ def test_latency_follows_every_change_to_its_block(model_folder: Path) -> None:
     assert figures["register read to its block, p50"]["against"] == "two bare round trips, p50"
 
 
+@pytest.mark.benchmark
 def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> None:
     figures = by_name(said("footprint", "--seconds", "1.5", "--model-folder", str(model_folder))["figures"])
     assert figures["scans with an accepted block"]["value"] >= 1
     assert figures["peak resident size of the gateway"]["value"] > figures["peak resident size of the gateway"]["other"]
 
 
+@pytest.mark.benchmark
 def test_memory_by_import_is_all_of_a_running_gateways_which_loads_nothing_that_it_does_not_need(
     model_folder: Path,
 ) -> None:
@@ -80,6 +87,7 @@ def test_memory_by_import_is_all_of_a_running_gateways_which_loads_nothing_that_
     assert {"numpy", "pydantic", "cryptography"} <= figures.keys()
 
 
+@pytest.mark.benchmark
 def test_several_machines_are_one_plant_file_and_a_number_of_none_is_refused(
     tmp_path: Path, model_folder: Path
 ) -> None:
@@ -92,12 +100,14 @@ def test_several_machines_are_one_plant_file_and_a_number_of_none_is_refused(
     assert refused.exit_code == 2 and "whole numbers from 1 on" in refused.stderr
 
 
+@pytest.mark.benchmark
 def test_a_newcomers_hour_ends_with_a_prediction_and_a_shadow_block(model_folder: Path) -> None:
     """From `decanter docs --examples` on, with the installed program and without the learning."""
     figures = by_name(said("first_hour", "--quick", "--model-folder", str(model_folder / "model"))["figures"])
     assert figures["commands"]["value"] == 9 <= figures["commands"]["other"]
 
 
+@pytest.mark.benchmark
 def test_the_campaigns_benchmark_times_all_four_models(model_folder: Path) -> None:
     options = ("--quick", "--traces", "1", "--runs", "50", "--rows", "5000", "--model-folder", str(model_folder))
     figures = said("campaign", *options)["figures"]
@@ -105,6 +115,7 @@ def test_the_campaigns_benchmark_times_all_four_models(model_folder: Path) -> No
     assert sum("4 jobs" in one["name"] for one in figures) == 4
 
 
+@pytest.mark.benchmark
 def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_with_its_interval(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -117,6 +128,7 @@ def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_wi
     assert figures["cd1..cd17, held out: carried is better (MAE)"]["other"] == 2
 
 
+@pytest.mark.benchmark
 @pytest.mark.parametrize(
     ("name", "options"),
     [
@@ -137,6 +149,7 @@ def test_a_benchmark_prints_its_figures_as_json(name: str, options: Sequence[str
     assert by_name(said(name, *options)["figures"])
 
 
+@pytest.mark.benchmark
 def test_what_a_node_does_on_a_shared_bus_costs_the_others_little_and_makes_no_wrong_value_good() -> None:
     figures = by_name(said("isolation", "--quick", "--link", "canopen")["figures"])
     assert figures["wrong values that were good, all machines"]["value"] == 0
@@ -144,12 +157,14 @@ def test_what_a_node_does_on_a_shared_bus_costs_the_others_little_and_makes_no_w
     assert figures["scans done of the others"]["ratio"] > 0.5
 
 
+@pytest.mark.benchmark
 def test_hours_of_the_plants_go_by_in_minutes_with_blocks_that_the_plcs_take() -> None:
     figures = by_name(said("isolation", "--quick", "--speed", "40", "--armed")["figures"])
     assert figures["wrong values that were good, all machines"]["value"] == 0
     assert figures["so many of them"]["value"] > 0 and figures["so many of them"]["other"] > 0
 
 
+@pytest.mark.benchmark
 def test_hostile_peers_are_set_beside_a_gateway_that_has_none() -> None:
     figures = {one["name"]: one for one in said("hostile_northbound", "--quick")["figures"]}
     assert figures["wrong values that were good"]["value"] == 0
@@ -159,6 +174,7 @@ def test_hostile_peers_are_set_beside_a_gateway_that_has_none() -> None:
     } < figures.keys()
 
 
+@pytest.mark.benchmark
 def test_peers_sets_the_gateway_against_the_loop_in_c_on_the_same_plcs() -> None:
     options = ("--count", "2", "--seconds", "1", "--only", "plant+blocks", "--only", "C loop")
     figures = by_name(said("peers.__main__", *options)["figures"])
@@ -183,6 +199,13 @@ def test_peers_counts_a_deadline_once_and_against_the_grid_that_suits_the_conten
     assert judged([np.empty(0)], 0.1, 100.0, 101.0).done == 0
 
 
+@pytest.mark.parametrize("name", sorted(path.stem for path in Path(run.__file__).parent.glob("[a-z]*.py")))
+def test_a_benchmark_can_be_loaded_and_explains_itself(name: str) -> None:
+    main = getattr(import_module(f"benchmarks.{name}"), "main", None)
+    if isinstance(main, click.Command):
+        assert "--help" in CliRunner().invoke(main, ["--help"]).stdout
+
+
 def test_run_gives_the_figures_of_all_and_the_machine() -> None:
     told = said("run", "--only", "simulation")
     assert by_name(told["figures"]["simulation"]) and told["failed"] == []
@@ -195,6 +218,7 @@ def test_a_figure_without_a_counterpart_has_no_ratio_and_a_row_all_the_same() ->
     assert as_table("figures", figures).row_count == 2
 
 
+@pytest.mark.benchmark
 @pytest.mark.real_data
 @pytest.mark.skipif(not skill.DATA.is_dir(), reason="the measured data (../shared/data) is not here")
 def test_skill_sets_ours_against_the_best_other_method() -> None:

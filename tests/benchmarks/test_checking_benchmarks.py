@@ -18,6 +18,7 @@ def said(name: str) -> dict[str, dict[str, Any]]:
     return {figure["name"]: figure for figure in json.loads(done.stdout)["figures"]}
 
 
+@pytest.mark.benchmark
 def test_the_benchmark_of_checking_gives_agreement_and_speeds() -> None:
     figures = said("smc")
     held = figures["first passage: 95 % intervals that hold it"]
@@ -29,6 +30,7 @@ def test_the_benchmark_of_checking_gives_agreement_and_speeds() -> None:
             assert figure["value"] == pytest.approx(figure["other"], abs=0.02)
 
 
+@pytest.mark.benchmark
 def test_the_benchmark_of_queries_gives_coverage_and_costs() -> None:
     figures = said("queries")
     assert figures["sequential Clopper-Pearson: coverage at p = 0.1"]["value"] == pytest.approx(0.927, abs=0.002)

@@ -51,6 +51,7 @@ def test_the_script_says_all_that_the_day_is_to_have(must: Expected) -> None:
         plan(2.0)
 
 
+@pytest.mark.benchmark
 def test_a_longer_day_has_the_same_at_the_same_phase_of_its_cycles(must: Expected) -> None:
     script = plan(24.0)
     longer = expected(script, traces(script, 1), late=LATE, retry=RETRY)

@@ -35,6 +35,7 @@ def test_a_function_runs_again_for_other_contents_and_for_other_rules_that_it_re
             call(np.array([float(value)]), rules)
 
 
+@pytest.mark.benchmark
 def test_what_is_remembered_under_a_rule_is_what_a_new_diagnosis_says() -> None:
     traces, rules = [plant(3, days=2, pump=2e-4)], replace(RULES, moved_least_sigmas=0.0, moved_least_share=0.0)
     memory = Memory(counted="fit")

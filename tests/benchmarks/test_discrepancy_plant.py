@@ -80,6 +80,7 @@ def test_a_bearing_at_rest_stays_at_the_halls_temperature_and_one_that_runs_goes
     assert warm.bearing[row] == pytest.approx(18.0 + 45.0 * (1 - np.exp(-1)), abs=1e-6)
 
 
+@pytest.mark.benchmark
 def test_heuns_method_agrees_with_the_exact_steps(day: Operation) -> None:
     bearing = machine("development", "stages", False, 1).bearing
     parts = EFFECTS["pump-cooling"].make(day, 1.0, np.random.default_rng(0))
@@ -121,6 +122,7 @@ def test_what_the_baseline_can_imitate_does_not_count_as_signal(day: Operation) 
     assert signal_to_noise(day, warmer, Family(), without.sensor, course.sensor, 0.06) < 0.02
 
 
+@pytest.mark.benchmark
 def test_strengths_are_scaled_to_the_wanted_ratio(day: Operation) -> None:
     ratio = 3.0
     one = Machine("stages-smooth-0", machine("development", "stages", False, 0).bearing, SMOOTH)

@@ -88,6 +88,7 @@ def quick_learn(traces: Path, out: Path, seed: int) -> None:
     write_model_directory(out, learned.model, learned.values)
 
 
+@pytest.mark.benchmark
 def test_cases_are_generated_whole_and_only_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bearings, "learn", quick_learn)
     monkeypatch.setattr(generator, "learn", quick_learn)

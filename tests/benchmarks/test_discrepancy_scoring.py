@@ -118,6 +118,7 @@ def run_stub(folder: Path, **options: Any) -> dict[str, Outcome]:
     return outcomes(run_all(folder, "stub", stub, jobs=1, **({"limit": 60.0} | options)))[1]
 
 
+@pytest.mark.benchmark
 def test_the_runner_keeps_what_the_tool_said_and_scores_failures_as_such(folder: Path) -> None:
     found = run_stub(folder, limit=6.0)
     assert [found[f"case{n}"].status for n in range(5)] == ["done", "error", "timeout", "error", "done"]
@@ -245,6 +246,7 @@ def test_reliability_sets_stated_confidence_against_what_was_right() -> None:
     assert row("all", cases, lambda each: each.exact).share == 0.75
 
 
+@pytest.mark.benchmark
 def test_the_report_has_table_figures_and_picture_and_marks_what_was_missed(folder: Path) -> None:
     run_stub(folder, only=("case0", "case1", "case3", "case4"))
     words = write_report(folder, "stub", folder / "score")

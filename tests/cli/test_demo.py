@@ -1,4 +1,4 @@
-"""The demonstration over Modbus and raw CAN: its report, its judge (no formality), and that nothing stays behind."""
+"""One demonstration, and three that are ended: its report, its judge (no formality), and that nothing stays behind."""
 
 import json
 import os
@@ -14,27 +14,17 @@ from typing import Any
 import pytest
 
 from gateway.demo.can_bus import LONGEST_PATH, hub_path
+from gateway.demo.live import newest_status
 from gateway.demo.summary import verdict
 from gateway.store.read_back import samples
-from tests.cli.support import DATA, decanter, only_object, refused, with_one_bearing
-from tests.rig.no_bands import without_bands
+from tests.cli.support import decanter, only_object, refused, with_one_bearing
 
 GATEWAY = (sys.executable, "-m", "gateway.cli.main")
 PATIENCE_S = 500.0
 
 
 def performed(folder: Path, *arguments: object, seconds: float) -> dict[str, Any]:
-    """The object of a whole demonstration; its command runs in this process, PLC and gateway in their own."""
-
-    def once(longer: float) -> tuple[int, str, str]:
-        done = decanter("demo", "--json", "--out", folder, *arguments, "--seconds", longer)
-        return done.exit_code, done.stdout, done.stderr
-
-    return long_enough(once, seconds)
-
-
-def performed_by_a_process(folder: Path, *arguments: object, seconds: float) -> dict[str, Any]:
-    """The same, with a process of its own for the command, as people start it."""
+    """The object of a whole demonstration, with a process of its own for the command, as people start it."""
 
     def once(longer: float) -> tuple[int, str, str]:
         command = [*GATEWAY, "demo", "--json", "--out", str(folder), *map(str, arguments), "--seconds", str(longer)]
@@ -82,7 +72,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> tuple[Path,
     home = tmp_path_factory.mktemp("demo")
     lines = (traces / "cd17.csv").read_text(encoding="utf-8").splitlines(keepends=True)
     (home / "cd17.csv").write_text("".join(lines[: len(lines) // 2]), encoding="utf-8")
-    return home / "out", performed_by_a_process(home / "out", "--trace", home / "cd17.csv", seconds=8)
+    return home / "out", performed(home / "out", "--trace", home / "cd17.csv", seconds=8)
 
 
 def test_the_demo_ends_with_one_object_that_holds_together(shown: tuple[Path, dict[str, Any]]) -> None:
@@ -135,33 +125,6 @@ def test_the_outage_is_in_the_historian_as_bad_quality(shown: tuple[Path, dict[s
     bad = [sample for sample in stored if not sample.quality.is_good]
     assert bad and all(sample.value is None or not sample.quality.is_good for sample in bad)
     assert stored[-1].quality.is_good and stored[-1].time > bad[-1].time
-
-
-@pytest.fixture(scope="module")
-def again(shown: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """A second demonstration, over raw CAN, in a copy of the first one's folder: that folder and its object."""
-    folder = tmp_path_factory.mktemp("again") / "out"
-    shutil.copytree(shown[0], folder)
-    trace = with_one_bearing(folder / "replay.csv", tmp_path_factory.mktemp("one"))
-    with pytest.MonkeyPatch.context() as patch:
-        without_bands(patch)
-        return folder, performed(folder, "--trace", trace, "--link", "can", seconds=6)
-
-
-def test_a_second_demo_in_the_same_folder_begins_anew(
-    shown: tuple[Path, dict[str, Any]], again: tuple[Path, dict[str, Any]]
-) -> None:
-    _, data = again
-    sane(data)
-    assert data["rows"] < shown[1]["rows"]
-    assert len(data["bearings"]) == 1 and not list(again[0].glob("demo_*.png")), "the feed bearing is not measured here"
-
-
-def test_the_demo_runs_the_main_job_over_can_frames(again: tuple[Path, dict[str, Any]]) -> None:
-    folder, data = again
-    sane(data)
-    assert data["link"] == "can"
-    assert not hub_path(folder).exists()
 
 
 def test_the_hubs_socket_has_a_path_that_a_socket_can_have(tmp_path: Path) -> None:
@@ -217,26 +180,38 @@ def children(pid: int) -> list[int]:
 
 
 # Over CAN there is a third process to be left behind, the hub; what stops it is the same for every signal.
-ENDINGS = [(signal.SIGINT, "modbus", 2), (signal.SIGTERM, "modbus", 2), (signal.SIGKILL, "can", 3)]
+ENDINGS = [(signal.SIGINT, "can", 3), (signal.SIGTERM, "modbus-tls", 2), (signal.SIGKILL, "can", 3)]
 
 
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="needs /proc")
 @pytest.mark.parametrize(("number", "link", "processes"), ENDINGS, ids=[number.name for number, *_ in ENDINGS])
 def test_however_a_demo_is_ended_no_process_stays(
-    number: signal.Signals, link: str, processes: int, traces: Path, tmp_path: Path
+    number: signal.Signals,
+    link: str,
+    processes: int,
+    shown: tuple[Path, dict[str, Any]],
+    traces: Path,
+    tmp_path: Path,
 ) -> None:
+    """Over the other links, in the folder of an earlier one: it begins anew, and is ended when its gateway has read."""
     folder = tmp_path / "out"
+    shutil.copytree(shown[0], folder)
+    (folder / "status.json").unlink()
     trace = with_one_bearing(traces / "cd1.csv", tmp_path, rows=200)
     options = ["--link", link, "--trace", str(trace), "--seconds", "60", "--out", str(folder)]
     command = [*GATEWAY, "demo", "--json", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as demo:
         try:
             deadline = time.monotonic() + PATIENCE_S
-            while not (folder / "status.json").exists():
+            while (seen := newest_status(folder / "status.json")) is None or not seen["link"]["alive"]:
                 assert demo.poll() is None and time.monotonic() < deadline
                 time.sleep(0.05)
             started = children(demo.pid)
             assert len(started) == processes
+            assert hub_path(folder).exists() == (link == "can")
+            plant = (folder / "plant.toml").read_text(encoding="utf-8")
+            assert ('transport = "tls"' in plant) == (link == "modbus-tls")
+            assert not list(folder.glob("demo_*.png")), "one bearing is measured here, of the two before"
             os.kill(demo.pid, number)
             out, err = demo.communicate(timeout=PATIENCE_S)
         finally:
@@ -251,16 +226,6 @@ def test_however_a_demo_is_ended_no_process_stays(
         answer = json.loads(out)
         assert answer["ok"] is False and answer["exit"] == 130 and "stopped before the end" in answer["reason"]
         assert "stopped before the end" in err.splitlines()[-1]
+        assert not hub_path(folder).exists()
     else:
         assert demo.returncode == -number and out == ""
-
-
-@pytest.mark.real_data
-def test_the_demo_on_a_measured_pump_learns_and_foresees(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    trace = DATA / "skab" / "anomaly-free.csv"
-    if not trace.exists():
-        pytest.skip(f"{trace} is not there")
-    without_bands(monkeypatch)
-    data = performed(tmp_path / "out", "--trace", trace, "--map", "skab", seconds=8)
-    sane(data)
-    assert data["synthetic"] is False and data["errors"]["one_step"]["rmse"] < 1.0

@@ -5,16 +5,12 @@ import subprocess
 from collections import Counter
 from pathlib import Path
 
-import pytest
-
 from drivers.modbus.tls import load_identity
 from gateway.demo.links import LINKS
 from gateway.entry.exits import Exit
-from tests.cli.support import decanter, only_object, refused, with_one_bearing
-from tests.cli.test_demo import performed, sane
+from tests.cli.support import decanter, only_object, refused
 from tests.gateway.support import MAP
 from tests.plc.bench import running
-from tests.rig.no_bands import without_bands
 
 TRIES = 10
 
@@ -70,16 +66,6 @@ def test_check_reads_every_link_and_names_the_one_that_fails(tmp_path: Path) -> 
     good = Counter(row["link"] for row in data["readings"] if row["quality"] == "GOOD")
     assert good["way 0"] > 10 and good["way 1"] == good["way 0"] and good["way 2"] == 0
     assert {row["quality"] for row in data["readings"] if row["link"] == "way 2"} == {"NOT_CONNECTED"}
-
-
-def test_the_demo_does_the_main_job_over_tls(tmp_path: Path, traces: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    without_bands(monkeypatch)
-    trace = with_one_bearing(traces / "cd1.csv", tmp_path)
-    data = performed(tmp_path / "out", "--trace", trace, "--link", "modbus-tls", seconds=8)
-    sane(data)
-    assert data["link"] == "modbus-tls"
-    plant = (tmp_path / "out" / "plant.toml").read_text(encoding="utf-8")
-    assert 'transport = "tls"' in plant and (tmp_path / "out" / "certificates" / "client.key").is_file()
 
 
 def test_a_link_of_the_decanters_own_addresses_refuses_a_foreign_trace() -> None:

@@ -51,8 +51,9 @@ def _places() -> Iterator[str]:
     for package in ("drivers", "sim", "gateway"):
         for path in sorted((ROOT / package).rglob("*.py")):
             name = path.relative_to(ROOT).as_posix()
-            if name not in tables:
-                tree = ast.parse(path.read_text(encoding="utf-8"))
+            text = path.read_text(encoding="utf-8")
+            if name not in tables and any(f"{quote}{each}{quote}" in text for each in NAMES for quote in "\"'"):
+                tree = ast.parse(text)
                 yield from (f"{name}:{node.lineno}" for node in ast.walk(tree) if _asks_for_a_name(node))
 
 

@@ -1,8 +1,11 @@
 import math
 import struct
 from collections.abc import Callable
+from functools import partial
+from itertools import product
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -297,15 +300,88 @@ def test_a_reader_says_what_decode_says(data: st.DataObject, order: Order, words
         assert repr(said) == repr(reference) and type(said[0]) is type(reference[0])
 
 
-@settings(max_examples=150)
-@given(
-    st.sampled_from([DType.UINT16, DType.INT16, DType.UINT8, DType.INT32, DType.FLOAT32, DType.BOOL]),
-    orders,
-    st.sampled_from([{}, {"scale": 0.1}, {"low": 0.0}, {"high": 9.0}, {"sentinel": 7}, {"labels": {1: "one"}}]),
-    st.one_of(st.integers(-70_000, 70_000), st.floats(-9e4, 9e4), st.booleans(), st.sampled_from(["one", math.nan])),
+def swapped(low: float, high: float) -> tuple[float, list[int]]:
+    """A positive float32 in between, with its registers, that reads as a usual number with its words swapped."""
+    for number in range(10, 100_000):
+        first, second = struct.unpack(">2H", struct.pack(">f", number / 10.0))
+        (value,) = struct.unpack(">f", struct.pack(">2H", second, first))
+        if low < value < high:
+            return value, [second, first]
+    raise AssertionError("there is none")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "kept", "expecting"),
+    [
+        (1e-20, 1e-7, [{}, {"low": 0.0}, {"low": -1.0}, {"high": 1e6}], {"low": 1e-25}),
+        (1e13, 1e20, [{}, {"high": 1e12}, {"low": 0.0}], {"high": 1e25}),
+    ],
 )
-def test_an_encoder_writes_what_encode_writes(dtype: DType, order: Order, more: dict[str, Any], value: Value) -> None:
-    tag = Tag("t", "holding:1", dtype, order, **more)
+def test_a_rare_number_that_looks_swapped_is_believed_only_where_the_tag_expects_such(
+    low: float, high: float, kept: list[dict[str, float]], expecting: dict[str, float]
+) -> None:
+    value, registers = swapped(low, high)
+    for limits in kept:
+        tag = Tag("x", "holding:0", DType.FLOAT32, **limits)  # type: ignore[arg-type]
+        assert decode(tag, registers)[:2] == (None, Quality.DATA_ENCODING_INVALID), limits
+        assert decode(tag, registers, one_order=True)[1] in (Quality.GOOD, Quality.OUT_OF_RANGE), limits
+    expected = Tag("x", "holding:0", DType.FLOAT32, **expecting)  # type: ignore[arg-type]
+    assert decode(expected, registers) == (value, Quality.GOOD, "")
+
+
+WORDS = np.arange(0x10000, dtype=np.uint16)
+FORMATS = {DType.INT8: np.int8, DType.UINT8: np.uint8, DType.INT16: np.int16, DType.UINT16: np.uint16}
+
+
+@pytest.mark.parametrize("order", [Order.ABCD, Order.BADC])
+@pytest.mark.parametrize("dtype", FORMATS)
+def test_a_reader_gives_each_of_the_65536_words_the_number_that_it_is(dtype: DType, order: Order) -> None:
+    """numpy says which number a word is."""
+    numbers = (WORDS.byteswap() if order is Order.BADC else WORDS).astype(FORMATS[dtype])
+    read = reader(Tag("t", "holding:0", dtype, order))
+    values, qualities, reasons = zip(*(read((word,)) for word in range(0x10000)), strict=True)
+    assert list(values) == numbers.tolist()
+    assert (set(map(type, values)), set(qualities), set(reasons)) == ({int}, {Quality.GOOD}, {""})
+    scaled = reader(Tag("t", "holding:0", dtype, order, scale=0.1, offset=-4.0, low=-50.0, high=90.0))
+    some = slice(None, None, 37)
+    values, qualities, _ = zip(*(scaled((word,)) for word in WORDS[some].tolist()), strict=True)
+    wanted = numbers[some] * 0.1 - 4.0
+    assert list(values) == wanted.tolist()
+    assert [quality is Quality.GOOD for quality in qualities] == ((wanted >= -50.0) & (wanted <= 90.0)).tolist()
+
+
+@pytest.mark.parametrize("order", [Order.ABCD, Order.BADC])
+@pytest.mark.parametrize("dtype", [DType.INT16, DType.UINT16])
+def test_an_encoder_writes_each_number_of_a_register_as_the_word_that_it_is(dtype: DType, order: Order) -> None:
+    numbers = WORDS.astype(FORMATS[dtype])
+    words = WORDS.byteswap() if order is Order.BADC else WORDS
+    write = encoder(Tag("t", "holding:0", dtype, order))
+    assert [write(number) for number in numbers.tolist()] == words[:, None].tolist()
+
+
+KEYS: list[dict[str, Any]] = [
+    {},
+    {"scale": 0.5},
+    {"scale": 2.0},
+    {"offset": 1.0},
+    {"low": 1.0},
+    {"high": 9.0},
+    {"sentinel": 0},
+    {"sentinel": 0xFFFF},
+    {"sentinel": -0x8000},
+    {"labels": {1: "one"}},
+    {"low": 1.0, "high": 9.0},
+    {"bit": 3},
+]
+VALUES: list[Value] = [
+    *(-0x8001, -0x8000, -0x7FFF, -1, 0, 1, 9, 10, 0x7FFE, 0x7FFF, 0x8000, 0xFFFE, 0xFFFF, 0x10000, 0x10001),
+    *(0.0, 1.0, 1.4, -1.0, 65535.0, math.nan, math.inf, True, False, "one", "two"),
+]
+
+
+@pytest.mark.parametrize("more", KEYS, ids=str)
+def test_an_encoder_writes_what_encode_writes(more: dict[str, Any]) -> None:
+    """At the ends of every type, and with each key of a tag: the same words, or the same refusal."""
 
     def outcome(way: Callable[[], list[int]]) -> list[int] | str:
         try:
@@ -313,4 +389,10 @@ def test_an_encoder_writes_what_encode_writes(dtype: DType, order: Order, more: 
         except EncodingError as error:
             return str(error)
 
-    assert outcome(lambda: encoder(tag)(value)) == outcome(lambda: encode(tag, value))
+    kinds = [DType.UINT16, DType.INT16, DType.UINT8, DType.INT32, DType.FLOAT32, DType.BOOL]
+    for dtype, order in product([DType.UINT16, DType.INT16] if "bit" in more else kinds, Order):
+        tag = Tag("t", "holding:1", dtype, order, **more)
+        write = encoder(tag)
+        for value in VALUES:
+            written, wanted = outcome(partial(write, value)), outcome(partial(encode, tag, value))
+            assert written == wanted, (dtype, order, value)

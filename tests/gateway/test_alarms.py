@@ -1,5 +1,6 @@
 """Alarms: every move is in the table, delays and deadband hold, and not knowing changes nothing."""
 
+import json
 from dataclasses import replace
 from itertools import product
 
@@ -22,6 +23,7 @@ from gateway.machine.alarms.states import (
     from_plain,
     moved,
     new_alarm,
+    possible,
     step,
     to_plain,
     word,
@@ -148,6 +150,40 @@ def test_an_alarm_saved_by_a_release_that_knew_four_states_is_read() -> None:
         from_plain(HOT, {**former, "state": "shelved"})
 
 
+def test_of_a_saved_alarm_tag_and_priority_are_the_conditions_and_a_delay_begins_anew() -> None:
+    alarm = replace(new_alarm(HOT, 1.0), pending=3.0, kept=AlarmState.RETURNED, state=AlarmState.SHELVED, until=9.0)
+    read = from_plain(replace(HOT, tag="U", priority=4), json.loads(json.dumps(to_plain(alarm))))
+    assert read == replace(alarm, tag="U", priority=4, pending=None)
+    assert type(read.kept) is AlarmState and type(read.state) is AlarmState
+
+
+def test_when_an_alarm_was_announced_and_whether_it_was_the_first_is_kept_until_it_comes_anew() -> None:
+    first = replace(step(HOT, new_alarm(HOT, 0.0), 90.0, 1.0), first_up=True)
+    assert first.raised == 1.0
+    taken = moved(first, Change.ACKNOWLEDGE, 2.0, "Ada")
+    back = step(HOT, first, 20.0, 3.0)
+    assert [(each.raised, each.first_up) for each in (taken, back)] == [(1.0, True)] * 2
+    again = step(HOT, back, 90.0, 4.0)
+    assert (again.state, again.raised, again.first_up) == (AlarmState.UNACKNOWLEDGED, 4.0, True)
+    anew = step(HOT, replace(new_alarm(HOT, 0.0), first_up=True), 90.0, 5.0)
+    assert (anew.raised, anew.first_up) == (5.0, False)
+    shelved = moved(taken, Change.SHELVE, 6.0, "Ada", until=60.0)
+    assert (shelved.since, shelved.raised, shelved.first_up) == (6.0, 1.0, True)
+    out = moved(shelved, Change.UNSHELVE, 7.0)
+    assert (out.state, out.since, out.raised) == (AlarmState.UNACKNOWLEDGED, 7.0, 7.0)
+    removed = moved(shelved, Change.REMOVE, 8.0, "Ada")
+    assert (removed.state, removed.kept) == (AlarmState.OUT_OF_SERVICE, shelved.kept)
+
+
+def test_what_is_possible_depends_on_whether_the_alarm_latches() -> None:
+    over = replace(new_alarm(HOT, 0.0), state=AlarmState.LATCHED_ACKNOWLEDGED)
+    assert Change.RESET in possible(over, latching=True)
+    assert set(possible(new_alarm(HOT, 0.0))) == {Change.RAISE, Change.SHELVE, Change.SUPPRESS, Change.REMOVE}
+    standing = replace(new_alarm(HOT, 0.0), state=AlarmState.UNACKNOWLEDGED, standing=True)
+    moves = [Change.CLEAR, Change.ACKNOWLEDGE, Change.SHELVE, Change.SUPPRESS, Change.REMOVE]
+    assert {*possible(standing)} == {*possible(standing, latching=True)} == {*moves}
+
+
 def test_exactly_at_the_limit_is_not_above_it_and_the_deadband_keeps_the_alarm() -> None:
     u, n, r = AlarmState.UNACKNOWLEDGED, AlarmState.NORMAL, AlarmState.RETURNED
     assert follow(HOT, [80.0, 80.1, 79.0, 78.1, 78.0, 79.9, 80.1]) == [n, u, u, u, r, r, u]
@@ -173,6 +209,11 @@ def test_a_rising_edge_acknowledges_and_a_standing_level_does_not() -> None:
     taken = acknowledge(conditions, raised, before=0, bits=1, now=2.0, by="PLC")["over limit T"]
     assert (taken.state, taken.acknowledged_by, taken.since) == (AlarmState.ACKNOWLEDGED, "PLC", 2.0)
     assert acknowledge(conditions, raised, before=0, bits=2, now=2.0, by="PLC") == raised, "another alarm's bit"
+    third, silent = replace(HOT, bit=3), replace(HOT, bit=None)
+    for bits in (1, 2, 4, 8, 16, 6, 0xFFF7):
+        taken = acknowledge({"over limit T": third}, raised, before=0x10, bits=bits, now=2.0, by="PLC")
+        assert (taken != raised) == (bits == 8), bits
+        assert acknowledge({"over limit T": silent}, raised, before=0, bits=bits, now=2.0, by="PLC") == raised
 
 
 def test_a_new_occurrence_forgets_who_acknowledged_the_last_one() -> None:
@@ -189,6 +230,10 @@ def test_the_word_has_the_bits_of_what_stands_and_two_tags_share_one() -> None:
     assert word(conditions, alarms) == 0b10001
     alarms["inputs bad"] = step(bad, alarms["inputs bad"], 0.0, 1.0)
     assert word(conditions, alarms) == 0b00001
+    without, beside = replace(bad, bit=None), replace(other, bit=2, temperature="U")
+    alarms = {name: step(bad, new_alarm(bad, 0.0), 99.0, 0.0) for name in ("over limit T", "without", "beside")}
+    said = {"over limit T": HOT, "without": without, "beside": beside}
+    assert [word(said, alarms, temperature) for temperature in ("", "U", "T")] == [1, 5, 1]
 
 
 @settings(max_examples=100, deadline=None)

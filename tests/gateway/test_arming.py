@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.tag import Value
@@ -133,6 +134,15 @@ async def test_more_blocks_a_second_than_allowed_are_held_back_and_the_last_word
     assert last is not None and last.verdict == "written" and last.block.validity is Validity.NONE
     assert len(wire.blocks) == written + 1
     assert writer.audit is not None and writer.audit.close()
+
+
+@pytest.mark.parametrize(("rate", "sent"), [(0.125, 6), (0.25, 11), (0.5, 21), (1.0, 41)])
+def test_a_block_every_few_seconds_is_a_pace_too(rate: float, sent: int) -> None:
+    """In 40 seconds one at once, and the others as they fall due."""
+    pace = Pace(rate)
+    allowed = [moment for moment in np.arange(0.0, 40.125, 0.125) if pace.allows(moment)]
+    assert len(allowed) == sent
+    assert set(np.diff(allowed)) == {1.0 / rate}
 
 
 def test_the_pace_counts_real_seconds_and_follows_the_scans(tmp_path: Path) -> None:

@@ -1,9 +1,10 @@
 """The write-back block: it saturates, never wraps, and a reader with other code finds in it what was meant."""
 
 import struct
+from dataclasses import replace
+from itertools import product
 from math import inf, nan
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -60,6 +61,11 @@ def test_what_is_not_known_has_a_word_of_its_own() -> None:
     assert words["temperature_now"] == words["band_low"] == 0x8000
     assert words["location"] == words["age"] == 0xFFFF
     assert words["minutes_low"] == words["minutes_median"] == LAYOUT.unknown
+    other = replace(LAYOUT, unknown=40_000)
+    block = build(other, {"minutes_low": inf, "age": inf}, Validity.NONE, session(5, 1))
+    words = read(block.words)
+    assert (words["minutes_low"], words["minutes_median"], words["age"]) == (40_000, 40_000, 0xFFFF)
+    assert block.sequence == 5
 
 
 @settings(max_examples=200, deadline=None)
@@ -93,8 +99,11 @@ def test_the_heartbeat_counts_from_1_to_65535_and_never_says_0() -> None:
     assert next_heartbeat(65535) == 1
 
 
-@pytest.mark.parametrize("missing", ["inputs", "location", "forecast", "model"])
-def test_usable_stands_only_when_nothing_is_missing(missing: str) -> None:
-    parts = dict.fromkeys(("inputs", "location", "forecast", "model"), True)
-    assert validity(**parts) == 31
-    assert Validity.USABLE not in validity(**{**parts, missing: False})
+def test_the_validity_word_says_each_part_and_usable_only_where_nothing_is_missing() -> None:
+    parts = {"inputs": 2, "location": 4, "forecast": 8, "model": 16}
+    for *there, familiar, shadow in product((False, True), repeat=6):
+        known = dict(zip(parts, there, strict=True))
+        wanted = sum(parts[name] for name, is_there in known.items() if is_there)
+        wanted += 1 * (all(there) and familiar) + 32 * shadow
+        assert validity(**known, familiar=familiar, shadow=shadow) == wanted
+    assert validity(**dict.fromkeys(parts, True)) == 31, "familiar and written unless it is said otherwise"

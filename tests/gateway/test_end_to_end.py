@@ -4,11 +4,9 @@ import asyncio
 import json
 import os
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -141,46 +139,6 @@ config = load_config(Path(sys.argv[1]), {"device.port": int(sys.argv[2]), "clock
 clock = PlantClock(float(sys.argv[3]), float(sys.argv[4]), float(sys.argv[5]))
 serve([config], clock=clock, status_path=Path(sys.argv[6]), console=False)
 """
-
-
-def _stored_blocks(historian: Path) -> int:
-    """How many blocks the historian has committed; the gateway may be running."""
-    with closing(sqlite3.connect(historian)) as connection:
-        return int(connection.execute("SELECT count(*) FROM writes").fetchone()[0])
-
-
-def test_a_gateway_that_is_killed_starts_again_with_an_intact_historian_and_whole_blocks(tmp_path: Path) -> None:
-    text = (
-        "heartbeat_period = 0.02\n"
-        '[writeback]\nmode = "armed"\narmed_by = "Ada"\nreason = "kills"\nminutes = 480\n'
-        "[forecast]\nhorizons = [10]\nruns = 50"
-    )
-    path, status = plant_file(tmp_path, text, model=two_modes()), tmp_path / "status.json"
-    history_path = tmp_path / "history.sqlite"
-    with running("--trace", heating_trace(tmp_path), "--speed", str(SPEED)) as plc:
-        ready = [str(plc.ready[key]) for key in ("epoch", "monotonic", "speed")]
-        command = [sys.executable, "-c", SERVE, str(path), str(plc.port), *ready, str(status)]
-        stored = 0
-        for number in range(3):
-            before = plc.order("status")["accepted"]
-            wanted, enough = before + 8 + 7 * number, stored + 5
-            with subprocess.Popen(command, cwd=ROOT) as gateway:
-                # Whatever comes of the waiting, the process ends here: `with` alone would wait for it for ever.
-                try:
-                    wait_until(
-                        lambda: plc.order("status")["accepted"] > wanted or gateway.poll() is not None,  # noqa: B023
-                    )
-                    wait_until(lambda: _stored_blocks(history_path) >= enough or gateway.poll() is not None)  # noqa: B023
-                    assert gateway.poll() is None, "it has ended by itself"
-                    committed = _stored_blocks(history_path)
-                finally:
-                    gateway.kill()
-            with closing(sqlite3.connect(history_path)) as connection:
-                assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-            stored = _stored_blocks(history_path)
-            assert stored >= committed >= enough
-        # The session of one that was killed stands until the PLC's timer runs out: a start that is quicker is told so.
-        assert plc.order("status")["last_refusal"] in ("none", "another writer", "another challenge")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

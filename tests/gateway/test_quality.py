@@ -1,11 +1,13 @@
 """Ageing: a stale, frozen, unbelievable or unproven value is never good, and good never lasts beyond its promise."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Sample, Tag, Value
-from gateway.machine.reading.quality import DeviceAge, QualityRules, judge
+from gateway.machine.reading.quality import DeviceAge, QualityRules, judge, unread
 
 T = Tag("T", "holding:1", unit="degC", max_rate=5.0)
 BEAT = Tag("Beat", "holding:2")
@@ -167,3 +169,23 @@ def test_a_value_at_rest_is_good_for_ever_when_the_tag_does_not_say_otherwise() 
 @pytest.mark.parametrize("value", ["text", True])
 def test_text_and_switches_have_no_rate(value: Value) -> None:
     assert all(s.quality.is_good for s in walk([good("T", value, 0.0), good("T", value, 1.0)]))
+
+
+@pytest.mark.parametrize("interval", [1.0, 4.0])
+def test_what_nobody_reads_again_ages_by_the_limits_of_a_scan(interval: float) -> None:
+    sample = Sample("T", 20.0, Quality.GOOD, 5.0, 5.5)
+    assert unread(sample, 3.0 * interval, interval) == sample
+    silence = 3.01 * interval
+    reason = f"the device has not been read for {silence:.1f} s"
+    assert unread(sample, silence, interval) == replace(sample, quality=Quality.LAST_USABLE, reason=reason)
+    assert unread(sample, 10.0 * interval, interval).quality is Quality.LAST_USABLE
+    gone = unread(sample, 10.1 * interval, interval)
+    assert gone == replace(sample, value=None, quality=Quality.NO_DATA, reason=gone.reason) and gone.reason
+
+
+def test_what_is_not_good_does_not_become_better_by_not_being_read() -> None:
+    doubtful = Sample("T", 20.0, Quality.UNCERTAIN, 5.0, reason="why")
+    assert unread(doubtful, 4.0, 1.0) == doubtful
+    assert unread(doubtful, 11.0, 1.0).quality is Quality.NO_DATA
+    bad = lost("T", 5.0, Quality.SENSOR_FAILURE)
+    assert [unread(bad, silence, 1.0) for silence in (1.0, 4.0, 11.0)] == [bad] * 3

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import read_model
 from sim.engine.open_loop_run import errors, open_loop
 from sim.lab.formats.write_model import write_model_directory
+from sim.lab.learning import max_rate
 from sim.lab.learning.bins.candidates import BinsCandidate
 from sim.lab.learning.bins.learn import learn_bins
 from sim.lab.learning.correction import corrected_model, learn_correction
@@ -145,6 +147,19 @@ def test_a_limit_bites_a_model_that_is_too_fast_and_is_not_accepted_where_it_doe
     assert bite(with_max_rate(model, replace(rate, rate=2 * rate.rate)), traces).accepted
     slow = bite(with_max_rate(model, replace(rate, rate=rate.rate / 50.0)), traces)
     assert slow.limited > 100 and not slow.accepted and slow.after > slow.before
+
+
+@pytest.mark.parametrize(("growth", "accepted"), [(0.9, True), (1.1, False)])
+def test_a_growth_of_the_error_within_its_standard_error_is_accepted(
+    model: Model, monkeypatch: pytest.MonkeyPatch, growth: float, accepted: bool
+) -> None:
+    """Four traces whose errors grow by so many of their standard errors in the mean, told by hand."""
+    told = iter([5.0] * 4 + [5.0 + growth + np.sqrt(3.0) * sign for sign in (-1, -1, 1, 1)])
+    monkeypatch.setattr(max_rate, "open_loop", lambda *_: SimpleNamespace(limited=3))
+    monkeypatch.setattr(max_rate, "errors", lambda *_: SimpleNamespace(at_samples=SimpleNamespace(mae=next(told))))
+    found = bite(model, reading(cycles=4)[:1] * 4)
+    assert found.limited == 12 and (found.before, found.after) == pytest.approx((5.0, 5.0 + growth))
+    assert found.accepted is accepted
 
 
 def test_the_command_learns_reports_and_writes_the_corrected_model(tmp_path: Path) -> None:

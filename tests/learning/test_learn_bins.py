@@ -177,10 +177,12 @@ def test_the_huber_scale_is_that_of_the_bulk() -> None:
     assert huber_scale(error) < np.std(error) / 4
 
 
-def test_the_order_of_the_traces_and_copies_do_not_matter() -> None:
-    traces = simulate(CONSTANT, 3, cycles=4, rows=60)
+def test_the_order_of_the_traces_their_names_and_copies_do_not_matter() -> None:
+    # Folds and parts were dealt by name: seven traces are more than there are of either.
+    traces = simulate(CONSTANT, 3, cycles=7, rows=60)
     one = learn_bins(traces, DECANTER, "T", seed=4, candidates=ONE_RATE)
-    mixed = [traces[2], traces[0], replace(traces[0], name="copy"), traces[3], traces[1]]
+    mixed = [replace(traces[place], name=name) for name, place in zip("abcdefg", (4, 2, 6, 0, 5, 1, 3), strict=True)]
+    mixed.insert(2, replace(traces[0], name="copy"))
     other = learn_bins(mixed, DECANTER, "T", seed=4, candidates=ONE_RATE)
     assert replace(other.model, provenance=one.model.provenance) == one.model
     assert other.model.provenance.data_hash == one.model.provenance.data_hash

@@ -10,6 +10,7 @@ from sim.engine.open_loop_run import open_loop
 from sim.lab.formats.foreign.bundle import read_artefacts
 from sim.lab.formats.foreign.convert import to_sha
 from sim.lab.formats.write_model import write_model_directory
+from sim.lab.learning.lsha.flow_hypotheses import hold_out_levels
 from sim.lab.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.lab.learning.lsha.segments import stays_after
 from sim.lab.learning.lsha.teacher import Teacher, placed, teacher_of
@@ -128,3 +129,18 @@ def test_settling_takes_off_what_the_law_says(tau: float) -> None:
     assert entered.any()
     off = (teacher.runs.reading - settled.reading)[entered]
     assert off == pytest.approx(amplitude[place[entered]])
+
+
+@pytest.mark.parametrize("law", [None, TransientLaw(TAU, 0.05, 5)])
+def test_what_is_foretold_of_a_run_that_is_held_out_does_not_depend_on_its_readings(law: TransientLaw | None) -> None:
+    teacher = teacher_of(plants(5, 8), PLANT, "T", 5, 5)
+    runs = placed(teacher.runs, classes_of(teacher.words, "direction").of_state)
+    own = np.isfinite(runs.reading) & (np.cumsum(runs.first) == 3)
+    changed = replace(runs, reading=np.where(own, 90.0 - 0.5 * runs.reading, runs.reading))
+    first, second = (
+        each.reading[np.isfinite(each.reading)] - hold_out_levels(each, law).error for each in (runs, changed)
+    )
+    held = own[np.isfinite(runs.reading)]
+    assert held.sum() > 50
+    np.testing.assert_allclose(first[held], second[held], rtol=1e-12)
+    assert not np.allclose(first[~held], second[~held]), "the others are foretold by it"

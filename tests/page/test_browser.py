@@ -46,7 +46,7 @@ def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
     if request.config.getoption("--without-processes"):
         pytest.skip("starts a process: `make test` runs it")
     if CHROMIUM is None:
-        pytest.skip("no Chromium is installed")
+        pytest.skip("needs Chromium (apt-get install chromium)")
     with playwright.sync_playwright() as started:
         chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
         yield chromium

@@ -8,10 +8,12 @@ import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
+from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-PATH = os.environ.get("PATH", "") + ":/usr/sbin:/usr/lib/postgresql/15/bin"
+POSTGRESQL = sorted(map(str, Path("/usr/lib/postgresql").glob("*/bin")), reverse=True)
+PATH = ":".join([os.environ.get("PATH", ""), "/usr/sbin", *POSTGRESQL])
 """Debian has some servers where no user's PATH looks."""
 
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.engine.moment_equations import moments
+from sim.engine.moment_equations import augmented_course, moments
 from sim.engine.open_loop_run import open_loop
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
 from sim.sha.automaton import SHA, Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
-from sim.sha.trace import Event, Trace
+from sim.sha.trace import Array, Event, Trace
 from tests.sha.effect_reference import EFFECTS, FLOWS, LATE, TOGETHER, course, plant, reference, without_noise
 from tests.sha.models import EVERYWHERE, normal
 
@@ -84,6 +84,24 @@ def test_a_location_that_draws_x_anew_does_so_with_effects_too() -> None:
     )
     np.testing.assert_allclose(found.mean, expected.mean, atol=1e-4)
     np.testing.assert_allclose(found.variance, expected.variance, rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["thermostatic-cooling", "thermostat, radiation", "thermostat, housing, lag"])
+def test_the_seconds_for_which_a_thermostat_is_open_do_not_depend_on_the_steps(name: str) -> None:
+    """By the closed form for X alone, and by the kernel: a step in which it switches counts by its part."""
+    sha = without_noise(plant("driven", ALL[name]))
+    events, inputs = course(7, 1400.0)
+
+    def opened(every: float) -> tuple[Array, Array]:
+        steps = schedule(sha, events, np.arange(0.0, 1401.0, every), inputs=inputs)
+        assert steps.segments is not None
+        part = augmented_course(steps, 34.0)[2].opened
+        ends = steps.segments.time + steps.segments.dt
+        return part, np.interp(np.arange(0.0, 1401.0, 50.0), ends, np.cumsum(part * steps.segments.dt))
+
+    (coarse, seconds), (_, finely) = opened(50.0), opened(0.25)
+    assert ((coarse > 0.0) & (coarse < 1.0)).sum() >= 10 and seconds[-1] > 80.0
+    np.testing.assert_allclose(seconds, finely, atol=1e-3)
 
 
 def heated(effects: tuple[Effect, ...], **limits: float) -> SHA:

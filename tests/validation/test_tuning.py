@@ -16,7 +16,7 @@ from sim.lab.judge.free_run import held_out
 from sim.lab.tuning import methods as tuning_methods
 from sim.lab.tuning import study
 from sim.lab.tuning.methods import ANY, METHODS, Choice, Real, Task, Whole, method_of, tuned_alphabet
-from sim.lab.tuning.search import StudyPlan, StudyTrial, Tuning, final_model, folds, tune, usable
+from sim.lab.tuning.search import StudyPlan, StudyTrial, Tuning, final_model, folds, summary, tune, usable
 from sim.plant.scenarios import scenario
 from sim.sha.events import DECANTER, Bins
 from sim.sha.trace import Trace
@@ -84,6 +84,26 @@ def test_the_search_finds_the_known_target_and_says_that_it_beats_the_defaults(t
     assert "are better than the defaults" in found.sentence
     failed = [one for one in found.trials if one.state == "failed"]
     assert failed and all(one.reason == "a broken kind teaches nothing" for one in failed)
+
+
+@pytest.mark.parametrize(("lead", "better"), [(0.9, False), (1.1, True)])
+def test_a_lead_within_its_standard_error_is_none(lead: float, better: bool) -> None:
+    """Four traces whose differences have the standard error 1 about a mean of so many of them."""
+    apart = np.array([-1.0, -1.0, 1.0, 1.0]) * np.sqrt(3.0)
+    values = {"defaults": np.full(4, 9.0), "best": 9.0 - lead - apart}
+    trials = [
+        StudyTrial(
+            number=number,
+            settings={"target": 1.0} if number else {},
+            state="complete",
+            value=float(each.mean()),
+            by_trace={str(trace): float(value) for trace, value in enumerate(each)},
+        )
+        for number, each in enumerate(values.values())
+    ]
+    found = summary(trials)
+    assert found.gain is not None and found.gain.error == pytest.approx(1.0) and found.gain.mean == pytest.approx(lead)
+    assert found.better is better and ("not better" in found.sentence) is not better
 
 
 @pytest.mark.usefixtures("known")

@@ -71,7 +71,7 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
     is wrong: what is made is checked as `decanter run` does.
     """
     with sentences():
-        asked = _Asked(terminal())
+        asked = _Prompt(terminal())
         how = Reading(order=options["order"], shift=options["shift"])
         described = _described(given.device, options["list_path"], how, asked, skip=options["skip_bad"])
         described = _without(described, options["without"])
@@ -141,7 +141,7 @@ def terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
-class _Asked:
+class _Prompt:
     """A person who is asked, if one is there (`here`); else what is missing is refused with its option."""
 
     def __init__(self, here: bool) -> None:
@@ -156,7 +156,7 @@ class _Asked:
         return str(click.prompt(question, default=default, type=kind))
 
 
-def _placed(given: SharedOptions, device: Path | None, asked: _Asked) -> SharedOptions:
+def _placed(given: SharedOptions, device: Path | None, asked: _Prompt) -> SharedOptions:
     """The options with where the PLC is, asked for where neither they nor the device file say it."""
     there = load_device(device) if device is not None else None
     settings = {**(there.settings if there is not None else {}), **given.settings}
@@ -185,7 +185,7 @@ class _Described:
     blocks: tuple[str, ...] = ()
 
 
-def _described(device: Path | None, list_path: Path | None, how: Reading, asked: _Asked, *, skip: bool) -> _Described:
+def _described(device: Path | None, list_path: Path | None, how: Reading, asked: _Prompt, *, skip: bool) -> _Described:
     """The tags, asked for where neither is given.
 
     Raises ConfigError or ListError; of a list with a sentence for each row that cannot be used, unless `skip`.
@@ -228,7 +228,7 @@ def _without(described: _Described, names: Sequence[str]) -> _Described:
     )
 
 
-def _temperatures(described: _Described, wanted: Sequence[str], asked: _Asked) -> tuple[str, ...]:
+def _temperatures(described: _Described, wanted: Sequence[str], asked: _Prompt) -> tuple[str, ...]:
     """The tags that are predicted: those named, those of the device's blocks, the only one in degC, or the answer.
 
     Raises ConfigError.
@@ -256,7 +256,7 @@ def _heartbeat(tags: Sequence[str]) -> str | None:
 
 
 def _column_map(
-    trace: Path, known: Sequence[str], temperature: str, rename: Mapping[str, str], asked: _Asked
+    trace: Path, known: Sequence[str], temperature: str, rename: Mapping[str, str], asked: _Prompt
 ) -> tuple[str, list[str]]:
     """The column map of a trace, its signals called as the tags are; and the events' signals that are no tag.
 

@@ -223,16 +223,16 @@ class _OfMachine(Section):
     machine: MachineName
 
 
-class _Span(_OfMachine):
+class _TimeSpanQuery(_OfMachine):
     start: Time
     end: Time
 
 
-class _TrendQuery(_Span):
+class _TrendQuery(_TimeSpanQuery):
     tag: TagName
 
 
-class _ForecastQuery(_Span):
+class _ForecastQuery(_TimeSpanQuery):
     temperature: TagName
     horizon: float = Field(gt=0, le=86_400, description="one of the forecast's horizons, in seconds")
 
@@ -365,12 +365,12 @@ class _AlarmChange(_OfMachine):
     minutes: float | None = Field(None, gt=0, description="for how many minutes it is shelved, as a number")
 
 
-class _Arming(_OfMachine):
+class _ArmRequest(_OfMachine):
     reason: Line = Field(description="why blocks are to be written, as one line of text")
     minutes: float = Field(gt=0, description="for how many minutes, as a number")
 
 
-class _Disarming(_OfMachine):
+class _DisarmRequest(_OfMachine):
     reason: Line = Field(description="why, as one line of text")
 
 
@@ -514,7 +514,7 @@ ENDPOINTS: Sequence[Endpoint] = (
         path="/api/arm",
         summary="Let blocks be written to the PLC.",
         answer=_arm,
-        gives=_Arming,
+        gives=_ArmRequest,
         role=AccountRole.ENGINEER,
     ),
     Endpoint(
@@ -522,7 +522,7 @@ ENDPOINTS: Sequence[Endpoint] = (
         path="/api/disarm",
         summary="Take everything back at the PLC, and write no more.",
         answer=_disarm,
-        gives=_Disarming,
+        gives=_DisarmRequest,
         role=AccountRole.ENGINEER,
     ),
     Endpoint(

@@ -54,7 +54,7 @@ CHUNK = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Scored:
+class _ScoredForms:
     """Forms with their projected problem: `gain` (c,) nats, `strength` (c,), `columns` and `weighed` (m, c)."""
 
     forms: list[LawForm]
@@ -63,8 +63,8 @@ class _Scored:
     columns: Array
     weighed: Array
 
-    def joined(self, more: "_Scored") -> "_Scored":
-        return _Scored(
+    def joined(self, more: "_ScoredForms") -> "_ScoredForms":
+        return _ScoredForms(
             forms=[*self.forms, *more.forms],
             gain=np.append(self.gain, more.gain),
             strength=np.append(self.strength, more.strength),
@@ -182,7 +182,7 @@ def candidate_laws(
 
 
 def _told(
-    scored: _Scored, law: _JudgedLaw, names: dict[str, str], tried: int, *, place: int, rules: DecisionRules
+    scored: _ScoredForms, law: _JudgedLaw, names: dict[str, str], tried: int, *, place: int, rules: DecisionRules
 ) -> CandidateLaw:
     form = scored.forms[law.number]
     return CandidateLaw(
@@ -200,7 +200,7 @@ def _told(
     )
 
 
-def _sharpened(fitted: Fitted, scored: _Scored, chosen: Sequence[int]) -> list[LawForm]:
+def _sharpened(fitted: Fitted, scored: _ScoredForms, chosen: Sequence[int]) -> list[LawForm]:
     """Those of the chosen forms that are rivals', with their dates and times where the gain is greatest."""
     sharper = []
     for number in (each for each in chosen if scored.forms[each].shapes):
@@ -247,7 +247,7 @@ def _reading(fitted: Fitted, columns: LawColumns, forms: Sequence[LawForm]) -> A
     return np.column_stack([frame.record.windowed(as_read(frame, state, added(heat))) for heat in heats])
 
 
-def _scored(fitted: Fitted, projector: Projector, columns: LawColumns, forms: list[LawForm]) -> _Scored:
+def _scored(fitted: Fitted, projector: Projector, columns: LawColumns, forms: list[LawForm]) -> _ScoredForms:
     gains, strengths, kept, weights = [], [], [], []
     for begin in range(0, len(forms), CHUNK):
         part = forms[begin : begin + CHUNK]
@@ -258,7 +258,7 @@ def _scored(fitted: Fitted, projector: Projector, columns: LawColumns, forms: li
         kept.append(made)
         weights.append(weighed)
     empty = np.empty((fitted.residual.size, 0))
-    return _Scored(
+    return _ScoredForms(
         forms=forms,
         gain=np.concatenate([np.empty(0), *gains]),
         strength=np.concatenate([np.empty(0), *strengths]),
@@ -267,13 +267,13 @@ def _scored(fitted: Fitted, projector: Projector, columns: LawColumns, forms: li
     )
 
 
-def _cosines(scored: _Scored, number: int) -> Array:
+def _cosines(scored: _ScoredForms, number: int) -> Array:
     """(c,) cosine of each form with one of them, in the product that the noise gives."""
     sizes = np.sqrt(np.maximum(np.einsum("ij,ij->j", scored.columns, scored.weighed), 1e-300))
     return np.asarray(scored.weighed.T @ scored.columns[:, number] / (sizes * sizes[number]))
 
 
-def _distinct(scored: _Scored, rules: DecisionRules) -> list[int]:
+def _distinct(scored: _ScoredForms, rules: DecisionRules) -> list[int]:
     """The surest forms that these data can tell apart: each the simplest of its kind, few of one kind."""
     terms = np.array([form.terms for form in scored.forms], dtype=float)
     kinds = np.array([form.kind for form in scored.forms])
@@ -293,7 +293,7 @@ def _distinct(scored: _Scored, rules: DecisionRules) -> list[int]:
     return chosen
 
 
-def _alike(scored: _Scored, number: int, rules: DecisionRules) -> tuple[str, ...]:
+def _alike(scored: _ScoredForms, number: int, rules: DecisionRules) -> tuple[str, ...]:
     """Other laws that these data cannot tell from one, within a tenth of its gain, three at most."""
     near = np.abs(_cosines(scored, number)) >= rules.law_same_least_cosine
     near &= scored.gain >= 0.9 * scored.gain[number]

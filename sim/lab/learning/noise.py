@@ -95,7 +95,7 @@ class NoiseLevels:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _AffineSteps:
+class _KnotSteps:
     """Every knot's affine step: X' = decay X + pull (m - mu) + drift, variance = density * process^2.
 
     `k` (1/s) is the rate at which X forgets, 0 where it does not; `heat` the disturbance's step (None without one);
@@ -137,7 +137,7 @@ class _Ahead:
     disturbed: Array
 
 
-def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) -> _AffineSteps:
+def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) -> _KnotSteps:
     n = len(runs)
     decay, pull, density, rate = np.ones(n), np.zeros(n), np.zeros(n), np.zeros(n)
     for place in np.unique(runs.place):
@@ -148,7 +148,7 @@ def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) ->
         decay[rows], pull[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
         if kind in RELAXING:
             rate[rows] = params["k"]
-    return _AffineSteps(
+    return _KnotSteps(
         decay=decay,
         pull=pull,
         drift=pull * (loads(runs, shape) @ fit.linear),
@@ -165,7 +165,7 @@ def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) ->
     )
 
 
-def _chunks(steps: _AffineSteps) -> Indices:
+def _chunks(steps: _KnotSteps) -> Indices:
     """(J, C) knot numbers of the chunks, filtered side by side; -1 beyond a chunk's end. Each begins at a reading."""
     columns: list[Indices] = []
     first = np.flatnonzero(np.diff(steps.run, prepend=-1) != 0)
@@ -189,7 +189,7 @@ def _chunks(steps: _AffineSteps) -> Indices:
 
 
 def _filtered(
-    steps: _AffineSteps, table: Indices, *, sensor: Array, process: Array, scatter: Array, rough: Array
+    steps: _KnotSteps, table: Indices, *, sensor: Array, process: Array, scatter: Array, rough: Array
 ) -> tuple[Array, Array]:
     """(log-likelihoods (n, Q), states (9, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ...
 
@@ -302,7 +302,7 @@ def _log_score(error: Array, variance: Array) -> Array:
 
 
 def _aheads(
-    steps: _AffineSteps, heats: Sequence[DisturbanceStep | None], horizon: float, groups: int, places: int
+    steps: _KnotSteps, heats: Sequence[DisturbanceStep | None], horizon: float, groups: int, places: int
 ) -> list[_Ahead]:
     """The predictions over `horizon`, one for each of `heats` (None: no disturbance); none when no two readings are so
     far apart.
@@ -399,13 +399,13 @@ def _mean_known(scores: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class _Task:
+class _Objective:
     """What the likelihood needs, and the floors and counts of its parameters; the last one is the disturbance's sigma.
 
     `memory` (s) is that of the disturbance, None without one; `sensor_memory` (s) is in the steps' `repeats`.
     """
 
-    steps: _AffineSteps
+    steps: _KnotSteps
     table: Indices
     aheads: tuple[_Ahead, ...]
     groups: int
@@ -491,7 +491,7 @@ class _Task:
         best[free] = search.x
         return best
 
-    def half(self, parity: int) -> "_Task":
+    def half(self, parity: int) -> "_Objective":
         """The task of every other chunk, and of the origins that lie in them."""
         table = self.table[:, parity::2]
         table = table[(table >= 0).any(axis=1)]
@@ -578,8 +578,8 @@ def fit_noises(
 
 
 def _worth_it(
-    task: "_Task", best: Array, trials: Sequence["_Task"], begin: Array, weight: float
-) -> tuple["_Task", Array] | None:
+    task: "_Objective", best: Array, trials: Sequence["_Objective"], begin: Array, weight: float
+) -> tuple["_Objective", Array] | None:
     """The likeliest of the `trials` and its theta, sought from `begin`; None where `task`, from `best`, is as good."""
     if not trials:
         return None
@@ -599,7 +599,7 @@ def _worth_it(
     return (trial, theta) if weight * gain > WORTH else None
 
 
-def _repeats(steps: _AffineSteps, memory: float) -> Array:
+def _repeats(steps: _KnotSteps, memory: float) -> Array:
     """(n,) `repeat_factor` of each knot's reading, by the time since the one before it in its run; 1 for the first."""
     known = np.flatnonzero(np.isfinite(steps.reading))
     repeats = np.ones(steps.time.size)
@@ -609,7 +609,7 @@ def _repeats(steps: _AffineSteps, memory: float) -> Array:
     return repeats
 
 
-def _levels(task: _Task, theta: Array) -> NoiseLevels:
+def _levels(task: _Objective, theta: Array) -> NoiseLevels:
     """The noise at theta (P,)."""
     sensor, process, scatter, heat = task.unpack(theta[:, None])
     horizons = [0.0, *(ahead.horizon for ahead in task.aheads)]
@@ -626,15 +626,15 @@ def _levels(task: _Task, theta: Array) -> NoiseLevels:
 
 
 def _tasks(
-    steps: _AffineSteps, groups: Indices, shape: FitShape, floor: float, memories: Sequence[float | None]
-) -> list[_Task]:
+    steps: _KnotSteps, groups: Indices, shape: FitShape, floor: float, memories: Sequence[float | None]
+) -> list[_Objective]:
     """A task for each memory (s) of the disturbance, None without one; what does not depend on it is made once."""
     heats = [None if memory is None else disturbance_step(memory, steps.k, steps.dt) for memory in memories]
     count = int(groups.max()) + 1
     aheads = [_aheads(steps, heats, horizon, count, groups.size) for horizon in HORIZONS]
     table = _chunks(steps)
     return [
-        _Task(
+        _Objective(
             steps=replace(steps, heat=heat),
             table=table,
             aheads=tuple(of_horizon[number] for of_horizon in aheads if of_horizon),
@@ -648,7 +648,7 @@ def _tasks(
     ]
 
 
-def _held_out(task: _Task, first: Array, begin: Array, free: Mask, weight: float) -> float:
+def _held_out(task: _Objective, first: Array, begin: Array, free: Mask, weight: float) -> float:
     """The composite score, per look, of each half of the chunks under the noise fitted to the other.
 
     `first` is the one fitted to the first half; that of the second is searched from `begin`.
@@ -659,7 +659,7 @@ def _held_out(task: _Task, first: Array, begin: Array, free: Mask, weight: float
     return 0.5 * sum(float(np.sum(half.scores(theta[:, None]), axis=0)[0]) for half, theta in judged)
 
 
-def _value_and_slope(point: Array, task: _Task, weight: float, theta: Array, free: Mask) -> tuple[float, Array]:
+def _value_and_slope(point: Array, task: _Objective, weight: float, theta: Array, free: Mask) -> tuple[float, Array]:
     """The loss and its gradient by forward differences, all perturbations in one pass of the filter.
 
     `point` are the free ones of `theta`. In logarithms of standard deviations a step of 1e-4 is a hundredth of a

@@ -14,7 +14,7 @@ class _AlphabetPart(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
 
 
-class _Steps(_AlphabetPart):
+class _EvenSteps(_AlphabetPart):
     """first, first + step, ... last."""
 
     first: float
@@ -40,7 +40,7 @@ class _SwitchTable(_AlphabetPart):
 class _BinsTable(_AlphabetPart):
     kind: Literal["bins"]
     signal: str
-    thresholds: tuple[float, ...] | _Steps | Literal["auto"] = "auto"
+    thresholds: tuple[float, ...] | _EvenSteps | Literal["auto"] = "auto"
     symbols: tuple[str, ...] | _Numbered | None = None
     hysteresis: float | None = None
     on_change: bool = False
@@ -74,7 +74,7 @@ def _channel(table: _SwitchTable | _BinsTable, prefix: str) -> Switch | Bins:
             lowest=lowest,
             own_hysteresis=table.hysteresis is not None,
         )
-    if isinstance(thresholds, _Steps):
+    if isinstance(thresholds, _EvenSteps):
         first, last, step = thresholds.first, thresholds.last, thresholds.step
         count = (last - first) / step
         # Steps of 0.1 hardly ever come out whole in floating point; a file that means a million bins is a mistake.

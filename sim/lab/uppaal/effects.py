@@ -72,10 +72,10 @@ def augmented(
     """
     if not sha.effects:
         return EffectTexts(settled=(f"Temp = {own[0]}",))
-    return _Writer(sha, names, inputs, own=own, channels=channels, clocks=clocks).written()
+    return _LineCollector(sha, names, inputs, own=own, channels=channels, clocks=clocks).written()
 
 
-class _Writer:
+class _LineCollector:
     """Collects the lines of one automaton."""
 
     def __init__(
@@ -276,7 +276,7 @@ def _hybrid(clock: str) -> str:
     return f"hybrid clock {clock};"
 
 
-def _thermostat(writer: _Writer, effect: Effect) -> str:
+def _thermostat(writer: _LineCollector, effect: Effect) -> str:
     """The valve is looked at in updates; what a run went too far meanwhile is taken back, to first order in the tick.
 
     The moment of the crossing lies where the straight line since the last look meets the threshold.

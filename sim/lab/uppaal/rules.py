@@ -33,7 +33,7 @@ class _Label:
 
 
 @dataclass(frozen=True, slots=True)
-class _Document:
+class _ParsedDocument:
     """A parsed document: all labels and declarations without their comments, and the names that are declared."""
 
     root: Element
@@ -79,7 +79,7 @@ def check_rules(xml_text: str, queries: Sequence[str]) -> list[str]:
         # Without sizes, initial values and braces only the names are left.
         names = [re.findall(r"[A-Za-z_]\w*", re.sub(r"\{[^}]*\}|\[[^\]]*\]|=[^,]*", "", each)) for each in lists]
         declared[declaration.template] = frozenset(name for several in names for name in several)
-    document = _Document(
+    document = _ParsedDocument(
         root=root,
         labels=tuple(labels),
         declarations=tuple(declarations),
@@ -96,7 +96,7 @@ def _bare(text: str) -> str:
     return re.sub(r"/\*.*?\*/|//[^\n]*", "", text, flags=re.DOTALL)
 
 
-def _structure(document: _Document) -> list[str]:
+def _structure(document: _ParsedDocument) -> list[str]:
     """Every reference leads to a location, every template starts somewhere, each id and name stands once."""
     sentences = []
     for template in document.root.iterfind("template"):
@@ -128,7 +128,7 @@ def _structure(document: _Document) -> list[str]:
     )
 
 
-def _words(document: _Document) -> list[str]:
+def _words(document: _ParsedDocument) -> list[str]:
     """No name is one of UPPAAL's words, and none is longer than older parsers read."""
     names = [
         (where, name) for where, many in (*document.declared.items(), *document.locations.items()) for name in many
@@ -140,13 +140,13 @@ def _words(document: _Document) -> list[str]:
     ]
 
 
-def _ascii(document: _Document) -> list[str]:
+def _ascii(document: _ParsedDocument) -> list[str]:
     bad = [label.where() for label in document.texts if not label.text.isascii()]
     bad += [f"query {formula!r}" for formula in document.formulas if not formula.isascii()]
     return [f"{where} has signs other than ASCII; write <= and not its one-sign form" for where in bad]
 
 
-def _functions(document: _Document) -> list[str]:
+def _functions(document: _ParsedDocument) -> list[str]:
     texts = [(label.where(), label.text) for label in document.texts]
     texts += [(f"query {formula!r}", formula) for formula in document.formulas]
     return [
@@ -156,7 +156,7 @@ def _functions(document: _Document) -> list[str]:
     ]
 
 
-def _known_names(document: _Document) -> list[str]:
+def _known_names(document: _ParsedDocument) -> list[str]:
     """Labels use only declared names and built-in functions."""
     sentences = []
     everywhere = document.declared[""] | FUNCTIONS | {"true", "false"}
@@ -172,7 +172,7 @@ def _known_names(document: _Document) -> list[str]:
     return sentences
 
 
-def _literals(document: _Document) -> list[str]:
+def _literals(document: _ParsedDocument) -> list[str]:
     """A double is written with a point: `1.0`, never `1`; nan and inf are no literals."""
     sentences = []
     for declaration in document.declarations:
@@ -187,7 +187,7 @@ def _literals(document: _Document) -> list[str]:
     return sentences
 
 
-def _draws(document: _Document) -> list[str]:
+def _draws(document: _ParsedDocument) -> list[str]:
     """Random draws stand in updates only, and no normal has the width 0."""
     sentences = [
         f"{label.where()} draws a random number; only updates may"
@@ -214,7 +214,7 @@ def _draws(document: _Document) -> list[str]:
     return sentences
 
 
-def _replayed_times(document: _Document) -> list[str]:
+def _replayed_times(document: _ParsedDocument) -> list[str]:
     """A clock that is reset at each event is compared with deltas, one that is not with cumulative times."""
     sentences = []
     arrays = dict(re.findall(r"const\s+double\s+(\w+)\s*\[[^\]]*\]\s*=\s*\{([^}]*)\}", document.declarations[0].text))
@@ -241,7 +241,7 @@ def _replayed_times(document: _Document) -> list[str]:
     return sentences
 
 
-def _losses(document: _Document) -> list[str]:
+def _losses(document: _ParsedDocument) -> list[str]:
     """A broadcast event that no edge takes is lost silently: what receives one must count it."""
     broadcast = set(re.findall(r"broadcast\s+chan\s+(\w+)", document.declarations[0].text))
     sentences = []
@@ -253,7 +253,7 @@ def _losses(document: _Document) -> list[str]:
     return sentences[:1]
 
 
-def _channels_of_queries(document: _Document) -> list[str]:
+def _channels_of_queries(document: _ParsedDocument) -> list[str]:
     """Statistical queries need broadcast channels, the compatibility question binary ones."""
     text = document.declarations[0].text
     binary = bool(re.search(r"(?<!broadcast )\bchan\b", text))
@@ -266,7 +266,7 @@ def _channels_of_queries(document: _Document) -> list[str]:
     return sentences + [f"query {formula!r} is vacuous over broadcast channels; use binary ones" for formula in vacuous]
 
 
-def _symbolic(document: _Document) -> list[str]:
+def _symbolic(document: _ParsedDocument) -> list[str]:
     hybrid = any("hybrid clock" in declaration.text for declaration in document.declarations)
     return [
         f"query {formula!r} is symbolic, and UPPAAL decides nothing about hybrid clocks; ask Pr[<=T]([] ...)"
@@ -275,7 +275,7 @@ def _symbolic(document: _Document) -> list[str]:
     ]
 
 
-def _query_forms(document: _Document) -> list[str]:
+def _query_forms(document: _ParsedDocument) -> list[str]:
     """Order, bounds, signs and thresholds of queries."""
     return [
         f"query {formula!r} {sentence}"
@@ -296,7 +296,7 @@ FORMS: tuple[tuple[re.Pattern[str], str], ...] = (
 )
 
 
-def _qualified(document: _Document) -> list[str]:
+def _qualified(document: _ParsedDocument) -> list[str]:
     """A query names what belongs to a process by m_1.name, and only what is there."""
     sentences = []
     known = document.declared[""] | FUNCTIONS | KEYWORDS
@@ -313,7 +313,7 @@ def _qualified(document: _Document) -> list[str]:
     return sentences
 
 
-RULES: dict[str, Callable[[_Document], list[str]]] = {
+RULES: dict[str, Callable[[_ParsedDocument], list[str]]] = {
     "structure": _structure,
     "words": _words,
     "ASCII": _ascii,

@@ -21,7 +21,7 @@ _PAUSE_S = 0.002  # between the pieces of a split reply, so that each is a segme
 
 
 @dataclass(eq=False, slots=True)
-class _Connection:
+class _ServedClient:
     reader: asyncio.StreamReader
     writer: asyncio.StreamWriter
     peer: str
@@ -67,7 +67,7 @@ class ModbusServer:
         self._plc, self._max_clients, self._complain = plc, max_clients, complain
         self._framing, self._security = framing, security
         self._listener: asyncio.Server | None = None
-        self._connections: set[_Connection] = set()
+        self._connections: set[_ServedClient] = set()
         self._taken = False
 
     async def open(self) -> None:
@@ -115,7 +115,7 @@ class ModbusServer:
 
     async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         name = writer.get_extra_info("peername") or ("?", 0)
-        connection = _Connection(reader, writer, f"{name[0]}:{name[1]}", asyncio.current_task())
+        connection = _ServedClient(reader, writer, f"{name[0]}:{name[1]}", asyncio.current_task())
         # A deaf connection takes no place: the client that gave it up comes back on another.
         served = sum(not other.deaf for other in self._connections)
         if served >= self._max_clients:
@@ -135,7 +135,7 @@ class ModbusServer:
             self._event("disconnected", connection)
             writer.close()
 
-    def _admit(self, connection: _Connection) -> None:
+    def _admit(self, connection: _ServedClient) -> None:
         self._connections.add(connection)
         self._plc.connections += 1
         detail = {}
@@ -145,7 +145,7 @@ class ModbusServer:
             detail = {"role": role}
         self._event("connected", connection, detail)
 
-    async def _serve(self, connection: _Connection) -> None:
+    async def _serve(self, connection: _ServedClient) -> None:
         while True:
             frame = await self._framing.read(connection.reader)
             if frame.pdu is None:
@@ -162,7 +162,7 @@ class ModbusServer:
             if reply is not None and not await self._send(connection, reply):
                 return
 
-    async def _send(self, connection: _Connection, reply: ModbusReply) -> bool:
+    async def _send(self, connection: _ServedClient, reply: ModbusReply) -> bool:
         """Send the reply as it says; False when that ended the connection."""
         if reply.delay_s > 0:
             await asyncio.sleep(reply.delay_s)
@@ -181,7 +181,7 @@ class ModbusServer:
         await connection.writer.drain()
         return True
 
-    def _event(self, what: str, connection: _Connection, detail: Mapping[str, object] | None = None) -> None:
+    def _event(self, what: str, connection: _ServedClient, detail: Mapping[str, object] | None = None) -> None:
         about = {"peer": connection.peer, "face": self.name, **(detail or {})}
         self._plc.event(what, self._plc.clock.monotonic(), about)
 

@@ -51,7 +51,7 @@ def test_what_a_plant_file_or_an_export_can_ask_for_is_in_a_debian_package() -> 
             assert names <= built[package], f"{extra}: {names - built[package]} not in {package}"
 
 
-@pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="dpkg is not installed here")
+@pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="needs dpkg-deb (apt-get install dpkg)")
 def test_make_deb_makes_the_additions_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

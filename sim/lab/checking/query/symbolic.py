@@ -50,7 +50,7 @@ class SymbolicVerdict:
 
 
 @dataclass(frozen=True, slots=True)
-class _Graph:
+class _LocationGraph:
     """For each location its next locations, in the automaton's order, with the first symbol that leads there."""
 
     initial: str
@@ -73,7 +73,7 @@ def decide(query: q.Symbolic, sha: SHA) -> SymbolicVerdict:
     following: dict[str, dict[str, str]] = {location.name: {} for location in sha.locations}
     for edge in sha.edges:
         following[edge.source].setdefault(edge.target, edge.symbol)
-    graph = _Graph(sha.initial, following)
+    graph = _LocationGraph(sha.initial, following)
     everywhere, inner = frozenset(following), satisfying(query.inner, sha)
     reached = _search(graph, {graph.initial: 0}, lambda _: True)
 
@@ -160,7 +160,7 @@ _Tree = dict[str, tuple[int, str | None]]
 """Reached locations in the order of their distance: (distance, the one before; None for a start)."""
 
 
-def _search(graph: _Graph, starts: Mapping[str, int], keep: Callable[[str], bool]) -> _Tree:
+def _search(graph: _LocationGraph, starts: Mapping[str, int], keep: Callable[[str], bool]) -> _Tree:
     """Shortest distances from starts that have distances of their own, over locations that `keep` accepts."""
     # Dijkstra (1959). The running number breaks ties by the order of discovery, so that equal queries show equal paths.
     tree: _Tree = {}
@@ -179,7 +179,7 @@ def _search(graph: _Graph, starts: Mapping[str, int], keep: Callable[[str], bool
     return tree
 
 
-def _shortest_lasso(graph: _Graph, starts: Mapping[str, int], keep: Places) -> _Lasso | None:
+def _shortest_lasso(graph: _LocationGraph, starts: Mapping[str, int], keep: Places) -> _Lasso | None:
     """The fewest events, before and around: a path inside `keep` that goes round for ever or ends in a deadlock."""
     tree = _search(graph, starts, keep.__contains__)
     cycles = _cycles(graph, keep)
@@ -198,7 +198,7 @@ def _shortest_lasso(graph: _Graph, starts: Mapping[str, int], keep: Places) -> _
     return _Lasso(_path_to(tree, end), _path_to(around_it, end))
 
 
-def _cycles(graph: _Graph, keep: Places) -> Callable[[str, float], float]:
+def _cycles(graph: _LocationGraph, keep: Places) -> Callable[[str, float], float]:
     """(location, limit) -> the length of the shortest cycle through it inside `keep`, inf when not below the limit.
 
     Sets of locations are the bits of an integer, so that a location's edges cost one operation however many they are.
@@ -235,7 +235,7 @@ def _path_to(tree: _Tree, place: str) -> tuple[str, ...]:
     return tuple(reversed(path))
 
 
-def _symbols(graph: _Graph, path: Iterable[str]) -> tuple[str, ...]:
+def _symbols(graph: _LocationGraph, path: Iterable[str]) -> tuple[str, ...]:
     return tuple(graph.following[source][target] for source, target in pairwise(path))
 
 

@@ -173,7 +173,7 @@ def rounding(model: Model, record: Record) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class _Point:
+class _Tangent:
     """The linear problem around one state."""
 
     state: CourseState
@@ -183,11 +183,11 @@ class _Point:
     off: Array
 
 
-def _around(frame: Frame, state: CourseState, start: Array, reading: Array) -> _Point:
+def _around(frame: Frame, state: CourseState, start: Array, reading: Array) -> _Tangent:
     record = frame.record
     own = sum(frame.count)
     off = np.concatenate([state.parameters[:own] - frame.centre, np.zeros(state.parameters.size - own)])
-    return _Point(
+    return _Tangent(
         state,
         grid_at(frame, state),
         reading - record.windowed(state.mean),
@@ -267,7 +267,7 @@ def restored(fitted: Fitted) -> Fitted:
     return replace(fitted, state=state, grid=grid_at(fitted.frame, state))
 
 
-def _fitted(frame: Frame, point: _Point, *, start: Array, noise: NoiseModel, prior: Array, cost: float) -> Fitted:
+def _fitted(frame: Frame, point: _Tangent, *, start: Array, noise: NoiseModel, prior: Array, cost: float) -> Fitted:
     whitener = Whitener(point.grid, noise)
     inverse = np.linalg.inv(whitener.gram(point.columns) + np.diag(np.maximum(prior, 1e-12)))
     covariance = np.asarray(inverse, dtype=float)
@@ -287,7 +287,7 @@ def _fitted(frame: Frame, point: _Point, *, start: Array, noise: NoiseModel, pri
 
 
 def noise_around(
-    point: _Point, frame: Frame, belief: WindowBelief, noise: NoiseModel, iterations: int
+    point: _Tangent, frame: Frame, belief: WindowBelief, noise: NoiseModel, iterations: int
 ) -> tuple[NoiseModel, float]:
     """(the noise of greatest restricted likelihood around a point, minus that likelihood), searched from `noise`."""
     # Only the model's own parameters are integrated out. The strengths of the effects are maximised, so that fits with
@@ -316,7 +316,7 @@ def with_heats(before: Fitted, heats: Array, iterations: int = 8) -> Fitted:
     grid = replace(before.grid, heats=columns[:, np.argsort(begins, kind="stable")])
     frame, record = before.frame, before.frame.record
     belief = belief_of(record)
-    point = _Point(before.state, grid, before.residual, before.columns, before.off)
+    point = _Tangent(before.state, grid, before.residual, before.columns, before.off)
     noise, cost = noise_around(point, frame, belief, before.noise, iterations)
     return replace(before, grid=grid, noise=noise, likelihood=-cost)
 
@@ -334,7 +334,7 @@ def with_column(before: Fitted, column: Array, rounds: int = 2) -> tuple[Fitted,
     for _ in range(rounds):
         gram = Whitener(before.grid, noise).gram(columns)
         strength = float(np.linalg.solve(gram[1:, 1:] + np.diag(prior), gram[1:, 0] - prior * off)[-1])
-        point = _Point(before.state, before.grid, before.residual - strength * column, before.columns, before.off)
+        point = _Tangent(before.state, before.grid, before.residual - strength * column, before.columns, before.off)
         noise, cost = noise_around(point, frame, belief, noise, 8)
     return replace(before, residual=point.residual, noise=noise, likelihood=-cost), strength
 
@@ -351,8 +351,8 @@ def largest_change(before: NoiseModel, after: NoiseModel) -> float:
 
 
 def _newton_steps(
-    frame: Frame, point: _Point, *, start: Array, reading: Array, noise: NoiseModel, prior: Array
-) -> _Point:
+    frame: Frame, point: _Tangent, *, start: Array, reading: Array, noise: NoiseModel, prior: Array
+) -> _Tangent:
     """A few damped Gauss-Newton steps (Nocedal & Wright 2006, ch. 10): a step limit, then backtracking.
 
     The penalised squares r' V^-1 r + (b - b0)' P (b - b0) go down with every step that is taken. Second derivatives are

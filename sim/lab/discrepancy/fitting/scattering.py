@@ -95,7 +95,7 @@ def spans_of(columns: Array) -> Spans:
 
 
 @dataclass(frozen=True, slots=True)
-class _Piece:
+class _WindowBlock:
     """Windows `rows` with the columns that are something there: themselves, and half solved."""
 
     rows: slice
@@ -234,7 +234,7 @@ def _substituted(factor: Array, columns: Array, trans: str) -> Array:
     return np.asarray(dtbtrs(factor, columns, uplo="L", trans=trans)[0]) if columns.size else columns
 
 
-def _pieces(band: StateBand, columns: Array, scatter: float, spans: Spans) -> Iterator[_Piece]:
+def _pieces(band: StateBand, columns: Array, scatter: float, spans: Spans) -> Iterator[_WindowBlock]:
     """The columns (m, C) half solved, from the first windows to the last."""
     m, count = columns.shape
     reach = band.reach
@@ -247,7 +247,7 @@ def _pieces(band: StateBand, columns: Array, scatter: float, spans: Spans) -> It
         if begin:
             pushed[:reach] -= band.border(begin) @ carried[:, low:high]
         halved = _substituted(band.part(begin, end), pushed, "N")
-        yield _Piece(slice(begin, end), slice(low, high), own, halved)
+        yield _WindowBlock(slice(begin, end), slice(low, high), own, halved)
         if end == m:
             return
         carried[:, low:high] = halved[-reach:]

@@ -98,7 +98,7 @@ class _Quotient:
 
 
 @dataclass(frozen=True, slots=True)
-class _Reading:
+class _ParseContext:
     """Where an equation stands, for messages, and the references found in it so far."""
 
     file: str | Path
@@ -135,7 +135,7 @@ def parse_flow_file(text: str, file: str | Path = FLOW_FILE) -> FlowFile:
             if left.data == "discrete":
                 wanted = "a derivative is needed, like (x0)' = ..."
                 raise at(file, line, f"this is a step from one sample to the next ([k+1]); {wanted}")
-            reading = _Reading(file, line, {})
+            reading = _ParseContext(file, line, {})
             try:
                 value = _sum(right, reading)
             except RecursionError:
@@ -160,7 +160,7 @@ def flow_file_text(flow_file: FlowFile) -> str:
     return "".join(f"{number}\n{equation.text}\n" for number, equation in flow_file.equations.items())
 
 
-def _sum(tree: Tree[Token], reading: _Reading) -> _Quotient:
+def _sum(tree: Tree[Token], reading: _ParseContext) -> _Quotient:
     total, sign = _Quotient({}, ONE), Fraction(1)
     for part in tree.children:
         if isinstance(part, Token):
@@ -174,7 +174,7 @@ def _sum(tree: Tree[Token], reading: _Reading) -> _Quotient:
     return total
 
 
-def _product(tree: Tree[Token], reading: _Reading) -> _Quotient:
+def _product(tree: Tree[Token], reading: _ParseContext) -> _Quotient:
     total, divide = _Quotient(ONE, ONE), False
     parts = iter(tree.children)
     for part in parts:
@@ -195,7 +195,7 @@ def _is_name(tree: Tree[Token], name: str) -> bool:
     return tree.data == "power" and len(tree.children) == 1 and inner[0].children == [name]
 
 
-def _exponential(argument: Tree[Token] | Token | None, reading: _Reading) -> _Quotient:
+def _exponential(argument: Tree[Token] | Token | None, reading: _ParseContext) -> _Quotient:
     """exp(-u / tau) as a variable of its own, by the name that `decay_rate` reads; what fades is all that is known."""
     value = _factor(argument, reading) if isinstance(argument, Tree) else _Quotient({}, ONE)
     rate = -value.top.get(((AGE, 1),), Fraction(0))
@@ -211,7 +211,7 @@ def decay_rate(name: str) -> Fraction | None:
     return Fraction(found[1]) if found else None
 
 
-def _factor(tree: Tree[Token], reading: _Reading) -> _Quotient:
+def _factor(tree: Tree[Token], reading: _ParseContext) -> _Quotient:
     if tree.data == "negative":
         return _times(_Quotient(constant(Fraction(-1)), ONE), _factor(trees(tree)[0], reading))
     value = _atom(trees(tree)[0], reading)
@@ -225,7 +225,7 @@ def _factor(tree: Tree[Token], reading: _Reading) -> _Quotient:
     return total
 
 
-def _bounded(value: _Quotient, reading: _Reading) -> _Quotient:
+def _bounded(value: _Quotient, reading: _ParseContext) -> _Quotient:
     """The value itself, if it is of a size that an equation of a plant can have: brackets multiply out fast."""
     if max(degree(value.top), degree(value.bottom)) > MAX_DEGREE:
         raise at(reading.file, reading.line, f"a term has a degree above {MAX_DEGREE}; no flow here needs one")
@@ -234,7 +234,7 @@ def _bounded(value: _Quotient, reading: _Reading) -> _Quotient:
     return value
 
 
-def _atom(tree: Tree[Token], reading: _Reading) -> _Quotient:
+def _atom(tree: Tree[Token], reading: _ParseContext) -> _Quotient:
     child = tree.children[0]
     if isinstance(child, Tree):
         return _sum(child, reading)

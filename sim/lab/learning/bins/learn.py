@@ -97,7 +97,7 @@ class Learned:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Fitted:
+class _FittedCandidate:
     """One candidate fitted to some traces: all that a model is made of but its calibration."""
 
     model: Model
@@ -269,7 +269,7 @@ def _fit(
     budget: int,
     memories: Memories | None = None,
     spread: MachineSpread | None = None,
-) -> _Fitted:
+) -> _FittedCandidate:
     sha, shape, _ = build(candidate, base)
     few = sampled(runs, budget)
     # Means first, then the noise about them; a location whose target came out too vague counts as not seen after all.
@@ -292,7 +292,7 @@ def _fit(
         ),
         unit=unit_of(traces, temperature),
     )
-    return _Fitted(
+    return _FittedCandidate(
         model=replace(model, semi_markov=fit_stays(model, traces)),
         values=stay_values(few, learned, shape=shape, fit=fit, noise=noise, base=measured),
         locations=location_fits(learned, shape, fit, runs, measured),
@@ -308,7 +308,7 @@ def _held_out_forecasts(
     temperature: str,
     *,
     candidate: BinsCandidate,
-    whole: _Fitted,
+    whole: _FittedCandidate,
     seed: int,
 ) -> HeldOutForecasts:
     """Forecasts by models of the same kind, as random as the `whole` one, that did not see what came next.

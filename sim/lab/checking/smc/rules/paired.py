@@ -55,7 +55,7 @@ class PairedOutcome:
 
 
 @dataclass(frozen=True, slots=True)
-class _Count:
+class _PairCounts:
     """Pairs so far, the successes of each side, and in how many pairs one succeeded alone."""
 
     runs: int = 0
@@ -64,9 +64,9 @@ class _Count:
     left_alone: int = 0
     right_alone: int = 0
 
-    def plus(self, left: Array, right: Array) -> "_Count":
+    def plus(self, left: Array, right: Array) -> "_PairCounts":
         """The count with these pairs added."""
-        return _Count(
+        return _PairCounts(
             self.runs + left.size,
             self.left + int(left.sum()),
             self.right + int(right.sum()),
@@ -94,7 +94,7 @@ def compare(
         raise ValueError(
             f"no comparison to +-{delta} at level {level} in {most} pairs; use such as 0.01, 0.95, 1000000"
         )
-    count, look = _Count(), _FIRST_LOOK
+    count, look = _PairCounts(), _FIRST_LOOK
     while count.runs < most:
         runs = min(batch, most - count.runs)
         left, right = (checked(side, runs) for side in draw(runs))
@@ -126,7 +126,7 @@ def _is_sided(wins: NDArray[np.int_], alone: NDArray[np.int_], level: float) -> 
     return np.asarray(wealth > np.log(2.0 / (1.0 - level)))
 
 
-def _difference(count: _Count, level: float) -> tuple[float, float]:
+def _difference(count: _PairCounts, level: float) -> tuple[float, float]:
     """The interval of left - right: r (2q - 1) over the intervals of r and q."""
     alone = count.left_alone + count.right_alone
     half = (1.0 + level) / 2.0
@@ -137,7 +137,7 @@ def _difference(count: _Count, level: float) -> tuple[float, float]:
     return min(few * worst, many * worst), max(few * best, many * best)
 
 
-def _is_equal(count: _Count, delta: float, level: float) -> bool:
+def _is_equal(count: _PairCounts, delta: float, level: float) -> bool:
     """Whether both are known to differ by no more than delta; where a glance says not yet, it is not computed."""
     # Two standard deviations of the difference of successes, whose variance is about the number of discordant pairs.
     scatter = 2.0 * (count.left_alone + count.right_alone) ** 0.5
@@ -147,7 +147,7 @@ def _is_equal(count: _Count, delta: float, level: float) -> bool:
     return -delta <= low and high <= delta
 
 
-def _outcome(count: _Count, delta: float, level: float) -> PairedOutcome:
+def _outcome(count: _PairCounts, delta: float, level: float) -> PairedOutcome:
     low, high = _difference(count, level)
     alone = count.left_alone + count.right_alone
     answer: Order = "equal" if _is_equal(count, delta, level) else "not decided"
