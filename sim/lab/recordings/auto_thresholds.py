@@ -5,7 +5,7 @@ histogram), which for one hump are the Lloyd-Max quantiser and for several lie i
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -54,6 +54,35 @@ class Levels:
 
     thresholds: tuple[float, ...] = ()
     hysteresis: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class AutoGap(Alphabet):
+    """An alphabet whose gap follows the recording's own interval when traces are loaded; until then it is the least."""
+
+
+LEAST_GAP = 30.0
+"""Seconds of silence, at least, after which nothing is known."""
+_LEAST_STEPS = 10
+"""Steps between rows below which nobody knows which is the usual one."""
+_STEPS_IN_GAP = 5
+"""Of the usual steps between rows: so many lost in a row are no hiccup of the recorder."""
+
+
+def gap_of(traces: Sequence[Trace], interval: float | None = None) -> float:
+    """The gap (s) that suits recordings of their usual interval, or of the one given, in round figures."""
+    steps = np.concatenate([np.empty(0), *(np.diff(trace.times) for trace in traces)])
+    steps = steps[steps > 0]
+    usual = interval or (float(np.median(steps)) if steps.size >= _LEAST_STEPS else 1.0)
+    return max(LEAST_GAP, round_to(_STEPS_IN_GAP * usual, usual))
+
+
+def with_gap(alphabet: Alphabet, traces: Sequence[Trace], interval: float | None = None) -> Alphabet:
+    """The alphabet with the gap of the traces, where it names none."""
+    if not isinstance(alphabet, AutoGap):
+        return alphabet
+    values = {each.name: getattr(alphabet, each.name) for each in fields(Alphabet)}
+    return Alphabet(**values | {"gap": gap_of(traces, interval)})
 
 
 def with_thresholds(alphabet: Alphabet, traces: Sequence[Trace]) -> Alphabet:

@@ -2,14 +2,7 @@
 
 import re
 
-UNITS = {
-    "°c": "degC", "degc": "degC", "c": "degC", "grad": "degC", "deg c": "degC", "ºc": "degC", "celsius": "degC",
-    "°f": "degF", "degf": "degF", "f": "degF", "k": "K", "a": "A", "amp": "A", "amps": "A", "ampere": "A", "ma": "mA",
-    "v": "V", "kw": "kW", "w": "W", "bar": "bar", "mbar": "mbar", "kpa": "kPa", "%": "%", "rpm": "rpm", "1/min": "rpm",
-    "u/min": "rpm", "giri/min": "rpm", "tr/min": "rpm", "mm/s": "mm/s", "g": "g", "m3/h": "m3/h", "m³/h": "m3/h",
-    "l/min": "l/min", "nm": "Nm", "hz": "Hz", "s": "s", "ms": "ms", "h": "h",
-}  # fmt: skip
-"""Units as they are written (lower case) and as maps call them."""
+from sim.lab.recordings.unit_table import UNITS, known_unit
 
 # A word begins or ends where the case changes or no letter stands: TCuscinetti, T_brg_1, motor.current.
 _TEMPERATURE = re.compile(
