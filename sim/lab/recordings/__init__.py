@@ -5,23 +5,30 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from sim.lab.recordings.auto_thresholds import Levels, levels_of, round_to, with_thresholds
-    from sim.lab.recordings.cells import SWITCH_WORDS, booleans, numbers
+    from sim.lab.recordings.auto_thresholds import Levels, gap_of, levels_of, round_to, with_thresholds
+    from sim.lab.recordings.cells import SWITCH_WORDS, booleans, decimal_mark, measured, numbers
     from sim.lab.recordings.channel_use import ChannelUse, channel_uses
-    from sim.lab.recordings.clock import read_clock
-    from sim.lab.recordings.column_map import ClockColumns, ColumnMap, load_map, parse_map
+    from sim.lab.recordings.clock import longest_rising, read_clock, to_utc
+    from sim.lab.recordings.clock_words import plain_time
+    from sim.lab.recordings.column_map import SECONDS, SPREADSHEET, ClockColumns, ColumnMap, load_map, parse_map
     from sim.lab.recordings.cycles import split_cycles
+    from sim.lab.recordings.fault_codes import codes_in
     from sim.lab.recordings.load_report import LoadReport, TraceError, listed
     from sim.lab.recordings.readings import unread_hash
-    from sim.lab.recordings.text_table import SEPARATORS, decode_head
+    from sim.lab.recordings.text_table import SEPARATORS, decode_head, folded, rows_mark, told_apart
     from sim.lab.recordings.trace_file import write_trace
-    from sim.lab.recordings.traces import files_by_machine, load_traces, units
+    from sim.lab.recordings.traces import csv_files, files_by_machine, load_traces, units
+    from sim.lab.recordings.unit_table import KEPT, UNITS, conversion, known_unit
 else:
     __getattr__ = opened_at_use(__name__)
 
 __all__ = [
+    "KEPT",
+    "SECONDS",
     "SEPARATORS",
+    "SPREADSHEET",
     "SWITCH_WORDS",
+    "UNITS",
     "ChannelUse",
     "ClockColumns",
     "ColumnMap",
@@ -30,17 +37,30 @@ __all__ = [
     "TraceError",
     "booleans",
     "channel_uses",
+    "codes_in",
+    "conversion",
+    "csv_files",
+    "decimal_mark",
     "decode_head",
     "files_by_machine",
+    "folded",
+    "gap_of",
+    "known_unit",
     "levels_of",
     "listed",
     "load_map",
     "load_traces",
+    "longest_rising",
+    "measured",
     "numbers",
     "parse_map",
+    "plain_time",
     "read_clock",
     "round_to",
+    "rows_mark",
     "split_cycles",
+    "to_utc",
+    "told_apart",
     "units",
     "unread_hash",
     "with_thresholds",

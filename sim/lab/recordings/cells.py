@@ -67,6 +67,7 @@ def _number(cell: str, decimal: Decimal) -> float:
 def measured(cell: str, decimal: Decimal) -> tuple[float, str]:
     """A cell's number and the unit behind it: "1.20 kW" is (1.2, "kW"); (NaN, "") for any other cell."""
     match = _MEASURED.fullmatch(cell.strip())
+    decimal = decimal_mark([cell]) if decimal == "auto" else decimal
     unit = known_unit(match[2]) if match else ""
     return (_number(match[1].strip(), decimal), unit) if match and unit else (np.nan, "")
 
@@ -103,11 +104,14 @@ def numbers(cells: Sequence[str], decimal: Decimal = "auto", unit: str = "") -> 
 def booleans(cells: Sequence[str], on: Sequence[str] = (), off: Sequence[str] = ()) -> tuple[Array, Mask]:
     """As `numbers`, for two-valued signals: 1.0 and 0.0 from the words `on` and `off`, then from SWITCH_WORDS."""
     words = {**_BOOLEANS, **{word.casefold(): 1.0 for word in on}, **{word.casefold(): 0.0 for word in off}}
+    counts = {0.0: 0.0, 1.0: 1.0, -1.0: 1.0}
+    for given, value in ((on, 1.0), (off, 0.0)):
+        counts |= {number: value for word in given if (number := _number(word.strip(), ".")) == number}
     table: dict[str, float] = {}
     # A two-valued column has few different cells, however many rows.
     for cell in set(cells):
         word = cell.strip().casefold()
         as_number = _number(word.replace(",", "."), ".")
-        table[cell] = words[word] if word in words else {0.0: 0.0, 1.0: 1.0, -1.0: 1.0}.get(as_number, np.nan)
+        table[cell] = words[word] if word in words else counts.get(as_number, np.nan)
     values = np.array([table[cell] for cell in cells], dtype=float)
     return values, np.isnan(values) & np.array([bool(cell.strip()) for cell in cells], dtype=bool)

@@ -83,10 +83,10 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
     files: list[Path] = []
     for path in (Path(each).expanduser() for each in ([source] if isinstance(source, str | Path) else source)):
         if path.is_dir():
-            own = _csv_files(path.iterdir(), column_map.parts)
+            own = csv_files(path.iterdir(), column_map.parts)
             files += own
             if below or not own:
-                files += _csv_files((each for each in path.rglob("*") if each.parent != path), column_map.parts)
+                files += csv_files((each for each in path.rglob("*") if each.parent != path), column_map.parts)
         elif not path.exists() and any(mark in str(path) for mark in "*?["):
             # A file may have such a mark in its name: only what is not there is a pattern.
             anchor = Path(path.anchor)
@@ -97,7 +97,8 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
     return list(dict.fromkeys(files))
 
 
-def _csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
+def csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
+    """The CSV files among paths, in the order of their names; only those that match the pattern `parts`, if any does."""
     files = [path for path in paths if path.suffix.lower() == ".csv" and path.is_file() and path.name[:1] != "."]
     return sorted([path for path in files if parts and fnmatch.fnmatch(path.name, parts)] or files)
 

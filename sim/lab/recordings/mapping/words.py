@@ -2,7 +2,7 @@
 
 import re
 
-from sim.lab.recordings.unit_table import UNITS, known_unit
+from sim.lab.recordings import known_unit
 
 # A word begins or ends where the case changes or no letter stands: TCuscinetti, T_brg_1, motor.current.
 _TEMPERATURE = re.compile(
@@ -31,7 +31,7 @@ _TIME = re.compile(
 )
 _NAME = re.compile(
     r"^(?:.*(?:name|tag|variable|field|point|signal|series|metric|parameter|channel|messstelle|nome|nom|nombre|bezeichn|"
-    r"punto|sensor|item).*)$",
+    r"punto|sensor|item|descri|beschreib|label|libell).*)$",
     re.IGNORECASE,
 )
 _VALUE = re.compile(
@@ -40,7 +40,32 @@ _VALUE = re.compile(
     re.IGNORECASE,
 )
 _BRACKETED = re.compile(r"\s*[\[({]\s*([^\])}]*)\s*[\])}]\s*$")
-_IN_NAME = re.compile(r"[_ .](degC|°C|rpm|kW|bar|mA|A|V|C)$")
+_IN_NAME = re.compile(r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>deg ?[CFcf]|[°º]\s?[CFK]|℃|Kelvin|kelvin|Celsius|rpm|[kM]?W|m?bar|kPa|[mk]?A|k?V|Nm|Hz|%|[CFK])$")
+_LOAD = re.compile(
+    r"power|leist|potenza|potencia|puissance|load|last\b|carico|carga|charge|speed|rpm|drehzahl|velocit|giri|vitesse|torque|"
+    r"moment|coppia|couple|frequen|throttle",
+    re.IGNORECASE,
+)
+_SETPOINT = re.compile(r"set.?point|sollwert|\bsp\b|consigne|soglia|limit|target|alarm|ref\b", re.IGNORECASE)
+LOAD_UNITS = frozenset({"W", "kW", "MW", "rpm", "Nm", "Hz"})
+"""Units of what loads a machine, besides those of a current."""
+_STANDSTILL = re.compile(
+    r"stand.?still|still.?stand|\bstop|stopped|_stop|gestoppt|fermo|fermat|arr[eê]t|parad[ao]|\bidle|\bhalt\b|not.?running|"
+    r"\boff\b|_off$|spento",
+    re.IGNORECASE,
+)
+_STATE = re.compile(r"stat[eo]|status|zustand|état|estado|mode|modus|phase|fase|packml|betriebsart", re.IGNORECASE)
+_SESSION = re.compile(r"session|profile|profil|run|batch|charge|lot\b|lotto|test|experiment|trial|cycle|zyklus|ciclo", re.IGNORECASE)
+_MACHINE = re.compile(
+    r"machine|maschine|macchina|turbin|unit|asset|equipment|device|gerät|anlage|impianto|\bid\b|_id$|number|nummer|"
+    r"numero|station|site|plant|pump|motor|line|serial|vehicle|engine|transformer|name",
+    re.IGNORECASE,
+)
+_SURELY = re.compile(
+    r"machine.?(?:id|name|no)?$|maschine|macchina|turbine|asset|equipment|device|gerät|serial|vehicle|(?:unit|engine|pump|motor).?id",
+    re.IGNORECASE,
+)
+_UNIT_COLUMN = re.compile(r"^(?:unit|units|einheit|unit[àa]|unité|unidad|uom|eu|engunits?)$", re.IGNORECASE)
 
 
 def bare_unit(cell: str) -> str:
@@ -52,16 +77,22 @@ def unit_of(header: str) -> tuple[str, str]:
     """(header without its unit, unit): "T bearing [°C]" is ("T bearing", "degC"); no unit that is known: ""."""
     match = _BRACKETED.search(header)
     if match:
-        unit = UNITS.get(match[1].casefold().strip(), "")
-        return (header[: match.start()].strip(), unit) if unit or not match[1].strip() else (header, "")
+        unit = known_unit(match[1])
+        bare = header[: match.start()].strip()
+        # "[Bearing temperature][°C]": the name in brackets of its own.
+        if bare.startswith("[") and bare.endswith("]"):
+            bare = bare[1:-1].strip()
+        return (bare, unit) if bare and (unit or not match[1].strip()) else (header, "")
     match = _IN_NAME.search(header)
-    return (header, UNITS.get(match[1].casefold(), "")) if match else (header, "")
+    unit = known_unit(match["unit"]) if match else ""
+    # Temperature A and Temperature V are the first and the fifth, not amperes and volts.
+    return header, "" if unit in ("A", "V") and _TEMPERATURE.search(header) else unit
 
 
 def temperature_score(name: str, unit: str) -> int:
     """How much a column's name and unit say that it is the temperature to be modelled; 0: nothing."""
-    of_unit = 2 if unit in ("degC", "degF") else 0
-    if unit and not of_unit and unit != "K":
+    of_unit = 2 if unit in ("degC", "degF", "K") else 0
+    if unit and not of_unit:
         return 0
     of_name = 2 if _TEMPERATURE.search(name) else 0
     if not of_unit + of_name:
@@ -71,14 +102,51 @@ def temperature_score(name: str, unit: str) -> int:
 
 def current_score(name: str, unit: str) -> int:
     """The same for the motor's current."""
-    if unit and unit not in ("A", "mA"):
+    if unit and unit not in ("A", "mA", "kA"):
         return 0
-    return (3 if unit in ("A", "mA") else 0) + (2 if _CURRENT.search(name) else 0)
+    return (3 if unit in ("A", "mA", "kA") else 0) + (2 if _CURRENT.search(name) else 0)
 
 
 def running_score(name: str) -> int:
     """The same for the switch that says whether the machine runs."""
     return 0 if _ALARM.search(name) else 2 if _RUNNING.search(name) else 0
+
+
+def load_score(name: str, unit: str) -> int:
+    """The same for anything else that loads the machine: power, speed, torque."""
+    if (unit and unit not in LOAD_UNITS and unit != "%") or _SETPOINT.search(name):
+        return 0
+    return 3 * (unit in LOAD_UNITS) + 2 * bool(_LOAD.search(name))
+
+
+def named_standstill(name: str) -> bool:
+    """Whether a switch of this name is on while the machine stands still."""
+    return _STANDSTILL.search(name) is not None
+
+
+def named_state(name: str) -> bool:
+    """Whether a header speaks of states of a machine."""
+    return _STATE.search(name) is not None and not _ALARM.search(name)
+
+
+def named_session(name: str) -> bool:
+    """Whether a header speaks of sessions of one machine."""
+    return _SESSION.search(name) is not None
+
+
+def named_machine(name: str) -> bool:
+    """Whether a header speaks of machines."""
+    return _MACHINE.search(name) is not None
+
+
+def surely_machine(name: str) -> bool:
+    """Whether a header speaks of machines and of nothing else."""
+    return _SURELY.search(name) is not None
+
+
+def named_unit(name: str) -> bool:
+    """Whether a header speaks of units, as in a long file."""
+    return _UNIT_COLUMN.match(name.strip()) is not None
 
 
 def named_time(name: str) -> bool:
