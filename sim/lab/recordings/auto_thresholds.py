@@ -19,6 +19,8 @@ _POINTS = 256
 _LEAST_SHARE = 0.03
 _LEAST_NOISES = 3.0
 """Distance of two levels in standard deviations of the noise, below which a threshold would count noise as events."""
+_WITHIN = 4 / 3
+"""Of the scatter within levels: halves of one even scatter lie 3.5 of their own deviations apart, levels over 4."""
 _MOST_MOVE = 0.2
 """How far a threshold may move when a tenth of the record is left out, as a share of the distance of its levels."""
 _PARTS, _STRETCHES = 10, 50
@@ -120,11 +122,16 @@ def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
     # Of steps between readings, most are noise and few are moves: the median knows only the former. 1.4826 makes it a
     # standard deviation; two readings err, hence the root.
     noise = 1.4826 * float(np.median(moved)) / np.sqrt(2.0) if moved.size else 0.0
+    # Held values do not move from one row to the next: their noise is the scatter within a level.
+    held = noise == 0.0
     parts = np.arange(readings.size) * _STRETCHES // readings.size % _PARTS
     for count in range(MOST_LEVELS, 1, -1):
         cuts, centres = _clusters(readings, times, count)
         apart = np.diff(centres)
-        shares = np.bincount(np.searchsorted(cuts, readings, side="right"), times, count) / times.sum()
+        level = np.searchsorted(cuts, readings, side="right")
+        shares = np.bincount(level, times, count) / times.sum()
+        if held and centres.size == count:
+            noise = _WITHIN * float(np.sqrt(np.average((readings - centres[level]) ** 2, weights=times)))
         if cuts.size != count - 1 or shares.min() < _LEAST_SHARE or apart.min() < _LEAST_NOISES * noise:
             continue
         others = (_clusters(readings[parts != part], times[parts != part], count)[0] for part in range(_PARTS))

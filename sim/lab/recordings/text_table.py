@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
+
 from drivers.csv_rows import unguarded
 from drivers.errors import did_you_mean
 from drivers.named_files import regular
@@ -77,11 +79,15 @@ def rows_mark(lines: Sequence[str], width: int, mark: str) -> str:
     Some programs write the header with commas and the rows, for their decimal commas, with semicolons.
     """
     rows = [line for line in lines if line.strip()]
-    widths = {each: {len(_header([row], each)[0]) for row in rows} for each in SEPARATORS.values()}
-    if not rows or any(abs(width - own) <= 1 for own in widths[mark]):
-        return mark
-    fitting = [each for each, own in widths.items() if own == {width}]
-    return fitting[0] if len(fitting) == 1 else mark
+
+    def fit(each: str) -> int:
+        """Cells that are numbers, if all rows have the width; under the wrong mark decimals are cut off."""
+        split = [_header([row], each)[0] for row in rows]
+        fits = all(len(cells) == width for cells in split)
+        return sum(int(np.isfinite(numbers(cells)[0]).sum()) for cells in split) if fits else -1
+
+    best = max(SEPARATORS.values(), key=lambda each: (fit(each), each == mark))
+    return best if rows and fit(best) > max(fit(mark), 0) else mark
 
 
 def place_of(header: Sequence[str], names: Names) -> int | None:

@@ -29,6 +29,11 @@ _LONG_STEPS = 3.0
 _SILENT = 0.2
 """Share of the time in steps of _LONG_STEPS usual ones, at least, in a recording that is stored on change."""
 _REPEATED = 0.05
+"""Share of values that are those before them; a recorder of each row repeats what stands still."""
+_UNEVEN = 0.1
+_SPARSE = 0.7
+_APART = 0.2
+"""The smallest moves beside the usual one: of noise a tenth, beyond a deadband nearly as large."""
 _OUTAGE = 6.0
 """A silence so many times the next shorter one is an outage, not a value that held."""
 
@@ -268,18 +273,21 @@ def stored_of(
     }
     told = [look for look in looks.values() if look is not None]
     own = looks.get(temperature.header)
-    if not told or own is None or not own[0]:
+    if own is None or not own.may:
         return Stored(False)
-    if all(look[1] for look in told if look[0]) and all(look[0] for look in told):
+    if any(look.surely for look in told) and all(look.may for look in told):
         return Stored(
             True,
             kept.silence,
             kept.interval,
-            f"values stand where they change, and repeat in {own[2]:.0%} of the readings; {own[3]:.0%} of the time is silence",
+            f"values stand where they change, repeated in {own.repeated:.0%} of the readings; {own.silent:.0%} of the time is "
+            "silence",
         )
+    if own.silent < _SILENT:
+        return Stored(False)
     raise Undecided(
         table.path,
-        f"{own[3]:.0%} of the time has no reading of {temperature.header!r}, whose values never repeat: it may be stored on "
+        f"{own.silent:.0%} of the time has no reading of {temperature.header!r}, whose values never repeat: it may be stored on "
         "change, so that silence means as before, or each row may be there and the rest unknown",
         "stored",
         ["on change", "each row"],
@@ -287,29 +295,35 @@ def stored_of(
     )
 
 
-def _looks_stored(times: Array, column: FoundColumn, rows: int) -> tuple[bool, bool, float, float] | None:
-    """(may be on change, surely is, share of repeated values, share of the time in silence); None for too few readings."""
-    known = np.isfinite(times) & (np.array([bool(cell) for cell in column.cells]) if column.kind != "number" else np.isfinite(column.values))
-    if known.sum() < 4:
-        return None
-    own = times[known]
-    values = column.values[known] if column.kind == "number" else _codes([c for c, k in zip(column.cells, known, strict=True) if k])
-    order = np.argsort(own, kind="stable")
-    steps, moves = np.diff(own[order]), np.abs(np.diff(values[order]))
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """Whether a column may be stored on change, and surely is; shares of repeated values and of time in silence."""
+
+    may: bool
+    surely: bool
+    repeated: float
+    silent: float
+
+
+def _looks_stored(times: Array, column: FoundColumn, rows: int) -> _Look | None:
+    """How the readings of a column look; None for too few."""
+    if column.kind == "number":
+        known, values = np.isfinite(column.values), column.values
+    else:
+        known, values = np.array([bool(cell) for cell in column.cells], dtype=bool), _codes(column.cells)
+    order = np.argsort(times[known], kind="stable")
+    steps, moves = np.diff(times[known][order]), np.abs(np.diff(values[known][order]))
     steps, moves = steps[steps > 0], moves[steps > 0]
     if steps.size < 3:
         return None
-    repeated = float((moves == 0).mean())
-    usual = float(np.median(steps))
+    repeated, usual = float((moves == 0).mean()), float(np.median(steps))
     silent = float(steps[steps > _LONG_STEPS * usual].sum() / steps.sum())
-    sparse = own.size < 0.7 * rows
-    uneven = float((np.abs(steps - usual) > 0.5 * usual).mean()) > 0.1
-    may = repeated < _REPEATED and (silent >= _SILENT or (sparse and uneven))
-    if column.kind != "number":
-        return (may, may, repeated, silent)
+    sparse = known.sum() < _SPARSE * rows
+    uneven = float((np.abs(steps - usual) > 0.5 * usual).mean()) > _UNEVEN
+    may = repeated < _REPEATED and (uneven or silent >= _SILENT)
     # Noise makes small steps too, an exception none below its deadband.
-    surely = may and float(np.quantile(moves, 0.05)) >= 0.2 * float(np.median(moves))
-    return (may, surely or (may and sparse), repeated, silent)
+    apart = float(np.quantile(moves, 0.05)) >= _APART * float(np.median(moves))
+    return _Look(may, may and ((silent >= _SILENT and apart) or bool(sparse)), repeated, silent)
 
 
 def _interval(steps: Array) -> float:

@@ -4,7 +4,8 @@ import re
 
 from sim.lab.recordings import known_unit
 
-# A word begins or ends where the case changes or no letter stands: TCuscinetti, T_brg_1, motor.current.
+# A word begins or ends where the case changes or no letter stands: TCuscinetti, T_brg_1, motor.current. TI101, II101, JI101
+# and SI101 are a temperature, a current, a power and a speed by ISA 5.1.
 _TEMPERATURE = re.compile(
     r"temp(?!o\b|s\b)|°c|degc|thermo|^t_|_t$|^t(?=[A-Z\d])|\bt\d|_temp|^tt?[-_]?\d|tempér|coolant|warm|wärme",
     re.IGNORECASE,
@@ -16,7 +17,7 @@ _NOT_BEARING = re.compile(
     re.IGNORECASE,
 )
 _CURRENT = re.compile(
-    r"current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|amp(?!l)|\bi[_ ]|^i\d|_i$|_i_|stromaufn",
+    r"(?:^|[:./_-])i[it][-_]?\d|current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|amp(?!l)|\bi[_ ]|^i\d|_i$|_i_|stromaufn",
     re.IGNORECASE,
 )
 _RUNNING = re.compile(
@@ -42,7 +43,7 @@ _VALUE = re.compile(
 _BRACKETED = re.compile(r"\s*[\[({]\s*([^\])}]*)\s*[\])}]\s*$")
 _IN_NAME = re.compile(r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>deg ?[CFcf]|[°º]\s?[CFK]|℃|Kelvin|kelvin|Celsius|rpm|[kM]?W|m?bar|kPa|[mk]?A|k?V|Nm|Hz|%|[CFK])$")
 _LOAD = re.compile(
-    r"power|leist|potenza|potencia|puissance|load|last\b|carico|carga|charge|speed|rpm|drehzahl|velocit|giri|vitesse|torque|"
+    r"(?:^|[:./_-])[js][it][-_]?\d|power|leist|potenza|potencia|puissance|load|last\b|carico|carga|charge|speed|rpm|drehzahl|velocit|giri|vitesse|torque|"
     r"moment|coppia|couple|frequen|throttle",
     re.IGNORECASE,
 )
