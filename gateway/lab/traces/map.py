@@ -12,7 +12,6 @@ from gateway.console import emit, json_option
 from gateway.entry import sentences
 from sim.lab.recordings.mapping import DUPLICATES, NONE, Answers, DraftedMap, Undecided, draft_map
 
-
 MOST_QUESTIONS = 3
 """Of one export; what is open beyond them is taken as it most likely is, and said."""
 
@@ -22,7 +21,11 @@ MOST_QUESTIONS = 3
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="The map to write; without it, it is printed.")
 @click.option("--overwrite", is_flag=True, help="Replace a map that is there.")
 @click.option("--temperature", default="", help="The column that is modelled.")
-@click.option("--current", default="", help=f"The column of the motor's current, or of what else loads the machine; {NONE} for none.")
+@click.option(
+    "--current",
+    default="",
+    help=f"The column of the motor's current, or of what else loads the machine; {NONE} for none.",
+)
 @click.option("--running", default="", help=f"The column that says whether the machine runs; {NONE} for none.")
 @click.option("--on", multiple=True, help="A word of that column that means running; may be given several times.")
 @click.option("--time", default="", help="The column of times.")
@@ -33,7 +36,9 @@ MOST_QUESTIONS = 3
 @click.option("--session", default="", help=f"The column that says which session a row is of; {NONE} for none.")
 @click.option("--stored", type=click.Choice(["each row", "on change"]), help="How values were stored.")
 @click.option("--duplicates", type=click.Choice(DUPLICATES), help="What becomes of rows with the same time.")
-@click.option("--clock-back", type=click.Choice(["refuse", "split", "sort"]), help="What becomes of a clock that goes back.")
+@click.option(
+    "--clock-back", type=click.Choice(["refuse", "split", "sort"]), help="What becomes of a clock that goes back."
+)
 @click.option("--yes", is_flag=True, help="Take what is most likely wherever a question says it.")
 @json_option
 def map_command(
@@ -46,11 +51,11 @@ def map_command(
     as_json: bool,
     **names: str | None,
 ) -> None:
-    """Draft a column map from FILE (or a folder of the parts or tags of one recording), for `trace show` and `model learn`.
+    """Draft a column map from FILE, for `trace show` and `model learn`; FILE may be a folder of one recording's files.
 
     Finds the clock and its format, separator and decimals, numbers, switches and their words, units, temperature and
-    current, machines, sessions, and thresholds. Where two columns fit it asks; off a terminal the option decides that it
-    names.
+    current, machines, sessions, and thresholds. Where two columns fit it asks; off a terminal the option decides that
+    it names.
     """
     with sentences():
         if out is not None and out.exists() and not overwrite:
@@ -77,9 +82,7 @@ def map_command(
     emit(data, show, as_json_line=as_json)
 
 
-def asked_map(
-    file: Path, answers: Answers, names: Mapping[str, str] | None = None, *, yes: bool = False
-) -> DraftedMap:
+def asked_map(file: Path, answers: Answers, names: Mapping[str, str] | None = None, *, yes: bool = False) -> DraftedMap:
     """The map, a person asked for what the file leaves open, as long as one is there; `names` as `draft_map` has them.
 
     With `yes` what is most likely is taken, and said. Raises Undecided where nobody is there, TraceError where there is
@@ -91,7 +94,9 @@ def asked_map(
             return draft_map(file, answers, names)
         except Undecided as open_point:
             if open_point.guess and (yes or asked >= MOST_QUESTIONS):
-                click.secho(f"taken: --{open_point.field} {open_point.guess}: {open_point.question}", fg="yellow", err=True)
+                click.secho(
+                    f"taken: --{open_point.field} {open_point.guess}: {open_point.question}", fg="yellow", err=True
+                )
                 answers = answers.with_answer(open_point.field, open_point.guess)
                 continue
             if not (sys.stdin.isatty() and sys.stderr.isatty()):

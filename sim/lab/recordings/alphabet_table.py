@@ -101,7 +101,8 @@ def alphabet_from_table(table: Mapping[str, object], where: str) -> Alphabet:
     thresholds, symbols, hysteresis, on_change}`, where thresholds may be `{first, last, step}` or "auto" (the readings
     decide when traces are loaded, which is what happens without any) and symbols `{lowest, prefix}` (without any: A_0,
     A_1 ... for the first such channel, B_0 ... for the second); then `gap` (s; without it five of the recording's own
-    steps, 30 s at least) and `debounce` in seconds and `uppaal`, symbol = channel name. Raises ValueError with one sentence that begins with `where` (the file and key).
+    steps, 30 s at least) and `debounce` in seconds and `uppaal`, symbol = channel name. Raises ValueError with one
+    sentence that begins with `where` (the file and key).
     """
     try:
         parsed = _AlphabetTable.model_validate(dict(table))

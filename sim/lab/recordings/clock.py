@@ -148,7 +148,9 @@ def spread_evenly(times: Array) -> Array:
     steps = np.append(np.diff(distinct), np.diff(distinct)[-1])
     size = counts.astype(float)
     size[0], size[-1] = max(usual, counts[0]), max(usual, counts[-1])
-    place = np.arange(times.size) - np.concatenate(([0], np.cumsum(counts)))[at] + np.where(at == 0, size[0] - counts[0], 0)
+    place = (
+        np.arange(times.size) - np.concatenate(([0], np.cumsum(counts)))[at] + np.where(at == 0, size[0] - counts[0], 0)
+    )
     return np.asarray(times + steps[at] * place / size[at])
 
 

@@ -17,17 +17,18 @@ _MONTHS = (
     "dec december dez dezember dic dicembre déc décembre decembre diciembre dezembro",
 )
 """Months in English, German, Italian, French, Spanish and Portuguese, whole and short, in the order of the year."""
-_ENGLISH = "Jan Feb Mar Apr May Jun Jul Aug Sep Oct Nov Dec".split()
+_ENGLISH = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
 _MONTH = {word: name for words, name in zip(_MONTHS, _ENGLISH, strict=True) for word in words.split()}
-_DROPPED = frozenset(
-    "mon tue tues wed thu thur thurs fri sat sun monday tuesday wednesday thursday friday saturday sunday "
-    "mo di mi do fr sa so montag dienstag mittwoch donnerstag freitag samstag sonntag "
-    "lun mer gio ven sab dom lunedì martedì mercoledì giovedì venerdì sabato domenica "
-    "jeu sam dim lundi mardi mercredi jeudi vendredi samedi dimanche "
-    "mié mie jue vie sáb lunes martes miércoles jueves viernes sábado domingo "
-    "uhr at um alle ore à le il de del of am".split()
+_SMALL_WORDS = (
+    "mon tue tues wed thu thur thurs fri sat sun monday tuesday wednesday thursday friday saturday sunday",
+    "mo di mi do fr sa so montag dienstag mittwoch donnerstag freitag samstag sonntag",
+    "lun mer gio ven sab dom lunedì martedì mercoledì giovedì venerdì sabato domenica",
+    "jeu sam dim lundi mardi mercredi jeudi vendredi samedi dimanche",
+    "mié mie jue vie sáb lunes martes miércoles jueves viernes sábado domingo",
+    "uhr at um alle ore à le il de del of am",
 )
-"""Days of the week and small words: the date itself says them again. `am` is German here, unless a colon is before it."""
+"""Days of the week and small words, which the date says again. `am` is German here: after digits it is a half of a day."""
+_DROPPED = frozenset(word for words in _SMALL_WORDS for word in words.split())
 _HALF = re.compile(r"(?<=\d)\s*([ap])\s?\.?\s?m\b\.?", re.IGNORECASE)
 _ASIDE = re.compile(r"\s*\([^)]*\)\s*$")
 _NO_ZONE = re.compile(r"\b(?:GMT|UTC|Z)(?=[+-]\d)")

@@ -59,10 +59,12 @@ class TimeOfDay(_MapPart):
 class ClockColumns(_MapPart):
     """One `column`, in one of the `formats`, or a `time_of_day` that rolls over at midnight.
 
-    Formats, tried in order: `seconds`, `milliseconds`, `microseconds`, `nanoseconds`, `minutes`, `hours`, `days` (elapsed
-    or since 1970), `spreadsheet days`, `ISO8601`, or a strptime pattern (months in any of the exporters' languages). Where the day stands in a column `date` of its own, its cell, a blank and that of
-    `column` are what the formats read. A time without an offset is read in `timezone`. A time of day becomes seconds
-    since midnight of the first row's day.
+    Formats, tried in order: `seconds`, `milliseconds`, `microseconds`, `nanoseconds`, `minutes`, `hours`, `days`
+    (elapsed or since 1970), `spreadsheet days`, `ISO8601`,
+    or a strptime pattern (months in any of the exporters' languages).
+    Where the day stands in a column `date` of its own, its cell, a blank and that of `column` are what the formats
+    read. A time without an offset is read in `timezone`. A time of day becomes seconds since midnight of the first
+    row's day.
     """
 
     column: Names = ()
@@ -86,7 +88,9 @@ class ClockColumns(_MapPart):
     def _formats_are_known(cls, formats: tuple[str, ...]) -> tuple[str, ...]:
         for format_ in formats:
             if format_ not in (*SECONDS, SPREADSHEET, "ISO8601") and "%" not in format_:
-                known = f"{', '.join(map(repr, [*SECONDS, SPREADSHEET]))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
+                known = (
+                    f"{', '.join(map(repr, [*SECONDS, SPREADSHEET]))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
+                )
                 raise ValueError(f"{format_!r} is no format; give {known}")
         return formats
 
@@ -217,8 +221,8 @@ class ColumnMap(_MapPart):
     `auto` takes a comma inside a cell for a decimal comma unless the column also has decimal points. `columns` are the
     names of a file without header. `parts` is a pattern of file names: all such files of one folder make one trace; a
     part may have some of the signals only, and `STEM/NAME` is the column NAME of the file STEM.csv alone.
-    `duplicates` says what becomes of rows with the same time: they must `agree` (over 1 % that do not is refused), or it
-    is the `average` of the readings (of booleans the last), the `last` reading of each signal, `keep`, or `spread`:
+    `duplicates` says what becomes of rows with the same time: they must `agree` (over 1 % that do not is refused), or
+    it is the `average` of the readings (of booleans the last), the `last` reading of each signal, `keep`, or `spread`:
     evenly up to the next time, as by a clock that lost its seconds. `clock_back`: `refuse` the fewest rows
     that leave a clock which never goes back, `split` into traces there, or `sort`. `extra`: columns that the map does
     not name become signals too.
@@ -279,7 +283,9 @@ class ColumnMap(_MapPart):
         if (self.format == "long") != (self.long is not None):
             raise ValueError("format 'long' needs a table [long], format 'wide' has none")
         if self.format == "long" and (self.clock_back != "sort" or self.duplicates in ("keep", "spread") or self.extra):
-            raise ValueError("a long map needs clock_back = 'sort', duplicates 'agree', 'last' or 'average', and no extra")
+            raise ValueError(
+                "a long map needs clock_back = 'sort', duplicates 'agree', 'last' or 'average', and no extra"
+            )
         if self.temperature not in self.signals:
             raise ValueError(f"temperature names {self.temperature!r}; {_one_of(self.temperature, self.signals)}")
         for name, derived in self.derived.items():

@@ -6,10 +6,11 @@ from sim.sha import Array
 
 CODES = (
     -32768.0, 32767.0, 32768.0, 65535.0, 65536.0, 65534.0, -3276.8, 3276.7, 6553.5, -327.68, 327.67, 655.35,
-    -127.0, 85.0, -200.0, 850.0, -242.0, 988.0, -99.0, -99.9, -999.0, 999.0, -999.9, 999.9, -9999.0, 9999.0, -9999.9, 9999.9,
-    99999.0, -99999.0, 999999.0, -1e6, 2147483647.0, -2147483648.0, 4294967295.0, 1e30, -1e30, 3.4028235e38, -3.4028235e38,
+    -127.0, 85.0, -200.0, 850.0, -242.0, 988.0, -99.0, -99.9, -999.0, 999.0, -999.9, 999.9, -9999.0, 9999.0, -9999.9,
+    9999.9, 99999.0, -99999.0, 999999.0, -1e6, 2147483647.0, -2147483648.0, 4294967295.0, 1e30, -1e30,
+    3.4028235e38, -3.4028235e38,
 )  # fmt: skip
-"""Ends of integers (also in tenths and hundredths), DS18B20's -127 and 85, ends of a Pt100, rows of nines, ends of a float."""
+"""Ends of integers (also in tenths and hundredths), of a Pt100 and of a float, DS18B20's -127 and 85, rows of nines."""
 _SAME = 1e-6
 _FAR = 0.25
 """Of the range of all other readings: so far a code lies from the readings beside it."""

@@ -39,8 +39,9 @@ class FileReport:
     `aside` rows belong to objects or signals that the map does not name, `merged` of the used ones share their time
     with another, `bad_cells` are cells of used rows whose value cannot be used: they are of bad quality in the trace.
     `columns` are the names in its header, once one is found that has those that the map needs. `reasons` counts refused
-    rows and bad cells by reason. Of the `cells` that hold something, each is used, refused (with its row or alone), merged
-    (another reading of the same time stands for it) or `unused`: in a column, or of a signal, that the map does not name. `warnings` are notes on what was understood otherwise than
+    rows and bad cells by reason. Of the `cells` that hold something, each is used, refused (with its row or alone),
+    merged (another reading of the same time stands for it) or `unused`: in a column, or of a signal,
+    that the map does not name. `warnings` are notes on what was understood otherwise than
     the file says it, though no row was lost. `error` says why nothing of the file was used.
     """
 

@@ -35,7 +35,8 @@ class Series:
 class FileReadings:
     """n rows in file order: `times` in seconds, `lines` of `files`, and each signal's series over them.
 
-    `clock_cells` is how many cells each row's time stands in; `whose` are the machine and the session ("": nobody says).
+    `clock_cells` is how many cells each row's time stands in; `whose` are the machine and the session ("": nobody
+    says).
     """
 
     times: Array
@@ -144,7 +145,9 @@ def _chunks(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileR
         if any(place is not None for place in by):
             machine, session = ([("" if at is None else row[at].strip()) for row in rows] for at in by)
             whose = list(zip(machine, session, strict=True))
-            nobodys = {index for index, row in enumerate(rows) if any(at is not None and not row[at].strip() for at in by)}
+            nobodys = {
+                index for index, row in enumerate(rows) if any(at is not None and not row[at].strip() for at in by)
+            }
             if nobodys:
                 report.refuse([lines[index] for index in sorted(nobodys)], "it does not say its machine or session")
                 report.refuse_cells(sum(_filled(rows[index]) for index in nobodys))
@@ -233,7 +236,9 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
             values[name].append(np.full(chunk.seconds.size, np.nan))
             bad[name].append(np.zeros(chunk.seconds.size, dtype=bool))
         for place in set(range(len(chunk.header))) - seen - taken:
-            report.unused[chunk.header[place] or f"column {place + 1}"] += sum(bool(r[place].strip()) for r in chunk.rows)
+            report.unused[chunk.header[place] or f"column {place + 1}"] += sum(
+                bool(r[place].strip()) for r in chunk.rows
+            )
         chunk.rows.clear()
         chunks.append(chunk)
     if chunks and not column_map.parts:

@@ -104,7 +104,10 @@ def place_of(header: Sequence[str], names: Names) -> int | None:
 def find_layout(
     path: Path, column_map: ColumnMap, clock: Sequence[Names], sources: Sequence[Names], report: FileReport
 ) -> TextLayout:
-    """Encoding, separator and header of `path`. Raises TraceError unless all columns of `clock` and `sources` are there."""
+    """Encoding, separator and header of `path`.
+
+    Raises TraceError unless all columns of `clock` and `sources` are there.
+    """
     needed = [*clock, *sources]
     with regular(path).open("rb") as stream:
         head = stream.read(_HEAD)
@@ -321,7 +324,12 @@ def _names_a_column(rows: Sequence[Sequence[str]], text: str, layout: TextLayout
 
 
 def split_rows(
-    block: Iterable[tuple[int, str]], lines: Iterator[tuple[int, str]], *, separator: str, comment: str, width: list[int]
+    block: Iterable[tuple[int, str]],
+    lines: Iterator[tuple[int, str]],
+    *,
+    separator: str,
+    comment: str,
+    width: list[int],
 ) -> Iterator[tuple[int, list[str], str]]:
     """(number of its first line, cells, what is wrong with it) of each row; blank cells beyond `width[0]` are dropped.
 
@@ -329,7 +337,8 @@ def split_rows(
 
     A quoted cell may go on over several lines (RFC 4180), and so may its row. But a quotation mark that somebody forgot
     to close must not swallow the rows below it. So a row of several lines only counts if the mark is closed within
-    MOST_LINES and `width[0]` cells come out; if not, its first line alone is the bad row, and reading resumes on the next.
+    MOST_LINES and `width[0]` cells come out; if not, its first line alone is the bad row, and reading resumes on the
+    next.
     """
     ahead = deque(block)  # lines to be split, those included that a bad row had taken beyond its first
     taken: list[tuple[int, str]] = []  # those of the row that is being split

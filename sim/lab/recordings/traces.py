@@ -98,7 +98,7 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
 
 
 def csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
-    """The CSV files among paths, in the order of their names; only those that match the pattern `parts`, if any does."""
+    """The CSV files among paths, in the order of their names; only those of the pattern `parts`, if any is."""
     files = [path for path in paths if path.suffix.lower() == ".csv" and path.is_file() and path.name[:1] != "."]
     return sorted([path for path in files if parts and fnmatch.fnmatch(path.name, parts)] or files)
 
@@ -285,15 +285,16 @@ def _contradictions(
         return
     file, line = files[int(readings.files[where[0]])], readings.lines[where[0]]
     said = (
-        f"{where.size} of its {first.size} rows have the time of another row and other readings (the first on line {line})"
+        f"{where.size} of its {first.size} rows have the time of another row and other readings (the first on line "
+        f"{line})"
     )
     if not refused or where.size <= MOST_CONTRADICTIONS * first.size:
         file.warn(f"{said}; the last reading counts")
         return
     raise TraceError(
         f"{file.path}: {said}: if they are of several machines or sessions, name the column in the map: "
-        'machine = { column = "..." } or session = { column = "..." }; if the clock lost its seconds, write duplicates = '
-        '"spread"; if the readings are one, "average" or "last"'
+        'machine = { column = "..." } or session = { column = "..." }; if the clock lost its seconds, write '
+        'duplicates = "spread"; if the readings are one, "average" or "last"'
     )
 
 
@@ -369,7 +370,7 @@ def _held_on(trace: Trace, column_map: ColumnMap) -> Trace:
 
 
 def _held(times: Array, values: Array, bad: Mask | None, gap: float | Mask) -> Array:
-    """The last reading held over rows without one, not over bad readings and not over gaps (s, or the rows after one)."""
+    """The last reading held over rows without one, not over bad ones and not over gaps (s, or the rows after one)."""
     ends = np.diff(times, prepend=-np.inf) > gap if isinstance(gap, float) else gap
     present = ~np.isnan(values) | ends | (np.zeros_like(ends) if bad is None else bad)
     return np.asarray(values[np.maximum.accumulate(np.where(present, np.arange(times.size), 0))])

@@ -3,11 +3,15 @@
 import math
 
 UNITS = {
-    "°c": "degC", "degc": "degC", "c": "degC", "grad": "degC", "deg c": "degC", "ºc": "degC", "celsius": "degC", "℃": "degC",
+    "°c": "degC", "degc": "degC", "c": "degC", "grad": "degC", "deg c": "degC", "ºc": "degC", "celsius": "degC",
+    "℃": "degC",
     "°f": "degF", "degf": "degF", "f": "degF", "deg f": "degF", "ºf": "degF", "fahrenheit": "degF", "℉": "degF",
-    "k": "K", "kelvin": "K", "°k": "K", "a": "A", "amp": "A", "amps": "A", "ampere": "A", "ma": "mA", "milliamps": "mA", "ka": "kA",
-    "v": "V", "mv": "mV", "kv": "kV", "kw": "kW", "w": "W", "mw": "MW", "watt": "W", "bar": "bar", "mbar": "mbar", "kpa": "kPa",
-    "%": "%", "rpm": "rpm", "1/min": "rpm", "min-1": "rpm", "r/min": "rpm", "u/min": "rpm", "giri/min": "rpm", "tr/min": "rpm",
+    "k": "K", "kelvin": "K", "°k": "K", "a": "A", "amp": "A", "amps": "A", "ampere": "A", "ma": "mA",
+    "milliamps": "mA", "ka": "kA",
+    "v": "V", "mv": "mV", "kv": "kV", "kw": "kW", "w": "W", "mw": "MW", "watt": "W", "bar": "bar", "mbar": "mbar",
+    "kpa": "kPa",
+    "%": "%", "rpm": "rpm", "1/min": "rpm", "min-1": "rpm", "r/min": "rpm", "u/min": "rpm", "giri/min": "rpm",
+    "tr/min": "rpm",
     "mm/s": "mm/s", "g": "g", "m3/h": "m3/h", "m³/h": "m3/h", "l/min": "l/min", "nm": "Nm", "hz": "Hz",
     "s": "s", "sec": "s", "ms": "ms", "h": "h", "min": "min",
 }  # fmt: skip

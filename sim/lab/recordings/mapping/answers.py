@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from sim.lab.recordings import TraceError, listed
 
@@ -37,7 +38,8 @@ class Answers:
         """The answers with one more, to the question of an Undecided."""
         name = field.replace("-", "_")
         own = getattr(self, name)
-        return replace(self, **{name: (*own, answer) if isinstance(own, tuple) else answer})
+        given: Any = (*own, answer) if isinstance(own, tuple) else answer
+        return replace(self, **{name: given})
 
 
 class Undecided(TraceError):

@@ -21,7 +21,8 @@ _DATES: tuple[tuple[Order, str], ...] = (
     ("day", "%d.%m.%Y"), ("day", "%d/%m/%Y"), ("day", "%d-%m-%Y"), ("day", "%d.%m.%y"), ("day", "%d/%m/%y"),
     ("day", "%d-%b-%Y"), ("day", "%d-%b-%y"), ("day", "%d %b %Y"), ("day", "%d/%b/%Y"),
     ("day", "%d-%m-%y"), ("day", "%d %m %Y"), ("day", "%d %b %y"), ("year", "%Y-%b-%d"), ("year", "%Y %b %d"),
-    ("month", "%b-%d-%Y"), ("month", "%m/%d/%Y"), ("month", "%m/%d/%y"), ("month", "%m-%d-%Y"), ("month", "%b %d, %Y"), ("month", "%b %d %Y"),
+    ("month", "%b-%d-%Y"), ("month", "%m/%d/%Y"), ("month", "%m/%d/%y"), ("month", "%m-%d-%Y"),
+    ("month", "%b %d, %Y"), ("month", "%b %d %Y"),
 )  # fmt: skip
 _TIMES = (
     "%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M:%S:%f", "%H:%M", "%H.%M.%S", "%H.%M",
@@ -34,9 +35,11 @@ _EPOCHS = (
     ("microseconds", 1e15, 4e15),
     ("nanoseconds", 1e18, 4e18),
 )
-_COUNTED = {"s": "seconds", "sec": "seconds", "ms": "milliseconds", "us": "microseconds", "µs": "microseconds",
-            "min": "minutes", "minutes": "minutes", "h": "hours", "hr": "hours", "hours": "hours", "d": "days", "days": "days",
-            "ns": "nanoseconds", "seconds": "seconds", "milliseconds": "milliseconds", "msec": "milliseconds"}  # fmt: skip
+_COUNTED = {
+    "s": "seconds", "sec": "seconds", "seconds": "seconds", "ms": "milliseconds", "msec": "milliseconds",
+    "milliseconds": "milliseconds", "us": "microseconds", "µs": "microseconds", "ns": "nanoseconds", "min": "minutes",
+    "minutes": "minutes", "h": "hours", "hr": "hours", "hours": "hours", "d": "days", "days": "days",
+}  # fmt: skip
 """Units of elapsed time as headers write them."""
 _WORDS = re.compile(r"[^\W\d_]+")
 _SPREADSHEET_DAYS = (20_000.0, 80_000.0)
@@ -184,7 +187,7 @@ def is_rounded(cell: str) -> bool:
 
 
 def counted_clock(place: int, values: Array, header: str, *, named: bool) -> FoundClock | None:
-    """A column of numbers as a clock: since 1970 by its size, a spreadsheet's days, or elapsed where its header says so.
+    """A column of numbers as a clock: since 1970 by its size, a spreadsheet's days, or elapsed if its header says so.
 
     It may fall where a machine or a session follows another, but not as readings do.
     """

@@ -29,10 +29,10 @@ _OFF = frozenset({
 
 @dataclass(frozen=True, slots=True)
 class FoundColumn:
-    """A signal's column: the `header` it is read from, a `name` for the signal, its `kind` and sample `values` in `unit`.
+    """A signal's column: the `header` it is read from, the signal's `name`, its `kind` and sample `values` in `unit`.
 
-    A cell is made a value by `scale` and `offset`, but in a column that is `measured` each cell says its own unit; `bad`
-    are the numbers in it that mean no reading. `words` are those of a switch (on, off) that are not known anyway;
+    A cell is made a value by `scale` and `offset`, but in a column that is `measured` each cell says its own unit;
+    `bad` are the numbers in it that mean no reading. `words` are those of a switch (on, off) that are not known anyway;
     `states` are the few words of `cells` of which nobody has said yet which mean on.
     """
 
@@ -93,7 +93,11 @@ def column_of(
         unit = KEPT.get(unit, unit)
         values, _ = numbers(cells, decimal, unit)
     if np.isfinite(values).sum() >= _ENOUGH * len(filled):
-        if len(distinct) <= _MOST_STATES and named_state(title) and all(word.lstrip("-").isdigit() for word in distinct):
+        if (
+            len(distinct) <= _MOST_STATES
+            and named_state(title)
+            and all(word.lstrip("-").isdigit() for word in distinct)
+        ):
             return FoundColumn(header, name, "", "states", values, states=tuple(distinct), cells=tuple(cells))
         codes = tuple(codes_in(values))
         values = np.where(np.isin(values, codes), np.nan, values)

@@ -64,7 +64,8 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
             continue
         if named_time(header) and is_rounded(filled[0]) and len(set(filled)) < len(filled) / 2:
             raise TraceError(
-                f"{table.path}: the times in {header!r} were rounded by a spreadsheet ({filled[0]}): the seconds are lost; "
+                f"{table.path}: the times in {header!r} were rounded by a spreadsheet ({filled[0]}): the "
+                f"seconds are lost; "
                 "export the file again, with that column as text"
             )
         if is_time(filled[0]):
@@ -77,7 +78,9 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
             by_place[place] = clocks_of(place, cells, dates)
         else:
             decimal = decimal_of([cells], table.separator)
-            counted = counted_clock(place, numbers(cells, decimal)[0], header, named=named_time(header) or bool(answers.time))
+            counted = counted_clock(
+                place, numbers(cells, decimal)[0], header, named=named_time(header) or bool(answers.time)
+            )
             by_place[place] = [replace(counted, decimal=decimal)] if counted is not None else []
     found = {place: clocks for place, clocks in by_place.items() if clocks}
     if not found:
@@ -110,7 +113,8 @@ def _no_clock(table: FoundTable, answers: Answers) -> str:
     if wanted not in table.header:
         remedy = did_you_mean(wanted, table.header) if wanted else ""
         return (
-            f"{table.path}: no column{f' {wanted!r}' if wanted else ''} holds times; its columns are {listed(table.header)}; "
+            f"{table.path}: no column{f' {wanted!r}' if wanted else ''} holds times; its columns are "
+            f"{listed(table.header)}; "
             f"{remedy or 'give --time COLUMN, or a file with times'}"
         )
     shown = next(filter(None, table.column(table.header.index(wanted))), "")
@@ -119,7 +123,10 @@ def _no_clock(table: FoundTable, answers: Answers) -> str:
         if is_rounded(shown)
         else "no form that is known reads it, or it does not rise; give --time COLUMN for another column"
     )
-    return f"{table.path}: no column holds times; its columns are {listed(table.header)}; in {wanted!r} stands {shown!r}: {why}"
+    return (
+        f"{table.path}: no column holds times; its columns are {listed(table.header)}; in {wanted!r} stands {shown!r}: "
+        f"{why}"
+    )
 
 
 def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers) -> FoundClock:
@@ -147,7 +154,10 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
 
 
 def parts_of(where: object, columns: Sequence[FoundColumn], answers: Answers) -> Parts:
-    """Temperature, load and switch. Raises Undecided where two fit, or only movement speaks; TraceError for no number."""
+    """Temperature, load and switch.
+
+    Raises Undecided where two fit, or only movement speaks; TraceError for no number.
+    """
     counted = [column for column in columns if column.kind == "number"]
     if not counted:
         raise TraceError(f"{where}: none of its columns holds numbers; they are {listed(c.header for c in columns)}")
@@ -170,9 +180,13 @@ def parts_of(where: object, columns: Sequence[FoundColumn], answers: Answers) ->
 
 
 def _load(
-    where: object, others: Sequence[FoundColumn], columns: Sequence[FoundColumn], answers: Answers, reasons: dict[str, str]
+    where: object,
+    others: Sequence[FoundColumn],
+    columns: Sequence[FoundColumn],
+    answers: Answers,
+    reasons: dict[str, str],
 ) -> FoundColumn | None:
-    """What loads the machine: its current, else power, speed or torque by name; by movement alone only if a person says."""
+    """What loads the machine: its current, else power, speed or torque by name; by movement only if a person says."""
     if answers.current == NONE:
         return None
     moving = [column for column in others if column.moves]
@@ -191,7 +205,8 @@ def _load(
         return None
     raise Undecided(
         where,
-        "no column is named like a current, a power or a speed; by their movement these dwell near 0 and far from it, as what "
+        "no column is named like a current, a power or a speed; by their movement these dwell near 0 and far "
+        "from it, as what "
         "loads a machine does",
         "current",
         [*(column.header for column in levels), NONE],
@@ -248,7 +263,8 @@ def _check_load(where: object, running: FoundColumn, load: FoundColumn | None, a
     cells = sorted({cell for cell in running.cells if cell})
     raise Undecided(
         where,
-        f"{running.header!r} is on while {load.header!r} is {np.median(on):.3g}, and off while it is {np.median(off):.3g}; "
+        f"{running.header!r} is on while {load.header!r} is {np.median(on):.3g}, and off while it is "
+        f"{np.median(off):.3g}; "
         "which of its words means running",
         "on",
         cells,
@@ -278,7 +294,9 @@ def _in_unit(column: FoundColumn, unit: str) -> FoundColumn:
     return replace(column, unit=kept, values=raw * scale + offset, scale=scale, offset=offset)
 
 
-def check_temperature(where: object, columns: Sequence[FoundColumn], temperature: FoundColumn, answers: Answers) -> None:
+def check_temperature(
+    where: object, columns: Sequence[FoundColumn], temperature: FoundColumn, answers: Answers
+) -> None:
     """Raises Undecided for a temperature in degC by nobody's word that behaves as one in another unit."""
     header = temperature.header
     finite = temperature.values[np.isfinite(temperature.values)]
@@ -290,7 +308,8 @@ def check_temperature(where: object, columns: Sequence[FoundColumn], temperature
     if _REST_IN_KELVIN[0] < low < _REST_IN_KELVIN[1] and not temperature.unit:
         raise Undecided(
             where,
-            f"{header!r} goes from {low:g} to {high:g}: a machine that rests at {low - 273.15:.1f} degC in kelvin, or one "
+            f"{header!r} goes from {low:g} to {high:g}: a machine that rests at {low - 273.15:.1f} degC in "
+            f"kelvin, or one "
             f"that rests at {low:g} degC",
             "unit",
             [f"{header}=K", f"{header}=degC"],
@@ -370,7 +389,10 @@ def with_words(
     if len(of_machine) > 1:
         if not answers.running:
             raise Undecided(
-                where, "columns whose words may say whether the machine runs", "running", [*(c.header for c in of_machine), NONE]
+                where,
+                "columns whose words may say whether the machine runs",
+                "running",
+                [*(c.header for c in of_machine), NONE],
             )
         of_machine = of_machine[:1]
     if answers.on and not of_machine:
@@ -415,10 +437,6 @@ def _warming(states: FoundColumn, columns: Sequence[FoundColumn], times: Sequenc
     with np.errstate(divide="ignore", invalid="ignore"):
         rates = np.where(steps > 0, np.diff(values) / steps, np.nan)
     words = np.array(states.cells[:-1])
-    means = {
-        word: float(np.nanmean(own))
-        for word in states.states
-        if np.isfinite(own := rates[words == word]).any()
-    }
+    means = {word: float(np.nanmean(own)) for word in states.states if np.isfinite(own := rates[words == word]).any()}
     best = max(means, key=lambda word: means[word], default="")
     return best if best and means[best] > 0 else ""

@@ -4,7 +4,6 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +40,8 @@ _SHOWN = 30
 class DraftedMap:
     """The map's TOML `text` and what was found: header names of the clock, temperature, current and switch ("": none).
 
-    `rows` of the file's were used with it, of `of`; `account` is the line that adds up, `report` what else is to be said.
+    `rows` of the file's were used with it, of `of`; `account` is the line that adds up, `report` what else is to be
+    said.
     """
 
     text: str
@@ -145,13 +145,15 @@ def _conclusions(found: _Found) -> list[str]:
     said = list(found.rows.said)
     if found.stored.on_change:
         said.append(
-            f"stored on change: {found.stored.why or 'as --stored says'}; values hold for up to {found.stored.silence:g} s"
+            f"stored on change: {found.stored.why or 'as --stored says'}; values hold for up to "
+            f"{found.stored.silence:g} s"
         )
     for column in found.columns:
         if column.bad:
             numbers = ", ".join(f"{code:g}" for code in column.bad)
             said.append(
-                f"{column.header!r} holds {numbers}: numbers that devices send where they have no reading; the map's bad = "
+                f"{column.header!r} holds {numbers}: numbers that devices send where they have no reading; the "
+                f"map's bad = "
                 f"[{numbers}] refuses them"
             )
     unused = [column.header for column in found.columns if column.kind not in ("number", "switch")]
@@ -292,7 +294,9 @@ def _role(load: FoundColumn | None) -> str:
     if load is None or (load.unit in ("W", "kW", "MW", "%") and not current_score(load.name, "")):
         return ""
     by_unit = {"rpm": "speed", "Hz": "speed", "Nm": "torque"}
-    return by_unit.get(load.unit, "current" if current_score(load.name, load.unit) or not load_score(load.name, "") else "")
+    return by_unit.get(
+        load.unit, "current" if current_score(load.name, load.unit) or not load_score(load.name, "") else ""
+    )
 
 
 def _signal(column: FoundColumn, parts: Parts) -> str:
@@ -323,13 +327,15 @@ def _derived(parts: Parts, name: str) -> list[str]:
         return [
             "",
             "[derived]",
-            f"{_quoted(name)} = {{ signal = {_quoted(parts.standstill.name)}, below = 0.5 }}    # {parts.reasons['running']}",
+            f"{_quoted(name)} = {{ signal = {_quoted(parts.standstill.name)}, below = 0.5 }}    # "
+            f"{parts.reasons['running']}",
         ]
     head = ["", "[derived]    # no column says whether the machine runs"]
     if parts.current is None:
         return [
             *head,
-            f"{_quoted(name)} = {{ constant = 1.0 }}    # nor does anything that loads it: it counts as running throughout",
+            f"{_quoted(name)} = {{ constant = 1.0 }}    # nor does anything that loads it: it counts as running "
+            f"throughout",
         ]
     finite = parts.current.values[np.isfinite(parts.current.values)]
     highest = float(np.quantile(finite, 0.99)) if finite.size else 1.0

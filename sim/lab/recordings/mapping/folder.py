@@ -24,7 +24,9 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
     Raises TraceError where the clocks differ in name or form, or there is no file; as `find_table` and `clock_of` do.
     """
     if not files:
-        raise TraceError(f"{folder}: there is no CSV file in it; give a file, or a folder of the parts of one recording")
+        raise TraceError(
+            f"{folder}: there is no CSV file in it; give a file, or a folder of the parts of one recording"
+        )
     tables = [find_table(file) for file in files]
     clocks = [clock_of(table, answers) for table in tables]
     first, clock = tables[0], clocks[0]
@@ -32,8 +34,10 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         same = folded(table.header[other.place]) == folded(first.header[clock.place])
         if not same or set(other.formats) != set(clock.formats) or table.separator != first.separator:
             raise TraceError(
-                f"{table.path}: its clock is {table.header[other.place]!r} in the form {other.formats[0]!r}, and that of "
-                f"{first.path.name} is {first.header[clock.place]!r} in {clock.formats[0]!r}: they make no recording together; "
+                f"{table.path}: its clock is {table.header[other.place]!r} in the form {other.formats[0]!r}, "
+                f"and that of "
+                f"{first.path.name} is {first.header[clock.place]!r} in {clock.formats[0]!r}: they make no "
+                f"recording together; "
                 "give each its own map"
             )
     # A name that files share is a column of one recording; where one row of numbers only is under it, of one tag each.

@@ -1,9 +1,9 @@
-"""What the rows of a table are: whose they are, what equal and falling times mean, and whether silence says something."""
+"""What the rows of a table are: whose, what equal and falling times mean, and whether silence says something."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -78,13 +78,16 @@ def rows_of(
         timezone = _zone(times, local, inside)
         if timezone:
             said.append(
-                f"its clock goes back by an hour at {_moment(times, inside)}, as summer time of {timezone} ends: it is read "
+                f"its clock goes back by an hour at {_moment(times, inside)}, as summer time of {timezone} "
+                f"ends: it is read "
                 "in that zone; --timezone names another"
             )
     if timezone and local.any():
         times = to_utc(times, local, timezone)
     clock_back = _back(table, times, inside, answers)
-    return Rows(machine, session, _duplicates(table, clock, times, inside, answers, said), clock_back, timezone, tuple(said))
+    return Rows(
+        machine, session, _duplicates(table, clock, times, inside, answers, said), clock_back, timezone, tuple(said)
+    )
 
 
 def _codes(names: Sequence[object]) -> Array:
@@ -94,7 +97,7 @@ def _codes(names: Sequence[object]) -> Array:
 
 def _steps(times: Array, inside: Array) -> Array:
     order = np.argsort(inside, kind="stable")
-    return np.diff(times[order])[np.diff(inside[order]) == 0]
+    return np.asarray(np.diff(times[order])[np.diff(inside[order]) == 0])
 
 
 def _falls(times: Array, inside: Array) -> int:
@@ -125,7 +128,9 @@ def _owners(
     codes = {place: _codes(cells) for place, cells in few.items()}
 
     def left(places: Sequence[int]) -> int:
-        return _trouble(times, _codes(list(zip(inside.tolist(), *(codes[place].tolist() for place in places), strict=True))))
+        return _trouble(
+            times, _codes(list(zip(inside.tolist(), *(codes[place].tolist() for place in places), strict=True)))
+        )
 
     chosen: tuple[int, ...] = ()
     if before > _LEFT * times.size or (before and _falls(times, inside)):
@@ -147,7 +152,11 @@ def _owners(
         return None, None, []
     said = [
         f"column {header[place]!r} says whose rows are ({listed(map(repr, dict.fromkeys(few[place])), 4)}): each "
-        + (f"has the same times as others ({before} times are doubled or fall without it)" if before else "comes in turn")
+        + (
+            f"has the same times as others ({before} times are doubled or fall without it)"
+            if before
+            else "comes in turn"
+        )
         for place in chosen
     ]
     if len(chosen) == 2:
@@ -172,7 +181,7 @@ def _says_whose(cells: Sequence[str], name: str) -> bool:
     if not 2 <= len(distinct) <= min(_MOST_OWNERS, len(cells) / 3) or "" in distinct:
         return False
     values = numbers(sorted(distinct))[0]
-    return bool(np.isnan(values).any()) or bool(np.all(values % 1 == 0)) and (len(distinct) > 2 or bool(name))
+    return bool(np.isnan(values).any()) or (bool(np.all(values % 1 == 0)) and (len(distinct) > 2 or bool(name)))
 
 
 def _moment(times: Array, inside: Array) -> str:
@@ -200,7 +209,8 @@ def _back(table: FoundTable, times: Array, inside: Array, answers: Answers) -> s
     at = int(np.flatnonzero(np.diff(times) < 0)[0]) + 1
     raise Undecided(
         table.path,
-        f"the clock goes back {falls} times, first at reading {at + 1} of the file, and no column tells sessions apart: it may "
+        f"the clock goes back {falls} times, first at reading {at + 1} of the file, and no column tells "
+        f"sessions apart: it may "
         "begin anew there (split), or rows may be out of order (sort)",
         "clock-back",
         ["split", "sort"],
@@ -233,12 +243,15 @@ def _duplicates(
         return "spread"
     rows = [tuple(c for p, c in enumerate(row) if p not in (clock.place, clock.date)) for row in table.rows]
     pairs = zip(order[:-1][doubled].tolist(), order[1:][doubled].tolist(), strict=True)
-    unequal = sum(any(a and b and a != b for a, b in zip(rows[first], rows[second], strict=True)) for first, second in pairs)
+    unequal = sum(
+        any(a and b and a != b for a, b in zip(rows[first], rows[second], strict=True)) for first, second in pairs
+    )
     if unequal <= _FEW * times.size:
         return "agree"
     raise Undecided(
         table.path,
-        f"{unequal} of {times.size} rows have the time of another row and other readings, and no column tells machines apart",
+        f"{unequal} of {times.size} rows have the time of another row and other readings, and no column tells "
+        f"machines apart",
         "duplicates",
         ["average", "last"],
         guess="average",
@@ -256,9 +269,16 @@ class Stored:
 
 
 def stored_of(
-    table: FoundTable, columns: Sequence[FoundColumn], times: Sequence[Array], temperature: FoundColumn, answers: Answers
+    table: FoundTable,
+    columns: Sequence[FoundColumn],
+    times: Sequence[Array],
+    temperature: FoundColumn,
+    answers: Answers,
 ) -> Stored:
-    """How the readings of the columns were stored; `times` are each column's. Raises Undecided where it may be either."""
+    """How the readings of the columns were stored; `times` are each column's.
+
+    Raises Undecided where it may be either.
+    """
     every = np.unique(np.concatenate([each[np.isfinite(each)] for each in times]))
     steps = np.diff(every)
     if steps.size < 3:
@@ -280,14 +300,16 @@ def stored_of(
             True,
             kept.silence,
             kept.interval,
-            f"values stand where they change, repeated in {own.repeated:.0%} of the readings; {own.silent:.0%} of the time is "
+            f"values stand where they change, repeated in {own.repeated:.0%} of the readings; {own.silent:.0%} "
+            f"of the time is "
             "silence",
         )
     if own.silent < _SILENT:
         return Stored(False)
     raise Undecided(
         table.path,
-        f"{own.silent:.0%} of the time has no reading of {temperature.header!r}, whose values never repeat: it may be stored on "
+        f"{own.silent:.0%} of the time has no reading of {temperature.header!r}, whose values never repeat: it "
+        f"may be stored on "
         "change, so that silence means as before, or each row may be there and the rest unknown",
         "stored",
         ["on change", "each row"],
@@ -333,7 +355,7 @@ def _interval(steps: Array) -> float:
 def _longest_silence(steps: Array) -> float:
     """The longest step that has others nearly as long: what goes far beyond them is an outage."""
     long = np.unique(steps)[-50:]
-    for shorter, longer in zip(long[:-1], long[1:], strict=True):
+    for shorter, longer in pairwise(long):
         if longer > _OUTAGE * shorter and shorter > 10 * float(np.median(steps)):
             return float(np.ceil(shorter))
     return float(np.ceil(long[-1]))

@@ -9,7 +9,17 @@ import numpy as np
 
 from drivers.csv_rows import unguarded
 from drivers.named_files import regular
-from sim.lab.recordings import SEPARATORS, UNITS, TraceError, decode_head, folded, measured, numbers, rows_mark, told_apart
+from sim.lab.recordings import (
+    SEPARATORS,
+    UNITS,
+    TraceError,
+    decode_head,
+    folded,
+    measured,
+    numbers,
+    rows_mark,
+    told_apart,
+)
 from sim.lab.recordings.mapping.clocks import is_rounded, is_time, pure_date
 from sim.lab.recordings.mapping.words import bare_unit, named_time
 
@@ -119,8 +129,10 @@ def _no_data(path: Path, rows: Sequence[Sequence[str]]) -> str:
         at = next((column for column, name in enumerate(row) if named_time(name)), None)
         if at is not None and len(row) >= most - 1 and len(rows[place + 1]) > at:
             shown = rows[place + 1][at]
-            why = "a spreadsheet has rounded it, and the seconds are lost; export it again as text" if is_rounded(shown) else (
-                "no form of a time that is known; write it as 2024-03-13 09:58:00, or as seconds"
+            why = (
+                "a spreadsheet has rounded it, and the seconds are lost; export it again as text"
+                if is_rounded(shown)
+                else ("no form of a time that is known; write it as 2024-03-13 09:58:00, or as seconds")
             )
             return f"{path}: the cells of its column {row[at]!r} are no times: {shown!r} is {why}"
     return (

@@ -4,7 +4,8 @@ import re
 
 from sim.lab.recordings import known_unit
 
-# A word begins or ends where the case changes or no letter stands: TCuscinetti, T_brg_1, motor.current. TI101, II101, JI101
+# A word begins or ends where the case changes or no letter stands: TCuscinetti, T_brg_1, motor.current. TI101, II101,
+# JI101
 # and SI101 are a temperature, a current, a power and a speed by ISA 5.1.
 _TEMPERATURE = re.compile(
     r"temp(?!o\b|s\b)|°c|degc|thermo|^t_|_t$|^t(?=[A-Z\d])|\bt\d|_temp|^tt?[-_]?\d|tempér|coolant|warm|wärme",
@@ -17,7 +18,8 @@ _NOT_BEARING = re.compile(
     re.IGNORECASE,
 )
 _CURRENT = re.compile(
-    r"(?:^|[:./_-])i[it][-_]?\d|current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|amp(?!l)|\bi[_ ]|^i\d|_i$|_i_|stromaufn",
+    r"(?:^|[:./_-])i[it][-_]?\d|current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|amp(?!l)|\bi[_ ]|^i\d|"
+    r"_i$|_i_|stromaufn",
     re.IGNORECASE,
 )
 _RUNNING = re.compile(
@@ -41,7 +43,10 @@ _VALUE = re.compile(
     re.IGNORECASE,
 )
 _BRACKETED = re.compile(r"\s*[\[({]\s*([^\])}]*)\s*[\])}]\s*$")
-_IN_NAME = re.compile(r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>deg ?[CFcf]|[°º]\s?[CFK]|℃|Kelvin|kelvin|Celsius|rpm|[kM]?W|m?bar|kPa|[mk]?A|k?V|Nm|Hz|%|[CFK])$")
+_IN_NAME = re.compile(
+    r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>deg ?[CFcf]|[°º]\s?[CFK]|℃|Kelvin|kelvin|Celsius|rpm|[kM]?W|m?bar|kPa|"
+    r"[mk]?A|k?V|Nm|Hz|%|[CFK])$"
+)
 _LOAD = re.compile(
     r"(?:^|[:./_-])[js][it][-_]?\d|power|leist|potenza|potencia|puissance|load|last\b|carico|carga|charge|speed|rpm|drehzahl|velocit|giri|vitesse|torque|"
     r"moment|coppia|couple|frequen|throttle",
@@ -56,7 +61,9 @@ _STANDSTILL = re.compile(
     re.IGNORECASE,
 )
 _STATE = re.compile(r"stat[eo]|status|zustand|état|estado|mode|modus|phase|fase|packml|betriebsart", re.IGNORECASE)
-_SESSION = re.compile(r"session|profile|profil|run|batch|charge|lot\b|lotto|test|experiment|trial|cycle|zyklus|ciclo", re.IGNORECASE)
+_SESSION = re.compile(
+    r"session|profile|profil|run|batch|charge|lot\b|lotto|test|experiment|trial|cycle|zyklus|ciclo", re.IGNORECASE
+)
 _MACHINE = re.compile(
     r"machine|maschine|macchina|turbin|unit|asset|equipment|device|gerät|anlage|impianto|\bid\b|_id$|number|nummer|"
     r"numero|station|site|plant|pump|motor|line|serial|vehicle|engine|transformer|name",
