@@ -27,7 +27,7 @@ _SMALL_WORDS = (
     "mié mie jue vie sáb lunes martes miércoles jueves viernes sábado domingo",
     "uhr at um alle ore à le il de del of am",
 )
-"""Days of the week and small words, which the date says again. `am` is German here: after digits it is a half of a day."""
+"""Days of the week and small words, which the date says again. `am` is German here: after digits it halves a day."""
 _DROPPED = frozenset(word for words in _SMALL_WORDS for word in words.split())
 _HALF = re.compile(r"(?<=\d)\s*([ap])\s?\.?\s?m\b\.?", re.IGNORECASE)
 _ASIDE = re.compile(r"\s*\([^)]*\)\s*$")

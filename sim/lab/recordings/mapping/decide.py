@@ -227,6 +227,9 @@ def _switch(
         return None, None
     switches = [column for column in columns if column.kind == "switch"]
     running = _named(where, "running", answers.running, switches, reasons)
+    said = [column for column in switches if answers.on and column.words and set(column.words[0]) <= set(answers.on)]
+    if running is None and said:
+        running, reasons["running"] = said[0], "as --on says"
     if running is None:
         direct = [column for column in switches if not named_standstill(column.name)]
         running = _best(where, "running", direct, lambda column: running_score(column.name), reasons)

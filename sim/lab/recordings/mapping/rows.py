@@ -26,14 +26,17 @@ _MOST_OWNERS = 500
 _LEFT = 0.02
 """Of the doubled or falling times so many may be left within one machine, as of a recorder's hiccup."""
 _LONG_STEPS = 3.0
-_SILENT = 0.2
+_SILENT = 0.1
 """Share of the time in steps of _LONG_STEPS usual ones, at least, in a recording that is stored on change."""
 _REPEATED = 0.05
 """Share of values that are those before them; a recorder of each row repeats what stands still."""
-_UNEVEN = 0.1
+_UNEVEN = 0.05
+"""Share of steps that differ from the usual one by half of it; nights without a recorder are few."""
 _SPARSE = 0.7
 _APART = 0.2
 """The smallest moves beside the usual one: of noise a tenth, beyond a deadband nearly as large."""
+_MOST_HELD = 1_000_000
+"""Rows that held values may make of the sample."""
 _OUTAGE = 6.0
 """A silence so many times the next shorter one is an outage, not a value that held."""
 
@@ -227,20 +230,6 @@ def _duplicates(
     doubled = (np.diff(times[order]) == 0) & (np.diff(inside[order]) == 0)
     if not doubled.any():
         return "agree"
-    distinct, counts = np.unique(times, return_counts=True)
-    coarse = (
-        inside.max(initial=0) == 0
-        and distinct.size > 3
-        and len(set(counts[1:-1].tolist())) == 1
-        and counts[1] > 1
-        and np.ptp(np.diff(distinct)) == 0
-        and _falls(times, inside) == 0
-    )
-    if coarse:
-        said.append(
-            f"its clock is coarser than its rows: {counts[1]} rows have each time, and are spread evenly up to the next"
-        )
-        return "spread"
     rows = [tuple(c for p, c in enumerate(row) if p not in (clock.place, clock.date)) for row in table.rows]
     pairs = zip(order[:-1][doubled].tolist(), order[1:][doubled].tolist(), strict=True)
     unequal = sum(
@@ -248,14 +237,35 @@ def _duplicates(
     )
     if unequal <= _FEW * times.size:
         return "agree"
+    if inside.max(initial=0) == 0 and (count := _rows_a_time(times)) > 1 and _goes_on(rows, count):
+        said.append(
+            f"its clock is coarser than its rows: {count} rows have each time, and are spread evenly up to the next"
+        )
+        return "spread"
     raise Undecided(
         table.path,
         f"{unequal} of {times.size} rows have the time of another row and other readings, and no column tells "
-        f"machines apart",
+        f"machines apart; if the clock only lost its seconds, they are spread",
         "duplicates",
-        ["average", "last"],
-        guess="average",
+        ["average", "last", "spread"],
     )
+
+
+def _rows_a_time(times: Array) -> int:
+    """How many rows each time has, if all have as many and come evenly; 0 if not."""
+    distinct, counts = np.unique(times, return_counts=True)
+    even = distinct.size > 3 and len(set(counts[1:-1].tolist())) == 1 and np.ptp(np.diff(distinct)) == 0
+    return int(counts[1]) if even and not np.any(np.diff(times) < 0) else 0
+
+
+def _goes_on(rows: Sequence[Sequence[str]], count: int) -> bool:
+    """Whether readings move less from row to row than over `count` rows: of machines in turn it is the other way."""
+    for cells in zip(*rows, strict=True):
+        values = numbers(cells)[0]
+        near, far = np.abs(np.diff(values)), np.abs(values[count:] - values[:-count])
+        if np.isfinite(near).any() and np.isfinite(far).any() and np.nanmean(near) > np.nanmean(far):
+            return False
+    return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +305,8 @@ def stored_of(
     own = looks.get(temperature.header)
     if own is None or not own.may:
         return Stored(False)
-    if any(look.surely for look in told) and all(look.may for look in told):
+    # A load that changes every ten minutes has even steps; one that repeats what it was is polled.
+    if any(look.surely for look in told) and all(look.repeated < _REPEATED for look in told):
         return Stored(
             True,
             kept.silence,
@@ -342,14 +353,14 @@ def _looks_stored(times: Array, column: FoundColumn, rows: int) -> _Look | None:
     silent = float(steps[steps > _LONG_STEPS * usual].sum() / steps.sum())
     sparse = known.sum() < _SPARSE * rows
     uneven = float((np.abs(steps - usual) > 0.5 * usual).mean()) > _UNEVEN
-    may = repeated < _REPEATED and (uneven or silent >= _SILENT)
+    may = repeated < _REPEATED and uneven
     # Noise makes small steps too, an exception none below its deadband.
     apart = float(np.quantile(moves, 0.05)) >= _APART * float(np.median(moves))
     return _Look(may, may and ((silent >= _SILENT and apart) or bool(sparse)), repeated, silent)
 
 
 def _interval(steps: Array) -> float:
-    return max(float(f"{float(np.quantile(steps, 0.1)):.3g}"), 1.0)
+    return max(float(f"{max(float(np.quantile(steps, 0.05)), float(steps.sum()) / _MOST_HELD):.3g}"), 1.0)
 
 
 def _longest_silence(steps: Array) -> float:

@@ -2,7 +2,7 @@
 
 import re
 
-from sim.lab.recordings import known_unit
+from sim.lab.recordings import KEPT, known_unit
 
 # A word begins or ends where the case changes or no letter stands: TCuscinetti, T_brg_1, motor.current. TI101, II101,
 # JI101
@@ -94,7 +94,10 @@ def unit_of(header: str) -> tuple[str, str]:
     match = _IN_NAME.search(header)
     unit = known_unit(match["unit"]) if match else ""
     # Temperature A and Temperature V are the first and the fifth, not amperes and volts.
-    return header, "" if unit in ("A", "V") and _TEMPERATURE.search(header) else unit
+    if match is None or (unit in ("A", "V") and _TEMPERATURE.search(header)):
+        return header, ""
+    # A unit that the map converts must not stay in the signal's name.
+    return header[: match.start()] if unit in KEPT and unit != KEPT[unit] else header, unit
 
 
 def temperature_score(name: str, unit: str) -> int:
