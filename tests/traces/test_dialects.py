@@ -137,7 +137,8 @@ CELLS: dict[str, tuple[str, tuple[Callable[[float], str], ...]]] = {
     )),
     "thousands": ("Time;Bearing temp;Motor power W;Running", (str, lambda v: f"{v * 20:,.1f}", str)),
     "kelvin": ("Time;Bearing temperature K;Motor current A;Running", (lambda v: f"{v + 273.15:.2f}", str, str)),
-    "kelvin in words": ("Time;Bearing temperature [Kelvin];Motor current;Running", (lambda v: f"{v + 273.15:.2f}", str, str)),
+    "kelvin in words": ("Time;Bearing temperature [Kelvin];Motor current;Running", (lambda v: f"{v + 273.15:.2f}",
+    str, str)),
     "fahrenheit": ("Time;Bearing temperature °F;Motor current;Running", (lambda v: f"{v * 1.8 + 32:.3f}", str, str)),
     "milliamperes": ("Time;Bearing temperature;Motor current mA;Running", (str, lambda v: f"{v * 1000:.0f}", str)),
 }  # fmt: skip
@@ -355,7 +356,7 @@ def test_states_are_asked_and_several_words_may_mean_running(name: str, words: t
     export = written(tmp_path / "a.csv", f"Time,Bearing temperature,{name}", rows)
     said = asked(export, tmp_path / "m.toml")
     assert all(f"--on {word}" in said for word in words)
-    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--running", name, "--on", words[2], "--on", words[3])
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", *("--running", name, "--on", words[2], "--on", words[3]))
     is_the_plant(trace, tmp_path / "m.toml")
 
 
@@ -399,7 +400,7 @@ def test_a_column_that_does_not_move_is_not_chosen_beside_one_that_does(tmp_path
 def test_equal_names_are_told_apart_and_said(tmp_path: Path) -> None:
     export = wide(tmp_path / "a.csv", header="Time,Value,Value,Value")
     assert "--current Value_2" in asked(export, tmp_path / "m.toml")
-    (trace,), report, _ = mapped(export, tmp_path / "m.toml", "--current", "Value_2", "--running", "Value_3")
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml", *("--current", "Value_2", "--running", "Value_3"))
     is_the_plant(trace, tmp_path / "m.toml")
     assert {"Value", "Value_2", "Value_3"} <= set(trace.signals)
     assert any("Value_2" in line for line in report.warnings)

@@ -17,12 +17,14 @@ RIGHT: dict[str, dict[str, object]] = {
     **dict.fromkeys(
         (
             "base", "columns_swapped", "constant_beside", "excel_serial", "formatted_cells", "header_again",
-            "inverted_stop_only", "js_dates", "kelvin", "long_described", "month_german", "ms_with_dots", "seconds_lost",
+            "inverted_stop_only", "js_dates", "kelvin", "long_described", "month_german", "ms_with_dots",
+            "seconds_lost",
             "sentinel_3276", "thousands_us",
         ),
         WHOLE,
     ),
-    "power_and_speed": {**WHOLE, "asks": "--current ActivePower or --current GeneratorRPM", "answer": ("--current", "ActivePower")},
+    "power_and_speed": {**WHOLE, "asks": "--current ActivePower or --current GeneratorRPM", "answer": ("--current",
+    "ActivePower")},
     "same_names": {**WHOLE, "asks": "--current Value_2", "answer": ("--current", "Value_2", "--running", "Value_3")},
     "state_words_nocurrent": {**WHOLE, "asks": "--on PRODUCTION", "answer": ("--on", "PRODUCTION")},
     "dst_fall": {"seconds": 14340.0, "rows": 240, "highest": 72.06},
@@ -30,7 +32,8 @@ RIGHT: dict[str, dict[str, object]] = {
     "on_change_long": {"seconds": 43180.0, "highest": 69.18, "thresholds": (60.0, 136.0)},
     "one_file_a_tag": {"seconds": 2390.0, "highest": 63.0, "events": ["W_OFF", "W_ON", "W_OFF", "W_ON", "W_OFF"]},
     "sessions_one_file": {"seconds": 2390.0, "rows": 240, "highest": 63.19, "traces": 2},
-    "two_machines_one_file": {"seconds": 2390.0, "rows": 240, "highest": 63.19, "traces": 2, "machines": ["WT1", "WT2"]},
+    "two_machines_one_file": {"seconds": 2390.0, "rows": 240, "highest": 63.19, "traces": 2, "machines": ["WT1",
+    "WT2"]},
 }  # fmt: skip
 
 

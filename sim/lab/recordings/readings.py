@@ -156,7 +156,7 @@ def _chunks(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileR
                 seconds, local = seconds[kept], local[kept]
         if lines:
             report.cells += sum(map(_filled, rows))
-            yield _Chunk(header, lines, rows, seconds, local, whose)
+            yield _Chunk(header, lines, rows, seconds, local, whose=whose)
 
 
 def _filled(cells: Sequence[str]) -> int:
@@ -331,7 +331,7 @@ def _finished(
     _say_codes(series, column_map, report)
     zeros = np.zeros_like(lines)
     cells = len(clock_columns(column_map.clock)) + sum(map(bool, column_map.by_column))
-    everything = FileReadings(seconds, lines, zeros, series, layout.comments, cells)
+    everything = FileReadings(seconds, lines, zeros, series, layout.comments, clock_cells=cells)
     if not any(column_map.by_column):
         return [_on_one_clock(everything, local, column_map, report)]
     owners: dict[Whose, list[int]] = {}
@@ -431,6 +431,6 @@ def joined(parts: Sequence[FileReadings]) -> FileReadings:
         np.concatenate([part.files for part in parts]),
         {name: _joined(series) for name, series in pieces.items()},
         tuple(comment for part in parts for comment in part.comments),
-        parts[0].clock_cells,
-        parts[0].whose,
+        clock_cells=parts[0].clock_cells,
+        whose=parts[0].whose,
     )

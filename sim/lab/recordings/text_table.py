@@ -165,7 +165,7 @@ def find_layout(
     if named != tuple(header):
         report.warn(f"columns have the same name; they are told apart as {listed(set(named) - set(header))}")
     report.columns = named
-    return TextLayout(encoding, separator, named, skip, tuple(comments), tuple(clock) if fits else ())
+    return TextLayout(encoding, separator, named, skip, tuple(comments), clock=tuple(clock) if fits else ())
 
 
 def decode_head(path: Path, head: bytes, encoding: str) -> tuple[str, str, str]:

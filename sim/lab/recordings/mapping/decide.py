@@ -175,7 +175,7 @@ def parts_of(where: object, columns: Sequence[FoundColumn], answers: Answers) ->
         temperature, reasons["temperature"] = slow[0], "the only column that moves slowly between -40 and 200"
     others = [column for column in counted if column is not temperature]
     load = _load(where, others, columns, answers, reasons)
-    running, standstill = _switch(where, columns, temperature, load, answers, reasons)
+    running, standstill = _switch(where, columns, load, answers, reasons)
     return Parts(temperature, load, running, standstill, reasons)
 
 
@@ -217,7 +217,6 @@ def _load(
 def _switch(
     where: object,
     columns: Sequence[FoundColumn],
-    temperature: FoundColumn,
     load: FoundColumn | None,
     answers: Answers,
     reasons: dict[str, str],

@@ -78,7 +78,6 @@ class _Found:
     rows: Rows
     stored: Stored
     decimal: str
-    answers: Answers
     derived: str
 
 
@@ -99,7 +98,7 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     table, times, local = with_rows(table, timed.tolist()), times[timed], local[timed]
     long = _long_form(table, clock)
     series = [""] * times.size if long is None else [f"{row[long.name]}\n{_object(row, long)}" for row in table.rows]
-    rows = rows_of(table, clock, times, local, series, answers)
+    rows = rows_of(table, clock, times, local, series=series, answers=answers)
     columns, own, decimal = _columns(table, clock, long, rows, times)
     columns = [replace(column, name=names.get(column.header, column.name)) for column in columns]
     columns = with_units(path, with_words(path, _named_apart(columns), own, answers), answers)
@@ -107,7 +106,17 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     check_temperature(path, columns, parts.temperature, answers)
     stored = stored_of(table, columns, own, parts.temperature, answers)
     derived = names.get(RUNNING, RUNNING)
-    found = _Found(table, clock, long, columns, parts, rows, stored, decimal, answers, derived)
+    found = _Found(
+        table=table,
+        clock=clock,
+        long=long,
+        columns=columns,
+        parts=parts,
+        rows=rows,
+        stored=stored,
+        decimal=decimal,
+        derived=derived,
+    )
     # The current's levels, the usual step and the codes are those of all rows, which the map itself reads.
     traces, _ = _loaded(path, _text(found))
     found = replace(found, columns=[_with_codes(column, traces) for column in columns])

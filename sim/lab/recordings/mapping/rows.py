@@ -1,7 +1,7 @@
 """What the rows of a table are: whose, what equal and falling times mean, and whether silence says something."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import pairwise, product
 
@@ -61,7 +61,7 @@ def seconds_of(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
 
 
 def rows_of(
-    table: FoundTable, clock: FoundClock, times: Array, local: Mask, series: Sequence[str], answers: Answers
+    table: FoundTable, clock: FoundClock, times: Array, local: Mask, *, series: Sequence[str], answers: Answers
 ) -> Rows:
     """What the sample's rows are. `series` says which signal a row is of, "" for all (a wide table).
 
@@ -71,7 +71,7 @@ def rows_of(
     if _falls(times, inside) > _rises(times, inside):
         order = np.arange(times.size)[::-1]
         times, local, inside = times[order], local[order], inside[order]
-        table = FoundTable(table.path, table.separator, table.header, table.titles, table.units, table.rows[::-1])
+        table = replace(table, rows=table.rows[::-1])
     machine, session, said = _owners(table, clock, times, inside, answers)
     for place in (machine, session):
         if place is not None:
@@ -88,8 +88,16 @@ def rows_of(
     if timezone and local.any():
         times = to_utc(times, local, timezone)
     clock_back = _back(table, times, inside, answers)
+    duplicates = _duplicates(table, clock, times, inside, answers)
+    if duplicates == "spread" and not answers.duplicates:
+        said.append("its clock is coarser than its rows: those of one time are spread evenly up to the next")
     return Rows(
-        machine, session, _duplicates(table, clock, times, inside, answers, said), clock_back, timezone, tuple(said)
+        machine=machine,
+        session=session,
+        duplicates=duplicates,
+        clock_back=clock_back,
+        timezone=timezone,
+        said=tuple(said),
     )
 
 
@@ -221,9 +229,7 @@ def _back(table: FoundTable, times: Array, inside: Array, answers: Answers) -> s
     )
 
 
-def _duplicates(
-    table: FoundTable, clock: FoundClock, times: Array, inside: Array, answers: Answers, said: list[str]
-) -> str:
+def _duplicates(table: FoundTable, clock: FoundClock, times: Array, inside: Array, answers: Answers) -> str:
     if answers.duplicates:
         return answers.duplicates
     order = np.lexsort((times, inside))
@@ -238,9 +244,6 @@ def _duplicates(
     if unequal <= _FEW * times.size:
         return "agree"
     if inside.max(initial=0) == 0 and (count := _rows_a_time(times)) > 1 and _goes_on(rows, count):
-        said.append(
-            f"its clock is coarser than its rows: {count} rows have each time, and are spread evenly up to the next"
-        )
         return "spread"
     raise Undecided(
         table.path,
