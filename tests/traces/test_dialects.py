@@ -1,6 +1,8 @@
 """An export in any dialect gives the plant's own numbers, or a question that names the option which answers it."""
 
+import gzip
 import json
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -10,9 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from openpyxl import Workbook
 
 from gateway.cli.main import main
-from sim.lab.recordings import LoadReport, load_map, load_traces
+from gateway.console import shipped
+from sim.lab.recordings import LoadReport, TraceError, load_map, load_traces
 from sim.sha import Trace
 from tests.traces.exports import STEP, Recording, comma, recording, wide, written
 
@@ -404,3 +408,47 @@ def test_equal_names_are_told_apart_and_said(tmp_path: Path) -> None:
     is_the_plant(trace, tmp_path / "m.toml")
     assert {"Value", "Value_2", "Value_3"} <= set(trace.signals)
     assert any("Value_2" in line for line in report.warnings)
+
+
+def packed(plain: Path, kind: str) -> Path:
+    """The same recording in another kind of file."""
+    path = plain.with_name(f"a.{kind}")
+    rows = [line.split(",") for line in plain.read_text(encoding="utf-8").splitlines()]
+    if kind == "csv.gz":
+        path.write_bytes(gzip.compress(plain.read_bytes()))
+    elif kind == "zip":
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.write(plain, "export.csv")
+            archive.writestr("README.md", "how it was exported")
+    elif kind == "xlsx":
+        book = Workbook()
+        for number, row in enumerate(rows):
+            moment = [datetime.fromisoformat(row[0]), *map(float, row[1:])] if number else row
+            book.active.append(moment)
+        book.save(path)
+    else:
+        parquet = pytest.importorskip("pyarrow.parquet")
+        columns = {name: [row[place] for row in rows[1:]] for place, name in enumerate(rows[0])}
+        parquet.write_table(pytest.importorskip("pyarrow").table(columns), path)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["csv.gz", "zip", "xlsx", "parquet"])
+def test_packed_files_and_tables_of_other_programs(kind: str, tmp_path: Path) -> None:
+    (trace,), _, _ = mapped(packed(wide(tmp_path / "plain.csv"), kind), tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize("kind", ["csv.gz", "zip", "xlsx", "parquet"])
+def test_a_packed_file_that_is_none_is_refused_in_one_sentence(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a.{kind}"
+    path.write_bytes(b"Time,T\n0,1\n")
+    assert str(path) in asked(path, tmp_path / "m.toml")
+
+
+def test_a_packed_file_that_ends_too_early_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    path = packed(wide(tmp_path / "plain.csv"), "csv.gz")
+    path.write_bytes(path.read_bytes()[:900])
+    assert "it ends within what was packed" in asked(path, tmp_path / "m.toml")
+    with pytest.raises(TraceError, match="ends within what was packed"):
+        load_traces(path, load_map(shipped("traces", "decanter")))

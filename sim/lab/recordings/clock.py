@@ -57,6 +57,8 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
             seconds[left] = numbers(texts, decimal)[0] / SECONDS[format_]
         else:
             seconds[left], local[left] = _dates(texts, format_)
+    if clock.daily:
+        return np.mod(seconds, _DAY), np.zeros(seconds.shape, dtype=bool)
     return seconds, local
 
 
@@ -132,6 +134,7 @@ def unroll_midnight(seconds: Array) -> Array:
     A step forward of almost a day is the same midnight passed backwards, by a clock that stutters; a long stop is not.
     """
     steps = np.diff(seconds)
+    steps[np.isnan(steps)] = 0.0
     days = np.cumsum((steps < -_DAY / 2).astype(float) - (steps > _DAY - 600.0))
     return seconds + _DAY * np.concatenate(([0.0], days)) if steps.size else seconds
 

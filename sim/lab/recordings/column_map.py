@@ -73,6 +73,14 @@ class ClockColumns(_MapPart):
     timezone: str = "UTC"
     time_of_day: TimeOfDay | None = None
 
+    @property
+    def daily(self) -> bool:
+        """Whether its times are of a day that nothing names, so that they roll over at midnight."""
+        dated = ("%d", "%j", "%x", "%c", "%D", "%F", "%s")
+        return self.time_of_day is not None or (
+            not self.date and all("%" in each and not any(mark in each for mark in dated) for each in self.formats)
+        )
+
     @field_validator("timezone")
     @classmethod
     def _zone_exists(cls, zone: str) -> str:

@@ -17,10 +17,10 @@ import numpy as np
 
 from drivers.csv_rows import unguarded
 from drivers.errors import did_you_mean
-from drivers.named_files import regular
 from sim.lab.recordings.cells import numbers
 from sim.lab.recordings.column_map import ColumnMap, Names
 from sim.lab.recordings.load_report import FileReport, TraceError, listed
+from sim.lab.recordings.sources import head_of, opened
 
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "|": "|"}
 _HEAD = 262_144
@@ -109,8 +109,7 @@ def find_layout(
     Raises TraceError unless all columns of `clock` and `sources` are there.
     """
     needed = [*clock, *sources]
-    with regular(path).open("rb") as stream:
-        head = stream.read(_HEAD)
+    head = head_of(path, _HEAD)
     if not head:
         raise TraceError(f"{path}: the file is empty; give one with a header and rows")
     encoding, text, note = decode_head(path, head, column_map.encoding)
@@ -235,7 +234,7 @@ def read_rows(
     numbers_: list[int] = []
     rows: list[list[str]] = []
     # A byte that does not decode makes its cell no number, which is then reported; it must not end the reading.
-    with path.open(encoding=layout.encoding, errors="replace", newline=None) as stream:
+    with io.TextIOWrapper(opened(path), encoding=layout.encoding, errors="replace", newline=None) as stream:
         lines = islice(stream, layout.skip, None)
         below = layout.skip + 1  # the number of the next line
 

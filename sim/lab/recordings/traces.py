@@ -13,6 +13,7 @@ from sim.lab.recordings.clock import longest_rising, spread_evenly, unroll_midni
 from sim.lab.recordings.column_map import ColumnMap
 from sim.lab.recordings.load_report import FileReport, LoadReport, TraceError
 from sim.lab.recordings.readings import FileReadings, Rows, Series, Whose, joined, read_file, refuse_rows, select
+from sim.lab.recordings.sources import UNPACKING, is_recording
 from sim.sha import Alphabet, Array, Mask, Trace, encode
 
 Source = str | Path | Iterable[str | Path]
@@ -99,7 +100,7 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
 
 def csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
     """The CSV files among paths, in the order of their names; only those of the pattern `parts`, if any is."""
-    files = [path for path in paths if path.suffix.lower() == ".csv" and path.is_file() and path.name[:1] != "."]
+    files = [path for path in paths if is_recording(path) and path.is_file() and path.name[:1] != "."]
     return sorted([path for path in files if parts and fnmatch.fnmatch(path.name, parts)] or files)
 
 
@@ -145,8 +146,8 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
                 parts.setdefault(readings.whose, []).append(numbered)
         except TraceError as error:
             file.error = str(error)
-        except OSError as error:
-            file.error = f"{file.path}: it cannot be read: {error.strerror or error}"
+        except (OSError, *UNPACKING) as error:
+            file.error = f"{file.path}: it cannot be read: {getattr(error, 'strerror', '') or error}"
     if not parts:
         raise TraceError(files[0].error, None)
     used = [file for file in files if not file.error]
@@ -163,7 +164,7 @@ def _traces_of(
     readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport], used: Sequence[FileReport]
 ) -> list[Trace]:
     """The traces of one machine and session, named after them; their signals as they were read."""
-    if column_map.clock.time_of_day is not None:
+    if column_map.clock.daily:
         readings = replace(readings, times=unroll_midnight(readings.times))
     first, count = used[0].path, len(used)
     own = str(first) if count == 1 else f"{first.parent} ({count} files)"

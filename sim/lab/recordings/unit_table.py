@@ -6,6 +6,7 @@ UNITS = {
     "°c": "degC", "degc": "degC", "c": "degC", "grad": "degC", "deg c": "degC", "ºc": "degC", "celsius": "degC",
     "℃": "degC",
     "°f": "degF", "degf": "degF", "f": "degF", "deg f": "degF", "ºf": "degF", "fahrenheit": "degF", "℉": "degF",
+    "0.1 degc": "0.1 degC", "0.1 °c": "0.1 degC",
     "k": "K", "kelvin": "K", "°k": "K", "a": "A", "amp": "A", "amps": "A", "ampere": "A", "ma": "mA",
     "milliamps": "mA", "ka": "kA",
     "v": "V", "mv": "mV", "kv": "kV", "kw": "kW", "w": "W", "mw": "MW", "watt": "W", "bar": "bar", "mbar": "mbar",
@@ -19,6 +20,7 @@ UNITS = {
 
 _BASES = {
     "degC": ("degC", 1.0, 0.0), "degF": ("degC", 5 / 9, -160 / 9), "K": ("degC", 1.0, -273.15),
+    "0.1 degC": ("degC", 0.1, 0.0),
     "A": ("A", 1.0, 0.0), "mA": ("A", 1e-3, 0.0), "kA": ("A", 1e3, 0.0),
     "W": ("W", 1.0, 0.0), "kW": ("W", 1e3, 0.0), "MW": ("W", 1e6, 0.0),
     "V": ("V", 1.0, 0.0), "mV": ("V", 1e-3, 0.0), "kV": ("V", 1e3, 0.0),
@@ -26,7 +28,7 @@ _BASES = {
 }  # fmt: skip
 """unit: (its base, scale, offset), base = unit * scale + offset."""
 
-KEPT = {"degF": "degC", "K": "degC", "mA": "A", "kA": "A"}
+KEPT = {"degF": "degC", "K": "degC", "0.1 degC": "degC", "mA": "A", "kA": "A"}
 """Units that a drafted map converts, and to which: models count in degC and A."""
 
 

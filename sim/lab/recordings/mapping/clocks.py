@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim.lab.recordings import SECONDS, SPREADSHEET, ClockColumns, plain_time, read_clock
+from sim.lab.recordings import SECONDS, SPREADSHEET, ClockColumns, plain_time, read_clock, unroll_midnight
 from sim.sha import Array
 
 Order = Literal["year", "day", "month"]
@@ -179,6 +179,14 @@ def clocks_of(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]] 
         if np.isfinite(times).sum() >= _ENOUGH * filled:
             clocks.append(FoundClock(place, formats, order, times, None if date is None else date[0]))
     return clocks
+
+
+def daily_clock(place: int, cells: Sequence[str]) -> list[FoundClock]:
+    """A column of times of day of which no column says the day: they roll over at midnight."""
+    formats = pure_time(next(filter(None, cells), ""))[:1]
+    times, _ = read_clock(ClockColumns(column="t", formats=formats), [cells], "auto")
+    enough = np.isfinite(times).sum() >= _ENOUGH * sum(map(bool, cells))
+    return [FoundClock(place, formats, "year", unroll_midnight(times))] if enough else []
 
 
 def is_rounded(cell: str) -> bool:

@@ -7,12 +7,13 @@ from itertools import combinations
 import numpy as np
 
 from drivers.errors import did_you_mean
-from sim.lab.recordings import TraceError, booleans, conversion, known_unit, listed, numbers
+from sim.lab.recordings import KEPT, TraceError, booleans, conversion, known_unit, listed, numbers
 from sim.lab.recordings.mapping.answers import NONE, Answers, Undecided
 from sim.lab.recordings.mapping.clocks import (
     FoundClock,
     clocks_of,
     counted_clock,
+    daily_clock,
     is_rounded,
     is_time,
     pure_date,
@@ -33,6 +34,8 @@ from sim.sha import Array
 
 _REST_IN_KELVIN = (240.0, 330.0)
 """Where a temperature that nobody calls kelvin rests if it is; no bearing rests at 240 degC."""
+_HOTTEST_REST = 150.0
+"""degC above which no bearing stands still."""
 _IDLE = 0.05
 """Of its most, a current below which no motor turns anything."""
 
@@ -75,7 +78,7 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
                 at for at in range(len(table.header)) if at != place and pure_date(next(iter(table.column(at)), ""))
             ]
             dates = (dated[0], table.column(dated[0])) if dated else None
-            by_place[place] = clocks_of(place, cells, dates)
+            by_place[place] = clocks_of(place, cells, dates) if dates else daily_clock(place, cells)
         else:
             decimal = decimal_of([cells], table.separator)
             counted = counted_clock(
@@ -255,7 +258,7 @@ def _switch(
 
 def _check_load(where: object, running: FoundColumn, load: FoundColumn | None, answers: Answers) -> None:
     """Raises Undecided for a switch that is on while the load is 0 and off while it is not."""
-    if load is None or answers.on or answers.running:
+    if load is None or answers.on or answers.running or running.values.shape != load.values.shape:
         return
     both = np.isfinite(running.values) & np.isfinite(load.values)
     on, off = load.values[both & (running.values == 1)], load.values[both & (running.values == 0)]
@@ -290,7 +293,7 @@ def with_units(where: object, columns: Sequence[FoundColumn], answers: Answers) 
 
 
 def _in_unit(column: FoundColumn, unit: str) -> FoundColumn:
-    kept = "degC" if unit in ("K", "degF") else unit
+    kept = KEPT.get(unit, unit)
     raw: Array = (column.values - column.offset) / column.scale
     scale, offset = conversion(unit, kept)
     return replace(column, unit=kept, values=raw * scale + offset, scale=scale, offset=offset)
@@ -307,15 +310,18 @@ def check_temperature(
     if any(text.startswith(f"{header}=") for text in answers.unit):
         return
     low, high = float(finite.min()), float(finite.max())
-    if _REST_IN_KELVIN[0] < low < _REST_IN_KELVIN[1] and not temperature.unit:
+    whole = bool(np.all(finite % 1 == 0))
+    kelvin = _REST_IN_KELVIN[0] < low < _REST_IN_KELVIN[1]
+    if low > _HOTTEST_REST and not temperature.unit:
+        likely = "K" if kelvin and not whole else "0.1 degC" if whole else ""
+        choices = [*(["K"] if kelvin else []), *(["0.1 degC"] if whole else []), "degC"]
         raise Undecided(
             where,
-            f"{header!r} goes from {low:g} to {high:g}: a machine that rests at {low - 273.15:.1f} degC in "
-            f"kelvin, or one "
-            f"that rests at {low:g} degC",
+            f"{header!r} goes from {low:g} to {high:g} and says no unit: a bearing rests at no {low:g} degC; in "
+            f"{' or '.join({'K': 'kelvin'}.get(unit, unit) for unit in choices[:-1]) or 'another unit'} it may",
             "unit",
-            [f"{header}=K", f"{header}=degC"],
-            guess=f"{header}=K",
+            [f"{header}={unit}" for unit in choices],
+            guess=f"{header}={likely}",
         )
     for twin in columns:
         if twin is temperature or twin.kind != "number" or twin.values.shape != temperature.values.shape:

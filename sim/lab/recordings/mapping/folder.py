@@ -14,9 +14,6 @@ from sim.lab.recordings.mapping.decide import clock_of
 from sim.lab.recordings.mapping.rows import seconds_of
 from sim.lab.recordings.mapping.table import FoundTable, find_table
 
-PARTS = "*.csv"
-"""The files that make one recording."""
-
 
 def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[FoundTable, FoundClock]:
     """The rows of all files in the order of their times, under the names of all of them, and their common clock.
@@ -68,6 +65,6 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         titles=tuple(titles[name] for name in names),
         units=tuple(units[name] for name in names),
         rows=tuple(tuple(row.get(name, "") for name in names) for _, row in rows),
-        parts=PARTS,
+        parts=f"*{''.join(files[0].suffixes[-2:] if len(files[0].suffixes) > 1 else files[0].suffixes)}",
     )
     return table, replace(clock, place=0, date=None if date is None else 1)

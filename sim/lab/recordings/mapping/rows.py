@@ -7,7 +7,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from sim.lab.recordings import ClockColumns, listed, longest_rising, numbers, read_clock, to_utc
+from sim.lab.recordings import ClockColumns, listed, longest_rising, numbers, read_clock, to_utc, unroll_midnight
 from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn
@@ -57,7 +57,8 @@ def seconds_of(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
     """The times of the sample's rows as the clock reads them (NaN: none), and which of them are local."""
     columns = ClockColumns(column="t", date="d" if clock.date is not None else (), formats=clock.formats)
     cells = [table.column(clock.place), *([] if clock.date is None else [table.column(clock.date)])]
-    return read_clock(columns, cells, "auto" if clock.decimal == "auto" else clock.decimal)
+    times, local = read_clock(columns, cells, clock.decimal)
+    return (unroll_midnight(times) if columns.daily else times), local
 
 
 def rows_of(
@@ -88,6 +89,8 @@ def rows_of(
     if timezone and local.any():
         times = to_utc(times, local, timezone)
     clock_back = _back(table, times, inside, answers)
+    if clock_back == "split":
+        inside = inside + _MOST_OWNERS * np.cumsum(np.concatenate(([False], np.diff(times) < 0)))
     duplicates = _duplicates(table, clock, times, inside, answers)
     if duplicates == "spread" and not answers.duplicates:
         said.append("its clock is coarser than its rows: those of one time are spread evenly up to the next")

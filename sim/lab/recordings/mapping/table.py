@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 
 from drivers.csv_rows import unguarded
-from drivers.named_files import regular
 from sim.lab.recordings import (
     SEPARATORS,
     UNITS,
     TraceError,
     decode_head,
     folded,
+    head_of,
     measured,
     numbers,
     rows_mark,
     told_apart,
 )
-from sim.lab.recordings.mapping.clocks import is_rounded, is_time, pure_date
+from sim.lab.recordings.mapping.clocks import is_rounded, is_time, pure_date, pure_time
 from sim.lab.recordings.mapping.words import bare_unit, named_time
 
 _HEAD = 1 << 20
@@ -53,8 +53,7 @@ class FoundTable:
 
 def find_table(path: Path) -> FoundTable:
     """The table in the first megabyte of a file. Raises TraceError for none, OSError where it cannot be read."""
-    with regular(path).open("rb") as stream:
-        head = stream.read(_HEAD)
+    head = head_of(path, _HEAD)
     if not head.strip():
         raise TraceError(f"{path}: the file is empty; give a CSV with a header and rows")
     _, text, _ = decode_head(path, head, "auto")
@@ -79,7 +78,9 @@ def find_table(path: Path) -> FoundTable:
     separator, rows = best[1], best[2]
     if not separator:
         raise TraceError(f"{path}: no separator of , ; tab | makes columns of its lines; give a CSV with a header")
-    first = next((place for place, row in enumerate(rows) if _is_data(row)), None)
+    first = next((place for place, row in enumerate(rows) if _is_data(row)), None) or next(
+        (place for place, row in enumerate(rows) if place and 2 * sum(map(_numeric, row)) > len(row) > 2), None
+    )
     if not first:
         raise TraceError(_no_data(path, rows))
     width = len(rows[first])
@@ -179,7 +180,7 @@ def _is_data(row: Sequence[str]) -> bool:
     """Whether a row holds readings: a date, or numbers and nothing that a header has."""
     if len(row) < 2:
         return False
-    if any(is_time(cell) or pure_date(cell) or _since_1970(cell) for cell in row):
+    if any(is_time(cell) or pure_date(cell) or pure_time(cell) or _since_1970(cell) for cell in row):
         return True
     filled = [cell for cell in row if cell]
     return bool(row[0]) and len(filled) > 1 and all(_numeric(cell) for cell in filled)
