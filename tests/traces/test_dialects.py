@@ -403,8 +403,10 @@ def test_a_column_that_does_not_move_is_not_chosen_beside_one_that_does(tmp_path
 
 def test_equal_names_are_told_apart_and_said(tmp_path: Path) -> None:
     export = wide(tmp_path / "a.csv", header="Time,Value,Value,Value")
-    assert "--current Value_2" in asked(export, tmp_path / "m.toml")
-    (trace,), report, _ = mapped(export, tmp_path / "m.toml", *("--current", "Value_2", "--running", "Value_3"))
+    assert "--temperature Value" in asked(export, tmp_path / "m.toml")
+    assert "--current Value_2" in asked(export, tmp_path / "m.toml", "--temperature", "Value")
+    answers = ("--temperature", "Value", "--current", "Value_2", "--running", "Value_3")
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml", *answers)
     is_the_plant(trace, tmp_path / "m.toml")
     assert {"Value", "Value_2", "Value_3"} <= set(trace.signals)
     assert any("Value_2" in line for line in report.warnings)

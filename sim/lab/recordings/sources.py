@@ -9,6 +9,7 @@ import io
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable
+from importlib import import_module
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -43,7 +44,7 @@ def head_of(path: Path, size: int) -> bytes:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file of a folder is a recording by its name: a CSV, also a packed one, or a table of another program."""
+    """Whether a file of a folder is a recording by its name: a CSV, also packed, or a table of another program."""
     names = [suffix.lower() for suffix in path.suffixes]
     packed = names[-2:-1] == [".csv"] and names[-1] in (".gz", ".zip", ".zst")
     return names[-1:] in ([".csv"], [".xlsx"], [".parquet"]) or packed
@@ -61,9 +62,7 @@ def _zst(path: Path) -> BinaryIO:
     try:
         from compression import zstd  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
-        raise TraceError(
-            f"{path}: this Python does not unpack .zst; unpack it (zstd -d), or pack it with gzip"
-        ) from None
+        raise TraceError(f"{path}: this Python does not unpack .zst; unpack it, or pack it with gzip") from None
     return cast(BinaryIO, zstd.open(path, "rb"))
 
 
@@ -80,12 +79,12 @@ def _xlsx(path: Path) -> BinaryIO:
 
 def _parquet(path: Path) -> BinaryIO:
     try:
-        from pyarrow import ArrowInvalid, parquet
+        arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
     except ImportError:
         raise TraceError(f"{path}: reading .parquet needs the extra `parquet`; install it, or export a CSV") from None
     try:
         table = parquet.read_table(path)
-    except ArrowInvalid as error:
+    except arrow.ArrowInvalid as error:
         raise TraceError(f"{path}: it is no Parquet file: {error}") from None
     rows = zip(*(column.to_pylist() for column in table.columns), strict=True)
     return _written([table.column_names, *rows])
@@ -98,7 +97,7 @@ def _written(rows: Iterable[Iterable[object]]) -> BinaryIO:
 
 
 def _gz(path: Path) -> BinaryIO:
-    stream = gzip.open(path, "rb")
+    stream = gzip.GzipFile(path)
     stream.peek(1)
     return cast(BinaryIO, stream)
 

@@ -171,11 +171,17 @@ def parts_of(where: object, columns: Sequence[FoundColumn], answers: Answers) ->
     )
     if temperature is None:
         slow = [column for column in moving if is_slow(column.values)]
-        if len(slow) != 1:
+        if len(moving) != 1 or not slow:
             raise Undecided(
-                where, "columns that may be the temperature", "temperature", [c.header for c in slow or counted]
+                where,
+                "no column is named like one temperature, and these move slowly between -40 and 200"
+                if slow
+                else "no column is named like one temperature, or moves like one",
+                "temperature",
+                [column.header for column in slow or counted],
+                guess=slow[0].header if len(slow) == 1 else "",
             )
-        temperature, reasons["temperature"] = slow[0], "the only column that moves slowly between -40 and 200"
+        temperature, reasons["temperature"] = slow[0], "the only column of numbers"
     others = [column for column in counted if column is not temperature]
     load = _load(where, others, columns, answers, reasons)
     running, standstill = _switch(where, columns, load, answers, reasons)
