@@ -118,10 +118,13 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         derived=derived,
     )
     # The current's levels, the usual step and the codes are those of all rows, which the map itself reads.
-    traces, _ = _loaded(path, _text(found))
-    found = replace(found, columns=[_with_codes(column, traces) for column in columns])
+    traces, report = _loaded(path, _text(found))
+    coded = [_with_codes(column, traces) for column in columns]
+    if any(now is not before for now, before in zip(coded, columns, strict=True)):
+        found = replace(found, columns=coded)
+        traces, report = _loaded(path, _text(found))
     text = _text(found, traces, gap_of(traces, stored.interval or None))
-    traces, report = _loaded(path, text)
+    parse_map(text, str(path))
     said = report.sentences() if report.refused or report.errors else list(report.warnings)
     return DraftedMap(
         text=text,
@@ -199,6 +202,8 @@ def _with_codes(column: FoundColumn, traces: Sequence[Trace]) -> FoundColumn:
     if column.kind != "number" or (column.scale, column.offset) != (1.0, 0.0):
         return column
     codes = {code for trace in traces if column.name in trace.signals for code in codes_in(trace.signals[column.name])}
+    if codes <= set(column.bad):
+        return column
     return replace(column, bad=(*column.bad, *sorted(codes - set(column.bad))))
 
 
