@@ -116,6 +116,23 @@ def test_elapsed_time_is_read_in_the_unit_that_its_name_says(unit: str, size: fl
     is_the_plant(trace, tmp_path / "m.toml")
 
 
+def test_a_clock_in_columns_of_hours_minutes_and_seconds_is_no_column_of_seconds(tmp_path: Path) -> None:
+    export = wide(
+        tmp_path / "a.csv",
+        header="hour,minute,second,Bearing temperature,Motor current,Running",
+        clock=lambda moment: f"{moment.hour},{moment.minute},{moment.second}",
+    )
+    assert "time_of_day" in asked(export, tmp_path / "m.toml")
+
+
+def test_a_temperature_that_is_called_t_is_no_clock(tmp_path: Path) -> None:
+    plant = recording()
+    rows = [f"{heat},{current}" for heat, current in zip(plant.heat, plant.current, strict=True)]
+    assert "no times" in asked(written(tmp_path / "a.csv", "T,I", rows), tmp_path / "m.toml").replace(
+        "holds times", "no times"
+    )
+
+
 def test_times_that_a_spreadsheet_rounded_are_refused_as_that(tmp_path: Path) -> None:
     export = wide(tmp_path / "a.csv", clock=lambda moment: "1.71032E+12")
     said = asked(export, tmp_path / "m.toml")
@@ -345,7 +362,7 @@ def test_a_switch_that_says_standstill_is_turned_round(case: str, tmp_path: Path
         written(tmp_path / "a.csv", f"Time,Bearing temperature,{name}", rows), tmp_path / "m.toml"
     )
     is_the_plant(trace, tmp_path / "m.toml")
-    assert said["running"] == name
+    assert said["running"] == "" and f'signal = "{name}", below = 0.5' in said["text"]  # derived, not read as it is
 
 
 @pytest.mark.parametrize(

@@ -212,7 +212,7 @@ def counted_clock(place: int, values: Array, header: str, *, named: bool) -> Fou
     low, high = _SPREADSHEET_DAYS
     if named and low <= finite.min() and finite.max() < high and np.any(finite % 1):
         return FoundClock(place, (SPREADSHEET,), "year", (values - low) * 86400.0)
-    if not named:
+    if not named or not (in_order or _begins_anew(finite)):
         return None
     # The last word that is a unit: Time (ms), elapsed_min, t [h]; without one, seconds.
     units = [_COUNTED[word] for word in _WORDS.findall(header.casefold()) if word in _COUNTED]
@@ -220,5 +220,19 @@ def counted_clock(place: int, values: Array, header: str, *, named: bool) -> Fou
     return FoundClock(place, (format_,), "year", values / SECONDS[format_])
 
 
+def _begins_anew(counts: Array) -> bool:
+    """Whether elapsed times rise evenly and fall to their beginning only, as sessions one after another do."""
+    steps = np.diff(counts)
+    rises, after = steps[steps > 0], counts[1:][steps < 0]
+    if not rises.size or not after.size:
+        return False
+    usual = float(np.median(rises))
+    even = float((np.abs(rises - usual) <= 0.5 * usual).mean())
+    at_beginning = float((after <= counts.min() + _BEGINNING * np.ptp(counts)).mean())
+    return even >= _ENOUGH and at_beginning >= _ENOUGH
+
+
+_BEGINNING = 0.2
+"""Of the range of elapsed times, in which a session may begin."""
 _MOST_FALLS = 0.5
 """Share of steps that may go back in a column that is named like a time: of two machines in turn it is every other."""

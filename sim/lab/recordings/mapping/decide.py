@@ -1,5 +1,6 @@
 """Which column plays which part: by name and unit, then by how its readings move; where two fit, a person is asked."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -103,8 +104,26 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
     same = [p for p in rivals if np.allclose(np.diff(found[p][0].times), np.diff(first), atol=1.0, equal_nan=True)]
     if len(same) < len(rivals) and not answers.time:
         raise Undecided(table.path, "columns that may be the clock", "time", [table.header[place] for place in rivals])
+    _check_one_column(table, found[rivals[0]][0])
     chosen = next((place for place in same if found[place][0].zoned or "Z" in table.column(place)[0]), rivals[0])
     return _one_order(table, found[chosen], answers)
+
+
+_PARTS_OF_TIME = re.compile(
+    r"(hour|hh|stunde|ora|heure|hora|minute?|minut[oi]|mm|second|sekunde|secondi?|seconde)s?n?", re.IGNORECASE
+)
+
+
+def _check_one_column(table: FoundTable, clock: FoundClock) -> None:
+    """Raises TraceError for a clock whose hours, minutes and seconds are columns of their own: none is a clock."""
+    parts = [name for name in table.header if _PARTS_OF_TIME.fullmatch(name.strip())]
+    if len(parts) > 1 and table.header[clock.place] in parts:
+        raise TraceError(
+            f"{table.path}: its clock stands in columns of their own, {listed(parts)}: no column alone is a "
+            f"clock; write "
+            "the column map by hand, with clock.time_of_day = { hour, minute, second }, as "
+            "config/traces/femto.toml does"
+        )
 
 
 _COUNTS = ("seconds", "minutes", "hours", "days")

@@ -131,17 +131,12 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         clock=table.header[clock.place],
         temperature=parts.temperature.header,
         current="" if parts.current is None else parts.current.header,
-        running=_header_of(parts),
+        running="" if parts.running is None else parts.running.header,
         rows=report.used,
         of=report.rows,
         account=tuple(f"{file.path}: {file.account()}" for file in report.files if not file.error),
         report=(*(f"{path}: {sentence}" for sentence in _conclusions(found)), *said),
     )
-
-
-def _header_of(parts: Parts) -> str:
-    switch = parts.running or parts.standstill
-    return "" if switch is None else switch.header
 
 
 def _loaded(path: Path, text: str) -> tuple[list[Trace], LoadReport]:
