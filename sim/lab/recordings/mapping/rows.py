@@ -299,7 +299,10 @@ def stored_of(
     steps = np.diff(every)
     if steps.size < 3:
         return Stored(False)
-    kept = Stored(True, _longest_silence(steps), _interval(steps))
+    # The temperature's own steps: tags of a scan may stand a second apart.
+    place = next(at for at, column in enumerate(columns) if column.header == temperature.header)
+    own_times = np.unique(times[place][np.isfinite(temperature.values) & np.isfinite(times[place])])
+    kept = Stored(True, _longest_silence(steps), _interval(np.diff(own_times) if own_times.size > 3 else steps))
     if answers.stored:
         return kept if answers.stored == "on change" else Stored(False)
     looks = {
