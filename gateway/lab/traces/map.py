@@ -10,7 +10,10 @@ import click
 from drivers.named_files import writing
 from gateway.console import emit, json_option
 from gateway.entry import sentences
-from sim.lab.recordings.mapping import NONE, Answers, DraftedMap, Undecided, draft_map
+from sim.lab.recordings.mapping import DUPLICATES, NONE, Answers, DraftedMap, Undecided, draft_map
+
+MOST_QUESTIONS = 3
+"""Of one export; what is open beyond them is taken as it most likely is, and said."""
 
 
 @click.command("map", short_help="Draft a column map from a CSV: clock, units, switches, temperature, thresholds.")
@@ -18,24 +21,47 @@ from sim.lab.recordings.mapping import NONE, Answers, DraftedMap, Undecided, dra
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="The map to write; without it, it is printed.")
 @click.option("--overwrite", is_flag=True, help="Replace a map that is there.")
 @click.option("--temperature", default="", help="The column that is modelled.")
-@click.option("--current", default="", help=f"The column of the motor's current; {NONE} for none.")
+@click.option(
+    "--current",
+    default="",
+    help=f"The column of the motor's current, or of what else loads the machine; {NONE} for none.",
+)
 @click.option("--running", default="", help=f"The column that says whether the machine runs; {NONE} for none.")
-@click.option("--on", default="", help="The word of that column that means running.")
+@click.option("--on", multiple=True, help="A word of that column that means running; may be given several times.")
 @click.option("--time", default="", help="The column of times.")
 @click.option("--dates", type=click.Choice(["day", "month"]), help="What comes first in 03/04/2024.")
 @click.option("--timezone", default="", help="The zone of times that do not say theirs, such as Europe/Rome [UTC].")
+@click.option("--unit", multiple=True, help="The unit of a column that does not say it, as 'Bearing temperature=K'.")
+@click.option("--machine", default="", help=f"The column that says which machine a row is of; {NONE} for none.")
+@click.option("--session", default="", help=f"The column that says which session a row is of; {NONE} for none.")
+@click.option("--stored", type=click.Choice(["each row", "on change"]), help="How values were stored.")
+@click.option("--duplicates", type=click.Choice(DUPLICATES), help="What becomes of rows with the same time.")
+@click.option(
+    "--clock-back", type=click.Choice(["refuse", "split", "sort"]), help="What becomes of a clock that goes back."
+)
+@click.option("--yes", is_flag=True, help="Take what is most likely wherever a question says it.")
 @json_option
-def map_command(file: Path, out: Path | None, overwrite: bool, dates: str | None, as_json: bool, **names: str) -> None:
-    """Draft a column map from FILE, for `trace show` and `model learn`.
+def map_command(
+    file: Path,
+    out: Path | None,
+    overwrite: bool,
+    on: tuple[str, ...],
+    unit: tuple[str, ...],
+    yes: bool,
+    as_json: bool,
+    **names: str | None,
+) -> None:
+    """Draft a column map from FILE, for `trace show` and `model learn`; FILE may be a folder of one recording's files.
 
     Finds the clock and its format, separator and decimals, numbers, switches and their words, units, temperature and
-    current, and thresholds. Where two columns fit it asks; off a terminal the option decides that it names.
+    current, machines, sessions, and thresholds. Where two columns fit it asks; off a terminal the option decides that
+    it names.
     """
     with sentences():
         if out is not None and out.exists() and not overwrite:
             raise ValueError(f"{out}: is there already; give another name, or --overwrite")
-        answers = Answers(dates=dates or "", **names)
-        drafted = asked_map(file, answers)
+        answers = Answers(on=on, unit=unit, **{name: given or "" for name, given in names.items()})
+        drafted = asked_map(file, answers, yes=yes)
         if out is not None:
             with writing(out):
                 out.write_text(drafted.text, encoding="utf-8")
@@ -47,6 +73,8 @@ def map_command(file: Path, out: Path | None, overwrite: bool, dates: str | None
         for sentence in drafted.report:
             click.secho(sentence, fg="yellow", err=True)
         click.echo(f"{file}: {drafted.rows} of {drafted.of} rows are read by this map", err=out is None)
+        for sentence in drafted.account:
+            click.echo(sentence, err=out is None)
         if out is not None:
             click.echo(f"column map: {out}")
             click.echo(f"next: decanter trace show {file} --map {out}")
@@ -54,17 +82,28 @@ def map_command(file: Path, out: Path | None, overwrite: bool, dates: str | None
     emit(data, show, as_json_line=as_json)
 
 
-def asked_map(file: Path, answers: Answers, names: Mapping[str, str] | None = None) -> DraftedMap:
+def asked_map(file: Path, answers: Answers, names: Mapping[str, str] | None = None, *, yes: bool = False) -> DraftedMap:
     """The map, a person asked for what the file leaves open, as long as one is there; `names` as `draft_map` has them.
 
-    Raises Undecided where nobody is there, TraceError where there is no map.
+    With `yes` what is most likely is taken, and said. Raises Undecided where nobody is there, TraceError where there is
+    no map.
     """
+    asked = 0
     while True:
         try:
             return draft_map(file, answers, names)
         except Undecided as open_point:
+            if open_point.guess and (yes or asked >= MOST_QUESTIONS):
+                click.secho(
+                    f"taken: --{open_point.field} {open_point.guess}: {open_point.question}", fg="yellow", err=True
+                )
+                answers = answers.with_answer(open_point.field, open_point.guess)
+                continue
             if not (sys.stdin.isatty() and sys.stderr.isatty()):
                 raise
+            asked += 1
             click.echo(f"{open_point.question}:", err=True)
-            chosen = click.prompt("which", type=click.Choice(list(open_point.choices)), err=True)
+            chosen = click.prompt(
+                "which", type=click.Choice(list(open_point.choices)), default=open_point.guess or None, err=True
+            )
             answers = answers.with_answer(open_point.field, chosen)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.settings import first_sentence
-from sim.lab.recordings.auto_thresholds import AutoBins
+from sim.lab.recordings.auto_thresholds import AutoBins, AutoGap
 from sim.sha import DECANTER, Alphabet, Bins, Switch, check_alphabet
 
 
@@ -48,7 +48,7 @@ class _BinsTable(_AlphabetPart):
 
 class _AlphabetTable(_AlphabetPart):
     channels: tuple[Annotated[_SwitchTable | _BinsTable, Field(discriminator="kind")], ...]
-    gap: Annotated[float, Field(gt=0)] = DECANTER.gap
+    gap: Annotated[float, Field(gt=0)] | None = None
     debounce: Annotated[float, Field(ge=0)] = 0.0
     uppaal: dict[str, str] = {}
 
@@ -88,7 +88,7 @@ def _channel(table: _SwitchTable | _BinsTable, prefix: str) -> Switch | Bins:
     return Bins(table.signal, thresholds, symbols, hysteresis, table.on_change)
 
 
-DECANTER_AUTO = Alphabet(
+DECANTER_AUTO = AutoGap(
     channels=(DECANTER.channels[0], AutoBins("Assorbimento", (), ("A_0",), prefix="A_")), gap=DECANTER.gap
 )
 """The alphabet of a map that names none: the decanter's signals, with the levels of whatever motor it is."""
@@ -100,8 +100,9 @@ def alphabet_from_table(table: Mapping[str, object], where: str) -> Alphabet:
     `channels` is a list of tables: `{kind = "switch", signal, rising, falling, on_change}` or `{kind = "bins", signal,
     thresholds, symbols, hysteresis, on_change}`, where thresholds may be `{first, last, step}` or "auto" (the readings
     decide when traces are loaded, which is what happens without any) and symbols `{lowest, prefix}` (without any: A_0,
-    A_1 ... for the first such channel, B_0 ... for the second); then `gap` and `debounce` in seconds and `uppaal`,
-    symbol = channel name. Raises ValueError with one sentence that begins with `where` (the file and key).
+    A_1 ... for the first such channel, B_0 ... for the second); then `gap` (s; without it five of the recording's own
+    steps, 30 s at least) and `debounce` in seconds and `uppaal`, symbol = channel name. Raises ValueError with one
+    sentence that begins with `where` (the file and key).
     """
     try:
         parsed = _AlphabetTable.model_validate(dict(table))
@@ -109,9 +110,10 @@ def alphabet_from_table(table: Mapping[str, object], where: str) -> Alphabet:
         for part in parsed.channels:
             before = sum(isinstance(channel, Bins) for channel in channels)
             channels.append(_channel(part, f"{chr(ord('A') + before)}_"))
-        alphabet = Alphabet(
+        kind = AutoGap if parsed.gap is None else Alphabet
+        alphabet = kind(
             channels=tuple(channels),
-            gap=parsed.gap,
+            gap=parsed.gap or DECANTER.gap,
             debounce=parsed.debounce,
             uppaal=tuple(parsed.uppaal.items()),
         )

@@ -5,7 +5,7 @@ histogram), which for one hump are the Lloyd-Max quantiser and for several lie i
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +19,8 @@ _POINTS = 256
 _LEAST_SHARE = 0.03
 _LEAST_NOISES = 3.0
 """Distance of two levels in standard deviations of the noise, below which a threshold would count noise as events."""
+_WITHIN = 4 / 3
+"""Of the scatter within levels: halves of one even scatter lie 3.5 of their own deviations apart, levels over 4."""
 _MOST_MOVE = 0.2
 """How far a threshold may move when a tenth of the record is left out, as a share of the distance of its levels."""
 _PARTS, _STRETCHES = 10, 50
@@ -56,6 +58,35 @@ class Levels:
     hysteresis: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class AutoGap(Alphabet):
+    """An alphabet whose gap follows the recording's own interval when traces are loaded; until then it is the least."""
+
+
+LEAST_GAP = 30.0
+"""Seconds of silence, at least, after which nothing is known."""
+_LEAST_STEPS = 10
+"""Steps between rows below which nobody knows which is the usual one."""
+_STEPS_IN_GAP = 5
+"""Of the usual steps between rows: so many lost in a row are no hiccup of the recorder."""
+
+
+def gap_of(traces: Sequence[Trace], interval: float | None = None) -> float:
+    """The gap (s) that suits recordings of their usual interval, or of the one given, in round figures."""
+    steps = np.concatenate([np.empty(0), *(np.diff(trace.times) for trace in traces)])
+    steps = steps[steps > 0]
+    usual = interval or (float(np.median(steps)) if steps.size >= _LEAST_STEPS else 1.0)
+    return max(LEAST_GAP, round_to(_STEPS_IN_GAP * usual, usual))
+
+
+def with_gap(alphabet: Alphabet, traces: Sequence[Trace], interval: float | None = None) -> Alphabet:
+    """The alphabet with the gap of the traces, where it names none."""
+    if not isinstance(alphabet, AutoGap):
+        return alphabet
+    values = {each.name: getattr(alphabet, each.name) for each in fields(Alphabet)}
+    return Alphabet(**values | {"gap": gap_of(traces, interval)})
+
+
 def with_thresholds(alphabet: Alphabet, traces: Sequence[Trace]) -> Alphabet:
     """The alphabet with the thresholds of its AutoBins taken from the traces; itself where it has none."""
     if not any(isinstance(channel, AutoBins) for channel in alphabet.channels):
@@ -91,11 +122,16 @@ def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
     # Of steps between readings, most are noise and few are moves: the median knows only the former. 1.4826 makes it a
     # standard deviation; two readings err, hence the root.
     noise = 1.4826 * float(np.median(moved)) / np.sqrt(2.0) if moved.size else 0.0
+    # Held values do not move from one row to the next: their noise is the scatter within a level.
+    held = noise == 0.0
     parts = np.arange(readings.size) * _STRETCHES // readings.size % _PARTS
     for count in range(MOST_LEVELS, 1, -1):
         cuts, centres = _clusters(readings, times, count)
         apart = np.diff(centres)
-        shares = np.bincount(np.searchsorted(cuts, readings, side="right"), times, count) / times.sum()
+        level = np.searchsorted(cuts, readings, side="right")
+        shares = np.bincount(level, times, count) / times.sum()
+        if held and centres.size == count:
+            noise = _WITHIN * float(np.sqrt(np.average((readings - centres[level]) ** 2, weights=times)))
         if cuts.size != count - 1 or shares.min() < _LEAST_SHARE or apart.min() < _LEAST_NOISES * noise:
             continue
         others = (_clusters(readings[parts != part], times[parts != part], count)[0] for part in range(_PARTS))

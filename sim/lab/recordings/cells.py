@@ -1,10 +1,12 @@
 """Cells of a CSV as numbers and booleans: empty is no reading, whatever else is no number is a fault that is told."""
 
+import re
 from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
+from sim.lab.recordings.unit_table import conversion, known_unit
 from sim.sha import Array, Mask
 
 Decimal = Literal["auto", ".", ","]
@@ -17,6 +19,12 @@ SWITCH_WORDS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("1", "-1"), ("0",)),
 )
 """Words of two-valued signals that need no declaring, (on, off) by kind: English, Italian, German, French, Spanish."""
+
+_BLANKS = re.compile(r"(?<=\d)[ '’\xa0\u202f](?=\d{3}(?!\d))")
+_GROUPED = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+") for mark in ".,"}
+"""Thousands that are set apart by a mark; twice the same mark in a cell can be nothing else."""
+_MEASURED = re.compile(r"([+-]?[\d.,'’\xa0\u202f ]*\d(?:[eE][+-]?\d+)?)\s*([^\d\s].*)")
+"""A number and its unit in one cell, as dashboards show them."""
 
 _BOOLEANS = {
     word: value for pair in SWITCH_WORDS for words, value in zip(pair, (1.0, 0.0), strict=True) for word in words
@@ -36,39 +44,74 @@ def _plain_floats(cells: Sequence[str]) -> Array | None:
 def _number(cell: str, decimal: Decimal) -> float:
     if "_" in cell:
         return np.nan
+    cell = _BLANKS.sub("", cell)
+    for mark in ".,":
+        if cell.count(mark) > 1 and _GROUPED[mark].fullmatch(cell):
+            cell = cell.replace(mark, "")
     if decimal == ",":
         whole, comma, fraction = cell.partition(",")
         if "." in fraction or ("." in whole and not comma):
             return np.nan
         cell = whole.replace(".", "") + comma.replace(",", ".") + fraction
+    elif "," in cell:
+        whole, point, fraction = cell.partition(".")
+        if not _GROUPED[","].fullmatch(whole):
+            return np.nan
+        cell = whole.replace(",", "") + point + fraction
     try:
         return float(cell)
     except ValueError:
         return np.nan
 
 
-def numbers(cells: Sequence[str], decimal: Decimal = "auto") -> tuple[Array, Mask]:
-    """Values (NaN where there is none) and a mask of the cells that hold something, but no finite number."""
+def measured(cell: str, decimal: Decimal) -> tuple[float, str]:
+    """A cell's number and the unit behind it: "1.20 kW" is (1.2, "kW"); (NaN, "") for any other cell."""
+    match = _MEASURED.fullmatch(cell.strip())
+    decimal = decimal_mark([cell]) if decimal == "auto" else decimal
+    unit = known_unit(match[2]) if match else ""
+    return (_number(match[1].strip(), decimal), unit) if match and unit else (np.nan, "")
+
+
+def decimal_mark(cells: Sequence[str]) -> Decimal:
+    """The decimal mark of cells of which nobody has said it."""
+    for cell in cells:
+        if "," in cell and "." in cell:
+            return "," if cell.rfind(",") > cell.rfind(".") else "."
+    # A comma can only be inside a cell as a decimal comma, unless points show that it groups thousands.
+    return "," if any("," in cell for cell in cells) and not any("." in cell for cell in cells) else "."
+
+
+def numbers(cells: Sequence[str], decimal: Decimal = "auto", unit: str = "") -> tuple[Array, Mask]:
+    """Values (NaN where there is none) and a mask of the cells that hold something, but no finite number.
+
+    With `unit`, a cell that says its own unit is converted to it.
+    """
     plain = _plain_floats(cells)
     if plain is not None:
         return plain, np.zeros(plain.shape, dtype=bool)
-    if decimal == "auto":
-        # A comma can only be inside a cell as a decimal comma, unless points show that it groups thousands.
-        decimal = "," if any("," in cell for cell in cells) and not any("." in cell for cell in cells) else "."
     stripped = [cell.strip() for cell in cells]
+    decimal = decimal_mark(stripped) if decimal == "auto" else decimal
     values = np.array([_number(cell, decimal) if cell else np.nan for cell in stripped], dtype=float)
     values[np.isinf(values)] = np.nan
-    return values, np.isnan(values) & np.array([bool(cell) for cell in stripped], dtype=bool)
+    filled = np.array([bool(cell) for cell in stripped], dtype=bool)
+    for index in np.flatnonzero(np.isnan(values) & filled).tolist() if unit else ():
+        value, own = measured(stripped[index], decimal)
+        scale, offset = conversion(own, unit)
+        values[index] = value * scale + offset
+    return values, np.isnan(values) & filled
 
 
 def booleans(cells: Sequence[str], on: Sequence[str] = (), off: Sequence[str] = ()) -> tuple[Array, Mask]:
     """As `numbers`, for two-valued signals: 1.0 and 0.0 from the words `on` and `off`, then from SWITCH_WORDS."""
     words = {**_BOOLEANS, **{word.casefold(): 1.0 for word in on}, **{word.casefold(): 0.0 for word in off}}
+    counts = {0.0: 0.0, 1.0: 1.0, -1.0: 1.0}
+    for given, value in ((on, 1.0), (off, 0.0)):
+        counts |= {number: value for word in given if (number := _number(word.strip(), ".")) == number}
     table: dict[str, float] = {}
     # A two-valued column has few different cells, however many rows.
     for cell in set(cells):
         word = cell.strip().casefold()
         as_number = _number(word.replace(",", "."), ".")
-        table[cell] = words[word] if word in words else {0.0: 0.0, 1.0: 1.0, -1.0: 1.0}.get(as_number, np.nan)
+        table[cell] = words[word] if word in words else counts.get(as_number, np.nan)
     values = np.array([table[cell] for cell in cells], dtype=float)
     return values, np.isnan(values) & np.array([bool(cell.strip()) for cell in cells], dtype=bool)

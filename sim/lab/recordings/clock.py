@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim.lab.recordings.cells import Decimal, numbers
-from sim.lab.recordings.column_map import SECONDS, ClockColumns, Names, TimeOfDay
+from sim.lab.recordings.clock_words import plain_time
+from sim.lab.recordings.column_map import SECONDS, SPREADSHEET, ClockColumns, Names, TimeOfDay
 from sim.sha import Array, Mask
 
 if TYPE_CHECKING:
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
 
 _OFFSET = re.compile(r":.*(?:[Zz]|[+-]\d\d(?::?\d\d)?)\s*$")
 _DAY = 86400.0
+_NOTHING = 25569
+"""Days from a spreadsheet's beginning, 1899-12-30, to 1970."""
+_MIDNIGHT = re.compile(r"(?<=[ T])24(?=[:.]00)")
+"""The end of a day, which programs read as no hour of any."""
 
 
 def clock_columns(clock: ClockColumns) -> tuple[Names, ...]:
@@ -44,10 +49,16 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
         if not left.size:
             break
         texts = [cells[index] for index in left] if left.size < len(cells) else cells
-        if format_ in SECONDS:
+        if format_ == SPREADSHEET:
+            # Eight decimals of a day are a millisecond.
+            seconds[left] = np.round((numbers(texts, decimal)[0] - _NOTHING) * _DAY, 3)
+            local[left] = True
+        elif format_ in SECONDS:
             seconds[left] = numbers(texts, decimal)[0] / SECONDS[format_]
         else:
             seconds[left], local[left] = _dates(texts, format_)
+    if clock.daily:
+        return np.mod(seconds, _DAY), np.zeros(seconds.shape, dtype=bool)
     return seconds, local
 
 
@@ -66,16 +77,28 @@ def _time_of_day(day: TimeOfDay, columns: Sequence[Sequence[str]], decimal: Deci
 
 
 def _dates(texts: list[str], format_: str) -> tuple[Array, Mask]:
-    import pandas as pd
-
     if format_ == "ISO8601":
         # A bare number is no date here, though ISO 8601 would read 1999 as a year.
         texts = [text if "-" in text or ":" in text else "" for text in texts]
-        offset = np.array([_OFFSET.search(text) is not None for text in texts], dtype=bool)
-    else:
-        offset = np.full(len(texts), "%z" in format_)
-    stamps = pd.DatetimeIndex(pd.to_datetime(pd.Series(texts), format=format_, errors="coerce", utc=True))
-    return _seconds(stamps), ~offset
+    seconds = _parsed(texts, format_)
+    texts = list(texts)
+    # Words in other languages, and the hour 24, only where the format does not read the cell as it stands.
+    for index in np.flatnonzero(np.isnan(seconds)).tolist():
+        texts[index] = plain_time(texts[index])
+    unread = np.flatnonzero(np.isnan(seconds) & np.array([bool(text) for text in texts], dtype=bool))
+    if unread.size:
+        left = [texts[index] for index in unread]
+        late = np.array([_MIDNIGHT.search(text) is not None for text in left], dtype=bool)
+        seconds[unread] = _parsed([_MIDNIGHT.sub("00", text) for text in left], format_) + _DAY * late
+    if format_ == "ISO8601":
+        return seconds, np.array([_OFFSET.search(text) is None for text in texts], dtype=bool)
+    return seconds, np.full(len(texts), "%z" not in format_)
+
+
+def _parsed(texts: list[str], format_: str) -> Array:
+    import pandas as pd
+
+    return _seconds(pd.DatetimeIndex(pd.to_datetime(pd.Series(texts), format=format_, errors="coerce", utc=True)))
 
 
 def _seconds(stamps: "DatetimeIndex") -> Array:
@@ -111,8 +134,27 @@ def unroll_midnight(seconds: Array) -> Array:
     A step forward of almost a day is the same midnight passed backwards, by a clock that stutters; a long stop is not.
     """
     steps = np.diff(seconds)
+    steps[np.isnan(steps)] = 0.0
     days = np.cumsum((steps < -_DAY / 2).astype(float) - (steps > _DAY - 600.0))
     return seconds + _DAY * np.concatenate(([0.0], days)) if steps.size else seconds
+
+
+def spread_evenly(times: Array) -> Array:
+    """Rows of equal times spread evenly up to the next time, as by a clock that shows minutes of rows every 10 s.
+
+    The first group, which may have begun within its time, ends where the next begins; the last begins at its own.
+    """
+    distinct, at, counts = np.unique(times, return_inverse=True, return_counts=True)
+    if distinct.size < 2:
+        return times
+    usual = int(np.median(counts))
+    steps = np.append(np.diff(distinct), np.diff(distinct)[-1])
+    size = counts.astype(float)
+    size[0], size[-1] = max(usual, counts[0]), max(usual, counts[-1])
+    place = (
+        np.arange(times.size) - np.concatenate(([0], np.cumsum(counts)))[at] + np.where(at == 0, size[0] - counts[0], 0)
+    )
+    return np.asarray(times + steps[at] * place / size[at])
 
 
 def longest_rising(times: Array) -> Mask:

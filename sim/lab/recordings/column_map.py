@@ -6,7 +6,16 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from drivers.errors import did_you_mean
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
@@ -24,8 +33,13 @@ Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 """One name or several: the first that the file has is taken."""
 
 
-SECONDS = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+SECONDS = {
+    "seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9,
+    "minutes": 1 / 60, "hours": 1 / 3600, "days": 1 / 86400,
+}  # fmt: skip
 """Formats of a clock that counts, and how many of their units a second has."""
+SPREADSHEET = "spreadsheet days"
+"""The format of a spreadsheet's times: days, and parts of one, since 1899-12-30, in local time."""
 
 
 class _MapPart(BaseModel):
@@ -45,10 +59,12 @@ class TimeOfDay(_MapPart):
 class ClockColumns(_MapPart):
     """One `column`, in one of the `formats`, or a `time_of_day` that rolls over at midnight.
 
-    Formats, tried in order: `seconds`, `milliseconds`, `microseconds` and `nanoseconds` (elapsed or since 1970),
-    `ISO8601`, or a strptime pattern. Where the day stands in a column `date` of its own, its cell, a blank and that of
-    `column` are what the formats read. A time without an offset is read in `timezone`. A time of day becomes seconds
-    since midnight of the first row's day.
+    Formats, tried in order: `seconds`, `milliseconds`, `microseconds`, `nanoseconds`, `minutes`, `hours`, `days`
+    (elapsed or since 1970), `spreadsheet days`, `ISO8601`,
+    or a strptime pattern (months in any of the exporters' languages).
+    Where the day stands in a column `date` of its own, its cell, a blank and that of `column` are what the formats
+    read. A time without an offset is read in `timezone`. A time of day becomes seconds since midnight of the first
+    row's day.
     """
 
     column: Names = ()
@@ -56,6 +72,14 @@ class ClockColumns(_MapPart):
     formats: Names = ("ISO8601",)
     timezone: str = "UTC"
     time_of_day: TimeOfDay | None = None
+
+    @property
+    def daily(self) -> bool:
+        """Whether its times are of a day that nothing names, so that they roll over at midnight."""
+        dated = ("%d", "%j", "%x", "%c", "%D", "%F", "%s")
+        return self.time_of_day is not None or (
+            not self.date and all("%" in each and not any(mark in each for mark in dated) for each in self.formats)
+        )
 
     @field_validator("timezone")
     @classmethod
@@ -71,8 +95,10 @@ class ClockColumns(_MapPart):
     @classmethod
     def _formats_are_known(cls, formats: tuple[str, ...]) -> tuple[str, ...]:
         for format_ in formats:
-            if format_ not in (*SECONDS, "ISO8601") and "%" not in format_:
-                known = f"{', '.join(map(repr, SECONDS))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
+            if format_ not in (*SECONDS, SPREADSHEET, "ISO8601") and "%" not in format_:
+                known = (
+                    f"{', '.join(map(repr, [*SECONDS, SPREADSHEET]))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
+                )
                 raise ValueError(f"{format_!r} is no format; give {known}")
         return formats
 
@@ -89,7 +115,8 @@ class SignalColumn(_MapPart):
     """Where a signal's readings are: value = cell * scale + offset, in `unit`.
 
     `column` is the header's name (in a long file, the name in the column of names); the signal's own name if not given.
-    Cells in `missing` (before scaling) and values outside `low`..`high` are of bad quality. `hold`: sent on change, the
+    Cells in `bad` (numbers that mean no reading, before scaling; `missing` is its older name) and values outside
+    `low`..`high` are of bad quality. A cell that says its own unit is converted to `unit`. `hold`: sent on change, the
     last value holds until the next reading, a bad one or a gap. `on` and `off` are words of a two-valued signal, in any
     case of their letters, besides those that are known anyway; where they are given, `boolean` need not be.
     """
@@ -104,7 +131,7 @@ class SignalColumn(_MapPart):
     hold: bool = False
     low: float | None = None
     high: float | None = None
-    missing: tuple[float, ...] = ()
+    bad: tuple[float, ...] = Field(default=(), validation_alias=AliasChoices("bad", "missing"))
 
     @model_validator(mode="before")
     @classmethod
@@ -124,7 +151,7 @@ class SignalColumn(_MapPart):
 
 
 class Derived(_MapPart):
-    """What a signal is when the file has no column for it: `signal` > `above`, a `constant`, or a `product`.
+    """What a signal is when the file has no column for it: `signal` > `above` (< `below`), a `constant`, a `product`.
 
     A product is `scale` times the signals that it names, in `unit`. It is known in each row with a reading of one of
     them, the others as they were read last (not across a gap, nor over a bad reading).
@@ -132,6 +159,7 @@ class Derived(_MapPart):
 
     signal: str | None = None
     above: float | None = None
+    below: float | None = None
     constant: float | None = None
     product: tuple[str, ...] = ()
     scale: float = 1.0
@@ -145,8 +173,9 @@ class Derived(_MapPart):
     @model_validator(mode="after")
     def _one_form(self) -> Self:
         forms = (self.signal is not None, self.constant is not None, bool(self.product))
-        if sum(forms) != 1 or (self.signal is None) != (self.above is None):
-            raise ValueError("give either signal and above, or constant, or product")
+        limits = sum(limit is not None for limit in (self.above, self.below))
+        if sum(forms) != 1 or limits != (self.signal is not None):
+            raise ValueError("give either signal and above, or constant, or product; below may stand for above")
         if len(self.product) == 1:
             raise ValueError("product needs two signals or more")
         if not self.product and self.scale != 1.0:
@@ -183,6 +212,12 @@ class Long(_MapPart):
     objects: tuple[str, ...] = ()
 
 
+class ByColumn(_MapPart):
+    """What the cells of a `column` say of each row: the machine that it is of, or the session."""
+
+    column: Names
+
+
 def _one_of(word: str, known: Collection[str]) -> str:
     return f"it must be one of {', '.join(known)}; {did_you_mean(word, known)}".rstrip("; ")
 
@@ -192,12 +227,18 @@ class ColumnMap(_MapPart):
 
     `separator` is tried first; another of `, ; tab |` is taken only if the header's names fit under it alone. `decimal`
     `auto` takes a comma inside a cell for a decimal comma unless the column also has decimal points. `columns` are the
-    names of a file without header. `parts` is a pattern of file names: all such files of one folder make one trace.
-    `duplicates` says what becomes of rows with the same time: the `average` of the readings (of booleans the last), the
-    `last` reading of each signal, or `keep`. `clock_back`: `refuse` the fewest rows that leave a clock which never goes
-    back, `split` into traces there, or `sort`. `extra`: columns that the map does not name become signals too.
-    `machine` says which machine a trace is of: each `folder` of files is one, each `file` is, or all are the one that
-    it names; models learn how much machines differ.
+    names of a file without header. `parts` is a pattern of file names: all such files of one folder make one trace; a
+    part may have some of the signals only, and `STEM/NAME` is the column NAME of the file STEM.csv alone.
+    `duplicates` says what becomes of rows with the same time: they must `agree` (over 1 % that do not is refused), or
+    it is the `average` of the readings (of booleans the last), the `last` reading of each signal, `keep`, or `spread`:
+    evenly up to the next time, as by a clock that lost its seconds. `clock_back`: `refuse` the fewest rows
+    that leave a clock which never goes back, `split` into traces there, or `sort`. `extra`: columns that the map does
+    not name become signals too.
+    `machine` says which machine a trace is of: each `folder` of files is one, each `file` is, all are the one that it
+    names, or a `column` says it, as one may say the `session`: each has traces and a clock of its own; models learn how
+    much machines differ.
+    `stored` `on change`: a value holds until the next one, for `silence` seconds at most, and stands in the trace every
+    `interval` seconds; in a recording that has each row, silence is not known to mean anything.
     """
 
     format: Literal["wide", "long"]
@@ -212,11 +253,15 @@ class ColumnMap(_MapPart):
     comment: str = "#"
     columns: tuple[str, ...] = ()
     parts: str = ""
-    duplicates: Literal["average", "last", "keep"] = "last"
+    duplicates: Literal["agree", "average", "last", "keep", "spread"] = "agree"
     clock_back: Literal["refuse", "split", "sort"] = "refuse"
     extra: bool = False
     synthetic: bool = False
-    machine: Annotated[str, Field(min_length=1)] = "folder"
+    machine: Annotated[str, Field(min_length=1)] | ByColumn = "folder"
+    session: ByColumn | None = None
+    stored: Literal["each row", "on change"] = "each row"
+    silence: Annotated[float, Field(gt=0)] = 3600.0
+    interval: Annotated[float, Field(gt=0)] = 10.0
     effects: Effects | None = None
     alphabet: Alphabet = DECANTER_AUTO
 
@@ -245,8 +290,10 @@ class ColumnMap(_MapPart):
     def _fits_together(self) -> Self:
         if (self.format == "long") != (self.long is not None):
             raise ValueError("format 'long' needs a table [long], format 'wide' has none")
-        if self.format == "long" and (self.clock_back != "sort" or self.duplicates == "keep" or self.extra):
-            raise ValueError("a long map needs clock_back = 'sort', duplicates 'last' or 'average', and no extra")
+        if self.format == "long" and (self.clock_back != "sort" or self.duplicates in ("keep", "spread") or self.extra):
+            raise ValueError(
+                "a long map needs clock_back = 'sort', duplicates 'agree', 'last' or 'average', and no extra"
+            )
         if self.temperature not in self.signals:
             raise ValueError(f"temperature names {self.temperature!r}; {_one_of(self.temperature, self.signals)}")
         for name, derived in self.derived.items():
@@ -261,6 +308,12 @@ class ColumnMap(_MapPart):
         for role, signal in ({} if self.effects is None else self.effects.roles).items():
             if signal not in known and not self.extra:
                 raise ValueError(f"effects.{role} names {signal!r}; {_one_of(signal, known)}")
+
+    @property
+    def by_column(self) -> tuple[Names, ...]:
+        """The columns that tell machines and sessions apart, in this order; () for one that none does."""
+        machine = self.machine.column if isinstance(self.machine, ByColumn) else ()
+        return (machine, self.session.column if self.session else ())
 
     def names_of(self, signal: str) -> tuple[str, ...]:
         """The column names under which a signal may come."""

@@ -9,6 +9,9 @@ from pathlib import Path
 from drivers.errors import OneLineError
 from sim.sha import DECANTER, Alphabet
 
+_COUNTS = (
+    "rows", "used", "aside", "refused", "merged", "bad_cells", "cells", "used_cells", "refused_cells", "merged_cells",
+)  # fmt: skip
 DETAILS = 20
 """So many refused rows or cells are named one by one for each file; the rest are only counted."""
 
@@ -36,7 +39,9 @@ class FileReport:
     `aside` rows belong to objects or signals that the map does not name, `merged` of the used ones share their time
     with another, `bad_cells` are cells of used rows whose value cannot be used: they are of bad quality in the trace.
     `columns` are the names in its header, once one is found that has those that the map needs. `reasons` counts refused
-    rows and bad cells by reason. `warnings` are notes on what was understood otherwise than
+    rows and bad cells by reason. Of the `cells` that hold something, each is used, refused (with its row or alone),
+    merged (another reading of the same time stands for it) or `unused`: in a column, or of a signal,
+    that the map does not name. `warnings` are notes on what was understood otherwise than
     the file says it, though no row was lost. `error` says why nothing of the file was used.
     """
 
@@ -46,6 +51,11 @@ class FileReport:
     refused: int = 0
     merged: int = 0
     bad_cells: int = 0
+    cells: int = 0
+    used_cells: int = 0
+    refused_cells: int = 0
+    merged_cells: int = 0
+    unused: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
     details: list[RefusedRow] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -63,15 +73,32 @@ class FileReport:
         self.refused += len(lines)
         self._count(lines, reason, details)
 
+    def refuse_cells(self, count: int) -> None:
+        """Count cells of rows that are refused as they are read."""
+        self.cells += count
+        self.refused_cells += count
+
     def bad(self, lines: Sequence[int], reason: str, details: Sequence[str] = ()) -> None:
         """Count cells that cannot be used, in rows that can."""
         self.bad_cells += len(lines)
+        self.refused_cells += len(lines)
         self._count(lines, reason, details)
 
     def warn(self, sentence: str) -> None:
         """Say something once, though several chunks of the file give occasion to it."""
         if sentence not in self.warnings:
             self.warnings.append(sentence)
+
+    def account(self) -> str:
+        """The line that adds up, and which columns it leaves out."""
+        unused = sum(self.unused.values())
+        line = (
+            f"{self.cells} cells = {self.used_cells} used + {self.refused_cells} refused + {self.merged_cells} merged "
+            f"+ {unused} not used"
+        )
+        if unused:
+            line += f" (no signal of the map: {listed(name for name, count in self.unused.items() if count)})"
+        return line
 
     def _count(self, lines: Sequence[int], reason: str, details: Sequence[str]) -> None:
         if not lines:
@@ -95,7 +122,7 @@ class FileReport:
             )
             if count
         ]
-        lines = [", ".join([head, *parts])]
+        lines = [f"{', '.join([head, *parts])}; {self.account()}"]
         lines += [f"{self.path}: {count} x {reason}" for reason, count in self.reasons.most_common()]
         # What was refused for the same words stands in one line, however many rows it is.
         alike: dict[str, list[int]] = {}
@@ -149,7 +176,8 @@ class LoadReport:
         return [
             {
                 "file": str(file.path),
-                **{name: getattr(file, name) for name in ("rows", "used", "aside", "refused", "merged", "bad_cells")},
+                **{name: getattr(file, name) for name in _COUNTS},
+                "unused": dict(file.unused),
                 "reasons": dict(file.reasons),
                 "details": [{"line": refused.line, "reason": refused.reason} for refused in file.details],
                 "notes": [*file.warnings, *file.notes],

@@ -2,7 +2,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 from sim.lab.recordings.cells import SWITCH_WORDS, booleans, numbers
 from sim.lab.recordings.clock import clock_columns, read_clock, to_utc
 from sim.lab.recordings.column_map import ColumnMap, Long, Names, SignalColumn
+from sim.lab.recordings.fault_codes import codes_in
 from sim.lab.recordings.load_report import FileReport, TraceError, listed
 from sim.lab.recordings.text_table import TextLayout, find_layout, place_of, read_rows
 from sim.sha import Array, Mask
 
 Rows = NDArray[np.intp]
+Whose = tuple[str, str]
+"""A machine and a session."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,23 +33,44 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class FileReadings:
-    """n rows in file order: `times` in seconds, `lines` of `files`, and each signal's series over them."""
+    """n rows in file order: `times` in seconds, `lines` of `files`, and each signal's series over them.
+
+    `clock_cells` is how many cells each row's time stands in; `whose` are the machine and the session ("": nobody
+    says).
+    """
 
     times: Array
     lines: Rows
     files: Rows
     series: Mapping[str, Series]
     comments: tuple[str, ...] = ()
+    clock_cells: int = 1
+    whose: Whose = ("", "")
 
 
-def read_file(path: Path, column_map: ColumnMap, report: FileReport) -> FileReadings:
-    """The readings of one file. Raises TraceError when nothing of it can be used, OSError when it cannot be read."""
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    """Rows with a time under one header: their lines, times, whether these are local yet, and whose they are."""
+
+    header: tuple[str, ...]
+    lines: list[int]
+    rows: list[list[str]]
+    seconds: Array
+    local: Mask
+    whose: list[Whose]
+
+
+def read_file(path: Path, column_map: ColumnMap, report: FileReport) -> list[FileReadings]:
+    """The readings of one file, by machine and session where columns say them, in the order of their first rows.
+
+    Raises TraceError when nothing of it can be used, OSError when it cannot be read.
+    """
     layout = _layout(path, column_map, report)
     if column_map.long is None:
         readings = _read_wide(path, layout, column_map, report)
     else:
         readings = _read_long(path, layout, column_map, column_map.long, report)
-    if not readings.times.size:
+    if not any(each.times.size for each in readings):
         why = f": {report.reasons.most_common(1)[0][0]}" if report.reasons else ""
         raise TraceError(f"{path}: none of its {report.rows} rows can be used{why or '; there is only a header'}")
     return readings
@@ -60,16 +84,18 @@ def unread_hash(path: Path, column_map: ColumnMap) -> str:
     """
     report = FileReport(path)
     layout = _layout(path, column_map, report)
-    read: set[int | None] = {_needed(layout, names) for names in clock_columns(column_map.clock)}
+    read: set[int | None] = {_needed(layout.header, names) for names in clock_columns(column_map.clock)}
     read |= {place_of(layout.header, column_map.names_of(name)) for name in column_map.signals}
     if column_map.extra:
         read |= set(range(len(layout.header)))
     # What a long file says of signals that are not in the map stands in the columns that the map does read.
     others = [index for index in range(len(layout.header)) if column_map.long is not None or index not in read]
     digests = {index: sha256(f"{layout.header[index]}\n".encode()) for index in others}
-    for _, rows in read_rows(path, layout, column_map.comment, report):
+    for current, _, rows in read_rows(path, layout, column_map.comment, report):
+        places = {index: place_of(current.header, (layout.header[index],)) for index in others}
         for index, digest in digests.items():
-            cells = [row[index] for row in rows]
+            place = places[index]
+            cells = [""] * len(rows) if place is None else [row[place] for row in rows]
             values, _ = numbers(cells, column_map.decimal)
             pairs = zip(cells, values.tolist(), strict=True)
             plain = [repr(value) if value == value else cell.strip() for cell, value in pairs]
@@ -80,36 +106,67 @@ def unread_hash(path: Path, column_map: ColumnMap) -> str:
 def _layout(path: Path, column_map: ColumnMap, report: FileReport) -> TextLayout:
     """How the file is written, its header found by the columns that the map cannot do without. Raises TraceError."""
     long = column_map.long
-    if long is None:
-        sources = [() if column_map.temperature in column_map.derived else column_map.names_of(column_map.temperature)]
-    else:
+    if long is not None:
         sources = [long.name, long.value, *([long.object] if long.objects else [])]
-    return find_layout(path, column_map, [*clock_columns(column_map.clock), *filter(None, sources)], report)
+    elif column_map.parts or column_map.temperature in column_map.derived:
+        sources = []
+    else:
+        sources = [_aliases(path, column_map, column_map.temperature)]
+    by = [names for names in column_map.by_column if names]
+    return find_layout(path, column_map, clock_columns(column_map.clock), [*sources, *by], report)
 
 
-def _chunks(
-    path: Path, layout: TextLayout, column_map: ColumnMap, report: FileReport
-) -> Iterator[tuple[list[int], list[list[str]], Array, Mask]]:
-    """Rows with a time, in chunks: lines, cells, seconds, and whether the time zone is to be applied yet."""
-    places = [_needed(layout, names) for names in clock_columns(column_map.clock)]
-    for lines, rows in read_rows(path, layout, column_map.comment, report):
+def _aliases(path: Path, column_map: ColumnMap, signal: str) -> Names:
+    """The names under which a signal may come in one file: of a part also those that say the file's own name."""
+    names = column_map.names_of(signal)
+    if not column_map.parts:
+        return names
+    own = f"{path.name.split('.')[0]}/"
+    return (*names, *(name.removeprefix(own) for name in names if name.startswith(own)))
+
+
+def _chunks(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileReport) -> Iterator[_Chunk]:
+    """The rows with a time. What has none is refused."""
+    for current, lines, rows in read_rows(path, layout, column_map.comment, report):
+        header = current.header
+        places = [_needed(header, names) for names in clock_columns(column_map.clock)]
         cells = [[row[place] for row in rows] for place in places]
         seconds, local = read_clock(column_map.clock, cells, column_map.decimal)
         timeless = np.flatnonzero(np.isnan(seconds)).tolist()
         if timeless:
             shown = ["'" + " ".join(column[index].strip() for column in cells)[:60] + "'" for index in timeless[:20]]
             report.refuse([lines[index] for index in timeless], "it has no time that the map's formats fit", shown)
+            report.refuse_cells(sum(_filled(rows[index]) for index in timeless))
             kept = np.flatnonzero(~np.isnan(seconds)).tolist()
             lines, rows = [lines[index] for index in kept], [rows[index] for index in kept]
             seconds, local = seconds[kept], local[kept]
+        by = [place_of(header, names) if names else None for names in column_map.by_column]
+        whose: list[Whose] = []
+        if any(place is not None for place in by):
+            machine, session = ([("" if at is None else row[at].strip()) for row in rows] for at in by)
+            whose = list(zip(machine, session, strict=True))
+            nobodys = {
+                index for index, row in enumerate(rows) if any(at is not None and not row[at].strip() for at in by)
+            }
+            if nobodys:
+                report.refuse([lines[index] for index in sorted(nobodys)], "it does not say its machine or session")
+                report.refuse_cells(sum(_filled(rows[index]) for index in nobodys))
+                kept = [index for index in range(len(rows)) if index not in nobodys]
+                lines, rows, whose = [lines[i] for i in kept], [rows[i] for i in kept], [whose[i] for i in kept]
+                seconds, local = seconds[kept], local[kept]
         if lines:
-            yield lines, rows, seconds, local
+            report.cells += sum(map(_filled, rows))
+            yield _Chunk(header, lines, rows, seconds, local, whose=whose)
 
 
-def _needed(layout: TextLayout, names: Names) -> int:
-    place = place_of(layout.header, names)
-    if place is None:  # find_layout has made sure of it
-        raise TraceError(f"there is no column {names[0]!r}; the columns are {listed(layout.header)}")
+def _filled(cells: Sequence[str]) -> int:
+    return sum(map(bool, map(str.strip, cells)))
+
+
+def _needed(header: Sequence[str], names: Names) -> int:
+    place = place_of(header, names)
+    if place is None:  # find_layout has made sure of it, as has the row that was taken for a header
+        raise TraceError(f"there is no column {names[0]!r}; the columns are {listed(header)}")
     return place
 
 
@@ -125,9 +182,10 @@ def _convert(
             own = f'{name} = {{ on = ["..."], off = ["..."] }}'
             report.warn(f"words of {name} that are accepted are {known}; the column map can name others: {own}")
     else:
-        values, wrong = numbers(cells, column_map.decimal)
+        plain = (signal.scale, signal.offset) == (1.0, 0.0)
+        values, wrong = numbers(cells, column_map.decimal, signal.unit if plain else "")
     kind = "neither true nor false" if signal.boolean else "no number"
-    absent = np.isin(values, signal.missing) if signal.missing else np.zeros(values.shape, dtype=bool)
+    absent = np.isin(values, signal.bad) if signal.bad else np.zeros(values.shape, dtype=bool)
     values = values * signal.scale + signal.offset if (signal.scale, signal.offset) != (1.0, 0.0) else values
     low = -np.inf if signal.low is None else signal.low
     high = np.inf if signal.high is None else signal.high
@@ -148,52 +206,71 @@ def _count_faults(report: FileReport, lines: Sequence[int], cells: Sequence[str]
     return bad
 
 
-def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileReport) -> FileReadings:
-    places: dict[str, tuple[int, SignalColumn]] = {}
-    for name, signal in column_map.signals.items():
-        place = place_of(layout.header, column_map.names_of(name))
-        if place is not None:
-            places[name] = (place, signal)
-        elif name not in column_map.derived:
-            report.notes.append(f"there is no column {' or '.join(map(repr, column_map.names_of(name)))}: no {name}")
-    if column_map.extra:
-        taken = {place for place, _ in places.values()} | {
-            _needed(layout, names) for names in clock_columns(column_map.clock)
-        }
-        others = [index for index in range(len(layout.header)) if index not in taken]
-        places.update({layout.header[index]: (index, SignalColumn()) for index in others})
-    for name, count in Counter(layout.header).items():
-        if count > 1:
-            report.notes.append(f"there are {count} columns {name!r}; the first is taken")
-    values: dict[str, list[Array]] = {name: [] for name in places}
-    bad: dict[str, list[Mask]] = {name: [] for name in places}
-    clock: list[tuple[list[int], Array, Mask]] = []
-    for lines, rows, seconds, local in _chunks(path, layout, column_map, report):
-        clock.append((lines, seconds, local))
-        for name, (place, signal) in places.items():
-            cells = [row[place] for row in rows]
-            column, faults = _convert(name, signal, cells, column_map, report)
-            values[name].append(column)
-            bad[name].append(_count_faults(report, lines, cells, faults))
+def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileReport) -> list[FileReadings]:
+    signals = dict(column_map.signals)
+    aliases = {name: _aliases(path, column_map, name) for name in signals}
+    chunks: list[_Chunk] = []
+    values: dict[str, list[Array]] = {}
+    bad: dict[str, list[Mask]] = {}
+    for chunk in _chunks(path, layout, column_map, report):
+        taken = {_needed(chunk.header, names) for names in clock_columns(column_map.clock)}
+        taken |= {place for names in column_map.by_column if (place := place_of(chunk.header, names)) is not None}
+        places = {name: place for name in aliases if (place := place_of(chunk.header, aliases[name])) is not None}
+        if column_map.extra:
+            others = [index for index in range(len(chunk.header)) if index not in {*taken, *places.values()}]
+            places |= {chunk.header[index]: index for index in others}
+            signals |= {chunk.header[index]: SignalColumn() for index in others}
+            aliases |= {chunk.header[index]: (chunk.header[index],) for index in others}
+        seen: set[int] = set()
+        for name, place in places.items():
+            cells = [row[place] for row in chunk.rows]
+            column, faults = _convert(name, signals[name], cells, column_map, report)
+            # Rows of the chunks before, under headers that did not have it.
+            values.setdefault(name, [np.full(each.seconds.size, np.nan) for each in chunks]).append(column)
+            own = bad.setdefault(name, [np.zeros(each.seconds.size, dtype=bool) for each in chunks])
+            own.append(_count_faults(report, chunk.lines, cells, faults))
+            if place in seen:
+                report.cells += sum(map(bool, map(str.strip, cells)))  # one cell read as two signals counts twice
+            seen.add(place)
+        for name in values.keys() - places.keys():
+            values[name].append(np.full(chunk.seconds.size, np.nan))
+            bad[name].append(np.zeros(chunk.seconds.size, dtype=bool))
+        for place in set(range(len(chunk.header))) - seen - taken:
+            report.unused[chunk.header[place] or f"column {place + 1}"] += sum(
+                bool(r[place].strip()) for r in chunk.rows
+            )
+        chunk.rows.clear()
+        chunks.append(chunk)
+    if chunks and not column_map.parts:
+        for name in column_map.signals.keys() - values.keys() - column_map.derived.keys():
+            names = " or ".join(map(repr, column_map.names_of(name)))
+            report.notes.append(f"there is no column {names}: no {name}")
     series = {}
-    for name in places if clock else ():
+    for name in values:
         column, fault = np.concatenate(values[name]), np.concatenate(bad[name])
         # An empty cell is no reading; one that holds something unusable is a reading of bad quality.
         present = np.flatnonzero(fault | ~np.isnan(column))
         series[name] = Series(present, column[present], fault[present])
-    return _finished(clock, series, layout, column_map, report)
+    return _finished(chunks, series, layout, column_map, report)
 
 
-def _read_long(path: Path, layout: TextLayout, column_map: ColumnMap, long: Long, report: FileReport) -> FileReadings:
+def _read_long(
+    path: Path, layout: TextLayout, column_map: ColumnMap, long: Long, report: FileReport
+) -> list[FileReadings]:
     names = {alias: name for name in column_map.signals for alias in column_map.names_of(name)}
     pieces: dict[str, list[Series]] = {}
-    clock: list[tuple[list[int], Array, Mask]] = []
+    chunks: list[_Chunk] = []
     unmapped: Counter[str] = Counter()
     start = 0
-    name_at, value_at = _needed(layout, long.name), _needed(layout, long.value)
-    object_at = _needed(layout, long.object) if long.objects else None
-    for lines, rows, seconds, local in _chunks(path, layout, column_map, report):
-        clock.append((lines, seconds, local))
+    for chunk in _chunks(path, layout, column_map, report):
+        header, rows, lines = chunk.header, chunk.rows, chunk.lines
+        name_at, value_at = _needed(header, long.name), _needed(header, long.value)
+        object_at = _needed(header, long.object) if long.objects else None
+        taken = {_needed(header, each) for each in clock_columns(column_map.clock)}
+        taken |= {place for each in column_map.by_column if (place := place_of(header, each)) is not None}
+        for place in set(range(len(header))) - taken - {value_at}:
+            # What says which reading a row is of is no reading itself.
+            report.unused[header[place] or f"column {place + 1}"] += sum(bool(row[place].strip()) for row in rows)
         groups: defaultdict[str, list[int]] = defaultdict(list)
         for index, row in enumerate(rows):
             known = object_at is None or row[object_at].strip() in long.objects
@@ -201,21 +278,27 @@ def _read_long(path: Path, layout: TextLayout, column_map: ColumnMap, long: Long
         for field, where in groups.items():
             if field not in names:
                 report.aside += len(where)
-                unmapped[field or "another object"] += len(where)
+                what = field or "another object"
+                unmapped[what] += len(where)
+                cells = sum(bool(rows[index][value_at].strip()) for index in where)
+                report.unused[what] += cells + len(where) * len(clock_columns(column_map.clock))
                 continue
-            name, cells = names[field], [rows[index][value_at] for index in where]
-            values, faults = _convert(name, column_map.signals[name], cells, column_map, report)
+            name, cells_ = names[field], [rows[index][value_at] for index in where]
+            values, faults = _convert(name, column_map.signals[name], cells_, column_map, report)
             # A row of a long file is there to say something: a blank value says that there was none to be had.
-            blank = np.array([not cell.strip() for cell in cells], dtype=bool)
+            blank = np.array([not cell.strip() for cell in cells_], dtype=bool)
             if blank.any():
                 faults[f"{name} is blank"] = blank
-            bad = _count_faults(report, [lines[index] for index in where], cells, faults)
+                report.cells += int(blank.sum())  # counted as bad, so counted as a cell
+            bad = _count_faults(report, [lines[index] for index in where], cells_, faults)
             pieces.setdefault(name, []).append(Series(np.array(where, dtype=np.intp) + start, values, bad))
         start += len(lines)
+        chunk.rows.clear()
+        chunks.append(chunk)
     if unmapped:
         report.notes.append(f"rows of {listed(unmapped)} are not in the map")
     series = {name: _joined(parts) for name, parts in pieces.items()}
-    return _finished(clock, series, layout, column_map, report)
+    return _finished(chunks, series, layout, column_map, report)
 
 
 def _joined(parts: Sequence[Series]) -> Series:
@@ -227,25 +310,54 @@ def _joined(parts: Sequence[Series]) -> Series:
 
 
 def _finished(
-    clock: Sequence[tuple[list[int], Array, Mask]],
+    chunks: Sequence[_Chunk],
     series: Mapping[str, Series],
     layout: TextLayout,
     column_map: ColumnMap,
     report: FileReport,
-) -> FileReadings:
-    """Local times to UTC, and without the rows whose local time never was or that no signal of the map has."""
-    if not clock:
-        empty = np.empty(0, dtype=np.intp)
-        return FileReadings(np.empty(0), empty, empty, {}, layout.comments)
-    lines = np.concatenate([np.array(chunk[0], dtype=np.intp) for chunk in clock])
-    seconds = np.concatenate([chunk[1] for chunk in clock])
-    local = np.concatenate([chunk[2] for chunk in clock])
+) -> list[FileReadings]:
+    """By machine and session: local times to UTC, without rows whose local time never was or that no signal has."""
+    if not chunks:
+        return []
+    lines = np.concatenate([np.array(chunk.lines, dtype=np.intp) for chunk in chunks])
+    seconds = np.concatenate([chunk.seconds for chunk in chunks])
+    local = np.concatenate([chunk.local for chunk in chunks])
     if local.any() and not local.all():
         report.warn(
             f"{int(local.sum())} of its times have no time zone (the first on line {lines[local][0]}) and "
             f"{int((~local).sum())} have one: those without are read in {column_map.clock.timezone}; "
             "if they are not, give clock.timezone"
         )
+    _say_codes(series, column_map, report)
+    zeros = np.zeros_like(lines)
+    cells = len(clock_columns(column_map.clock)) + sum(map(bool, column_map.by_column))
+    everything = FileReadings(seconds, lines, zeros, series, layout.comments, clock_cells=cells)
+    if not any(column_map.by_column):
+        return [_on_one_clock(everything, local, column_map, report)]
+    owners: dict[Whose, list[int]] = {}
+    for row, whose in enumerate(whose for chunk in chunks for whose in chunk.whose):
+        owners.setdefault(whose, []).append(row)
+    found = []
+    for whose, rows in owners.items():
+        own = np.array(rows, dtype=np.intp)
+        found.append(replace(_on_one_clock(select(everything, own), local[own], column_map, report), whose=whose))
+    return found
+
+
+def _say_codes(series: Mapping[str, Series], column_map: ColumnMap, report: FileReport) -> None:
+    for name, column in series.items():
+        signal = column_map.signals.get(name)
+        if signal is not None and signal.boolean:
+            continue
+        for code, count in codes_in(column.values).items():
+            report.warn(
+                f"{count} readings of {name} are {code:g}, a number that devices send where they have no reading; "
+                f"if it is one, the column map's bad = [{code:g}] for {name} refuses it"
+            )
+
+
+def _on_one_clock(readings: FileReadings, local: Mask, column_map: ColumnMap, report: FileReport) -> FileReadings:
+    seconds, lines, series = readings.times, readings.lines, readings.series
     newest_first = _newest_first(seconds)
     if newest_first:
         report.warn("its newest row comes first; it is read from its end")
@@ -259,9 +371,25 @@ def _finished(
         for column in series.values():
             mentioned[column.rows] = True
     never = np.isnan(times)
-    report.refuse(lines[never & mentioned].tolist(), f"its local time never was in {column_map.clock.timezone}")
-    everything = FileReadings(times, lines, np.zeros_like(lines), series, layout.comments)
+    everything = replace(readings, times=times, lines=lines, series=series)
+    why = f"its local time never was in {column_map.clock.timezone}"
+    refuse_rows(everything, never & mentioned, why, [report])
     return select(everything, np.flatnonzero(~never & mentioned))
+
+
+def refuse_rows(readings: FileReadings, rows: Mask, reason: str, reports: Sequence[FileReport]) -> None:
+    """Count rows that cannot be used, and their cells that could."""
+    for index, report in enumerate(reports):
+        own = rows & (readings.files == index)
+        if own.any():
+            report.refuse(readings.lines[own].tolist(), reason)
+            report.refused_cells += cells_of(readings, own)
+
+
+def cells_of(readings: FileReadings, rows: Mask) -> int:
+    """The cells of some rows that can be used: those of the clock and the good readings."""
+    good = sum(int((rows[series.rows] & ~series.bad).sum()) for series in readings.series.values())
+    return good + readings.clock_cells * int(rows.sum())
 
 
 def _newest_first(seconds: Array) -> bool:
@@ -285,11 +413,13 @@ def select(readings: FileReadings, order: Rows) -> FileReadings:
         # Stable: readings of one row keep the order of the file, as the last of them is the one that counts.
         kept = kept[np.argsort(rows[kept], kind="stable")]
         series[name] = Series(rows[kept], column.values[kept], column.bad[kept])
-    return FileReadings(readings.times[order], readings.lines[order], readings.files[order], series, readings.comments)
+    return replace(
+        readings, times=readings.times[order], lines=readings.lines[order], files=readings.files[order], series=series
+    )
 
 
 def joined(parts: Sequence[FileReadings]) -> FileReadings:
-    """The readings of several files, one after the other; `files` counts them."""
+    """The readings of several files, one after the other."""
     starts = np.cumsum([0, *(part.times.size for part in parts)])
     pieces: dict[str, list[Series]] = {}
     for part, start in zip(parts, starts.tolist(), strict=False):
@@ -298,7 +428,9 @@ def joined(parts: Sequence[FileReadings]) -> FileReadings:
     return FileReadings(
         np.concatenate([part.times for part in parts]),
         np.concatenate([part.lines for part in parts]),
-        np.concatenate([np.full(part.times.shape, index, dtype=np.intp) for index, part in enumerate(parts)]),
+        np.concatenate([part.files for part in parts]),
         {name: _joined(series) for name, series in pieces.items()},
         tuple(comment for part in parts for comment in part.comments),
+        clock_cells=parts[0].clock_cells,
+        whose=parts[0].whose,
     )

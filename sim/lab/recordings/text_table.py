@@ -9,17 +9,18 @@ import csv
 import io
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
-from operator import itemgetter
 from pathlib import Path
+
+import numpy as np
 
 from drivers.csv_rows import unguarded
 from drivers.errors import did_you_mean
-from drivers.named_files import regular
 from sim.lab.recordings.cells import numbers
 from sim.lab.recordings.column_map import ColumnMap, Names
 from sim.lab.recordings.load_report import FileReport, TraceError, listed
+from sim.lab.recordings.sources import head_of, opened
 
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "|": "|"}
 _HEAD = 262_144
@@ -28,6 +29,10 @@ _BLOCK = 500
 """Lines that are split in one call where none of them has a quotation mark. One mark costs its block the short way."""
 MOST_LINES = 50
 """Lines that one row may take. A quotation mark that stays open for longer is a fault of its line."""
+_SHOWN_ROWS = 5
+"""Rows under a header that show the separator they are written with."""
+_LONG_NAME = 3
+"""Letters of a name that hardly stands in a row by chance."""
 MOST_BEFORE = 60
 """Lines among which a header is looked for, comments not counted."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -35,30 +40,76 @@ _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codec
 
 @dataclass(frozen=True, slots=True)
 class TextLayout:
-    """How a file is written. `skip` lines come before its first row; `comments` are those of them, without the mark."""
+    """How a file is written. `skip` lines come before its first row; `comments` are those of them, without the mark.
+
+    A row with names for all `clock` columns is a header once more: what comes below is a table of its own.
+    """
 
     encoding: str
     separator: str
     header: tuple[str, ...]
     skip: int
     comments: tuple[str, ...]
+    clock: tuple[Names, ...] = ()
+
+    def begins_anew(self, cells: Sequence[str]) -> bool:
+        """Whether a row is a header."""
+        if tuple(cell.strip() for cell in cells) == self.header:
+            return True
+        return bool(self.clock) and all(place_of(cells, names) is not None for names in self.clock)
+
+
+def folded(name: str) -> str:
+    """A name without the spelling of its blanks and of its letters' case."""
+    return " ".join(name.split()).casefold()
+
+
+def told_apart(names: Sequence[str]) -> list[str]:
+    """A header whose equal names are numbered: Value, Value_2, Value_3."""
+    apart: list[str] = []
+    for name in names:
+        count = 1 + sum(name == before for before in names[: len(apart)])
+        apart.append(f"{name}_{count}" if name and count > 1 and f"{name}_{count}" not in names else name)
+    return apart
+
+
+def rows_mark(lines: Sequence[str], width: int, mark: str) -> str:
+    """The separator of the rows under a header of `width` names: its own `mark`, unless only another fits all of them.
+
+    Some programs write the header with commas and the rows, for their decimal commas, with semicolons.
+    """
+    rows = [line for line in lines if line.strip()]
+
+    def fit(each: str) -> int:
+        """Cells that are numbers, if all rows have the width; under the wrong mark decimals are cut off."""
+        split = [_header([row], each)[0] for row in rows]
+        fits = all(len(cells) == width for cells in split)
+        return sum(int(np.isfinite(numbers(cells)[0]).sum()) for cells in split) if fits else -1
+
+    best = max(SEPARATORS.values(), key=lambda each: (fit(each), each == mark))
+    return best if rows and fit(best) > max(fit(mark), 0) else mark
 
 
 def place_of(header: Sequence[str], names: Names) -> int | None:
     """Where the first of `names` that the header has stands; upper and lower case matter only if both are there."""
-    folded = [name.casefold() for name in header]
+    alike = [folded(name) for name in header]
     for name in names:
         if name in header:
             return header.index(name)
-        if folded.count(name.casefold()) == 1:
-            return folded.index(name.casefold())
+        if alike.count(folded(name)) == 1:
+            return alike.index(folded(name))
     return None
 
 
-def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], report: FileReport) -> TextLayout:
-    """Encoding, separator and header of `path`. Raises TraceError, saying what is there, unless all `needed` are."""
-    with regular(path).open("rb") as stream:
-        head = stream.read(_HEAD)
+def find_layout(
+    path: Path, column_map: ColumnMap, clock: Sequence[Names], sources: Sequence[Names], report: FileReport
+) -> TextLayout:
+    """Encoding, separator and header of `path`.
+
+    Raises TraceError unless all columns of `clock` and `sources` are there.
+    """
+    needed = [*clock, *sources]
+    head = head_of(path, _HEAD)
     if not head:
         raise TraceError(f"{path}: the file is empty; give one with a header and rows")
     encoding, text, note = decode_head(path, head, column_map.encoding)
@@ -98,8 +149,9 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
             if (values == values).all():
                 bare.append(mark)
     if fits:
-        separator, (header, span) = fits[0], headers[fits[0]]
+        (header, span) = headers[fits[0]]
         skip = at + span
+        separator = rows_mark(lines[skip : skip + _SHOWN_ROWS], len(header), fits[0])
     elif len(bare) == 1:
         separator, header, skip = bare[0], column_map.columns, first
     else:
@@ -108,8 +160,11 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
         report.notes.append(f"its separator is {separator!r}, not {column_map.separator!r} as the map says")
     if not fits:
         report.notes.append(f"it has no header; its columns are taken for {listed(column_map.columns)}")
-    report.columns = header
-    return TextLayout(encoding, separator, header, skip, tuple(comments))
+    named = tuple(told_apart(header))
+    if named != tuple(header):
+        report.warn(f"columns have the same name; they are told apart as {listed(set(named) - set(header))}")
+    report.columns = named
+    return TextLayout(encoding, separator, named, skip, tuple(comments), clock=tuple(clock) if fits else ())
 
 
 def decode_head(path: Path, head: bytes, encoding: str) -> tuple[str, str, str]:
@@ -137,12 +192,17 @@ def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]
     """The names in the row that begins with the first of `lines`, and how many lines it takes; no names: no row."""
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
     try:
-        names = [cell.strip() for cell in unguarded(next(reader))]
+        return tuple(_trimmed(unguarded(next(reader)))), reader.line_num
     except csv.Error:
         return (), 1
+
+
+def _trimmed(cells: Sequence[str]) -> list[str]:
+    """The names of a header, without blank ones at its end."""
+    names = [cell.strip() for cell in cells]
     while names and not names[-1]:
         names.pop()
-    return tuple(names), reader.line_num
+    return names
 
 
 def _no_header(
@@ -166,13 +226,15 @@ def _no_header(
 
 def read_rows(
     path: Path, layout: TextLayout, comment: str, report: FileReport
-) -> Iterator[tuple[list[int], list[list[str]]]]:
-    """The rows of a file in chunks: line numbers (from 1) and cells, as many as the header has; the others refused."""
+) -> Iterator[tuple[TextLayout, list[int], list[list[str]]]]:
+    """The rows of a file in chunks: the layout with the header above them, line numbers (from 1) and cells.
+
+    Each row has as many cells as that header; the others are refused. `report` counts the cells that are filled.
+    """
     numbers_: list[int] = []
     rows: list[list[str]] = []
-    width = len(layout.header)
     # A byte that does not decode makes its cell no number, which is then reported; it must not end the reading.
-    with path.open(encoding=layout.encoding, errors="replace", newline=None) as stream:
+    with io.TextIOWrapper(opened(path), encoding=layout.encoding, errors="replace", newline=None) as stream:
         lines = islice(stream, layout.skip, None)
         below = layout.skip + 1  # the number of the next line
 
@@ -193,29 +255,43 @@ def read_rows(
                 numbers_ += range(first, below)
                 rows += plain
                 if len(rows) == _CHUNK:
-                    yield numbers_, rows
+                    yield layout, numbers_, rows
                     numbers_, rows = [], []
                 continue
+            width = [len(layout.header)]
             singly = split_rows(
                 enumerate(block, first), further(), separator=layout.separator, comment=comment, width=width
             )
             for number, cells, fault in singly:
                 report.rows += 1
+                filled = sum(map(bool, map(str.strip, cells)))
                 if fault:
                     report.refuse([number], "it cannot be split into cells", [fault])
-                elif len(cells) != width:
-                    detail = f"{len(cells)}, not {width}"
+                elif cells and layout.begins_anew(cells):
+                    header = tuple(told_apart(_trimmed(cells)))
+                    report.refuse_cells(filled)
+                    if header == layout.header:
+                        report.refuse([number], "it is the header again")
+                        continue
+                    report.refuse([number], "a header of other names, or in another order, begins here")
+                    if rows:
+                        yield layout, numbers_, rows
+                        numbers_, rows = [], []
+                    layout = replace(layout, header=header)
+                    report.columns += tuple(name for name in header if place_of(report.columns, (name,)) is None)
+                    width[0] = len(header)
+                elif len(cells) != len(layout.header):
+                    detail = f"{len(cells)}, not {len(layout.header)}"
                     report.refuse([number], "it has another number of cells than the header", [detail])
-                elif cells[0] == layout.header[0] and tuple(cell.strip() for cell in cells) == layout.header:
-                    report.refuse([number], "it is the header again")
+                    report.refuse_cells(filled)
                 else:
                     numbers_.append(number)
                     rows.append(cells)
                 if len(rows) == _CHUNK:
-                    yield numbers_, rows
+                    yield layout, numbers_, rows
                     numbers_, rows = [], []
     if rows:
-        yield numbers_, rows
+        yield layout, numbers_, rows
 
 
 def _plain_rows(lines: Sequence[str], layout: TextLayout, comment: str) -> list[list[str]] | None:
@@ -227,22 +303,41 @@ def _plain_rows(lines: Sequence[str], layout: TextLayout, comment: str) -> list[
         rows = list(csv.reader(lines, delimiter=layout.separator, skipinitialspace=True, strict=True))
     except csv.Error:  # a cell beyond csv.field_size_limit
         return None
-    # A row of another width is refused, or loses blank cells; the header may come again. Both are looked at singly.
-    if set(map(len, rows)) != {len(layout.header)} or layout.header[0] in map(itemgetter(0), rows):
+    # A row of another width is refused, or loses blank cells; a header may come again. Both are looked at singly.
+    if set(map(len, rows)) != {len(layout.header)} or _names_a_column(rows, text, layout):
         return None
     return list(map(unguarded, rows)) if "'" in text else rows
 
 
+def _names_a_column(rows: Sequence[Sequence[str]], text: str, layout: TextLayout) -> bool:
+    """Whether a header may be among the rows: one has the first column's name, or one that the clock's may have."""
+    if any(row[0] == layout.header[0] for row in rows):
+        return True
+    small = text.casefold()
+    for names in layout.clock[:1]:
+        for name in names:
+            words = folded(name).split() or [""]
+            if words[0] in small and (len(words[0]) >= _LONG_NAME or any(name in row for row in rows)):
+                return True
+    return False
+
+
 def split_rows(
-    block: Iterable[tuple[int, str]], lines: Iterator[tuple[int, str]], *, separator: str, comment: str, width: int
+    block: Iterable[tuple[int, str]],
+    lines: Iterator[tuple[int, str]],
+    *,
+    separator: str,
+    comment: str,
+    width: list[int],
 ) -> Iterator[tuple[int, list[str], str]]:
-    """(number of its first line, cells, what is wrong with it) of each row; blank cells beyond `width` are dropped.
+    """(number of its first line, cells, what is wrong with it) of each row; blank cells beyond `width[0]` are dropped.
 
     The rows that begin in `block`; the last of them may go on in `lines`, which come after it.
 
     A quoted cell may go on over several lines (RFC 4180), and so may its row. But a quotation mark that somebody forgot
     to close must not swallow the rows below it. So a row of several lines only counts if the mark is closed within
-    MOST_LINES and `width` cells come out; if not, its first line alone is the bad row, and reading resumes on the next.
+    MOST_LINES and `width[0]` cells come out; if not, its first line alone is the bad row, and reading resumes on the
+    next.
     """
     ahead = deque(block)  # lines to be split, those included that a bad row had taken beyond its first
     taken: list[tuple[int, str]] = []  # those of the row that is being split
@@ -264,9 +359,10 @@ def split_rows(
     while ahead:
         try:
             for cells in csv.reader(feed(), delimiter=separator, skipinitialspace=True, strict=True):
-                if len(cells) > width and not "".join(cells[width:]).strip():
-                    del cells[width:]
-                if len(taken) > 1 and len(cells) != width:
+                # The header may change on the way, and with it the width.
+                if len(cells) > width[0] and not "".join(cells[width[0] :]).strip():
+                    del cells[width[0] :]
+                if len(taken) > 1 and len(cells) != width[0]:
                     fault = f"a quotation mark is open at its end; with the lines below it has {len(cells)} cells"
                     break
                 number = taken[0][0]

@@ -1,22 +1,28 @@
 """Traces from CSV files: rows in order on one clock, equal times merged, gaps left open, events encoded."""
 
 import fnmatch
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from sim.lab.recordings.auto_thresholds import with_thresholds
-from sim.lab.recordings.clock import longest_rising, unroll_midnight
+from sim.lab.recordings.auto_thresholds import with_gap, with_thresholds
+from sim.lab.recordings.clock import longest_rising, spread_evenly, unroll_midnight
 from sim.lab.recordings.column_map import ColumnMap
 from sim.lab.recordings.load_report import FileReport, LoadReport, TraceError
-from sim.lab.recordings.readings import FileReadings, Rows, Series, joined, read_file, select
-from sim.sha import Array, Mask, Trace, encode
+from sim.lab.recordings.readings import FileReadings, Rows, Series, Whose, joined, read_file, refuse_rows, select
+from sim.lab.recordings.sources import UNPACKING, is_recording
+from sim.sha import Alphabet, Array, Mask, Trace, encode
 
 Source = str | Path | Iterable[str | Path]
 SYNTHETIC = "SYNTHETIC"
 """A comment that begins with this word says that no plant made the rows."""
+MOST_CONTRADICTIONS = 0.01
+"""Share of the rows that may contradict another one of the same time before `last` would be a guess."""
+MOST_HELD = 5_000_000
+"""Rows that held values may make of one trace."""
 
 
 def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], LoadReport]:
@@ -28,6 +34,7 @@ def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], Loa
     """
     reports: list[FileReport] = []
     traces: list[Trace] = []
+    groups: list[tuple[int, list[FileReport]]] = []
     taken: set[str] = set()
     for group in _groups(_files(source, column_map), column_map):
         files = [FileReport(path) for path in group]
@@ -40,9 +47,17 @@ def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], Loa
             continue
         name = _name(group, taken)
         taken.add(name)
-        traces += [replace(trace, name=f"{name}-{n}" if n > 1 else name) for n, trace in enumerate(loaded, 1)]
-    # One alphabet for all traces, whose readings may decide its thresholds: known when all are there.
-    alphabet = with_thresholds(column_map.alphabet, traces)
+        counts: Counter[str] = Counter()
+        for trace in loaded:
+            own = f"{name}-{trace.name}" if trace.name else name
+            counts[own] += 1
+            traces.append(replace(trace, name=f"{own}-{counts[own]}" if counts[own] > 1 else own))
+        groups += [(len(loaded), files)]
+    # One alphabet for all traces, whose readings may decide its gap and its thresholds: known when all are there.
+    alphabet = with_gap(column_map.alphabet, traces, column_map.interval if column_map.stored == "on change" else None)
+    traces = [_completed(trace, column_map, alphabet.gap) for trace in traces]
+    _note_gaps(traces, groups, alphabet)
+    alphabet = with_thresholds(alphabet, traces)
     traces = [replace(trace, events=encode(trace, alphabet)) for trace in traces]
     report = LoadReport(tuple(reports), alphabet)
     if not traces:
@@ -69,10 +84,10 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
     files: list[Path] = []
     for path in (Path(each).expanduser() for each in ([source] if isinstance(source, str | Path) else source)):
         if path.is_dir():
-            own = _csv_files(path.iterdir(), column_map.parts)
+            own = csv_files(path.iterdir(), column_map.parts)
             files += own
             if below or not own:
-                files += _csv_files((each for each in path.rglob("*") if each.parent != path), column_map.parts)
+                files += csv_files((each for each in path.rglob("*") if each.parent != path), column_map.parts)
         elif not path.exists() and any(mark in str(path) for mark in "*?["):
             # A file may have such a mark in its name: only what is not there is a pattern.
             anchor = Path(path.anchor)
@@ -83,8 +98,9 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
     return list(dict.fromkeys(files))
 
 
-def _csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
-    files = [path for path in paths if path.suffix.lower() == ".csv" and path.is_file() and path.name[:1] != "."]
+def csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
+    """The CSV files among paths, in the order of their names; only those of the pattern `parts`, if any is."""
+    files = [path for path in paths if is_recording(path) and path.is_file() and path.name[:1] != "."]
     return sorted([path for path in files if parts and fnmatch.fnmatch(path.name, parts)] or files)
 
 
@@ -115,26 +131,40 @@ def _machine(files: Sequence[FileReport], column_map: ColumnMap) -> str:
     match column_map.machine:
         case "file" if len(files) == 1:
             return first.stem
-        case "file" | "folder":
-            return first.parent.name
-        case name:
+        case str() as name if name not in ("file", "folder"):
             return name
+        case _:
+            return first.parent.name
 
 
 def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trace]:
-    parts, used = [], []
-    for file in files:
+    parts: dict[Whose, list[FileReadings]] = {}
+    for index, file in enumerate(files):
         try:
-            parts.append(read_file(file.path, column_map, file))
-            used.append(file)
+            for readings in read_file(file.path, column_map, file):
+                numbered = replace(readings, files=np.full_like(readings.files, index))
+                parts.setdefault(readings.whose, []).append(numbered)
         except TraceError as error:
             file.error = str(error)
-        except OSError as error:
-            file.error = f"{file.path}: it cannot be read: {error.strerror or error}"
+        except (OSError, *UNPACKING) as error:
+            file.error = f"{file.path}: it cannot be read: {getattr(error, 'strerror', '') or error}"
     if not parts:
         raise TraceError(files[0].error, None)
-    readings = joined(parts)
-    if column_map.clock.time_of_day is not None:
+    used = [file for file in files if not file.error]
+    return [trace for own in parts.values() for trace in _traces_of(joined(own), column_map, files, used)] or _nothing(
+        used[0].path, column_map.temperature
+    )
+
+
+def _nothing(path: Path, name: str) -> list[Trace]:
+    raise TraceError(f"{path}: there is no reading of {name} in it that can be used")
+
+
+def _traces_of(
+    readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport], used: Sequence[FileReport]
+) -> list[Trace]:
+    """The traces of one machine and session, named after them; their signals as they were read."""
+    if column_map.clock.daily:
         readings = replace(readings, times=unroll_midnight(readings.times))
     first, count = used[0].path, len(used)
     own = str(first) if count == 1 else f"{first.parent} ({count} files)"
@@ -142,32 +172,37 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
     noted = next((c.removeprefix("origin:").strip() for c in readings.comments if c.startswith("origin:")), "")
     synthetic = column_map.synthetic or any(comment.startswith(SYNTHETIC) for comment in readings.comments)
     traces, name = list[Trace](), column_map.temperature
-    for piece in _in_order(readings, column_map, used):
+    for piece in _in_order(readings, column_map, files):
         if name not in column_map.derived and (name not in piece.series or piece.series[name].bad.all()):
-            for index, file in enumerate(used):
-                lines = piece.lines[piece.files == index]
-                file.refuse(lines.tolist(), f"there is no reading of {name} in its part of the trace")
+            why = f"there is no reading of {name} in its part of the trace"
+            refuse_rows(piece, np.ones(piece.times.shape, dtype=bool), why, files)
             continue
-        trace = Trace(
-            first.stem,
-            *_merged(piece, column_map, used),
-            origin=noted or own,
-            synthetic=synthetic,
-            machine=_machine(files, column_map),
-            units=units(column_map),
+        machine, session = piece.whose
+        traces.append(
+            Trace(
+                "-".join(filter(None, (machine, session))),
+                *_merged(piece, column_map, files),
+                origin=noted or own,
+                synthetic=synthetic,
+                machine=machine or _machine(files, column_map),
+                units=units(column_map),
+            )
         )
-        traces.append(_completed(trace, column_map))
-    if not traces:
-        raise TraceError(f"{first}: there is no reading of {name} in it that can be used")
-    # What a reader of the report should know beyond refused rows.
-    gap = column_map.alphabet.gap
-    gaps = sum(int((np.diff(trace.times) > gap).sum()) for trace in traces)
-    if gaps:
-        used[0].notes.append(f"{gaps} gaps of more than {gap:g} s are left open")
-    lacking = [channel.signal for channel in column_map.alphabet.channels if channel.signal not in traces[0].signals]
-    if lacking:
-        used[0].notes.append(f"no signal {', '.join(lacking)}: its events cannot be seen")
     return traces
+
+
+def _note_gaps(traces: Sequence[Trace], groups: Sequence[tuple[int, list[FileReport]]], alphabet: Alphabet) -> None:
+    """What a reader of the report should know beyond refused rows; traces stand in the order of the groups."""
+    gap, start = alphabet.gap, 0
+    for count, files in groups:
+        own, first = traces[start : start + count], next(file for file in files if not file.error)
+        start += count
+        gaps = sum(int((np.diff(trace.times) > gap).sum()) for trace in own)
+        if gaps:
+            first.notes.append(f"{gaps} gaps of more than {gap:g} s are left open")
+        lacking = [channel.signal for channel in alphabet.channels if channel.signal not in own[0].signals]
+        if lacking:
+            first.notes.append(f"no signal {', '.join(lacking)}: its events cannot be seen")
 
 
 def _in_order(readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]) -> list[FileReadings]:
@@ -191,26 +226,41 @@ def _in_order(readings: FileReadings, column_map: ColumnMap, files: Sequence[Fil
             'write clock_back = "sort" in the column map if the rows are only out of order, "split" if the clock '
             "starts anew, or give each its own file"
         )
-    for index, file in enumerate(files):
-        lines = readings.lines[~keep & (readings.files == index)]
-        file.refuse(lines.tolist(), "its clock is before that of the rows around it")
+    refuse_rows(readings, ~keep, "its clock is before that of the rows around it", files)
     return [select(readings, np.flatnonzero(keep))]
 
 
 def _merged(
     readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]
 ) -> tuple[Array, dict[str, Array], tuple[()], dict[str, Mask]]:
-    """Times, signals and bad marks of a trace, rows of equal time made one unless the map keeps them."""
+    """Times, signals and bad marks of a trace, rows of equal time made one unless the map keeps or spreads them.
+
+    Raises TraceError where the rows of one time contradict one another and nobody has said what that means.
+    """
     first = np.ones(readings.times.shape, dtype=bool)
-    if column_map.duplicates != "keep":
+    if column_map.duplicates == "spread":
+        readings = replace(readings, times=spread_evenly(readings.times))
+    elif column_map.duplicates != "keep":
         first[1:] = np.diff(readings.times) > 0
     for index, count in enumerate(np.bincount(readings.files[~first], minlength=len(files)).tolist()):
         files[index].merged += count
+        files[index].merged_cells += count * readings.clock_cells
+        files[index].used_cells += int((first & (readings.files == index)).sum()) * readings.clock_cells
     group = np.cumsum(first) - 1
     times = readings.times[first]
+    if column_map.duplicates in ("agree", "last"):
+        _contradictions(readings, group, first, files, refused=column_map.duplicates == "agree")
     signals, bad = {}, {}
     for name, series in readings.series.items():
         known, at = column_map.signals.get(name), group[series.rows]
+        # Of good readings of one cell place the last is used: each of the others is merged.
+        good = ~series.bad
+        kept = np.zeros(at.shape, dtype=bool)
+        kept[np.flatnonzero(good)[::-1][np.unique(at[good][::-1], return_index=True)[1]]] = True
+        for index, file in enumerate(files):
+            own = readings.files[series.rows] == index
+            file.used_cells += int((kept & own).sum())
+            file.merged_cells += int((good & ~kept & own).sum())
         if column_map.duplicates == "average" and not (known is not None and known.boolean):
             signals[name], bad[name] = _average(series, at, times.size)
         else:
@@ -218,6 +268,35 @@ def _merged(
             signals[name], bad[name] = np.full(times.size, np.nan), np.zeros(times.size, dtype=bool)
             signals[name][at], bad[name][at] = series.values, series.bad
     return times, signals, (), {name: mask for name, mask in bad.items() if mask.any()}
+
+
+def _contradictions(
+    readings: FileReadings, group: Rows, first: Mask, files: Sequence[FileReport], *, refused: bool
+) -> None:
+    """Refuse, or only say, that rows of one time have other readings than the last of them."""
+    unequal = np.zeros(int(first.sum()), dtype=bool)
+    for series in readings.series.values():
+        good = ~series.bad
+        at, values = group[series.rows[good]], series.values[good]
+        order = np.argsort(at, kind="stable")
+        same = np.diff(at[order]) == 0
+        unequal[at[order][1:][same & (np.diff(values[order]) != 0)]] = True
+    where = np.flatnonzero(unequal[group] & ~first)
+    if not where.size:
+        return
+    file, line = files[int(readings.files[where[0]])], readings.lines[where[0]]
+    said = (
+        f"{where.size} of its {first.size} rows have the time of another row and other readings (the first on line "
+        f"{line})"
+    )
+    if not refused or where.size <= MOST_CONTRADICTIONS * first.size:
+        file.warn(f"{said}; the last reading counts")
+        return
+    raise TraceError(
+        f"{file.path}: {said}: if they are of several machines or sessions, name the column in the map: "
+        'machine = { column = "..." } or session = { column = "..." }; if the clock lost its seconds, write '
+        'duplicates = "spread"; if the readings are one, "average" or "last"'
+    )
 
 
 def _average(series: Series, group: Rows, size: int) -> tuple[Array, Mask]:
@@ -231,10 +310,12 @@ def _average(series: Series, group: Rows, size: int) -> tuple[Array, Mask]:
     return values, bad & (counts == 0)
 
 
-def _completed(trace: Trace, column_map: ColumnMap) -> Trace:
+def _completed(trace: Trace, column_map: ColumnMap, gap: float) -> Trace:
     """With held and derived signals."""
+    if column_map.stored == "on change":
+        trace = _held_on(trace, column_map)
     signals, bad = dict(trace.signals), dict(trace.bad)
-    times, gap = trace.times, column_map.alphabet.gap
+    times = trace.times
     for name, signal in column_map.signals.items():
         if signal.hold and name in signals:
             signals[name] = _held(times, signals[name], bad.get(name), gap)
@@ -246,9 +327,10 @@ def _completed(trace: Trace, column_map: ColumnMap) -> Trace:
             signals[name] = np.full(times.size, derived.constant)
         elif not all(source in signals for source in derived.sources):
             continue
-        elif derived.signal is not None and derived.above is not None:
+        elif derived.signal is not None:
             source = signals[derived.signal]
-            signals[name] = np.where(np.isnan(source), np.nan, source > derived.above)
+            holds = source > derived.above if derived.above is not None else source < (derived.below or 0.0)
+            signals[name] = np.where(np.isnan(source), np.nan, holds)
             if derived.signal in bad:
                 bad[name] = bad[derived.signal]
         else:
@@ -262,9 +344,35 @@ def _completed(trace: Trace, column_map: ColumnMap) -> Trace:
     return replace(trace, signals=signals, bad=bad)
 
 
-def _held(times: Array, values: Array, bad: Mask | None, gap: float) -> Array:
-    """The last reading held over rows without one, not over bad readings and not over gaps."""
-    ends = np.diff(times, prepend=-np.inf) > gap
+def _held_on(trace: Trace, column_map: ColumnMap) -> Trace:
+    """The trace of a recording on change as one that has each row: values hold, and stand there every `interval`."""
+    times, step = trace.times, column_map.interval
+    lasting = np.minimum(np.diff(times, append=times[-1:]), column_map.silence)
+    # None stands within half a step of the next row, nor beyond the silence that still says something.
+    more = np.maximum(np.ceil((lasting - step / 2) / step).astype(int) - 1, 0)
+    if times.size + int(more.sum()) > MOST_HELD:
+        raise TraceError(
+            f"{trace.origin}: held values every {step:g} s would make {times.size + int(more.sum())} rows of it; "
+            "write a longer interval in the column map"
+        )
+    source = np.repeat(np.arange(times.size), 1 + more)
+    within = np.arange(source.size) - np.repeat(np.cumsum(1 + more) - 1 - more, 1 + more)
+    rows = times[source] + step * within
+    ends = np.concatenate(([False], np.diff(times) > column_map.silence))
+    signals, bad = dict[str, Array](), dict[str, Mask]()
+    for name, values in trace.signals.items():
+        mask = trace.bad.get(name, np.zeros(times.shape, dtype=bool))
+        held = _held(times, values, mask, ends)
+        faulty = _held(times, np.where(mask, 1.0, np.where(np.isnan(values), np.nan, 0.0)), None, ends) == 1.0
+        signals[name] = np.where(faulty, np.nan, held)[source]
+        if faulty.any():
+            bad[name] = faulty[source]
+    return replace(trace, times=rows, signals=signals, bad=bad)
+
+
+def _held(times: Array, values: Array, bad: Mask | None, gap: float | Mask) -> Array:
+    """The last reading held over rows without one, not over bad ones and not over gaps (s, or the rows after one)."""
+    ends = np.diff(times, prepend=-np.inf) > gap if isinstance(gap, float) else gap
     present = ~np.isnan(values) | ends | (np.zeros_like(ends) if bad is None else bad)
     return np.asarray(values[np.maximum.accumulate(np.where(present, np.arange(times.size), 0))])
 

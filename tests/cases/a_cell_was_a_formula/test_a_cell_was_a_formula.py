@@ -55,7 +55,7 @@ def test_no_text_is_a_formula_and_each_is_read_back(text: str) -> None:
     ((_, cells),) = numbered_rows(io.StringIO(sink.getvalue(), newline=""))
     assert cells == [text, "1.5", "", text]
     lines = enumerate(sink.getvalue().splitlines(keepends=True), 1)
-    ((_, cells, fault),) = split_rows(lines, iter(()), separator=",", comment="", width=4)
+    ((_, cells, fault),) = split_rows(lines, iter(()), separator=",", comment="", width=[4])
     assert not fault and [cell.lstrip() for cell in cells] == [text.lstrip(), "1.5", "", text.lstrip()]
 
 

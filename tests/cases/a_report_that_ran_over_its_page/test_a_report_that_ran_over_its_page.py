@@ -91,9 +91,7 @@ def test_nothing_is_printed_over_the_lines_to_sign_on(monkeypatch: pytest.Monkey
     assert places["Annex"] >= places["operator: name, date, signature"] + 5, "mm, the height of the line's text"
 
 
-@pytest.mark.parametrize(
-    "room", ["sim/lab/discrepancy/output", "sim/lab/ranking", "sim/lab/validation", "gateway/commission/acceptance"]
-)
+@pytest.mark.parametrize("room", ["sim/lab/discrepancy/output", "sim/lab/judge", "gateway/commission/acceptance"])
 def test_a_table_has_its_head_on_each_sheet_of_paper(room: str) -> None:
     """A row of headings that is no `thead` stood alone at the foot of a page, and nowhere on the next one."""
     for path in (Path(__file__).parents[3] / room / "templates").iterdir():
@@ -102,5 +100,5 @@ def test_a_table_has_its_head_on_each_sheet_of_paper(room: str) -> None:
 
 
 def test_the_ranking_has_its_parts_in_sections_too() -> None:
-    template = (Path(__file__).parents[3] / "sim/lab/ranking/templates/ranking.html").read_text(encoding="utf-8")
+    template = (Path(__file__).parents[3] / "sim/lab/judge/templates/ranking.html").read_text(encoding="utf-8")
     assert template.count("<section>") == template.count("</section>") == template.count("<h2>")

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim.lab.recordings import ClockColumns, read_clock
+from sim.lab.recordings import SECONDS, SPREADSHEET, ClockColumns, plain_time, read_clock, unroll_midnight
 from sim.sha import Array
 
 Order = Literal["year", "day", "month"]
@@ -20,10 +20,12 @@ _DATES: tuple[tuple[Order, str], ...] = (
     ("year", "%Y-%m-%d"), ("year", "%Y/%m/%d"), ("year", "%Y.%m.%d"), ("year", "%Y%m%d"),
     ("day", "%d.%m.%Y"), ("day", "%d/%m/%Y"), ("day", "%d-%m-%Y"), ("day", "%d.%m.%y"), ("day", "%d/%m/%y"),
     ("day", "%d-%b-%Y"), ("day", "%d-%b-%y"), ("day", "%d %b %Y"), ("day", "%d/%b/%Y"),
-    ("month", "%m/%d/%Y"), ("month", "%m/%d/%y"), ("month", "%m-%d-%Y"), ("month", "%b %d, %Y"), ("month", "%b %d %Y"),
+    ("day", "%d-%m-%y"), ("day", "%d %m %Y"), ("day", "%d %b %y"), ("year", "%Y-%b-%d"), ("year", "%Y %b %d"),
+    ("month", "%b-%d-%Y"), ("month", "%m/%d/%Y"), ("month", "%m/%d/%y"), ("month", "%m-%d-%Y"),
+    ("month", "%b %d, %Y"), ("month", "%b %d %Y"),
 )  # fmt: skip
 _TIMES = (
-    "%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M:%S:%f", "%H:%M", "%H.%M.%S",
+    "%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M:%S:%f", "%H:%M", "%H.%M.%S", "%H.%M",
     "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p",
 )  # fmt: skip
 _BETWEEN = (" ", "T", ", ", "  ", "_", " - ")
@@ -33,10 +35,21 @@ _EPOCHS = (
     ("microseconds", 1e15, 4e15),
     ("nanoseconds", 1e18, 4e18),
 )
+_COUNTED = {
+    "s": "seconds", "sec": "seconds", "seconds": "seconds", "ms": "milliseconds", "msec": "milliseconds",
+    "milliseconds": "milliseconds", "us": "microseconds", "µs": "microseconds", "ns": "nanoseconds", "min": "minutes",
+    "minutes": "minutes", "h": "hours", "hr": "hours", "hours": "hours", "d": "days", "days": "days",
+}  # fmt: skip
+"""Units of elapsed time as headers write them."""
+_WORDS = re.compile(r"[^\W\d_]+")
+_SPREADSHEET_DAYS = (20_000.0, 80_000.0)
+"""Days since 1899-12-30 of the years 1954 to 2119."""
+_COMPACT = "%Y%m%d%H%M%S"
+_ROUNDED = re.compile(r"\d[.,]\d+[eE]\+?\d\d$")
 _CHECKED = 400
 _LOOKED_AT, _MOST_FORMATS, _ENOUGH = 5, 4, 0.8
 _MARKS = re.compile(r"(?<!%)[-/.:, _]")
-_DATED = re.compile(r"(?:\d{1,4}[-/. ]|\d{8}\b|[A-Za-z]{3} \d).*\d[:.]\d\d")
+_DATED = re.compile(r"(?:\d{1,4}[-/. ]|\d{8}\b|[A-Za-z]{3}[- ]\d|\d\d?:\d\d).*\d(?:[:.]\d\d|\d [AP]M$|\d$)")
 _ZONE = re.compile(r" ?(?:[+-]\d\d:?\d\d|Z)$")
 
 
@@ -49,11 +62,12 @@ class FoundClock:
     order: Order
     times: Array
     date: int | None = None
+    decimal: Literal["auto", ".", ","] = "auto"
 
     @property
     def zoned(self) -> bool:
         """Whether the formats themselves name a zone, or count since 1970."""
-        return any("%z" in each or each.endswith("seconds") for each in self.formats)
+        return any("%z" in each or each in SECONDS for each in self.formats)
 
 
 def _fits(text: str, format_: str) -> bool:
@@ -80,6 +94,18 @@ def _iso(cell: str) -> bool:
 @lru_cache(maxsize=1024)
 def formats_of(cell: str) -> tuple[tuple[Order, str], ...]:
     """The formats of date and time that read one cell, with their order; none for a number or any other text."""
+    found = _formats_of(cell)
+    # Words of other languages, zones in words, the hour 24: reading knows them too.
+    return found or (_formats_of(plain_time(cell).replace(" 24:", " 00:")) if 8 <= len(cell) <= _LONGEST else ())
+
+
+_LONGEST = 90
+"""Characters of a time: JavaScript spells out the name of the zone."""
+
+
+def _formats_of(cell: str) -> tuple[tuple[Order, str], ...]:
+    if len(cell) == 14 and cell.isdigit() and _fits(cell, _COMPACT):
+        return (("year", _COMPACT),)
     if not 8 <= len(cell) <= 40 or _DATED.match(cell) is None:
         return ()
     if _iso(cell):
@@ -98,6 +124,15 @@ def formats_of(cell: str) -> tuple[tuple[Order, str], ...]:
                     for order, date in _DATES
                     if _fits(day, date)
                     for format_ in times
+                ]
+            elif "%" not in suffix:
+                # The time before the date.
+                found += [
+                    (order, f"{format_}{between}{date}")
+                    for order, date in _DATES
+                    if ":" in day and _fits(time, date)
+                    for format_ in _TIMES
+                    if _fits(day, format_)
                 ]
     return tuple(dict.fromkeys(found))
 
@@ -146,14 +181,58 @@ def clocks_of(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]] 
     return clocks
 
 
-def counted_clock(place: int, values: Array, named: bool) -> FoundClock | None:
-    """A column of numbers as a clock: since 1970 by its size, or elapsed seconds where its header says so."""
+def daily_clock(place: int, cells: Sequence[str]) -> list[FoundClock]:
+    """A column of times of day of which no column says the day: they roll over at midnight."""
+    formats = pure_time(next(filter(None, cells), ""))[:1]
+    times, _ = read_clock(ClockColumns(column="t", formats=formats), [cells], "auto")
+    enough = np.isfinite(times).sum() >= _ENOUGH * sum(map(bool, cells))
+    return [FoundClock(place, formats, "year", unroll_midnight(times))] if enough else []
+
+
+def is_rounded(cell: str) -> bool:
+    """Whether a cell is a count that a spreadsheet has rounded: 1.71032E+12 is the same for a quarter of an hour."""
+    return _ROUNDED.match(cell) is not None
+
+
+def counted_clock(place: int, values: Array, header: str, *, named: bool) -> FoundClock | None:
+    """A column of numbers as a clock: since 1970 by its size, a spreadsheet's days, or elapsed if its header says so.
+
+    It may fall where a machine or a session follows another, but not as readings do.
+    """
     finite = values[np.isfinite(values)]
-    if finite.size < 2 or not (np.all(np.diff(finite) >= 0) or np.all(np.diff(finite) <= 0)):
+    if finite.size < 2 or finite[0] == finite[-1] == np.median(finite):
         return None
-    if finite[0] == finite[-1]:
+    steps = np.diff(finite)
+    in_order = bool(np.all(steps >= 0) or np.all(steps <= 0))
+    if not in_order and not (named and float((steps < 0).mean()) <= _MOST_FALLS):
         return None
     for format_, low, high in _EPOCHS:
         if low <= finite.min() and finite.max() < high:
-            return FoundClock(place, (format_,), "year", values)
-    return FoundClock(place, ("seconds",), "year", values) if named else None
+            return FoundClock(place, (format_,), "year", values / SECONDS[format_])
+    low, high = _SPREADSHEET_DAYS
+    if named and low <= finite.min() and finite.max() < high and np.any(finite % 1):
+        return FoundClock(place, (SPREADSHEET,), "year", (values - low) * 86400.0)
+    if not named or not (in_order or _begins_anew(finite)):
+        return None
+    # The last word that is a unit: Time (ms), elapsed_min, t [h]; without one, seconds.
+    units = [_COUNTED[word] for word in _WORDS.findall(header.casefold()) if word in _COUNTED]
+    format_ = units[-1] if units else "seconds"
+    return FoundClock(place, (format_,), "year", values / SECONDS[format_])
+
+
+def _begins_anew(counts: Array) -> bool:
+    """Whether elapsed times rise evenly and fall to their beginning only, as sessions one after another do."""
+    steps = np.diff(counts)
+    rises, after = steps[steps > 0], counts[1:][steps < 0]
+    if not rises.size or not after.size:
+        return False
+    usual = float(np.median(rises))
+    even = float((np.abs(rises - usual) <= 0.5 * usual).mean())
+    at_beginning = float((after <= counts.min() + _BEGINNING * np.ptp(counts)).mean())
+    return even >= _ENOUGH and at_beginning >= _ENOUGH
+
+
+_BEGINNING = 0.2
+"""Of the range of elapsed times, in which a session may begin."""
+_MOST_FALLS = 0.5
+"""Share of steps that may go back in a column that is named like a time: of two machines in turn it is every other."""

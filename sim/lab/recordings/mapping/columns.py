@@ -8,11 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from sim.lab.recordings import SWITCH_WORDS, booleans, numbers
-from sim.lab.recordings.mapping.words import unit_of
+from sim.lab.recordings import KEPT, SWITCH_WORDS, booleans, codes_in, conversion, measured, numbers
+from sim.lab.recordings.mapping.words import named_state, unit_of
 from sim.sha import Array
 
-Kind = Literal["number", "switch", "text", "empty"]
+Kind = Literal["number", "switch", "states", "text", "empty"]
+_MOST_STATES = 12
+"""Words of a column that says states; more are names or notes."""
 _ENOUGH = 0.8
 """Share of the filled cells that must be numbers: exports write words where they have no value."""
 _NO_VALUE = frozenset({"", "null", "none", "nan", "n/a", "na", "-", "--", "no data", "bad", "bad input", "undefined"})
@@ -27,10 +29,11 @@ _OFF = frozenset({
 
 @dataclass(frozen=True, slots=True)
 class FoundColumn:
-    """A signal's column: the `header` it is read from, a `name` for the signal, its `unit`, `kind` and sample `values`.
+    """A signal's column: the `header` it is read from, the signal's `name`, its `kind` and sample `values` in `unit`.
 
-    `words` are (on, off) of a switch whose words are not known anyway; `undecided` are two words of `cells` of which
-    nobody knows which is on.
+    A cell is made a value by `scale` and `offset`, but in a column that is `measured` each cell says its own unit;
+    `bad` are the numbers in it that mean no reading. `words` are those of a switch (on, off) that are not known anyway;
+    `states` are the few words of `cells` of which nobody has said yet which mean on.
     """
 
     header: str
@@ -38,9 +41,19 @@ class FoundColumn:
     unit: str
     kind: Kind
     values: Array
-    words: tuple[str, str] | None = None
-    undecided: tuple[str, str] | None = None
+    words: tuple[tuple[str, ...], tuple[str, ...]] | None = None
+    states: tuple[str, ...] = ()
     cells: tuple[str, ...] = ()
+    scale: float = 1.0
+    offset: float = 0.0
+    measured: bool = False
+    bad: tuple[float, ...] = ()
+
+    @property
+    def moves(self) -> bool:
+        """Whether its readings are not all the same."""
+        finite = self.values[np.isfinite(self.values)]
+        return finite.size > 0 and bool(np.ptp(finite) > 0)
 
 
 def decimal_of(columns: Sequence[Sequence[str]], separator: str) -> Literal["auto", ".", ","]:
@@ -55,7 +68,8 @@ def decimal_of(columns: Sequence[Sequence[str]], separator: str) -> Literal["aut
 
 
 def _is_number(cell: str, decimal: Literal[".", ","]) -> bool:
-    return bool(np.isfinite(numbers([cell], decimal)[0][0])) and cell.strip() != ""
+    finite = np.isfinite(numbers([cell], decimal)[0][0]) or np.isfinite(measured(cell, decimal)[0])
+    return bool(finite) and cell.strip() != ""
 
 
 def column_of(
@@ -68,20 +82,44 @@ def column_of(
     filled = [cell for cell in cells if cell.casefold() not in _NO_VALUE]
     if not filled:
         return FoundColumn(header, name, unit, "empty", np.full(len(cells), np.nan))
-    values, _ = numbers(cells, decimal)
     distinct = Counter(filled)
     as_switch, wrong = booleans(cells)
     if len(distinct) <= 2 and not wrong.any() and not (unit and unit != "degC"):
-        return FoundColumn(header, name, "", "switch", as_switch)
+        return FoundColumn(header, name, "", "switch", as_switch, cells=tuple(cells))
+    values, _ = numbers(cells, decimal)
+    said = Counter() if np.isfinite(values).sum() >= _ENOUGH * len(filled) else _units(filled, decimal)
+    if said:
+        unit = said.most_common(1)[0][0]
+        unit = KEPT.get(unit, unit)
+        values, _ = numbers(cells, decimal, unit)
     if np.isfinite(values).sum() >= _ENOUGH * len(filled):
-        return FoundColumn(header, name, unit, "number", values)
+        if (
+            len(distinct) <= _MOST_STATES
+            and named_state(title)
+            and all(word.lstrip("-").isdigit() for word in distinct)
+        ):
+            return FoundColumn(header, name, "", "states", values, states=tuple(distinct), cells=tuple(cells))
+        codes = tuple(codes_in(values))
+        values = np.where(np.isin(values, codes), np.nan, values)
+        if said:
+            return FoundColumn(header, name, unit, "number", values, measured=True, bad=codes)
+        kept = KEPT.get(unit, unit)
+        scale, offset = conversion(unit, kept)
+        return FoundColumn(header, name, kept, "number", values * scale + offset, scale=scale, offset=offset, bad=codes)
     if len(distinct) == 2 and all(len(word) <= 24 for word in distinct):
         on, off = _opposites(*distinct)
         if on:
-            return FoundColumn(header, name, "", "switch", booleans(cells, (on,), (off,))[0], words=(on, off))
-        first, second = distinct
-        return FoundColumn(header, name, "", "text", values, undecided=(first, second), cells=tuple(cells))
+            as_words = booleans(cells, (on,), (off,))[0]
+            return FoundColumn(header, name, "", "switch", as_words, words=((on,), (off,)), cells=tuple(cells))
+    if 2 <= len(distinct) <= _MOST_STATES and all(len(word) <= 24 for word in distinct):
+        return FoundColumn(header, name, "", "states", values, states=tuple(distinct), cells=tuple(cells))
     return FoundColumn(header, name, "", "text", values)
+
+
+def _units(cells: Sequence[str], decimal: Literal["auto", ".", ","]) -> Counter[str]:
+    """The units that cells say themselves, if nearly all do."""
+    said = Counter(unit for cell in cells if (unit := measured(cell, decimal)[1]))
+    return said if said.total() >= _ENOUGH * len(cells) else Counter()
 
 
 def _opposites(first: str, second: str) -> tuple[str, str]:
@@ -113,10 +151,15 @@ def is_slow(values: Array) -> bool:
     return float(np.median(np.abs(np.diff(finite)))) <= 0.02 * span and span <= 150.0
 
 
+def dwells(states: Sequence[object]) -> bool:
+    """Whether words stay for a while: fewer changes than a quarter of the rows."""
+    return len(states) >= 10 and sum(a != b for a, b in pairwise(states)) < len(states) / 4
+
+
 def has_levels(values: Array) -> bool:
     """Whether readings dwell at standstill and at work, as a motor's current does: near 0 and far from it, in turn."""
     finite = values[np.isfinite(values)]
     if finite.size < 10 or finite.max() <= 0 or finite.min() < -0.1 * finite.max():
         return False
     low = finite < 0.1 * finite.max()
-    return 0.02 < float(low.mean()) < 0.98 and sum(a != b for a, b in pairwise(low.tolist())) < finite.size / 4
+    return 0.02 < float(low.mean()) < 0.98 and dwells(low.tolist())

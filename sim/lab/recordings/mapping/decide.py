@@ -1,5 +1,6 @@
 """Which column plays which part: by name and unit, then by how its readings move; where two fit, a person is asked."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -7,52 +8,51 @@ from itertools import combinations
 import numpy as np
 
 from drivers.errors import did_you_mean
-from sim.lab.recordings import TraceError, listed, numbers
-from sim.lab.recordings.mapping.clocks import FoundClock, clocks_of, counted_clock, is_time, pure_date, pure_time
-from sim.lab.recordings.mapping.columns import FoundColumn, decimal_of, has_levels, is_slow
+from sim.lab.recordings import KEPT, TraceError, booleans, conversion, known_unit, listed, numbers
+from sim.lab.recordings.mapping.answers import NONE, Answers, Undecided
+from sim.lab.recordings.mapping.clocks import (
+    FoundClock,
+    clocks_of,
+    counted_clock,
+    daily_clock,
+    is_rounded,
+    is_time,
+    pure_date,
+    pure_time,
+)
+from sim.lab.recordings.mapping.columns import FoundColumn, decimal_of, dwells, has_levels, is_slow
 from sim.lab.recordings.mapping.table import FoundTable
-from sim.lab.recordings.mapping.words import current_score, day_first, named_time, running_score, temperature_score
+from sim.lab.recordings.mapping.words import (
+    current_score,
+    day_first,
+    load_score,
+    named_standstill,
+    named_time,
+    running_score,
+    temperature_score,
+)
+from sim.sha import Array
 
-NONE = "none"
-"""The answer that a part is played by no column."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answers:
-    """What a person has decided; "" is left to what the file shows.
-
-    `dates` is the order of dates, day or month; `on` the word of a switch that means running.
-    """
-
-    temperature: str = ""
-    current: str = ""
-    running: str = ""
-    time: str = ""
-    dates: str = ""
-    on: str = ""
-    timezone: str = ""
-
-    def with_answer(self, field: str, answer: str) -> "Answers":
-        """The answers with one more, to the question of an Undecided."""
-        return replace(self, **{field: answer})
-
-
-class Undecided(TraceError):
-    """Two columns (or readings of one) fit: `question`, the `choices`, and the field of Answers that decides."""
-
-    def __init__(self, where: object, question: str, field: str, choices: Sequence[str]) -> None:
-        options = " or ".join(f"--{field} {choice!r}" if " " in choice else f"--{field} {choice}" for choice in choices)
-        super().__init__(f"{where}: {question}: {listed(map(repr, choices))}; give {options}")
-        self.question, self.field, self.choices = question, field, tuple(choices)
+_REST_IN_KELVIN = (240.0, 330.0)
+"""Where a temperature that nobody calls kelvin rests if it is; no bearing rests at 240 degC."""
+_HOTTEST_REST = 150.0
+"""degC above which no bearing stands still."""
+_IDLE = 0.05
+"""Of its most, a current below which no motor turns anything."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """The columns that play a part, and why each was taken; None where none does."""
+    """The columns that play a part, and why each was taken; None where none does. `said` is what was concluded.
+
+    `current` is what loads the machine: its current or, by name or a person's word, another signal. `standstill` is the
+    switch that is on while it does not run.
+    """
 
     temperature: FoundColumn
     current: FoundColumn | None
     running: FoundColumn | None
+    standstill: FoundColumn | None
     reasons: dict[str, str]
 
 
@@ -66,29 +66,35 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
         filled = [cell for cell in cells if cell]
         if not filled:
             continue
+        if named_time(header) and is_rounded(filled[0]) and len(set(filled)) < len(filled) / 2:
+            raise TraceError(
+                f"{table.path}: the times in {header!r} were rounded by a spreadsheet ({filled[0]}): the "
+                f"seconds are lost; "
+                "export the file again, with that column as text"
+            )
         if is_time(filled[0]):
             by_place[place] = clocks_of(place, cells)
         elif pure_time(filled[0]):
             dated = [
                 at for at in range(len(table.header)) if at != place and pure_date(next(iter(table.column(at)), ""))
             ]
-            if dated:
-                by_place[place] = clocks_of(place, cells, (dated[0], table.column(dated[0])))
+            dates = (dated[0], table.column(dated[0])) if dated else None
+            by_place[place] = clocks_of(place, cells, dates) if dates else daily_clock(place, cells)
         else:
-            counted = counted_clock(place, numbers(cells, decimal_of([cells], table.separator))[0], named_time(header))
-            by_place[place] = [counted] if counted is not None else []
+            decimal = decimal_of([cells], table.separator)
+            counted = counted_clock(
+                place, numbers(cells, decimal)[0], header, named=named_time(header) or bool(answers.time)
+            )
+            by_place[place] = [replace(counted, decimal=decimal)] if counted is not None else []
     found = {place: clocks for place, clocks in by_place.items() if clocks}
     if not found:
-        named = f"column {answers.time!r}" if answers.time else "column"
-        raise TraceError(
-            f"{table.path}: no {named} holds times; its columns are {listed(table.header)}; "
-            f"{did_you_mean(answers.time, table.header) or 'give --time COLUMN, or a file with times'}"
-        )
+        raise TraceError(_no_clock(table, answers))
 
     def score(place: int) -> int:
         times = found[place][0].times
         still = bool(np.all(times[np.isfinite(times)] == times[np.isfinite(times)][0]))
-        counted = found[place][0].formats == ("seconds",) and not still and not times[np.isfinite(times)][0] > 1e9
+        counted = found[place][0].order == "year" and found[place][0].formats[0].endswith(_COUNTS) and not still
+        counted &= not times[np.isfinite(times)][0] > 1e9
         return 4 * named_time(table.header[place]) + 2 * (not counted) - 8 * still
 
     best = max(map(score, found))
@@ -98,8 +104,51 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
     same = [p for p in rivals if np.allclose(np.diff(found[p][0].times), np.diff(first), atol=1.0, equal_nan=True)]
     if len(same) < len(rivals) and not answers.time:
         raise Undecided(table.path, "columns that may be the clock", "time", [table.header[place] for place in rivals])
+    _check_one_column(table, found[rivals[0]][0])
     chosen = next((place for place in same if found[place][0].zoned or "Z" in table.column(place)[0]), rivals[0])
     return _one_order(table, found[chosen], answers)
+
+
+_PARTS_OF_TIME = re.compile(
+    r"(hour|hh|stunde|ora|heure|hora|minute?|minut[oi]|mm|second|sekunde|secondi?|seconde)s?n?", re.IGNORECASE
+)
+
+
+def _check_one_column(table: FoundTable, clock: FoundClock) -> None:
+    """Raises TraceError for a clock whose hours, minutes and seconds are columns of their own: none is a clock."""
+    parts = [name for name in table.header if _PARTS_OF_TIME.fullmatch(name.strip())]
+    if len(parts) > 1 and table.header[clock.place] in parts:
+        raise TraceError(
+            f"{table.path}: its clock stands in columns of their own, {listed(parts)}: no column alone is a "
+            f"clock; write "
+            "the column map by hand, with clock.time_of_day = { hour, minute, second }, as "
+            "config/traces/femto.toml does"
+        )
+
+
+_COUNTS = ("seconds", "minutes", "hours", "days")
+
+
+def _no_clock(table: FoundTable, answers: Answers) -> str:
+    """Why no column is a clock, with a cell of the one that is named like a time."""
+    wanted = answers.time or next(filter(named_time, table.header), "")
+    if wanted not in table.header:
+        remedy = did_you_mean(wanted, table.header) if wanted else ""
+        return (
+            f"{table.path}: no column{f' {wanted!r}' if wanted else ''} holds times; its columns are "
+            f"{listed(table.header)}; "
+            f"{remedy or 'give --time COLUMN, or a file with times'}"
+        )
+    shown = next(filter(None, table.column(table.header.index(wanted))), "")
+    why = (
+        "it was rounded by a spreadsheet, and the seconds are lost; export it again as text"
+        if is_rounded(shown)
+        else "no form that is known reads it, or it does not rise; give --time COLUMN for another column"
+    )
+    return (
+        f"{table.path}: no column holds times; its columns are {listed(table.header)}; in {wanted!r} stands {shown!r}: "
+        f"{why}"
+    )
 
 
 def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers) -> FoundClock:
@@ -127,37 +176,195 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
 
 
 def parts_of(where: object, columns: Sequence[FoundColumn], answers: Answers) -> Parts:
-    """Temperature, current and switch. Raises Undecided where two fit, TraceError where there is no number at all."""
+    """Temperature, load and switch.
+
+    Raises Undecided where two fit, or only movement speaks; TraceError for no number.
+    """
     counted = [column for column in columns if column.kind == "number"]
     if not counted:
         raise TraceError(f"{where}: none of its columns holds numbers; they are {listed(c.header for c in columns)}")
     reasons: dict[str, str] = {}
+    moving = [column for column in counted if column.moves] or counted
     temperature = _named(where, "temperature", answers.temperature, counted, reasons) or _best(
-        where, "temperature", counted, lambda column: temperature_score(column.name, column.unit), reasons
+        where, "temperature", moving, lambda column: temperature_score(column.name, column.unit), reasons
     )
     if temperature is None:
-        slow = [column for column in counted if is_slow(column.values)]
-        if len(slow) != 1:
+        slow = [column for column in moving if is_slow(column.values)]
+        if len(moving) != 1 or not slow:
             raise Undecided(
-                where, "columns that may be the temperature", "temperature", [c.header for c in slow or counted]
+                where,
+                "no column is named like one temperature, and these move slowly between -40 and 200"
+                if slow
+                else "no column is named like one temperature, or moves like one",
+                "temperature",
+                [column.header for column in slow or counted],
+                guess=slow[0].header if len(slow) == 1 else "",
             )
-        temperature, reasons["temperature"] = slow[0], "the only column that moves slowly between -40 and 200"
+        temperature, reasons["temperature"] = slow[0], "the only column of numbers"
     others = [column for column in counted if column is not temperature]
-    current = None
-    if answers.current != NONE:
-        current = _named(where, "current", answers.current, others, reasons) or _best(
-            where, "current", others, lambda column: current_score(column.name, column.unit), reasons
+    load = _load(where, others, columns, answers, reasons)
+    running, standstill = _switch(where, columns, load, answers, reasons)
+    return Parts(temperature, load, running, standstill, reasons)
+
+
+def _load(
+    where: object,
+    others: Sequence[FoundColumn],
+    columns: Sequence[FoundColumn],
+    answers: Answers,
+    reasons: dict[str, str],
+) -> FoundColumn | None:
+    """What loads the machine: its current, else power, speed or torque by name; by movement only if a person says."""
+    if answers.current == NONE:
+        return None
+    moving = [column for column in others if column.moves]
+    found = _named(where, "current", answers.current, others, reasons) or _best(
+        where, "current", moving, lambda column: current_score(column.name, column.unit), reasons
+    )
+    if found is not None:
+        return found
+    loads = [column for column in moving if load_score(column.name, column.unit)]
+    loads = [column for column in loads if has_levels(column.values)] or loads
+    if loads:
+        what = "columns that may say what loads the machine"
+        return _best(where, "current", loads, lambda column: 1, reasons, what=what)
+    levels = [column for column in moving if not column.unit and has_levels(column.values)]
+    if not levels:
+        return None
+    raise Undecided(
+        where,
+        "no column is named like a current, a power or a speed; by their movement these dwell near 0 and far "
+        "from it, as what "
+        "loads a machine does",
+        "current",
+        [*(column.header for column in levels), NONE],
+        guess=levels[0].header if len(levels) == 1 else "",
+    )
+
+
+def _switch(
+    where: object,
+    columns: Sequence[FoundColumn],
+    load: FoundColumn | None,
+    answers: Answers,
+    reasons: dict[str, str],
+) -> tuple[FoundColumn | None, FoundColumn | None]:
+    """(the switch of running, the one of standstill), one of them at most."""
+    if answers.running == NONE:
+        return None, None
+    switches = [column for column in columns if column.kind == "switch"]
+    running = _named(where, "running", answers.running, switches, reasons)
+    said = [column for column in switches if answers.on and column.words and set(column.words[0]) <= set(answers.on)]
+    if running is None and said:
+        running, reasons["running"] = said[0], "as --on says"
+    if running is None:
+        direct = [column for column in switches if not named_standstill(column.name)]
+        running = _best(where, "running", direct, lambda column: running_score(column.name), reasons)
+        still = [column for column in switches if named_standstill(column.name) and column.moves]
+        if running is None and len(still) == 1 and not answers.on:
+            reasons["running"] = f"not {still[0].name}, by its name"
+            return None, still[0]
+    if running is not None:
+        _check_load(where, running, load, answers)
+        return running, None
+    if load is not None:
+        return None, None
+    candidates = [column for column in switches if column.moves and dwells(column.cells)]
+    if candidates and not answers.running:
+        raise Undecided(
+            where,
+            "no column is named like one that says whether the machine runs, and these have two states",
+            "running",
+            [*(column.header for column in candidates), NONE],
+            guess=candidates[0].header if len(candidates) == 1 else "",
         )
-        levels = [column for column in others if not column.unit and has_levels(column.values)]
-        if current is None and len(levels) == 1:
-            current, reasons["current"] = levels[0], "the only column that dwells near 0 and far from it, in turn"
-    running = None
-    if answers.running != NONE:
-        switches = [column for column in columns if column.kind == "switch"]
-        running = _named(where, "running", answers.running, switches, reasons) or _best(
-            where, "running", switches, lambda column: running_score(column.name), reasons
+    return None, None
+
+
+def _check_load(where: object, running: FoundColumn, load: FoundColumn | None, answers: Answers) -> None:
+    """Raises Undecided for a switch that is on while the load is 0 and off while it is not."""
+    if load is None or answers.on or answers.running or running.values.shape != load.values.shape:
+        return
+    both = np.isfinite(running.values) & np.isfinite(load.values)
+    on, off = load.values[both & (running.values == 1)], load.values[both & (running.values == 0)]
+    most = float(np.abs(load.values[both]).max(initial=0.0))
+    if on.size < 5 or off.size < 5 or not np.median(np.abs(on)) < _IDLE * most < np.median(np.abs(off)):
+        return
+    cells = sorted({cell for cell in running.cells if cell})
+    raise Undecided(
+        where,
+        f"{running.header!r} is on while {load.header!r} is {np.median(on):.3g}, and off while it is "
+        f"{np.median(off):.3g}; "
+        "which of its words means running",
+        "on",
+        cells,
+        guess=next(cell for cell in cells if booleans([cell])[0][0] == 0),
+    )
+
+
+def with_units(where: object, columns: Sequence[FoundColumn], answers: Answers) -> list[FoundColumn]:
+    """The columns in the units that a person names. Raises TraceError for what is none, or no column."""
+    wanted: dict[str, str] = {}
+    for text in answers.unit:
+        name, mark, unit = text.rpartition("=")
+        known = known_unit(unit)
+        if not mark or not known or name not in (column.header for column in columns):
+            raise TraceError(f"{where}: --unit {text}: give it as COLUMN=UNIT, such as 'Bearing temperature=K'")
+        wanted[name] = known
+    return [
+        _in_unit(column, wanted[column.header]) if column.header in wanted and column.kind == "number" else column
+        for column in columns
+    ]
+
+
+def _in_unit(column: FoundColumn, unit: str) -> FoundColumn:
+    kept = KEPT.get(unit, unit)
+    raw: Array = (column.values - column.offset) / column.scale
+    scale, offset = conversion(unit, kept)
+    return replace(column, unit=kept, values=raw * scale + offset, scale=scale, offset=offset)
+
+
+def check_temperature(
+    where: object, columns: Sequence[FoundColumn], temperature: FoundColumn, answers: Answers
+) -> None:
+    """Raises Undecided for a temperature in degC by nobody's word that behaves as one in another unit."""
+    header = temperature.header
+    finite = temperature.values[np.isfinite(temperature.values)]
+    if temperature.scale != 1.0 or temperature.offset or temperature.measured or not finite.size:
+        return
+    if any(text.startswith(f"{header}=") for text in answers.unit):
+        return
+    low, high = float(finite.min()), float(finite.max())
+    whole = bool(np.all(finite % 1 == 0))
+    kelvin = _REST_IN_KELVIN[0] < low < _REST_IN_KELVIN[1]
+    if low > _HOTTEST_REST and not temperature.unit:
+        likely = "K" if kelvin and not whole else "0.1 degC" if whole else ""
+        choices = [*(["K"] if kelvin else []), *(["0.1 degC"] if whole else []), "degC"]
+        raise Undecided(
+            where,
+            f"{header!r} goes from {low:g} to {high:g} and says no unit: a bearing rests at no {low:g} degC; in "
+            f"{' or '.join({'K': 'kelvin'}.get(unit, unit) for unit in choices[:-1]) or 'another unit'} it may",
+            "unit",
+            [f"{header}={unit}" for unit in choices],
+            guess=f"{header}={likely}",
         )
-    return Parts(temperature, current, running, reasons)
+    for twin in columns:
+        if twin is temperature or twin.kind != "number" or twin.values.shape != temperature.values.shape:
+            continue
+        both = np.isfinite(twin.values) & np.isfinite(temperature.values)
+        if both.sum() < 10 or np.ptp(twin.values[both]) < 1.0 or twin.scale != 1.0:
+            continue
+        for hot, cold in ((temperature, twin), (twin, temperature)):
+            slope, rest = np.polyfit(cold.values[both], hot.values[both], 1)
+            error = float(np.abs(hot.values[both] - slope * cold.values[both] - rest).max())
+            if abs(slope - 1.8) < 0.02 and abs(rest - 32.0) < 1.0 and error < 0.5 and not temperature.unit:
+                raise Undecided(
+                    where,
+                    f"{hot.header!r} is 1.8 times {cold.header!r} and 32 more: the same in degF; the model needs degC",
+                    "unit",
+                    [f"{hot.header}=F", f"{hot.header}=C"],
+                    guess=f"{hot.header}=F",
+                )
 
 
 def _named(
@@ -181,6 +388,8 @@ def _best(
     columns: Sequence[FoundColumn],
     score: Callable[[FoundColumn], int],
     reasons: dict[str, str],
+    *,
+    what: str = "",
 ) -> FoundColumn | None:
     """The column with the best score for a part, by its name and unit; None where none has any."""
     highest = max(map(score, columns), default=0)
@@ -189,24 +398,78 @@ def _best(
         return None
     # Columns with the same readings, as of a setpoint and its echo, are one.
     if any(not np.array_equal(a.values, b.values, equal_nan=True) for a, b in combinations(best, 2)):
-        raise Undecided(where, f"columns that may be the {part}", part, [column.header for column in best])
+        raise Undecided(where, what or f"columns that may be the {part}", part, [column.header for column in best])
     reasons[part] = "by its name" + (f" and its unit {best[0].unit}" if best[0].unit else "")
     return best[0]
 
 
-def with_words(where: object, columns: Sequence[FoundColumn], answers: Answers) -> list[FoundColumn]:
-    """The columns, those of two strange words as the switches that they are if a name or an answer says so.
+def with_words(
+    where: object, columns: Sequence[FoundColumn], times: Sequence[Array], answers: Answers
+) -> list[FoundColumn]:
+    """The columns, those of a few words as the switches that they are if a name or an answer says so.
 
-    Raises Undecided where it is not known which of the words means running.
+    Raises Undecided where it is not known which of the words mean running; the temperature says which are likely.
     """
+    named = [column for column in columns if answers.running in (column.header, column.name) and answers.running]
+    states = [column for column in columns if column.kind == "states" and running_score(column.name)]
+    known = [column for column in columns if column.kind == "switch" and running_score(column.name)]
+    if not named and not states and not known and not answers.running:
+        loads = [column for column in columns if column.kind == "number" and _loads(column)]
+        dwelling = [column for column in columns if column.kind == "states" and dwells([c for c in column.cells if c])]
+        # Nothing else says whether the machine runs.
+        states = [] if loads else dwelling
+    of_machine = named or ([] if known or answers.running == NONE else states)
+    if len(of_machine) > 1:
+        if not answers.running:
+            raise Undecided(
+                where,
+                "columns whose words may say whether the machine runs",
+                "running",
+                [*(c.header for c in of_machine), NONE],
+            )
+        of_machine = of_machine[:1]
+    if answers.on and not of_machine:
+        of_machine = [c for c in columns if c.kind in ("switch", "states") and set(answers.on) <= set(c.cells)][:1]
     switched: list[FoundColumn] = []
     for column in columns:
-        words = column.undecided
-        if words is not None and (running_score(column.name) or answers.running in (column.header, column.name)):
-            if answers.on not in words:
-                raise Undecided(where, f"words of {column.header!r} that may mean running", "on", words)
-            off = words[1] if answers.on == words[0] else words[0]
-            values = np.where([cell == answers.on for cell in column.cells], 1.0, 0.0)
-            column = replace(column, kind="switch", values=values, words=(answers.on, off), undecided=None)
+        cells = [cell for cell in dict.fromkeys(column.cells) if cell]
+        if column in of_machine and (column.states or answers.on):
+            on = [word for word in answers.on if word in cells]
+            if not on:
+                likely = _warming(column, columns, times)
+                raise Undecided(
+                    where,
+                    f"words of {column.header!r} that may mean running"
+                    + (f" (the temperature rises most in {likely!r})" if likely else ""),
+                    "on",
+                    cells,
+                    guess=likely,
+                )
+            values = np.array([np.nan if not cell else float(cell in on) for cell in column.cells])
+            off = tuple(cell for cell in cells if cell not in on)
+            column = replace(column, kind="switch", values=values, words=(tuple(on), off), states=())
         switched.append(column)
     return switched
+
+
+def _loads(column: FoundColumn) -> bool:
+    return column.moves and bool(current_score(column.name, column.unit) or load_score(column.name, column.unit))
+
+
+def _warming(states: FoundColumn, columns: Sequence[FoundColumn], times: Sequence[Array]) -> str:
+    """The word in which the temperature rises fastest; "" where no temperature is named or none rises."""
+    named = [
+        (column, own)
+        for column, own in zip(columns, times, strict=True)
+        if column.kind == "number" and temperature_score(column.name, column.unit) and len(column.cells or states.cells)
+    ]
+    if not named or named[0][0].values.size != len(states.cells):
+        return ""
+    values, at = named[0][0].values, named[0][1]
+    steps = np.diff(at)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rates = np.where(steps > 0, np.diff(values) / steps, np.nan)
+    words = np.array(states.cells[:-1])
+    means = {word: float(np.nanmean(own)) for word in states.states if np.isfinite(own := rates[words == word]).any()}
+    best = max(means, key=lambda word: means[word], default="")
+    return best if best and means[best] > 0 else ""

@@ -4,21 +4,32 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 
-from sim.lab.recordings import Levels, levels_of, listed, load_traces, parse_map, round_to
+from sim.lab.recordings import (
+    LoadReport,
+    codes_in,
+    csv_files,
+    gap_of,
+    known_unit,
+    levels_of,
+    listed,
+    load_traces,
+    parse_map,
+    round_to,
+)
+from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn, column_of, decimal_of
-from sim.lab.recordings.mapping.decide import Answers, Parts, clock_of, parts_of, with_words
-from sim.lab.recordings.mapping.table import FoundTable, find_table
-from sim.lab.recordings.mapping.words import named_name, named_value
-from sim.sha import Trace
+from sim.lab.recordings.mapping.decide import Parts, check_temperature, clock_of, parts_of, with_units, with_words
+from sim.lab.recordings.mapping.folder import one_table
+from sim.lab.recordings.mapping.rows import Rows, Stored, rows_of, seconds_of, stored_of
+from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
+from sim.lab.recordings.mapping.words import current_score, load_score, named_name, named_unit, named_value
+from sim.sha import Array, Trace
 
-LEAST_GAP = 30.0
-_STEPS_IN_GAP = 5
 RUNNING = "Running"
 """The name of the switch that is derived where no column says whether the machine runs."""
 _SHOWN = 30
@@ -29,7 +40,8 @@ _SHOWN = 30
 class DraftedMap:
     """The map's TOML `text` and what was found: header names of the clock, temperature, current and switch ("": none).
 
-    `rows` of the file's were used with it, of `of`; `report` is what loading said.
+    `rows` of the file's were used with it, of `of`; `account` is the line that adds up, `report` what else is to be
+    said.
     """
 
     text: str
@@ -39,6 +51,7 @@ class DraftedMap:
     running: str
     rows: int
     of: int
+    account: tuple[str, ...]
     report: tuple[str, ...]
 
 
@@ -50,6 +63,22 @@ class _LongForm:
     value: int
     object: int | None
     objects: tuple[str, ...]
+    unit: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """All that a map is written from."""
+
+    table: FoundTable
+    clock: FoundClock
+    long: _LongForm | None
+    columns: Sequence[FoundColumn]
+    parts: Parts
+    rows: Rows
+    stored: Stored
+    decimal: str
+    derived: str
 
 
 def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = None) -> DraftedMap:
@@ -58,39 +87,45 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     `names` are the signals' names by their headers, that of a derived switch by RUNNING; others are made of the header.
     """
     names = names or {}
-    table = find_table(path)
-    clock = clock_of(table, answers)
-    long = _long_form(table, clock)
-    taken = {clock.place, *([] if clock.date is None else [clock.date])}
-    places = [p for p in range(len(table.header)) if p not in taken and table.header[p]]
-    if long is None:
-        decimal = decimal_of([table.column(place) for place in places], table.separator)
-        first = {table.header[place]: place for place in reversed(places)}  # the first of equal headers is read
-        columns = [
-            column_of(h, table.titles[p], table.units[p], table.column(p), decimal)
-            for h, p in sorted(first.items(), key=itemgetter(1))
-        ]
+    if path.is_dir():
+        table, clock = one_table(path, csv_files(path.iterdir(), ""), answers)
     else:
-        decimal = decimal_of([table.column(long.value)], table.separator)
-        cells: dict[str, list[str]] = {}
-        for row in table.rows:
-            cells.setdefault(row[long.name], []).append(row[long.value])
-        columns = [column_of(name, name, "", own, decimal) for name, own in cells.items() if name]
-    named = [replace(column, name=names.get(column.header, column.name)) for column in columns]
-    columns = with_words(path, _named_apart(named), answers)
+        table = find_table(path)
+        clock = clock_of(table, answers)
+    times, local = seconds_of(table, clock)
+    # Rows without a time are refused when the map reads them: they decide nothing here either.
+    timed = np.isfinite(times)
+    table, times, local = with_rows(table, timed.tolist()), times[timed], local[timed]
+    long = _long_form(table, clock)
+    series = [""] * times.size if long is None else [f"{row[long.name]}\n{_object(row, long)}" for row in table.rows]
+    rows = rows_of(table, clock, times, local, series=series, answers=answers)
+    columns, own, decimal = _columns(table, clock, long, rows, times)
+    columns = [replace(column, name=names.get(column.header, column.name)) for column in columns]
+    columns = with_units(path, with_words(path, _named_apart(columns), own, answers), answers)
     parts = parts_of(path, columns, answers)
-    # The current's levels and the usual step are those of all rows, which the map itself reads.
+    check_temperature(path, columns, parts.temperature, answers)
+    stored = stored_of(table, columns, own, parts.temperature, answers)
     derived = names.get(RUNNING, RUNNING)
-    bare = _text(table, clock, long, columns, parts, decimal=decimal, answers=answers, derived=derived)
-    traces, _ = load_traces(path, parse_map(bare, str(path)))
-    steps = np.concatenate([np.diff(trace.times) for trace in traces])
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    gap = max(LEAST_GAP, round_to(_STEPS_IN_GAP * usual, usual))
-    text = _text(
-        table, clock, long, columns, parts, decimal=decimal, answers=answers, derived=derived, traces=traces, gap=gap
+    found = _Found(
+        table=table,
+        clock=clock,
+        long=long,
+        columns=columns,
+        parts=parts,
+        rows=rows,
+        stored=stored,
+        decimal=decimal,
+        derived=derived,
     )
-    traces, report = load_traces(path, parse_map(text, str(path)))
-    said = report.sentences() if report.refused else report.warnings
+    # The current's levels, the usual step and the codes are those of all rows, which the map itself reads.
+    traces, report = _loaded(path, _text(found))
+    coded = [_with_codes(column, traces) for column in columns]
+    if any(now is not before for now, before in zip(coded, columns, strict=True)):
+        found = replace(found, columns=coded)
+        traces, report = _loaded(path, _text(found))
+    text = _text(found, traces, gap_of(traces, stored.interval or None))
+    parse_map(text, str(path))
+    said = report.sentences() if report.refused or report.errors else list(report.warnings)
     return DraftedMap(
         text=text,
         clock=table.header[clock.place],
@@ -99,8 +134,72 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         running="" if parts.running is None else parts.running.header,
         rows=report.used,
         of=report.rows,
-        report=tuple(said),
+        account=tuple(f"{file.path}: {file.account()}" for file in report.files if not file.error),
+        report=(*(f"{path}: {sentence}" for sentence in _conclusions(found)), *said),
     )
+
+
+def _loaded(path: Path, text: str) -> tuple[list[Trace], LoadReport]:
+    return load_traces(path, parse_map(text, str(path)))
+
+
+def _object(row: Sequence[str], long: _LongForm) -> str:
+    return "" if long.object is None else row[long.object]
+
+
+def _conclusions(found: _Found) -> list[str]:
+    """What was concluded from the readings and not by a name: a person should look at it."""
+    said = list(found.rows.said)
+    if found.stored.on_change:
+        said.append(
+            f"stored on change: {found.stored.why or 'as --stored says'}; values hold for up to "
+            f"{found.stored.silence:g} s"
+        )
+    for column in found.columns:
+        if column.bad:
+            numbers = ", ".join(f"{code:g}" for code in column.bad)
+            said.append(
+                f"{column.header!r} holds {numbers}: numbers that devices send where they have no reading; the "
+                f"map's bad = "
+                f"[{numbers}] refuses them"
+            )
+    unused = [column.header for column in found.columns if column.kind not in ("number", "switch")]
+    if unused:
+        said.append(f"columns that are not used, as they hold neither numbers nor a switch: {listed(unused, _SHOWN)}")
+    return said
+
+
+def _columns(
+    table: FoundTable, clock: FoundClock, long: _LongForm | None, rows: Rows, times: Array
+) -> tuple[list[FoundColumn], list[Array], str]:
+    """What each column, or each signal of a long file, holds, and the times of its cells; the file's decimal mark."""
+    if long is None:
+        taken = {clock.place, clock.date, rows.machine, rows.session}
+        places = [p for p in range(len(table.header)) if p not in taken and table.header[p]]
+        decimal = decimal_of([table.column(place) for place in places], table.separator)
+        found = [column_of(table.header[p], table.titles[p], table.units[p], table.column(p), decimal) for p in places]
+        return found, [times] * len(found), decimal
+    decimal = decimal_of([table.column(long.value)], table.separator)
+    cells: dict[str, list[str]] = {}
+    own: dict[str, list[float]] = {}
+    units: dict[str, str] = {}
+    for row, time in zip(table.rows, times.tolist(), strict=True):
+        cells.setdefault(row[long.name], []).append(row[long.value])
+        own.setdefault(row[long.name], []).append(time)
+        if long.unit is not None and row[long.unit]:
+            units.setdefault(row[long.name], known_unit(row[long.unit]))
+    found = [column_of(name, name, units.get(name, ""), each, decimal) for name, each in cells.items() if name]
+    return found, [np.array(each) for name, each in own.items() if name], decimal
+
+
+def _with_codes(column: FoundColumn, traces: Sequence[Trace]) -> FoundColumn:
+    """With the codes of all rows, which the sample may not have."""
+    if column.kind != "number" or (column.scale, column.offset) != (1.0, 0.0):
+        return column
+    codes = {code for trace in traces if column.name in trace.signals for code in codes_in(trace.signals[column.name])}
+    if codes <= set(column.bad):
+        return column
+    return replace(column, bad=(*column.bad, *sorted(codes - set(column.bad))))
 
 
 def _long_form(table: FoundTable, clock: FoundClock) -> _LongForm | None:
@@ -119,10 +218,11 @@ def _long_form(table: FoundTable, clock: FoundClock) -> _LongForm | None:
     if len(values) != 1 or not names:
         return None
     name = max(names, key=lambda place: (len(words[place]), place))
-    rest = [place for place in names if place != name and "object" in table.header[place].casefold()]
+    unit = next((place for place in others if named_unit(table.header[place])), None)
+    rest = [place for place in names if place not in (name, unit) and "object" in table.header[place].casefold()]
     if not rest:
-        return _LongForm(name, values[0], None, ())
-    return _LongForm(name, values[0], rest[0], tuple(words[rest[0]]))
+        return _LongForm(name, values[0], None, (), unit)
+    return _LongForm(name, values[0], rest[0], tuple(words[rest[0]]), unit)
 
 
 def _plain_number(word: str) -> bool:
@@ -143,22 +243,12 @@ def _named_apart(columns: Sequence[FoundColumn]) -> list[FoundColumn]:
     return apart
 
 
-def _text(
-    table: FoundTable,
-    clock: FoundClock,
-    long: _LongForm | None,
-    columns: Sequence[FoundColumn],
-    parts: Parts,
-    *,
-    decimal: str,
-    answers: Answers,
-    derived: str,
-    traces: Sequence[Trace] = (),
-    gap: float = LEAST_GAP,
-) -> str:
+def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None) -> str:
     """The map in TOML. Without traces its thresholds are left to the readings."""
     quoted = _quoted
-    temperature, current = parts.temperature, parts.current
+    table, clock, long, parts = found.table, found.clock, found.long, found.parts
+    temperature, rows, stored = parts.temperature, found.rows, found.stored
+    decimal = found.decimal if clock.decimal in ("auto", found.decimal) or found.decimal != "auto" else clock.decimal
     lines = [
         f"# Column map drafted from {table.path.name}; look it over, above all what stands behind #.",
         "",
@@ -166,9 +256,20 @@ def _text(
         f"separator = {quoted(table.separator)}",
         f"decimal = {quoted(decimal)}",
         f"temperature = {quoted(temperature.name)}    # {parts.reasons['temperature']}",
-        'duplicates = "last"',
-        f'clock_back = "{"refuse" if long is None else "sort"}"',
+        f"duplicates = {quoted(rows.duplicates)}",
+        f"clock_back = {quoted('sort' if long is not None or table.parts else rows.clock_back)}",
     ]
+    if table.parts:
+        lines.append(f"parts = {quoted(table.parts)}    # the files of the folder make one recording")
+    for key, place in (("machine", rows.machine), ("session", rows.session)):
+        if place is not None:
+            lines.append(f"{key} = {{ column = {quoted(table.header[place])} }}    # each has traces of its own")
+    if stored.on_change:
+        lines += [
+            'stored = "on change"    # a value holds until the next one',
+            f"silence = {stored.silence:g}    # s: the longest here that still means as before",
+            f"interval = {stored.interval:g}    # s: how often held values stand in a trace",
+        ]
     if long is not None:
         lines += ["", "[long]    # one row a reading", f"name = {quoted(table.header[long.name])}"]
         lines.append(f"value = {quoted(table.header[long.value])}")
@@ -180,20 +281,31 @@ def _text(
         lines.append(f"date = {quoted(table.header[clock.date])}")
     lines.append(f"formats = {_quoted_list(clock.formats)}")
     if not zoned:
-        why = "" if answers.timezone else '    # the file does not say; a plant\'s local time: "Europe/Rome" ...'
-        lines.append(f"timezone = {quoted(answers.timezone or 'UTC')}{why}")
+        why = "" if rows.timezone else '    # the file does not say; a plant\'s local time: "Europe/Rome" ...'
+        lines.append(f"timezone = {quoted(rows.timezone or 'UTC')}{why}")
     lines += ["", "[signals]"]
-    for column in columns:
+    for column in found.columns:
         if column.kind in ("number", "switch"):
             lines.append(_signal(column, parts))
-    unused = [column.header for column in columns if column.kind not in ("number", "switch")]
+    unused = [column.header for column in found.columns if column.kind not in ("number", "switch")]
     if unused:
         lines.append(f"# neither numbers nor switches: {listed(map(_one_line, unused), _SHOWN)}")
-    lines += _derived(parts, derived)
+    lines += _derived(parts, found.derived)
     lines += ["", "[effects]    # for `decanter diagnose`"]
-    lines += [f"current = {quoted(current.name)}"] if current is not None else []
-    lines += _alphabet(table, parts, traces, gap, derived)
+    role = _role(parts.current)
+    lines += [f"{role} = {quoted(parts.current.name)}"] if role and parts.current is not None else []
+    lines += _alphabet(parts, traces, gap, found.derived)
     return "\n".join(lines) + "\n"
+
+
+def _role(load: FoundColumn | None) -> str:
+    """The part that what loads the machine plays for `decanter diagnose`; "" for one that has none there."""
+    if load is None or (load.unit in ("W", "kW", "MW", "%") and not current_score(load.name, "")):
+        return ""
+    by_unit = {"rpm": "speed", "Hz": "speed", "Nm": "torque"}
+    return by_unit.get(
+        load.unit, "current" if current_score(load.name, load.unit) or not load_score(load.name, "") else ""
+    )
 
 
 def _signal(column: FoundColumn, parts: Parts) -> str:
@@ -201,15 +313,14 @@ def _signal(column: FoundColumn, parts: Parts) -> str:
     if column.kind == "switch":
         keys.append("boolean = true")
         if column.words is not None:
-            keys += [f"on = {_quoted_list(column.words[:1])}", f"off = {_quoted_list(column.words[1:])}"]
-    elif column is parts.temperature and column.unit == "degF":
-        keys += [f"scale = {5 / 9!r}", f"offset = {-160 / 9!r}", 'unit = "degC"']
-    elif column is parts.temperature and column.unit == "K":
-        keys += ["offset = -273.15", 'unit = "degC"']
-    elif column is parts.current and column.unit == "mA":
-        keys += ["scale = 0.001", 'unit = "A"']
-    elif column.unit or column is parts.temperature:
-        keys.append(f"unit = {_quoted(column.unit or 'degC')}")
+            on, off = column.words
+            keys += [f"on = {_quoted_list(on)}", f"off = {_quoted_list(off)}"]
+    else:
+        keys += [f"scale = {column.scale!r}"] if column.scale != 1.0 else []
+        keys += [f"offset = {column.offset!r}"] if column.offset else []
+        unit = column.unit or ("degC" if column is parts.temperature else "")
+        keys += [f"unit = {_quoted(unit)}"] if unit else []
+        keys += [f"bad = [{', '.join(f'{code:g}' for code in column.bad)}]"] if column.bad else []
     comment = ""
     finite = column.values[np.isfinite(column.values)]
     if column.kind == "number" and finite.size:
@@ -221,15 +332,22 @@ def _derived(parts: Parts, name: str) -> list[str]:
     """The signal that says whether the machine runs, where no column does."""
     if parts.running is not None:
         return []
+    if parts.standstill is not None:
+        return [
+            "",
+            "[derived]",
+            f"{_quoted(name)} = {{ signal = {_quoted(parts.standstill.name)}, below = 0.5 }}    # "
+            f"{parts.reasons['running']}",
+        ]
     head = ["", "[derived]    # no column says whether the machine runs"]
     if parts.current is None:
         return [
             *head,
-            f"{_quoted(name)} = {{ constant = 1.0 }}    # nor does a current: it counts as running throughout",
+            f"{_quoted(name)} = {{ constant = 1.0 }}    # nor does anything that loads it: it counts as running "
+            f"throughout",
         ]
     finite = parts.current.values[np.isfinite(parts.current.values)]
-    scale = 0.001 if parts.current.unit == "mA" else 1.0
-    highest = float(np.quantile(finite, 0.99)) * scale if finite.size else 1.0
+    highest = float(np.quantile(finite, 0.99)) if finite.size else 1.0
     above = round_to(highest / 10, highest / 50)
     return [
         *head,
@@ -237,19 +355,20 @@ def _derived(parts: Parts, name: str) -> list[str]:
     ]
 
 
-def _alphabet(table: FoundTable, parts: Parts, traces: Sequence[Trace], gap: float, derived: str) -> list[str]:
+def _alphabet(parts: Parts, traces: Sequence[Trace], gap: float | None, derived: str) -> list[str]:
     running, current = parts.running, parts.current
-    lines = ["", "[alphabet]    # the events that a model learns from", f"gap = {gap:g}", "channels = ["]
+    lines = ["", "[alphabet]    # the events that a model learns from"]
+    lines += [f"gap = {gap:g}", "channels = ["] if gap is not None else ["channels = ["]
     name = derived if running is None else running.name
     polled = running is None or np.isfinite(running.values).mean() > 0.5
     change = ", on_change = false" if polled else ""
-    why = "derived" if running is None else parts.reasons["running"]
+    why = parts.reasons.get("running", "derived")
     lines.append(
         f'    {{ kind = "switch", signal = {_quoted(name)}, rising = "W_ON", falling = "W_OFF"{change} }},    # {why}'
     )
     if current is not None:
-        levels = levels_of(traces, current.name, gap) if traces else Levels()
-        if levels.thresholds:
+        levels = levels_of(traces, current.name, gap) if gap is not None else None
+        if levels is not None and levels.thresholds:
             cuts = ", ".join(repr(float(f"{cut:g}")) for cut in levels.thresholds)
             how = f"thresholds = [{cuts}], hysteresis = {levels.hysteresis:g}"
             why = f"{parts.reasons['current']}; thresholds between the levels of this file"

@@ -2,14 +2,26 @@
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from drivers.csv_rows import unguarded
-from drivers.named_files import regular
-from sim.lab.recordings import SEPARATORS, TraceError, decode_head
-from sim.lab.recordings.mapping.clocks import is_time, pure_date
-from sim.lab.recordings.mapping.words import UNITS, bare_unit
+from sim.lab.recordings import (
+    SEPARATORS,
+    UNITS,
+    TraceError,
+    decode_head,
+    folded,
+    head_of,
+    measured,
+    numbers,
+    rows_mark,
+    told_apart,
+)
+from sim.lab.recordings.mapping.clocks import is_rounded, is_time, pure_date, pure_time
+from sim.lab.recordings.mapping.words import bare_unit, named_time
 
 _HEAD = 1 << 20
 _SINCE_1970 = (10, 13, 16, 19)
@@ -31,6 +43,8 @@ class FoundTable:
     titles: tuple[str, ...]
     units: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    parts: str = ""
+    """The pattern of the files that make the table together, one a tag or one after another; "" for a single file."""
 
     def column(self, place: int) -> list[str]:
         """The sample cells of a column."""
@@ -39,8 +53,7 @@ class FoundTable:
 
 def find_table(path: Path) -> FoundTable:
     """The table in the first megabyte of a file. Raises TraceError for none, OSError where it cannot be read."""
-    with regular(path).open("rb") as stream:
-        head = stream.read(_HEAD)
+    head = head_of(path, _HEAD)
     if not head.strip():
         raise TraceError(f"{path}: the file is empty; give a CSV with a header and rows")
     _, text, _ = decode_head(path, head, "auto")
@@ -54,20 +67,22 @@ def find_table(path: Path) -> FoundTable:
         rows = [_cells(line, mark) for _, line in usable[:_SEARCHED]]
         widths = [len(row) for row in rows if len(row) > 1]
         width = max(set(widths), key=widths.count) if widths else 0
-        # A decimal comma makes rows of many cells too: what counts is in how many rows the cells say a time.
-        timed = sum(any(map(is_time, row)) for row in rows if len(row) == width)
-        score = timed * 100 + widths.count(width) * 2 + width
+        # A decimal comma makes rows of many cells too: what counts is in how many rows the cells say a time, or in how
+        # many every cell is a number.
+        own = [row for row in rows if len(row) == width]
+        timed = sum(any(map(is_time, row)) for row in own)
+        counted = sum(all(_numeric(cell) for cell in row if cell) for row in own)
+        score = timed * 100 + counted * 50 + widths.count(width) * 2 + width
         if width and score > best[0]:
             best = (score, name, rows)
     separator, rows = best[1], best[2]
     if not separator:
         raise TraceError(f"{path}: no separator of , ; tab | makes columns of its lines; give a CSV with a header")
-    first = next((place for place, row in enumerate(rows) if _is_data(row)), None)
+    first = next((place for place, row in enumerate(rows) if _is_data(row)), None) or next(
+        (place for place, row in enumerate(rows) if place and 2 * sum(map(_numeric, row)) > len(row) > 2), None
+    )
     if not first:
-        raise TraceError(
-            f"{path}: no row with a time stands under a header in its first {len(rows)} lines; give a CSV whose "
-            "columns have names, and one column (or two: date and time) of times"
-        )
+        raise TraceError(_no_data(path, rows))
     width = len(rows[first])
     named = next((place + 1 for place, row in enumerate(rows[:first]) if row[0].casefold() == "#names"), None)
     header_at, units = first - 1 if named is None else named, [""] * width
@@ -79,6 +94,11 @@ def find_table(path: Path) -> FoundTable:
     while named is None and header_at and len(rows[header_at - 1]) == width and not rows[header_at][0]:
         header_at -= 1
     header = rows[header_at][:width]
+    if width > 1 and len(header) < width:
+        # A header with commas over rows with semicolons.
+        others = [_cells(usable[header_at][1], mark) for mark in SEPARATORS.values()]
+        below = [line for _, line in usable[first:_SEARCHED]]
+        header = next((o for o in others if len(o) == width and rows_mark(below, width, ",") != ","), header)
     header += [""] * (width - len(header))
     while header and not header[-1]:
         header.pop()
@@ -91,16 +111,65 @@ def find_table(path: Path) -> FoundTable:
         for at, name in enumerate(header)
     ]
     mark = SEPARATORS[separator]
-    below = (_cells(line, mark) for _, line in usable[first:])
-    sample = tuple(tuple(row[:width]) for row in below if len(row) >= width)
+    names, sample = _tables(told_apart(header), [_cells(line, mark) for _, line in usable[first:]])
+    more = len(names) - width
     return FoundTable(
         path=path,
         separator=separator,
-        header=tuple(header),
-        titles=tuple(titles),
-        units=tuple(units[:width]),
-        rows=sample,
+        header=tuple(names),
+        titles=(*(told_apart(titles) if titles == header else titles), *names[width:]),
+        units=(*units[:width], *[""] * more),
+        rows=tuple(sample),
     )
+
+
+def _no_data(path: Path, rows: Sequence[Sequence[str]]) -> str:
+    """Why no row holds readings, with the cell of the column that is named like a time."""
+    most = max(map(len, rows), default=0)
+    for place, row in enumerate(rows[:-1]):
+        at = next((column for column, name in enumerate(row) if named_time(name)), None)
+        if at is not None and len(row) >= most - 1 and len(rows[place + 1]) > at:
+            shown = rows[place + 1][at]
+            why = (
+                "a spreadsheet has rounded it, and the seconds are lost; export it again as text"
+                if is_rounded(shown)
+                else ("no form of a time that is known; write it as 2024-03-13 09:58:00, or as seconds")
+            )
+            return f"{path}: the cells of its column {row[at]!r} are no times: {shown!r} is {why}"
+    return (
+        f"{path}: no row with a time stands under a header in its first {len(rows)} lines; give a CSV whose "
+        "columns have names, and one column (or two: date and time) of times"
+    )
+
+
+def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[tuple[str, ...]]]:
+    """All names of a file's tables, and its rows under them; a row of names begins a table, as it does for reading."""
+    names, own = list(header), list(header)
+    places = list(range(len(own)))
+    sample: list[tuple[str, ...]] = []
+    for row in rows:
+        filled = {folded(cell) for cell in row if cell}
+        words = {folded(name) for name in own if not _numeric(name)}
+        if len(filled & words) >= max(2, len(filled) / 2):
+            own = told_apart([*row])
+            while own and not own[-1]:
+                own.pop()
+            known = list(map(folded, names))
+            names += [name for name in own if folded(name) not in known]
+            known = list(map(folded, names))
+            places = [known.index(folded(name)) for name in own]
+        elif len(row) >= len(own) and not any(row[len(own) :]):
+            cells = [""] * len(names)
+            for place, cell in zip(places, row, strict=False):
+                cells[place] = cell
+            sample.append(tuple(cells))
+    width = len(names)
+    return names, [(*row, *[""] * (width - len(row))) for row in sample]
+
+
+def with_rows(table: FoundTable, kept: Sequence[bool]) -> FoundTable:
+    """The table with some of its rows."""
+    return replace(table, rows=tuple(row for row, keep in zip(table.rows, kept, strict=True) if keep))
 
 
 def _cells(line: str, mark: str) -> list[str]:
@@ -111,18 +180,19 @@ def _is_data(row: Sequence[str]) -> bool:
     """Whether a row holds readings: a date, or numbers and nothing that a header has."""
     if len(row) < 2:
         return False
-    if any(is_time(cell) or pure_date(cell) or (cell.isdigit() and len(cell) in _SINCE_1970) for cell in row):
+    if any(is_time(cell) or pure_date(cell) or pure_time(cell) or _since_1970(cell) for cell in row):
         return True
     filled = [cell for cell in row if cell]
     return bool(row[0]) and len(filled) > 1 and all(_numeric(cell) for cell in filled)
 
 
+def _since_1970(cell: str) -> bool:
+    digits = cell.replace(".", "").replace(",", "") if cell.count(".") > 2 or cell.count(",") > 2 else cell
+    return digits.isdigit() and len(digits) in _SINCE_1970
+
+
 def _numeric(cell: str) -> bool:
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True
+    return bool(np.isfinite(numbers([cell])[0][0])) or measured(cell, "auto")[1] != ""
 
 
 def _is_units(row: Sequence[str]) -> bool:

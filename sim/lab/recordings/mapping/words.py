@@ -2,18 +2,13 @@
 
 import re
 
-UNITS = {
-    "°c": "degC", "degc": "degC", "c": "degC", "grad": "degC", "deg c": "degC", "ºc": "degC", "celsius": "degC",
-    "°f": "degF", "degf": "degF", "f": "degF", "k": "K", "a": "A", "amp": "A", "amps": "A", "ampere": "A", "ma": "mA",
-    "v": "V", "kw": "kW", "w": "W", "bar": "bar", "mbar": "mbar", "kpa": "kPa", "%": "%", "rpm": "rpm", "1/min": "rpm",
-    "u/min": "rpm", "giri/min": "rpm", "tr/min": "rpm", "mm/s": "mm/s", "g": "g", "m3/h": "m3/h", "m³/h": "m3/h",
-    "l/min": "l/min", "nm": "Nm", "hz": "Hz", "s": "s", "ms": "ms", "h": "h",
-}  # fmt: skip
-"""Units as they are written (lower case) and as maps call them."""
+from sim.lab.recordings import KEPT, known_unit
 
-# A word begins or ends where the case changes or no letter stands: TCuscinetti, T_brg_1, motor.current.
+# A word begins or ends where the case changes or no letter stands: TCuscinetti, T_brg_1, motor.current. TI101, II101,
+# JI101
+# and SI101 are a temperature, a current, a power and a speed by ISA 5.1.
 _TEMPERATURE = re.compile(
-    r"temp(?!o\b|s\b)|°c|degc|thermo|^t_|_t$|^t(?=[A-Z\d])|\bt\d|_temp|^tt?[-_]?\d|tempér|coolant|warm|wärme",
+    r"temp(?!o\b|s\b)|°c|degc|thermo|^t_|_t$|(?-i:^T(?=[A-Z][a-z]|\d|_|BRG|BEA|LAG|CUSC|PAL))|\bt\d|_temp|^tt?[-_]?\d|tempér|coolant|warm|wärme",
     re.IGNORECASE,
 )
 _BEARING = re.compile(r"bearing|brg|cuscinett|lager|palier|roulement|rodamiento|cojinete", re.IGNORECASE)
@@ -23,7 +18,8 @@ _NOT_BEARING = re.compile(
     re.IGNORECASE,
 )
 _CURRENT = re.compile(
-    r"current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|amp(?!l)|\bi[_ ]|^i\d|_i$|_i_|stromaufn",
+    r"(?:^|[:./_-])i[it][-_]?\d|current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|amp(?!l)|\bi[_ ]|^i\d|"
+    r"_i$|_i_|stromaufn",
     re.IGNORECASE,
 )
 _RUNNING = re.compile(
@@ -38,7 +34,7 @@ _TIME = re.compile(
 )
 _NAME = re.compile(
     r"^(?:.*(?:name|tag|variable|field|point|signal|series|metric|parameter|channel|messstelle|nome|nom|nombre|bezeichn|"
-    r"punto|sensor|item).*)$",
+    r"punto|sensor|item|descri|beschreib|label|libell).*)$",
     re.IGNORECASE,
 )
 _VALUE = re.compile(
@@ -47,7 +43,37 @@ _VALUE = re.compile(
     re.IGNORECASE,
 )
 _BRACKETED = re.compile(r"\s*[\[({]\s*([^\])}]*)\s*[\])}]\s*$")
-_IN_NAME = re.compile(r"[_ .](degC|°C|rpm|kW|bar|mA|A|V|C)$")
+_IN_NAME = re.compile(
+    r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>deg ?[CFcf]|[°º]\s?[CFK]|℃|Kelvin|kelvin|Celsius|rpm|[kM]?W|m?bar|kPa|"
+    r"[mk]?A|k?V|Nm|Hz|%|[CFK])$"
+)
+_LOAD = re.compile(
+    r"(?:^|[:./_-])[js][it][-_]?\d|power|leist|potenza|potencia|puissance|load|last\b|carico|carga|charge|speed|rpm|drehzahl|velocit|giri|vitesse|torque|"
+    r"moment|coppia|couple|frequen|throttle",
+    re.IGNORECASE,
+)
+_SETPOINT = re.compile(r"set.?point|sollwert|\bsp\b|consigne|soglia|limit|target|alarm|ref\b", re.IGNORECASE)
+LOAD_UNITS = frozenset({"W", "kW", "MW", "rpm", "Nm", "Hz"})
+"""Units of what loads a machine, besides those of a current."""
+_STANDSTILL = re.compile(
+    r"stand.?still|still.?stand|\bstop|stopped|_stop|gestoppt|fermo|fermat|arr[eê]t|parad[ao]|\bidle|\bhalt\b|not.?running|"
+    r"\boff\b|_off$|spento",
+    re.IGNORECASE,
+)
+_STATE = re.compile(r"stat[eo]|status|zustand|état|estado|mode|modus|phase|fase|packml|betriebsart", re.IGNORECASE)
+_SESSION = re.compile(
+    r"session|profile|profil|run|batch|charge|lot\b|lotto|test|experiment|trial|cycle|zyklus|ciclo", re.IGNORECASE
+)
+_MACHINE = re.compile(
+    r"machine|maschine|macchina|turbin|unit|asset|equipment|device|gerät|anlage|impianto|\bid\b|_id$|number|nummer|"
+    r"numero|station|site|plant|pump|motor|line|serial|vehicle|engine|transformer|name",
+    re.IGNORECASE,
+)
+_SURELY = re.compile(
+    r"machine.?(?:id|name|no)?$|maschine|macchina|turbine|asset|equipment|device|gerät|serial|vehicle|(?:unit|engine|pump|motor).?id",
+    re.IGNORECASE,
+)
+_UNIT_COLUMN = re.compile(r"^(?:unit|units|einheit|unit[àa]|unité|unidad|uom|eu|engunits?)$", re.IGNORECASE)
 
 
 def bare_unit(cell: str) -> str:
@@ -59,16 +85,25 @@ def unit_of(header: str) -> tuple[str, str]:
     """(header without its unit, unit): "T bearing [°C]" is ("T bearing", "degC"); no unit that is known: ""."""
     match = _BRACKETED.search(header)
     if match:
-        unit = UNITS.get(match[1].casefold().strip(), "")
-        return (header[: match.start()].strip(), unit) if unit or not match[1].strip() else (header, "")
+        unit = known_unit(match[1])
+        bare = header[: match.start()].strip()
+        # "[Bearing temperature][°C]": the name in brackets of its own.
+        if bare.startswith("[") and bare.endswith("]"):
+            bare = bare[1:-1].strip()
+        return (bare, unit) if bare and (unit or not match[1].strip()) else (header, "")
     match = _IN_NAME.search(header)
-    return (header, UNITS.get(match[1].casefold(), "")) if match else (header, "")
+    unit = known_unit(match["unit"]) if match else ""
+    # Temperature A and Temperature V are the first and the fifth, not amperes and volts.
+    if match is None or (unit in ("A", "V") and _TEMPERATURE.search(header)):
+        return header, ""
+    # A unit that the map converts must not stay in the signal's name.
+    return header[: match.start()] if unit in KEPT and unit != KEPT[unit] else header, unit
 
 
 def temperature_score(name: str, unit: str) -> int:
     """How much a column's name and unit say that it is the temperature to be modelled; 0: nothing."""
-    of_unit = 2 if unit in ("degC", "degF") else 0
-    if unit and not of_unit and unit != "K":
+    of_unit = 2 if unit in ("degC", "degF", "K") else 0
+    if unit and not of_unit:
         return 0
     of_name = 2 if _TEMPERATURE.search(name) else 0
     if not of_unit + of_name:
@@ -78,14 +113,51 @@ def temperature_score(name: str, unit: str) -> int:
 
 def current_score(name: str, unit: str) -> int:
     """The same for the motor's current."""
-    if unit and unit not in ("A", "mA"):
+    if unit and unit not in ("A", "mA", "kA"):
         return 0
-    return (3 if unit in ("A", "mA") else 0) + (2 if _CURRENT.search(name) else 0)
+    return (3 if unit in ("A", "mA", "kA") else 0) + (2 if _CURRENT.search(name) else 0)
 
 
 def running_score(name: str) -> int:
     """The same for the switch that says whether the machine runs."""
     return 0 if _ALARM.search(name) else 2 if _RUNNING.search(name) else 0
+
+
+def load_score(name: str, unit: str) -> int:
+    """The same for anything else that loads the machine: power, speed, torque."""
+    if (unit and unit not in LOAD_UNITS and unit != "%") or _SETPOINT.search(name):
+        return 0
+    return 3 * (unit in LOAD_UNITS) + 2 * bool(_LOAD.search(name))
+
+
+def named_standstill(name: str) -> bool:
+    """Whether a switch of this name is on while the machine stands still."""
+    return _STANDSTILL.search(name) is not None
+
+
+def named_state(name: str) -> bool:
+    """Whether a header speaks of states of a machine."""
+    return _STATE.search(name) is not None and not _ALARM.search(name)
+
+
+def named_session(name: str) -> bool:
+    """Whether a header speaks of sessions of one machine."""
+    return _SESSION.search(name) is not None
+
+
+def named_machine(name: str) -> bool:
+    """Whether a header speaks of machines."""
+    return _MACHINE.search(name) is not None
+
+
+def surely_machine(name: str) -> bool:
+    """Whether a header speaks of machines and of nothing else."""
+    return _SURELY.search(name) is not None
+
+
+def named_unit(name: str) -> bool:
+    """Whether a header speaks of units, as in a long file."""
+    return _UNIT_COLUMN.match(name.strip()) is not None
 
 
 def named_time(name: str) -> bool:

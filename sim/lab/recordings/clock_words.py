@@ -1,0 +1,60 @@
+"""Times as people and programs write them, in words: months, days of the week, zones, halves of a day."""
+
+import re
+
+_MONTHS = (
+    "jan january januar jänner jän gen gennaio janv janvier ene enero janeiro",
+    "feb february februar febbraio févr fevr fév février fevrier febrero fev fevereiro",
+    "mar march mär mrz märz maerz marzo mars março",
+    "apr april aprile avr avril abr abril",
+    "may mai mag maggio mayo maio",
+    "jun june juni giu giugno juin junio junho",
+    "jul july juli lug luglio juil juillet julio julho",
+    "aug august ago agosto août aout",
+    "sep sept september set settembre septembre septiembre setembro",
+    "oct october okt oktober ott ottobre octobre octubre out outubro",
+    "nov november novembre noviembre novembro",
+    "dec december dez dezember dic dicembre déc décembre decembre diciembre dezembro",
+)
+"""Months in English, German, Italian, French, Spanish and Portuguese, whole and short, in the order of the year."""
+_ENGLISH = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
+_MONTH = {word: name for words, name in zip(_MONTHS, _ENGLISH, strict=True) for word in words.split()}
+_SMALL_WORDS = (
+    "mon tue tues wed thu thur thurs fri sat sun monday tuesday wednesday thursday friday saturday sunday",
+    "mo di mi do fr sa so montag dienstag mittwoch donnerstag freitag samstag sonntag",
+    "lun mer gio ven sab dom lunedì martedì mercoledì giovedì venerdì sabato domenica",
+    "jeu sam dim lundi mardi mercredi jeudi vendredi samedi dimanche",
+    "mié mie jue vie sáb lunes martes miércoles jueves viernes sábado domingo",
+    "uhr at um alle ore à le il de del of am",
+)
+"""Days of the week and small words, which the date says again. `am` is German here: after digits it halves a day."""
+_DROPPED = frozenset(word for words in _SMALL_WORDS for word in words.split())
+_HALF = re.compile(r"(?<=\d)\s*([ap])\s?\.?\s?m\b\.?", re.IGNORECASE)
+_ASIDE = re.compile(r"\s*\([^)]*\)\s*$")
+_NO_ZONE = re.compile(r"\b(?:GMT|UTC|Z)(?=[+-]\d)")
+_UTC = re.compile(r"\s*\b(?:GMT|UTC)$")
+_WORD = re.compile(r"[^\W\d_]{2,}\.?|\bà\b")
+_ORDINAL = re.compile(r"(?<=\d)(?:\.(?=\s*[^\W\d_])|(?:st|nd|rd|th|er|º|ª)\b)")
+
+
+def plain_time(text: str) -> str:
+    """A time with English months of three letters, AM or PM and an offset, as strptime reads them: no other words.
+
+    "Wed Mar 13 2024 09:58:00 GMT+0100 (Central European Standard Time)" is "Mar 13 2024 09:58:00 +0100", and
+    "13. Mrz 2024 09:58:00" is "13 Mar 2024 09:58:00".
+    """
+    text = _UTC.sub(" +0000", _NO_ZONE.sub("", _ASIDE.sub("", text.strip())))
+    text = _HALF.sub(lambda match: f" {match[1].upper()}M", text)
+    text = _ORDINAL.sub("", text)
+    months = sum(word[0].rstrip(".").casefold() in _MONTH for word in _WORD.finditer(text))
+
+    def word(match: re.Match[str]) -> str:
+        nonlocal months
+        found = match[0].rstrip(".").casefold()
+        if found in _MONTH:
+            months -= 1
+            # The first of two is a day of the week: mar. 12 mar. 2024.
+            return "" if months else _MONTH[found]
+        return "" if found in _DROPPED and match[0] != "AM" else match[0]
+
+    return " ".join(_WORD.sub(word, text).split()).lstrip(",. ")

@@ -1,0 +1,41 @@
+"""Numbers that devices send for "no reading": a table that people know, and what in a column behaves like one."""
+
+import numpy as np
+
+from sim.sha import Array
+
+CODES = (
+    -32768.0, 32767.0, 32768.0, 65535.0, 65536.0, 65534.0, -3276.8, 3276.7, 6553.5, -327.68, 327.67, 655.35,
+    -127.0, 85.0, -200.0, 850.0, -242.0, 988.0, -99.0, -99.9, -999.0, 999.0, -999.9, 999.9, -9999.0, 9999.0, -9999.9,
+    9999.9, 99999.0, -99999.0, 999999.0, -1e6, 2147483647.0, -2147483648.0, 4294967295.0, 1e30, -1e30,
+    3.4028235e38, -3.4028235e38,
+)  # fmt: skip
+"""Ends of integers (also in tenths and hundredths), of a Pt100 and of a float, DS18B20's -127 and 85, rows of nines."""
+_SAME = 1e-6
+_FAR = 0.25
+"""Of the range of all other readings: so far a code lies from the readings beside it."""
+_MOST = 0.5
+"""Share of the readings beyond which a value is what the plant does."""
+
+
+def codes_in(values: Array) -> dict[float, int]:
+    """The codes among readings in the order of time, and how often: values of the table that jump out of the others."""
+    finite = values[np.isfinite(values)]
+    found: dict[float, int] = {}
+    known = np.zeros(finite.shape, dtype=bool)
+    for code in CODES:
+        known |= np.abs(finite - code) <= _SAME * max(1.0, abs(code))
+    others = finite[~known]
+    if not known.any() or others.size < 2 or known.mean() > _MOST:
+        return {}
+    span = float(np.ptp(np.quantile(others, (0.001, 0.999)))) or 1.0
+    where = np.flatnonzero(~known)
+    # Each code beside the readings before and after it: a temperature that passes 85 degC has neighbours near 85.
+    at = np.searchsorted(where, np.flatnonzero(known))
+    left, right = others[(at - 1).clip(min=0)], others[at.clip(max=others.size - 1)]
+    away = np.minimum(np.abs(finite[known] - left), np.abs(finite[known] - right))
+    for code in np.unique(finite[known]).tolist():
+        own = finite[known] == code
+        if np.all(away[own] > _FAR * span):
+            found[float(code)] = int(own.sum())
+    return found

@@ -1,0 +1,70 @@
+"""A folder of files as one table: one file a tag, or the parts of one recording one after another."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sim.lab.recordings import TraceError, folded
+from sim.lab.recordings.mapping.answers import Answers
+from sim.lab.recordings.mapping.clocks import FoundClock
+from sim.lab.recordings.mapping.decide import clock_of
+from sim.lab.recordings.mapping.rows import seconds_of
+from sim.lab.recordings.mapping.table import FoundTable, find_table
+
+
+def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[FoundTable, FoundClock]:
+    """The rows of all files in the order of their times, under the names of all of them, and their common clock.
+
+    Raises TraceError where the clocks differ in name or form, or there is no file; as `find_table` and `clock_of` do.
+    """
+    if not files:
+        raise TraceError(
+            f"{folder}: there is no CSV file in it; give a file, or a folder of the parts of one recording"
+        )
+    tables = [find_table(file) for file in files]
+    clocks = [clock_of(table, answers) for table in tables]
+    first, clock = tables[0], clocks[0]
+    for table, other in zip(tables[1:], clocks[1:], strict=True):
+        same = folded(table.header[other.place]) == folded(first.header[clock.place])
+        if not same or set(other.formats) != set(clock.formats) or table.separator != first.separator:
+            raise TraceError(
+                f"{table.path}: its clock is {table.header[other.place]!r} in the form {other.formats[0]!r}, "
+                f"and that of "
+                f"{first.path.name} is {first.header[clock.place]!r} in {clock.formats[0]!r}: they make no "
+                f"recording together; "
+                "give each its own map"
+            )
+    # A name that files share is a column of one recording; where one row of numbers only is under it, of one tag each.
+    seen = Counter(folded(name) for table in tables for name in set(table.header))
+    single = all(sum(map(bool, table.header)) <= 2 + (clock.date is not None) for table in tables)
+    clock_name, date = first.header[clock.place], None if clock.date is None else first.header[clock.date]
+    names: list[str] = [clock_name, *([] if date is None else [date])]
+    rows: list[tuple[float, dict[str, str]]] = []
+    titles: dict[str, str] = {}
+    units: dict[str, str] = {}
+    for table, own in zip(tables, clocks, strict=True):
+        keys: list[str] = []
+        for place, name in enumerate(table.header):
+            shared = single and len(tables) > 1 and seen[folded(name)] > 1 and place not in (own.place, own.date)
+            key = f"{table.path.name.split('.')[0]}/{name}" if shared else name
+            key = next((known for known in names if folded(known) == folded(key)), key)
+            names += [key] if key not in names else []
+            titles.setdefault(key, table.path.name.split(".")[0] if shared else table.titles[place])
+            units.setdefault(key, table.units[place])
+            keys.append(key)
+        for row, time in zip(table.rows, seconds_of(table, own)[0].tolist(), strict=True):
+            rows.append((time, dict(zip(keys, row, strict=True))))
+    rows.sort(key=lambda row: (np.isnan(row[0]), row[0]))
+    table = replace(
+        first,
+        path=folder,
+        header=tuple(names),
+        titles=tuple(titles[name] for name in names),
+        units=tuple(units[name] for name in names),
+        rows=tuple(tuple(row.get(name, "") for name in names) for _, row in rows),
+        parts=f"*{''.join(files[0].suffixes[-2:] if len(files[0].suffixes) > 1 else files[0].suffixes)}",
+    )
+    return table, replace(clock, place=0, date=None if date is None else 1)

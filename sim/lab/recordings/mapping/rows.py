@@ -1,0 +1,381 @@
+"""What the rows of a table are: whose, what equal and falling times mean, and whether silence says something."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import pairwise, product
+
+import numpy as np
+
+from sim.lab.recordings import ClockColumns, listed, longest_rising, numbers, read_clock, to_utc, unroll_midnight
+from sim.lab.recordings.mapping.answers import Answers, Undecided
+from sim.lab.recordings.mapping.clocks import FoundClock
+from sim.lab.recordings.mapping.columns import FoundColumn
+from sim.lab.recordings.mapping.table import FoundTable
+from sim.lab.recordings.mapping.words import named_machine, named_session, surely_machine
+from sim.sha import Array, Mask
+
+_ZONES = (
+    "Europe/Rome", "Europe/London", "Europe/Athens", "America/New_York", "America/Chicago", "America/Denver",
+    "America/Los_Angeles", "America/Sao_Paulo", "Australia/Sydney",
+)  # fmt: skip
+"""One zone for each hour at which summer time ends somewhere with plants; those beside it keep the same rule."""
+_FEW = 0.01
+"""Share of rows that may be merged or refused without a question."""
+_MOST_OWNERS = 500
+_LEFT = 0.02
+"""Of the doubled or falling times so many may be left within one machine, as of a recorder's hiccup."""
+_LONG_STEPS = 3.0
+_SILENT = 0.1
+"""Share of the time in steps of _LONG_STEPS usual ones, at least, in a recording that is stored on change."""
+_REPEATED = 0.05
+"""Share of values that are those before them; a recorder of each row repeats what stands still."""
+_UNEVEN = 0.05
+"""Share of steps that differ from the usual one by half of it; nights without a recorder are few."""
+_SPARSE = 0.7
+_APART = 0.2
+"""The smallest moves beside the usual one: of noise a tenth, beyond a deadband nearly as large."""
+_MOST_HELD = 1_000_000
+"""Rows that held values may make of the sample."""
+_OUTAGE = 6.0
+"""A silence so many times the next shorter one is an outage, not a value that held."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Places of the columns of machine and session (None: none), and the map's keys for times; `said` is why."""
+
+    machine: int | None
+    session: int | None
+    duplicates: str
+    clock_back: str
+    timezone: str
+    said: tuple[str, ...]
+
+
+def seconds_of(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
+    """The times of the sample's rows as the clock reads them (NaN: none), and which of them are local."""
+    columns = ClockColumns(column="t", date="d" if clock.date is not None else (), formats=clock.formats)
+    cells = [table.column(clock.place), *([] if clock.date is None else [table.column(clock.date)])]
+    times, local = read_clock(columns, cells, clock.decimal)
+    return (unroll_midnight(times) if columns.daily else times), local
+
+
+def rows_of(
+    table: FoundTable, clock: FoundClock, times: Array, local: Mask, *, series: Sequence[str], answers: Answers
+) -> Rows:
+    """What the sample's rows are. `series` says which signal a row is of, "" for all (a wide table).
+
+    Raises Undecided where the times contradict one another and no column explains it.
+    """
+    inside = _codes(series)
+    if _falls(times, inside) > _rises(times, inside):
+        order = np.arange(times.size)[::-1]
+        times, local, inside = times[order], local[order], inside[order]
+        table = replace(table, rows=table.rows[::-1])
+    machine, session, said = _owners(table, clock, times, inside, answers)
+    for place in (machine, session):
+        if place is not None:
+            inside = _codes(list(zip(inside.tolist(), table.column(place), strict=True)))
+    timezone = answers.timezone
+    if not timezone and local.any() and _falls(times, inside):
+        timezone = _zone(times, local, inside)
+        if timezone:
+            said.append(
+                f"its clock goes back by an hour at {_moment(times, inside)}, as summer time of {timezone} "
+                f"ends: it is read "
+                "in that zone; --timezone names another"
+            )
+    if timezone and local.any():
+        times = to_utc(times, local, timezone)
+    clock_back = _back(table, times, inside, answers)
+    if clock_back == "split":
+        inside = inside + _MOST_OWNERS * np.cumsum(np.concatenate(([False], np.diff(times) < 0)))
+    duplicates = _duplicates(table, clock, times, inside, answers)
+    if duplicates == "spread" and not answers.duplicates:
+        said.append("its clock is coarser than its rows: those of one time are spread evenly up to the next")
+    return Rows(
+        machine=machine,
+        session=session,
+        duplicates=duplicates,
+        clock_back=clock_back,
+        timezone=timezone,
+        said=tuple(said),
+    )
+
+
+def _codes(names: Sequence[object]) -> Array:
+    table: dict[object, int] = {}
+    return np.array([table.setdefault(name, len(table)) for name in names], dtype=float)
+
+
+def _steps(times: Array, inside: Array) -> Array:
+    order = np.argsort(inside, kind="stable")
+    return np.asarray(np.diff(times[order])[np.diff(inside[order]) == 0])
+
+
+def _falls(times: Array, inside: Array) -> int:
+    return int((_steps(times, inside) < 0).sum())
+
+
+def _rises(times: Array, inside: Array) -> int:
+    return int((_steps(times, inside) > 0).sum())
+
+
+def _trouble(times: Array, inside: Array) -> int:
+    return int((_steps(times, inside) <= 0).sum())
+
+
+def _owners(
+    table: FoundTable, clock: FoundClock, times: Array, inside: Array, answers: Answers
+) -> tuple[int | None, int | None, list[str]]:
+    header = table.header
+    given = [_place(table, "machine", answers.machine), _place(table, "session", answers.session)]
+    if answers.machine or answers.session:
+        return given[0], given[1], []
+    before = _trouble(times, inside)
+    few = {
+        place: cells
+        for place, name in enumerate(header)
+        if name and place not in (clock.place, clock.date) and _says_whose(cells := table.column(place), name)
+    }
+    codes = {place: _codes(cells) for place, cells in few.items()}
+
+    def left(places: Sequence[int]) -> int:
+        return _trouble(
+            times, _codes(list(zip(inside.tolist(), *(codes[place].tolist() for place in places), strict=True)))
+        )
+
+    chosen: tuple[int, ...] = ()
+    if before > _LEFT * times.size or (before and _falls(times, inside)):
+        singles = [place for place in few if left([place]) <= _LEFT * before]
+        named = [place for place in singles if named_machine(header[place]) or named_session(header[place])]
+        if singles:
+            chosen = (min(named or singles, key=lambda place: (len(set(few[place])), place)),)
+        else:
+            pairs = [
+                pair
+                for pair in product(few, repeat=2)
+                if named_machine(header[pair[0]]) and named_session(header[pair[1]]) and pair[0] != pair[1]
+            ]
+            chosen = next((pair for pair in pairs if left(pair) <= _LEFT * before), ())
+    else:
+        # Machines one after another: nothing is doubled, and yet they are several.
+        chosen = tuple(place for place in few if surely_machine(header[place]))[:1]
+    if not chosen:
+        return None, None, []
+    said = [
+        f"column {header[place]!r} says whose rows are ({listed(map(repr, dict.fromkeys(few[place])), 4)}): each "
+        + (
+            f"has the same times as others ({before} times are doubled or fall without it)"
+            if before
+            else "comes in turn"
+        )
+        for place in chosen
+    ]
+    if len(chosen) == 2:
+        return chosen[0], chosen[1], said
+    blocks = int((np.diff(codes[chosen[0]]) != 0).sum()) + 1 == len(set(few[chosen[0]]))
+    name = header[chosen[0]]
+    is_session = named_session(name) or (blocks and not named_machine(name))
+    return (None, chosen[0], said) if is_session else (chosen[0], None, said)
+
+
+def _place(table: FoundTable, field: str, wanted: str) -> int | None:
+    if not wanted or wanted == "none":
+        return None
+    if wanted not in table.header:
+        raise Undecided(table.path, f"there is no column {wanted!r}", field, [name for name in table.header if name])
+    return table.header.index(wanted)
+
+
+def _says_whose(cells: Sequence[str], name: str) -> bool:
+    """Whether a column may say whose rows are: few words or whole numbers, in every row, several rows each."""
+    distinct = set(cells)
+    if not 2 <= len(distinct) <= min(_MOST_OWNERS, len(cells) / 3) or "" in distinct:
+        return False
+    values = numbers(sorted(distinct))[0]
+    return bool(np.isnan(values).any()) or (bool(np.all(values % 1 == 0)) and (len(distinct) > 2 or bool(name)))
+
+
+def _moment(times: Array, inside: Array) -> str:
+    at = int(np.flatnonzero(np.diff(times) < 0)[0]) if inside.max(initial=0) == 0 else 0
+    return datetime.fromtimestamp(float(times[at]), UTC).strftime("%Y-%m-%d %H:%M")
+
+
+def _zone(times: Array, local: Mask, inside: Array) -> str:
+    """The zone in whose autumn the clock goes back, if it goes back for nothing else."""
+    for zone in _ZONES:
+        utc = to_utc(times, local, zone)
+        if np.isfinite(utc).all() and _falls(utc, inside) == 0:
+            return zone
+    return ""
+
+
+def _back(table: FoundTable, times: Array, inside: Array, answers: Answers) -> str:
+    falls = _falls(times, inside)
+    if answers.clock_back or not falls:
+        return answers.clock_back or "refuse"
+    lost = sum(int((~longest_rising(times[inside == code])).sum()) for code in np.unique(inside))
+    if lost <= _FEW * times.size:
+        return "refuse"
+    anew = falls < times.size / 10 and float(np.median(_steps(times, inside))) > 0
+    at = int(np.flatnonzero(np.diff(times) < 0)[0]) + 1
+    raise Undecided(
+        table.path,
+        f"the clock goes back {falls} times, first at reading {at + 1} of the file, and no column tells "
+        f"sessions apart: it may "
+        "begin anew there (split), or rows may be out of order (sort)",
+        "clock-back",
+        ["split", "sort"],
+        guess="split" if anew else "sort",
+    )
+
+
+def _duplicates(table: FoundTable, clock: FoundClock, times: Array, inside: Array, answers: Answers) -> str:
+    if answers.duplicates:
+        return answers.duplicates
+    order = np.lexsort((times, inside))
+    doubled = (np.diff(times[order]) == 0) & (np.diff(inside[order]) == 0)
+    if not doubled.any():
+        return "agree"
+    rows = [tuple(c for p, c in enumerate(row) if p not in (clock.place, clock.date)) for row in table.rows]
+    pairs = zip(order[:-1][doubled].tolist(), order[1:][doubled].tolist(), strict=True)
+    unequal = sum(
+        any(a and b and a != b for a, b in zip(rows[first], rows[second], strict=True)) for first, second in pairs
+    )
+    if unequal <= _FEW * times.size:
+        return "agree"
+    if inside.max(initial=0) == 0 and (count := _rows_a_time(times)) > 1 and _goes_on(rows, count):
+        return "spread"
+    raise Undecided(
+        table.path,
+        f"{unequal} of {times.size} rows have the time of another row and other readings, and no column tells "
+        f"machines apart; if the clock only lost its seconds, they are spread",
+        "duplicates",
+        ["average", "last", "spread"],
+    )
+
+
+def _rows_a_time(times: Array) -> int:
+    """How many rows each time has, if all have as many and come evenly; 0 if not."""
+    distinct, counts = np.unique(times, return_counts=True)
+    even = distinct.size > 3 and len(set(counts[1:-1].tolist())) == 1 and np.ptp(np.diff(distinct)) == 0
+    return int(counts[1]) if even and not np.any(np.diff(times) < 0) else 0
+
+
+def _goes_on(rows: Sequence[Sequence[str]], count: int) -> bool:
+    """Whether readings move less from row to row than over `count` rows: of machines in turn it is the other way."""
+    for cells in zip(*rows, strict=True):
+        values = numbers(cells)[0]
+        near, far = np.abs(np.diff(values)), np.abs(values[count:] - values[:-count])
+        if np.isfinite(near).any() and np.isfinite(far).any() and np.nanmean(near) > np.nanmean(far):
+            return False
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """How a recording was stored; on change, for how long silence means as before, and how often its rows come (s)."""
+
+    on_change: bool
+    silence: float = 0.0
+    interval: float = 0.0
+    why: str = ""
+
+
+def stored_of(
+    table: FoundTable,
+    columns: Sequence[FoundColumn],
+    times: Sequence[Array],
+    temperature: FoundColumn,
+    answers: Answers,
+) -> Stored:
+    """How the readings of the columns were stored; `times` are each column's.
+
+    Raises Undecided where it may be either.
+    """
+    every = np.unique(np.concatenate([each[np.isfinite(each)] for each in times]))
+    steps = np.diff(every)
+    if steps.size < 3:
+        return Stored(False)
+    # The temperature's own steps: tags of a scan may stand a second apart.
+    place = next(at for at, column in enumerate(columns) if column.header == temperature.header)
+    own_times = np.unique(times[place][np.isfinite(temperature.values) & np.isfinite(times[place])])
+    kept = Stored(True, _longest_silence(steps), _interval(np.diff(own_times) if own_times.size > 3 else steps))
+    if answers.stored:
+        return kept if answers.stored == "on change" else Stored(False)
+    looks = {
+        column.header: _looks_stored(own, column, every.size)
+        for column, own in zip(columns, times, strict=True)
+        if column.kind in ("number", "switch", "states")
+    }
+    told = [look for look in looks.values() if look is not None]
+    own = looks.get(temperature.header)
+    if own is None or not own.may:
+        return Stored(False)
+    # A load that changes every ten minutes has even steps; one that repeats what it was is polled.
+    if any(look.surely for look in told) and all(look.repeated < _REPEATED for look in told):
+        return Stored(
+            True,
+            kept.silence,
+            kept.interval,
+            f"values stand where they change, repeated in {own.repeated:.0%} of the readings; {own.silent:.0%} "
+            f"of the time is "
+            "silence",
+        )
+    if own.silent < _SILENT:
+        return Stored(False)
+    raise Undecided(
+        table.path,
+        f"{own.silent:.0%} of the time has no reading of {temperature.header!r}, whose values never repeat: it "
+        f"may be stored on "
+        "change, so that silence means as before, or each row may be there and the rest unknown",
+        "stored",
+        ["on change", "each row"],
+        guess="on change",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """Whether a column may be stored on change, and surely is; shares of repeated values and of time in silence."""
+
+    may: bool
+    surely: bool
+    repeated: float
+    silent: float
+
+
+def _looks_stored(times: Array, column: FoundColumn, rows: int) -> _Look | None:
+    """How the readings of a column look; None for too few."""
+    if column.kind == "number":
+        known, values = np.isfinite(column.values), column.values
+    else:
+        known, values = np.array([bool(cell) for cell in column.cells], dtype=bool), _codes(column.cells)
+    order = np.argsort(times[known], kind="stable")
+    steps, moves = np.diff(times[known][order]), np.abs(np.diff(values[known][order]))
+    steps, moves = steps[steps > 0], moves[steps > 0]
+    if steps.size < 3:
+        return None
+    repeated, usual = float((moves == 0).mean()), float(np.median(steps))
+    silent = float(steps[steps > _LONG_STEPS * usual].sum() / steps.sum())
+    sparse = known.sum() < _SPARSE * rows
+    uneven = float((np.abs(steps - usual) > 0.5 * usual).mean()) > _UNEVEN
+    may = repeated < _REPEATED and uneven
+    # Noise makes small steps too, an exception none below its deadband.
+    apart = float(np.quantile(moves, 0.05)) >= _APART * float(np.median(moves))
+    return _Look(may, may and ((silent >= _SILENT and apart) or bool(sparse)), repeated, silent)
+
+
+def _interval(steps: Array) -> float:
+    return max(float(f"{max(float(np.quantile(steps, 0.05)), float(steps.sum()) / _MOST_HELD):.3g}"), 1.0)
+
+
+def _longest_silence(steps: Array) -> float:
+    """The longest step that has others nearly as long: what goes far beyond them is an outage."""
+    long = np.unique(steps)[-50:]
+    for shorter, longer in pairwise(long):
+        if longer > _OUTAGE * shorter and shorter > 10 * float(np.median(steps)):
+            return float(np.ceil(shorter))
+    return float(np.ceil(long[-1]))

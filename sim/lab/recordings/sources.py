@@ -1,0 +1,111 @@
+"""Files of recordings as text: as they lie there, packed, or from a spreadsheet or a Parquet table.
+
+Each kind has its kept library, which is imported where such a file is read.
+"""
+
+import csv
+import gzip
+import io
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable
+from importlib import import_module
+from pathlib import Path
+from typing import BinaryIO, cast
+
+from drivers.named_files import regular
+from sim.lab.recordings.load_report import TraceError
+
+UNPACKING = (EOFError, zlib.error, zipfile.BadZipFile)
+"""What a packed file raises that is cut off, while it is read."""
+_TEXT = (".csv", ".txt", ".tsv", ".dat", ".log")
+
+
+def opened(path: Path) -> BinaryIO:
+    """The bytes of a recording's text. Raises TraceError for a packed file that holds none or several, OSError."""
+    kind = _KINDS.get(path.suffix.lower())
+    if kind is None:
+        return regular(path).open("rb")
+    try:
+        return kind(regular(path))
+    except (zipfile.BadZipFile, gzip.BadGzipFile, zlib.error, EOFError, KeyError, ValueError) as error:
+        if isinstance(error, TraceError):
+            raise
+        raise TraceError(f"{path}: it is no {path.suffix[1:]} file that can be unpacked ({error})") from None
+
+
+def head_of(path: Path, size: int) -> bytes:
+    """The first bytes of a recording's text. Raises TraceError for a packed file that ends too early, OSError."""
+    try:
+        with opened(path) as stream:
+            return stream.read(size)
+    except UNPACKING as error:
+        raise TraceError(f"{path}: it ends within what was packed ({error}); give the whole file") from None
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file of a folder is a recording by its name: a CSV, also packed, or a table of another program."""
+    names = [suffix.lower() for suffix in path.suffixes]
+    packed = names[-2:-1] == [".csv"] and names[-1] in (".gz", ".zip", ".zst")
+    return names[-1:] in ([".csv"], [".xlsx"], [".parquet"]) or packed
+
+
+def _zip(path: Path) -> BinaryIO:
+    archive = zipfile.ZipFile(path)
+    members = [name for name in archive.namelist() if Path(name).suffix.lower() in _TEXT]
+    if len(members) != 1:
+        raise TraceError(f"{path}: {len(members)} of its files are tables; unpack it, and give the one or the folder")
+    return cast(BinaryIO, archive.open(members[0]))
+
+
+def _zst(path: Path) -> BinaryIO:
+    try:
+        from compression import zstd  # type: ignore[import-not-found,unused-ignore]
+    except ImportError:
+        raise TraceError(f"{path}: this Python does not unpack .zst; unpack it, or pack it with gzip") from None
+    return cast(BinaryIO, zstd.open(path, "rb"))
+
+
+def _xlsx(path: Path) -> BinaryIO:
+    from openpyxl import load_workbook
+
+    book = load_workbook(path, read_only=True, data_only=True)
+    filled = [sheet for sheet in book.worksheets if sheet.max_row and sheet.max_row > 1]
+    if len(filled) != 1:
+        names = ", ".join(sheet.title for sheet in filled)
+        raise TraceError(f"{path}: {len(filled)} of its sheets are tables ({names}); give a file with one")
+    return _written(filled[0].iter_rows(values_only=True))
+
+
+def _parquet(path: Path) -> BinaryIO:
+    try:
+        arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
+    except ImportError:
+        raise TraceError(f"{path}: reading .parquet needs the extra `parquet`; install it, or export a CSV") from None
+    try:
+        table = parquet.read_table(path)
+    except arrow.ArrowInvalid as error:
+        raise TraceError(f"{path}: it is no Parquet file: {error}") from None
+    rows = zip(*(column.to_pylist() for column in table.columns), strict=True)
+    return _written([table.column_names, *rows])
+
+
+def _written(rows: Iterable[Iterable[object]]) -> BinaryIO:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([["" if cell is None else cell for cell in row] for row in rows])
+    return io.BytesIO(text.getvalue().encode())
+
+
+def _gz(path: Path) -> BinaryIO:
+    stream = gzip.GzipFile(path)
+    stream.peek(1)
+    return cast(BinaryIO, stream)
+
+
+_KINDS: dict[str, Callable[[Path], BinaryIO]] = {
+    ".gz": _gz,
+    ".zip": _zip,
+    ".zst": _zst,
+    ".xlsx": _xlsx,
+    ".parquet": _parquet,
+}

@@ -1,0 +1,46 @@
+"""Units as exports write them, as maps call them, and what makes one of another; the one owner of both tables."""
+
+import math
+
+UNITS = {
+    "°c": "degC", "degc": "degC", "c": "degC", "grad": "degC", "deg c": "degC", "ºc": "degC", "celsius": "degC",
+    "℃": "degC",
+    "°f": "degF", "degf": "degF", "f": "degF", "deg f": "degF", "ºf": "degF", "fahrenheit": "degF", "℉": "degF",
+    "0.1 degc": "0.1 degC", "0.1 °c": "0.1 degC",
+    "k": "K", "kelvin": "K", "°k": "K", "a": "A", "amp": "A", "amps": "A", "ampere": "A", "ma": "mA",
+    "milliamps": "mA", "ka": "kA",
+    "v": "V", "mv": "mV", "kv": "kV", "kw": "kW", "w": "W", "mw": "MW", "watt": "W", "bar": "bar", "mbar": "mbar",
+    "kpa": "kPa",
+    "%": "%", "rpm": "rpm", "1/min": "rpm", "min-1": "rpm", "r/min": "rpm", "u/min": "rpm", "giri/min": "rpm",
+    "tr/min": "rpm",
+    "mm/s": "mm/s", "g": "g", "m3/h": "m3/h", "m³/h": "m3/h", "l/min": "l/min", "nm": "Nm", "hz": "Hz",
+    "s": "s", "sec": "s", "ms": "ms", "h": "h", "min": "min",
+}  # fmt: skip
+"""Units as they are written (lower case) and as maps call them."""
+
+_BASES = {
+    "degC": ("degC", 1.0, 0.0), "degF": ("degC", 5 / 9, -160 / 9), "K": ("degC", 1.0, -273.15),
+    "0.1 degC": ("degC", 0.1, 0.0),
+    "A": ("A", 1.0, 0.0), "mA": ("A", 1e-3, 0.0), "kA": ("A", 1e3, 0.0),
+    "W": ("W", 1.0, 0.0), "kW": ("W", 1e3, 0.0), "MW": ("W", 1e6, 0.0),
+    "V": ("V", 1.0, 0.0), "mV": ("V", 1e-3, 0.0), "kV": ("V", 1e3, 0.0),
+    "bar": ("bar", 1.0, 0.0), "mbar": ("bar", 1e-3, 0.0), "kPa": ("bar", 1e-2, 0.0),
+}  # fmt: skip
+"""unit: (its base, scale, offset), base = unit * scale + offset."""
+
+KEPT = {"degF": "degC", "K": "degC", "0.1 degC": "degC", "mA": "A", "kA": "A"}
+"""Units that a drafted map converts, and to which: models count in degC and A."""
+
+
+def known_unit(text: str) -> str:
+    """The unit that a text writes, "" for none that is known."""
+    return UNITS.get(" ".join(text.split()).casefold(), "")
+
+
+def conversion(unit: str, wanted: str) -> tuple[float, float]:
+    """(scale, offset) that make a value in `unit` one in `wanted`; NaN where they measure different things."""
+    if unit == wanted:
+        return 1.0, 0.0
+    base, scale, offset = _BASES.get(unit, (unit, 1.0, 0.0))
+    other, by, beyond = _BASES.get(wanted, (wanted, 1.0, 0.0))
+    return (scale / by, (offset - beyond) / by) if base == other else (math.nan, math.nan)

@@ -1,0 +1,473 @@
+"""An export in any dialect gives the plant's own numbers, or a question that names the option which answers it."""
+
+import gzip
+import json
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from openpyxl import Workbook
+
+from gateway.cli.main import main
+from gateway.console import shipped
+from sim.lab.recordings import LoadReport, TraceError, load_map, load_traces
+from sim.sha import Trace
+from tests.traces.exports import STEP, Recording, comma, recording, wide, written
+
+EPOCH = datetime(1970, 1, 1)
+MONTHS = {
+    "de": ["Jan", "Feb", "Mrz", "Apr", "Mai", "Jun"],
+    "it": ["gen", "feb", "mar", "apr", "mag", "giu"],
+    "fr": ["janv.", "févr.", "mars", "avr.", "mai", "juin"],
+}
+
+
+def mapped(export: Path, out: Path, *options: str) -> tuple[list[Trace], LoadReport, dict[str, Any]]:
+    """The traces that the drafted map reads, the report, and what the command said."""
+    done = CliRunner().invoke(main, ["trace", "map", str(export), "-o", str(out), *options, "--json"])
+    assert done.exit_code == 0, done.stderr
+    traces, report = load_traces(export, load_map(out))
+    for file in report.files:
+        cells = file.used_cells + file.refused_cells + file.merged_cells + sum(file.unused.values())
+        assert cells == file.cells, file.account()
+    return traces, report, json.loads(done.stdout)
+
+
+def asked(export: Path, out: Path, *options: str) -> str:
+    """The question, which leaves no map behind."""
+    done = CliRunner().invoke(main, ["trace", "map", str(export), "-o", str(out), *options])
+    assert done.exit_code == 2 and not out.exists() and len(done.stderr.splitlines()) == 1, done.output
+    return done.stderr
+
+
+def is_the_plant(trace: Trace, out: Path, plant: Recording | None = None, *, within: float = 0.006) -> None:
+    """The trace has the plant's temperatures and times."""
+    plant = plant or recording()
+    temperature = trace.signals[load_map(out).temperature]
+    assert np.allclose(trace.times - trace.times[0], plant.seconds, atol=0.01)
+    assert np.allclose(temperature, plant.heat, atol=within)
+    assert [event.symbol for event in trace.events if event.symbol[0] == "W"] == ["W_OFF", "W_ON", "W_OFF", "W_ON"]
+
+
+CLOCKS: dict[str, Callable[[datetime], str]] = {
+    "javascript": lambda t: t.strftime("%a %b %d %Y %H:%M:%S GMT+0100 (Central European Standard Time)"),
+    "german month": lambda t: t.strftime(f"%d. {MONTHS['de'][t.month - 1]} %Y %H:%M:%S"),
+    "italian month": lambda t: t.strftime(f"%d {MONTHS['it'][t.month - 1]} %Y %H:%M:%S"),
+    "french month": lambda t: t.strftime(f"%d {MONTHS['fr'][t.month - 1]} %Y à %H:%M:%S"),
+    "twelve hours": lambda t: t.strftime("%m/%d/%Y %I:%M:%S ") + ("a. m." if t.hour < 12 else "p. m."),
+    "time before date": lambda t: t.strftime("%H:%M:%S 13.03.2024"),
+    "compact": lambda t: t.strftime("%Y%m%d%H%M%S"),
+    "zone in words": lambda t: t.strftime("%Y-%m-%d %H:%M:%S UTC"),
+    "epoch ms with dots": lambda t: f"{int((t - EPOCH).total_seconds() * 1000):,}".replace(",", "."),
+    "epoch us": lambda t: str(int((t - EPOCH).total_seconds() * 1e6)),
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_clocks_that_a_person_can_read(clock: str, tmp_path: Path) -> None:
+    export = wide(
+        tmp_path / "a.csv", header="Time;Bearing temperature;Motor current;Running", clock=CLOCKS[clock], mark=";"
+    )
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert trace.times[0] == (datetime(2024, 3, 13, 9, 58) - EPOCH).total_seconds() - 3600 * (clock == "javascript")
+
+
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_days_of_a_spreadsheet_also_under_a_header_with_commas(mark: str, tmp_path: Path) -> None:
+    def days(moment: datetime) -> str:
+        return comma(round((moment - datetime(1899, 12, 30)) / timedelta(days=1), 8))
+
+    header = mark.join(["Time", "Bearing temperature", "Motor current", "Running"])
+    export = wide(tmp_path / "a.csv", header=header, clock=days, cells=(comma, comma, str), mark=";")
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_the_hour_24_is_midnight(tmp_path: Path) -> None:
+    plant = recording()
+    shift = timedelta(hours=13, minutes=42)
+
+    def clock(moment: datetime) -> str:
+        moment += shift
+        midnight = (moment.hour, moment.minute, moment.second) == (0, 0, 0)
+        return f"{moment - timedelta(days=1):%Y-%m-%d} 24:00:00" if midnight else f"{moment:%Y-%m-%d %H:%M:%S}"
+
+    (trace,), report, _ = mapped(wide(tmp_path / "a.csv", clock=clock), tmp_path / "m.toml")
+    assert report.refused == 0 and trace.times.size == plant.heat.size
+    assert np.all(np.diff(trace.times) == STEP)
+
+
+@pytest.mark.parametrize(("unit", "size"), [("ms", 1000), ("min", 1 / 60), ("h", 1 / 3600)])
+def test_elapsed_time_is_read_in_the_unit_that_its_name_says(unit: str, size: float, tmp_path: Path) -> None:
+    begin = recording().moments[0]
+    export = wide(
+        tmp_path / "a.csv",
+        header=f"Time ({unit}),Bearing temperature,Motor current,Running",
+        clock=lambda moment: repr((moment - begin).total_seconds() * size),
+    )
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_a_clock_in_columns_of_hours_minutes_and_seconds_is_no_column_of_seconds(tmp_path: Path) -> None:
+    export = wide(
+        tmp_path / "a.csv",
+        header="hour,minute,second,Bearing temperature,Motor current,Running",
+        clock=lambda moment: f"{moment.hour},{moment.minute},{moment.second}",
+    )
+    assert "time_of_day" in asked(export, tmp_path / "m.toml")
+
+
+def test_a_temperature_that_is_called_t_is_no_clock(tmp_path: Path) -> None:
+    plant = recording()
+    rows = [f"{heat},{current}" for heat, current in zip(plant.heat, plant.current, strict=True)]
+    assert "no times" in asked(written(tmp_path / "a.csv", "T,I", rows), tmp_path / "m.toml").replace(
+        "holds times", "no times"
+    )
+
+
+def test_times_that_a_spreadsheet_rounded_are_refused_as_that(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv", clock=lambda moment: "1.71032E+12")
+    said = asked(export, tmp_path / "m.toml")
+    assert "'Time'" in said and "1.71032E+12" in said and "rounded" in said
+
+
+def test_a_clock_that_goes_back_in_autumn_is_told_as_summer_time(tmp_path: Path) -> None:
+    plant = replace(recording(), seconds=recording().seconds * 6)
+    utc = datetime(2025, 10, 25, 23, 30)
+
+    def local(moment: datetime) -> str:
+        own = utc + (moment - plant.moments[0])
+        return f"{own + timedelta(hours=2 if own < datetime(2025, 10, 26, 1) else 1):%Y-%m-%d %H:%M:%S}"
+
+    (trace,), report, said = mapped(wide(tmp_path / "a.csv", clock=local, of=plant), tmp_path / "m.toml")
+    assert report.refused == 0 and trace.times[-1] - trace.times[0] == 239 * 60
+    assert any("summer time" in line and "--timezone" in line for line in said["report"])
+
+
+CELLS: dict[str, tuple[str, tuple[Callable[[float], str], ...]]] = {
+    "units in cells": ("Time;Bearing temperature;Motor power;Running", (
+        lambda v: f"{v} °C", lambda v: f"{v * 20:.0f} W" if v < 100 else f"{v * 20 / 1000:.3f} kW", str,
+    )),
+    "thousands": ("Time;Bearing temp;Motor power W;Running", (str, lambda v: f"{v * 20:,.1f}", str)),
+    "kelvin": ("Time;Bearing temperature K;Motor current A;Running", (lambda v: f"{v + 273.15:.2f}", str, str)),
+    "kelvin in words": ("Time;Bearing temperature [Kelvin];Motor current;Running", (lambda v: f"{v + 273.15:.2f}",
+    str, str)),
+    "fahrenheit": ("Time;Bearing temperature °F;Motor current;Running", (lambda v: f"{v * 1.8 + 32:.3f}", str, str)),
+    "milliamperes": ("Time;Bearing temperature;Motor current mA;Running", (str, lambda v: f"{v * 1000:.0f}", str)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("cells", CELLS)
+def test_cells_and_names_that_say_their_units(cells: str, tmp_path: Path) -> None:
+    header, forms = CELLS[cells]
+    (trace,), _, said = mapped(wide(tmp_path / "a.csv", header=header, cells=forms, mark=";"), tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    loads = trace.signals[next(name for name in trace.signals if name.startswith("Motor"))]
+    least = recording().current.min()
+    assert loads.max() / loads.min() == pytest.approx(recording().current.max() / least, rel=0.05)
+    assert said["current"].startswith("Motor")
+
+
+def test_kelvin_that_nobody_names_is_asked_and_the_answer_converts(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv", cells=(lambda v: f"{v + 273.15:.2f}", str, str))
+    said = asked(export, tmp_path / "m.toml")
+    assert "kelvin" in said and "--unit 'Bearing temperature=K'" in said
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--unit", "Bearing temperature=K")
+    is_the_plant(trace, tmp_path / "m.toml")
+    (tmp_path / "m.toml").unlink()
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--yes")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize("code", [3276.7, -127.0, 85.0, -200.0, 850.0, -32768.0, 9999.0, -999.9])
+def test_numbers_that_mean_no_reading_are_named_and_refused(code: float, tmp_path: Path) -> None:
+    plant = recording()
+    heat = plant.heat.copy()
+    at = [5, 20, 61, 100, 101, 190]
+    heat[at] = code
+    export = wide(tmp_path / "a.csv", of=replace(plant, heat=heat))
+    (trace,), report, said = mapped(export, tmp_path / "m.toml")
+    assert any(f"{code:g}" in line for line in said["report"]) and f"bad = [{code:g}]" in said["text"]
+    assert report.files[0].bad_cells == len(at)
+    assert np.nanmax(trace.signals["Bearing_temperature"]) == np.delete(plant.heat, at).max()
+
+
+def test_a_temperature_that_passes_85_is_no_code(tmp_path: Path) -> None:
+    plant = recording(ambient=60.0)
+    heat = plant.heat.round(0)
+    (trace,), report, said = mapped(wide(tmp_path / "a.csv", of=replace(plant, heat=heat)), tmp_path / "m.toml")
+    assert (
+        85.0 in trace.signals["Bearing_temperature"] and report.files[0].bad_cells == 0 and "bad =" not in said["text"]
+    )
+
+
+def test_a_code_that_the_map_does_not_name_is_said_by_every_command_that_loads(tmp_path: Path) -> None:
+    plant = recording()
+    heat = plant.heat.copy()
+    heat[[5, 9]] = 3276.7
+    export = wide(tmp_path / "a.csv", of=replace(plant, heat=heat))
+    mapped(export, tmp_path / "m.toml")
+    text = (tmp_path / "m.toml").read_text(encoding="utf-8").replace(", bad = [3276.7]", "")
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    _, report = load_traces(export, load_map(tmp_path / "m.toml"))
+    assert any("2 readings of Bearing_temperature are 3276.7" in line for line in report.warnings)
+
+
+def test_the_header_again_in_another_order_and_spelling_begins_a_table(tmp_path: Path) -> None:
+    plant = recording()
+    export = wide(tmp_path / "a.csv", of=plant)
+    lines = export.read_text(encoding="utf-8").splitlines()
+    swapped = [",".join([row.split(",")[place] for place in (0, 2, 3, 1)]) for row in lines[121:]]
+    again = "Time,Motor  current,RUNNING,Bearing temperature"
+    written(export, lines[0], [*lines[1:121], again, *swapped])
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert report.files[0].refused == 1
+    assert load_map(tmp_path / "m.toml").signals["Running"].boolean
+
+
+def test_a_new_header_with_another_number_of_columns_begins_a_table(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv")
+    lines = export.read_text(encoding="utf-8").splitlines()
+    more = [f"{row},7" for row in lines[121:]]
+    written(export, lines[0], [*lines[1:121], f"{lines[0]},Speed setpoint", *more])
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert report.files[0].refused == 1 and np.isnan(trace.signals["Speed_setpoint"][:120]).all()
+
+
+@pytest.mark.parametrize("name", ["Turbine", "Asset", "x"])
+def test_machines_of_one_file_are_traces_of_their_own(name: str, tmp_path: Path) -> None:
+    first, second = recording(0), recording(1, ambient=36.0)
+    rows = []
+    for moment, a, b in zip(first.moments, first.heat, second.heat, strict=True):
+        rows += [f"A1;{moment};{a};0.4", f"B2;{moment};{b};0.4"]
+    for place, (a, b) in enumerate(zip(first.current, second.current, strict=True)):
+        rows[2 * place] = rows[2 * place].rsplit(";", 1)[0] + f";{a}"
+        rows[2 * place + 1] = rows[2 * place + 1].rsplit(";", 1)[0] + f";{b}"
+    export = written(tmp_path / "a.csv", f"{name};Time;Bearing temperature;Motor current", rows)
+    traces, report, _ = mapped(export, tmp_path / "m.toml")
+    assert [trace.machine for trace in traces] == ["A1", "B2"] and report.files[0].merged == 0
+    for trace, plant in zip(traces, (first, second), strict=True):
+        is_the_plant(trace, tmp_path / "m.toml", plant)
+
+
+def test_sessions_that_begin_anew_are_traces_of_their_own(tmp_path: Path) -> None:
+    plants = (recording(0), recording(1), recording(2))
+    rows = [
+        f"{number},{second:g},{heat},{current}"
+        for number, plant in zip((4, 6, 9), plants, strict=True)
+        for second, heat, current in zip(plant.seconds, plant.heat, plant.current, strict=True)
+    ]
+    traces, _, _ = mapped(
+        written(tmp_path / "a.csv", "profile_id,time,winding temperature,current", rows), tmp_path / "m.toml"
+    )
+    assert len(traces) == 3
+    for trace, plant in zip(traces, plants, strict=True):
+        is_the_plant(trace, tmp_path / "m.toml", plant)
+
+
+def test_machines_that_nothing_tells_apart_are_never_merged_in_silence(tmp_path: Path) -> None:
+    first, second = recording(0), recording(1, ambient=36.0)
+    rows = [
+        f"{moment};{heat};{current}"
+        for moment, *both in zip(first.moments, first.heat, first.current, second.heat, second.current, strict=True)
+        for heat, current in (both[:2], both[2:])
+    ]
+    export = written(tmp_path / "a.csv", "Time;Bearing temperature;Motor current", rows)
+    assert "--duplicates average" in asked(export, tmp_path / "m.toml")
+    (tmp_path / "m.toml").write_text(
+        'format = "wide"\ntemperature = "T"\n[clock]\ncolumn = "Time"\n'
+        '[signals]\nT = { column = "Bearing temperature" }\nI = { column = "Motor current" }\n',
+        encoding="utf-8",
+    )
+    done = CliRunner().invoke(main, ["trace", "show", str(export), "--map", str(tmp_path / "m.toml")])
+    assert done.exit_code == 2 and "240 of its 480 rows have the time of another row" in done.stderr
+
+
+def test_a_clock_that_lost_its_seconds_has_its_rows_spread(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv", clock=lambda moment: moment.strftime("%d/%m/%Y %H:%M"))
+    (trace,), _, said = mapped(export, tmp_path / "m.toml", "--dates", "day")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert any("coarser" in line for line in said["report"])
+
+
+@pytest.mark.parametrize("names", [("Bearing temperature", "Motor current", "Running"), ("Value", "Value", "Value")])
+def test_a_folder_of_one_file_a_tag_is_one_recording(names: tuple[str, ...], tmp_path: Path) -> None:
+    plant = recording()
+    folder = tmp_path / "export"
+    folder.mkdir()
+    stems = ("Bearing_temperature", "Motor_current", "Running")
+    for stem, name, values in zip(stems, names, (plant.heat, plant.current, plant.running), strict=True):
+        rows = [f"{moment};{value}" for moment, value in zip(plant.moments, values.tolist(), strict=True)]
+        written(folder / f"{stem}.csv", f"timestamp;{name}", rows)
+    (trace,), _, _ = mapped(folder, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_a_folder_of_parts_is_one_recording(tmp_path: Path) -> None:
+    lines = wide(tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
+    folder = tmp_path / "days"
+    folder.mkdir()
+    for part in range(3):
+        written(folder / f"part{part}.csv", lines[0], lines[1 + 80 * part : 81 + 80 * part])
+    (trace,), _, _ = mapped(folder, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_one_row_a_reading_with_descriptions_and_units(tmp_path: Path) -> None:
+    plant = recording()
+    rows = []
+    for place, (moment, heat, current, running) in enumerate(
+        zip(plant.moments, plant.heat, plant.current, plant.running, strict=True)
+    ):
+        for code, (name, value, unit) in enumerate(
+            (
+                ("Lagertemperatur", heat, "°C"),
+                ("Motorstrom", current, "A"),
+                ("Motor Stufe 1", "Ein" if running else "Aus", ""),
+            )
+        ):
+            rows.append(
+                f"{1235285616 + 10000 * place + code};{moment:%d.%m.%Y %H:%M:%S};{8300 + code};{name};{value};{unit}"
+            )
+    export = written(tmp_path / "a.csv", "Milliseconds;Date;Parameter;Description;Value;Unit", rows)
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert (said["clock"], said["temperature"], said["current"]) == ("Date", "Lagertemperatur", "Motorstrom")
+
+
+STOPPED: dict[str, tuple[str, Callable[[float], str]]] = {
+    "standstill": ("Standstill", lambda v: str(int(not v))),
+    "stopped, in words": ("Fermo", lambda v: "no" if v else "si"),
+}
+
+
+@pytest.mark.parametrize("case", STOPPED)
+def test_a_switch_that_says_standstill_is_turned_round(case: str, tmp_path: Path) -> None:
+    name, cell = STOPPED[case]
+    plant = recording()
+    rows = [
+        f"{m},{heat},{cell(on)}" for m, heat, on in zip(plant.moments, plant.heat, plant.running.tolist(), strict=True)
+    ]
+    (trace,), _, said = mapped(
+        written(tmp_path / "a.csv", f"Time,Bearing temperature,{name}", rows), tmp_path / "m.toml"
+    )
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert said["running"] == "" and f'signal = "{name}", below = 0.5' in said["text"]  # derived, not read as it is
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("State", ("IDLE", "CIP", "PRODUCTION", "HOT")), ("Mode", ("0", "1", "2", "3"))]
+)
+def test_states_are_asked_and_several_words_may_mean_running(name: str, words: tuple[str, ...], tmp_path: Path) -> None:
+    plant = recording()
+    rows = []
+    for place, (moment, heat, current) in enumerate(zip(plant.moments, plant.heat, plant.current, strict=True)):
+        still = words[0] if place < 10 else words[1]
+        rows.append(f"{moment},{heat},{still if current < 1 else words[2] if current > 135 else words[3]}")
+    export = written(tmp_path / "a.csv", f"Time,Bearing temperature,{name}", rows)
+    said = asked(export, tmp_path / "m.toml")
+    assert all(f"--on {word}" in said for word in words)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", *("--running", name, "--on", words[2], "--on", words[3]))
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_two_that_load_the_machine_are_asked_and_one_is_taken(tmp_path: Path) -> None:
+    plant = recording()
+    rows = [
+        f"{moment},{10 * current - 5:.1f},{12 * current:.0f},{heat},{3 + place % 7}"
+        for place, (moment, current, heat) in enumerate(zip(plant.moments, plant.current, plant.heat, strict=True))
+    ]
+    export = written(tmp_path / "a.csv", "Time,ActivePower,GeneratorRPM,MainBoxTemperature,WindSpeed", rows)
+    said = asked(export, tmp_path / "m.toml")
+    assert "--current ActivePower or --current GeneratorRPM" in said
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--current", "GeneratorRPM")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_movement_alone_is_a_question(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv", header="Time,Bearing temperature,label,b", cells=(str, str))
+    lines = [line.replace(",b", "") for line in export.read_text(encoding="utf-8").splitlines()]
+    said = asked(written(export, lines[0], lines[1:]), tmp_path / "m.toml")
+    assert "--current label or --current none" in said and "movement" in said
+
+
+def test_a_switch_that_is_on_while_nothing_flows_is_asked(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv", cells=(str, str, lambda v: str(int(not v))))
+    said = asked(export, tmp_path / "m.toml")
+    assert "'Running' is on while 'Motor current' is 0.4" in said and "--on 0" in said
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--yes")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_a_column_that_does_not_move_is_not_chosen_beside_one_that_does(tmp_path: Path) -> None:
+    header = "Time,Average return flow temperature in °C,Feed flow temperature in °C,Overall heat load in MW"
+    plant = recording()
+    rows = [f"{m},50,{h},{c}" for m, h, c in zip(plant.moments, plant.heat, plant.current, strict=True)]
+    (trace,), _, said = mapped(written(tmp_path / "a.csv", header, rows), tmp_path / "m.toml")
+    assert said["temperature"].startswith("Feed")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_equal_names_are_told_apart_and_said(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv", header="Time,Value,Value,Value")
+    assert "--temperature Value" in asked(export, tmp_path / "m.toml")
+    assert "--current Value_2" in asked(export, tmp_path / "m.toml", "--temperature", "Value")
+    answers = ("--temperature", "Value", "--current", "Value_2", "--running", "Value_3")
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml", *answers)
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert {"Value", "Value_2", "Value_3"} <= set(trace.signals)
+    assert any("Value_2" in line for line in report.warnings)
+
+
+def packed(plain: Path, kind: str) -> Path:
+    """The same recording in another kind of file."""
+    path = plain.with_name(f"a.{kind}")
+    rows = [line.split(",") for line in plain.read_text(encoding="utf-8").splitlines()]
+    if kind == "csv.gz":
+        path.write_bytes(gzip.compress(plain.read_bytes()))
+    elif kind == "zip":
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.write(plain, "export.csv")
+            archive.writestr("README.md", "how it was exported")
+    elif kind == "xlsx":
+        book = Workbook()
+        for number, row in enumerate(rows):
+            moment = [datetime.fromisoformat(row[0]), *map(float, row[1:])] if number else row
+            book.active.append(moment)
+        book.save(path)
+    else:
+        parquet = pytest.importorskip("pyarrow.parquet")
+        columns = {name: [row[place] for row in rows[1:]] for place, name in enumerate(rows[0])}
+        parquet.write_table(pytest.importorskip("pyarrow").table(columns), path)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["csv.gz", "zip", "xlsx", "parquet"])
+def test_packed_files_and_tables_of_other_programs(kind: str, tmp_path: Path) -> None:
+    (trace,), _, _ = mapped(packed(wide(tmp_path / "plain.csv"), kind), tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize("kind", ["csv.gz", "zip", "xlsx", "parquet"])
+def test_a_packed_file_that_is_none_is_refused_in_one_sentence(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a.{kind}"
+    path.write_bytes(b"Time,T\n0,1\n")
+    assert str(path) in asked(path, tmp_path / "m.toml")
+
+
+def test_a_packed_file_that_ends_too_early_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    path = packed(wide(tmp_path / "plain.csv"), "csv.gz")
+    path.write_bytes(path.read_bytes()[:900])
+    assert "it ends within what was packed" in asked(path, tmp_path / "m.toml")
+    with pytest.raises(TraceError, match="ends within what was packed"):
+        load_traces(path, load_map(shipped("traces", "decanter")))

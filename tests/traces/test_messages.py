@@ -1,0 +1,59 @@
+"""No sentence of one command names an option of another: `trace map` has every option that its messages name."""
+
+import ast
+import re
+from pathlib import Path
+
+import click
+import pytest
+
+import sim.lab.recordings
+import sim.lab.recordings.mapping
+from gateway.lab.traces.map import map_command
+
+OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]+)")
+FIELDS = re.compile(r"[a-z][a-z-]+")
+MAPPING = Path(sim.lab.recordings.mapping.__file__).parent
+READING = Path(sim.lab.recordings.__file__).parent
+
+
+def texts(file: Path) -> list[str]:
+    """All texts of a module that are not docstrings."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    said = {
+        id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    nodes = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in said]
+    return [node.value for node in nodes if isinstance(node.value, str)]
+
+
+def options() -> set[str]:
+    return {
+        name.removeprefix("--") for each in map_command.params if isinstance(each, click.Option) for name in each.opts
+    }
+
+
+@pytest.mark.parametrize("file", sorted(MAPPING.glob("*.py")), ids=lambda file: file.stem)
+def test_every_option_that_trace_map_names_is_its_own(file: Path) -> None:
+    named = {option for text in texts(file) for option in OPTION.findall(text)}
+    assert named <= options()
+
+
+@pytest.mark.parametrize("file", sorted(READING.glob("*.py")), ids=lambda file: file.stem)
+def test_reading_which_any_command_does_names_keys_of_the_map_and_no_option(file: Path) -> None:
+    assert not [option for text in texts(file) for option in OPTION.findall(text)]
+
+
+def test_every_question_has_the_option_that_answers_it() -> None:
+    """The third argument of an Undecided, and the part that `_best` and `_named` ask for, are options."""
+    fields = set()
+    for file in MAPPING.glob("*.py"):
+        for call in (
+            node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)
+        ):
+            name = getattr(call.func, "id", "")
+            place = {"Undecided": 2, "_best": 1, "_named": 1}.get(name)
+            if place is not None and isinstance(field := call.args[place], ast.Constant):
+                fields.add(field.value)
+    assert {"temperature", "current", "running", "on", "unit", "stored", "duplicates", "clock-back"} <= fields
+    assert fields <= options()
