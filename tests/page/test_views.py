@@ -114,7 +114,7 @@ def test_a_machine_is_as_bad_as_the_worst_of_it() -> None:
     assert level(alarm_summary=[alarm("over limit T")]) == "alarm"
     assert level(alarm_summary=[alarm("over limit T", "acknowledged")]) == "attention"
     assert level(alarm_summary=[alarm("over limit T", "shelved", active=False)]) == "normal"
-    assert level(alarm_summary=[alarm("over limit T", "returned unacknowledged", active=False)]) == "attention"
+    assert level(alarm_summary=[alarm("over limit T", "returned unacknowledged", active=False)]) == "over"
 
 
 def test_every_text_is_there_in_every_language_with_the_same_parts_and_is_used() -> None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         build,
         crc,
         next_heartbeat,
+        read_numbers,
     )
     from gateway.machine.writing.block_stage import BlockStage
     from gateway.machine.writing.witnessing import (
@@ -74,6 +75,7 @@ __all__ = [
     "own_process",
     "places_for",
     "places_of",
+    "read_numbers",
     "signed",
     "uptime",
 ]

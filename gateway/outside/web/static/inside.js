@@ -127,5 +127,5 @@ export function boxView() {
       h("dl", { class: "facts" }, fact(say("box.records"), lost ? say("box.lost", { count: lost }) : say("box.kept")),
         fact(say("box.historian"), f ? bytes(f.records.historian) : "–", h("small", {}, historian.path)), f && fact(say("box.audit"), bytes(f.records.audit)))),
     h("section", { class: "card" }, h("h2", {}, say("box.parts")),
-      grid([say("word.name"), say("box.running"), say("box.restarts"), say("box.failure")], parts.map(([part, how]) => [part, shown(how.running), how.restarts, how.failure]))));
+      grid([say("word.name"), say("box.running"), say("box.restarts"), say("box.failure")], parts.map(([part, how]) => [part, how.running || how.failure ? shown(how.running) : say("box.between"), how.restarts, how.failure]))));
 }

@@ -1,0 +1,83 @@
+"""What somebody should know before a machine is armed: where it is, what would be written there, what was refused."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from gateway.outside.status import GatewayStatus
+from gateway.outside.texts import Words
+from sim.units import shown_unit
+
+MODES = ("off", "shadow", "armed")
+"""The modes of writing, the least first."""
+
+
+def mode_of(status: GatewayStatus) -> str:
+    """The mode of a machine: that of the block which is written the most."""
+    modes = [one.writeback["mode"] for one in (status, *status.further)]
+    return max(modes, key=MODES.index)
+
+
+def arming_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) -> dict[str, Any] | None:
+    """The machine's address and identity, and its blocks with what the PLC would read; None where nothing is written.
+
+    A block has the `label` of its temperature, its `address` and `words`, its numbers as rows of a name and a text, and
+    what was refused of it last.
+    """
+    blocks = [(one, one.writeback) for one in (status, *status.further) if one.writeback["mode"] != "off"]
+    if not blocks:
+        return None
+    challenge = status.values.get("Challenge")
+    numbers = {
+        "challenge": words.say("word.unknown") if challenge is None or challenge.value is None else challenge.value,
+        "writer": blocks[0][1].get("writer") or words.say("word.unknown"),
+    }
+    return {
+        "address": status.place,
+        "identity": words.say("arming.identity_is", **numbers),
+        "blocks": [
+            {
+                "label": labels.get(one.temperature, one.temperature),
+                "address": w.get("block", {}).get("address", ""),
+                "words": w.get("block", {}).get("words", 0),
+                "numbers": _numbers(words, w.get("block", {}).get("numbers", {}), shown_unit(one.unit)),
+                "refusals": _refusals(words, w),
+            }
+            for one, w in blocks
+        ],
+    }
+
+
+def _numbers(words: Words, numbers: Mapping[str, float | None], unit: str) -> list[tuple[str, str]]:
+    """The numbers of a block that a PLC would act on, as they are read out of its words."""
+
+    def shown(*names: str, digits: int = 1, times: float = 1.0) -> str:
+        return " – ".join(
+            words.say("word.unknown") if (number := numbers[name]) is None else words.number(times * number, digits)
+            for name in names
+        )
+
+    def whole(names: tuple[str, ...]) -> bool:
+        return all(name in numbers for name in names)
+
+    horizon = numbers.get("horizon")
+    ahead = words.say(
+        "word.in_minutes", minutes=words.say("word.unknown") if horizon is None else f"{horizon / 60:.0f}"
+    )
+    rows = (
+        (words.say("word.predicted"), ("temperature_now",), unit, {}),
+        (words.say("word.band"), ("band_low", "band_high"), unit, {}),
+        (f"{words.say('word.median')} {ahead}", ("horizon_median",), unit, {}),
+        (f"{words.say('word.p_limit')} {ahead}", ("p_limit",), "%", {"digits": 0, "times": 100.0}),
+        (words.say("word.minutes_to_limit"), ("minutes_low", "minutes_median", "minutes_high"), "", {"digits": 0}),
+    )
+    return [(label, f"{shown(*names, **more)} {of}".rstrip()) for label, names, of, more in rows if whole(names)]
+
+
+def _refusals(words: Words, w: Mapping[str, Any]) -> str:
+    """What the PLC refused last, and why the newest block was not written."""
+    found = []
+    if w.get("last_refusal"):
+        found.append(words.say("arming.refused", reason=w["last_refusal"], count=w.get("refused", 0)))
+    if w.get("last_verdict") not in (None, "written", "shadow"):
+        found.append(f"{w['last_verdict']}: {w.get('last_reason') or words.say('word.unknown')}")
+    return "; ".join(found) or words.say("word.none")
