@@ -26,10 +26,10 @@ def arming_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) 
     blocks = [(one, one.writeback) for one in (status, *status.further) if one.writeback["mode"] != "off"]
     if not blocks:
         return None
-    challenge = status.values.get("Challenge")
+    unknown, challenge = words.say("word.unknown"), status.values.get("Challenge")
     numbers = {
-        "challenge": words.say("word.unknown") if challenge is None or challenge.value is None else challenge.value,
-        "writer": blocks[0][1].get("writer") or words.say("word.unknown"),
+        "challenge": unknown if challenge is None or challenge.value is None else challenge.value,
+        "writer": blocks[0][1].get("writer") or unknown,
     }
     return {
         "address": status.place,
@@ -51,24 +51,25 @@ def _numbers(words: Words, numbers: Mapping[str, float | None], unit: str) -> li
     """The numbers of a block that a PLC would act on, as they are read out of its words."""
 
     def shown(*names: str, digits: int = 1, times: float = 1.0) -> str:
-        return " – ".join(
-            words.say("word.unknown") if (number := numbers[name]) is None else words.number(times * number, digits)
-            for name in names
-        )
+        texts = [lacking(name) if (n := numbers[name]) is None else words.number(times * n, digits) for name in names]
+        return " – ".join(dict.fromkeys(texts))
+
+    def lacking(name: str) -> str:
+        return words.say("sentence.beyond", minutes=minutes) if "minutes" in name else words.say("word.unknown")
 
     def whole(names: tuple[str, ...]) -> bool:
         return all(name in numbers for name in names)
 
     horizon = numbers.get("horizon")
-    ahead = words.say(
-        "word.in_minutes", minutes=words.say("word.unknown") if horizon is None else f"{horizon / 60:.0f}"
-    )
+    minutes = words.say("word.unknown") if horizon is None else f"{horizon / 60.0:.0f}"
+    ahead = words.say("word.in_minutes", minutes=minutes)
     rows = (
         (words.say("word.predicted"), ("temperature_now",), unit, {}),
         (words.say("word.band"), ("band_low", "band_high"), unit, {}),
         (f"{words.say('word.median')} {ahead}", ("horizon_median",), unit, {}),
         (f"{words.say('word.p_limit')} {ahead}", ("p_limit",), "%", {"digits": 0, "times": 100.0}),
-        (words.say("word.minutes_to_limit"), ("minutes_low", "minutes_median", "minutes_high"), "", {"digits": 0}),
+        (words.say("word.minutes_to_limit"), ("minutes_median",), "", {"digits": 0}),
+        (words.say("arming.band_of_minutes"), ("minutes_low", "minutes_high"), "", {"digits": 0}),
     )
     return [(label, f"{shown(*names, **more)} {of}".rstrip()) for label, names, of, more in rows if whole(names)]
 
