@@ -104,6 +104,11 @@ def test_a_number_that_is_no_present_one_is_not_given(changes: dict[str, Any], s
     assert (found["value"], found["level"], found["valid"]) == (None, "unknown", "none")
 
 
+def test_a_value_above_its_limit_is_measured_whatever_the_forecast_is_worth() -> None:
+    hot = row(**{"values__" + TEMPERATURE: tag(85.0), "prediction__zone": "red"})
+    assert (hot["level"], hot["valid"], hot["validity"]) == ("alarm", "good", WORDS["en"].say("validity.measured"))
+
+
 def test_a_machine_is_as_bad_as_the_worst_of_it() -> None:
     def level(**changes: Any) -> str:
         return str(

@@ -134,7 +134,9 @@ def _temperature(
             worth = ("doubtful", f"{words.say('validity.unfamiliar')}: {row['familiarity']['sentence']}")
     level = "normal"
     if value > one.limit:
+        # This is measured: what the forecast is worth says nothing of it.
         level, sentence = "alarm", words.say("sentence.over", what=what, value=shown, limit=limit)
+        worth = ("good", words.say("validity.measured"))
     elif worth[0] != "none" and forecast is not None and minutes_to_limit(forecast)[1] is not None:
         level = "attention"
     return {**row, "level": level, "sentence": sentence, "valid": worth[0], "validity": worth[1]}
@@ -181,7 +183,7 @@ def _confidence(words: Words, zone: str, forecast: ForecastStatus | None) -> dic
     elif coverage is not None and worst != "unmeasured" and coverage < NARROW_BAND:
         worst = "low" if coverage < USELESS_BAND or worst == "low" else "fair"
     percent = "–" if coverage is None else words.number(100.0 * coverage, 0)
-    measured = words.say("validity.unmeasured" if coverage is None else "word.coverage_of", percent=percent)
+    measured = words.say("confidence.unmeasured" if coverage is None else "word.coverage_of", percent=percent)
     css = {"high": "green", "fair": "yellow", "low": "red"}.get(worst, "none")
     return {"zone": css, "word": words.say(f"confidence.{worst}"), "coverage": measured}
 

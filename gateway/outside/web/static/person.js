@@ -111,11 +111,11 @@ export const acts = {
 function aboutArming(about) {
   if (!about) return [];
   const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label), h("dd", {}, what));
-  return [h("dl", { class: "arming" }, fact(say("arming.address"), about.address), fact(say("arming.identity"), about.identity),
+  return [h("dl", { class: "arming", tabindex: "0" }, fact(say("arming.address"), about.address), fact(say("arming.identity"), about.identity),
     about.blocks.map((block) => [
       fact(say("arming.block", { label: block.label }), say("arming.block_at", { words: block.words, address: block.address })),
-      fact(say("arming.numbers"), block.numbers.length ? block.numbers.map(([name, text]) => h("div", {}, `${name}: ${text}`)) : say("arming.no_block")),
-      fact(say("arming.refusals"), block.refusals)]))];
+      fact(say("arming.refusals"), block.refusals),
+      fact(say("arming.numbers"), block.numbers.length ? block.numbers.map(([name, text]) => h("div", {}, `${name}: ${text}`)) : say("arming.no_block"))]))];
 }
 
 // A session that has ended is logged in anew; anything else is said.

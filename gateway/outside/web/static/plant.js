@@ -143,7 +143,7 @@ function temperatureCard(name, machine, row) {
       fact(say("word.limit"), `${number(row.limit)} ${row.unit}`),
       p && fact(say("word.predicted"), present ? `${number(p.mean)} ${row.unit}` : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
       p && fact(say("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
-      p && fact(say("word.confidence"), h("span", { class: `zone ${present ? row.confidence.zone : ""}` }, present ? row.confidence.word : "–"), h("small", {}, present && zoneReason(machine, main))),
+      p && fact(say("word.confidence"), h("span", { class: `zone ${present ? row.confidence.zone : ""}` }, present ? row.confidence.word : "–")),
       row.familiarity && fact(say("familiarity.title"), h("span", { class: `zone ${present ? row.familiarity.zone : ""}` }, present ? row.familiarity.word : "–"), present && h("small", {}, [row.familiarity.sentence, row.familiarity.detail].filter(Boolean).join(" · "))),
       forecast && fact(say("word.minutes_to_limit"), usable ? row.to_limit.median : "–", usable && row.to_limit.band && h("small", {}, row.to_limit.band)),
       forecast && fact(say("word.p_limit"), forecast.horizons.map((horizon, place) => h("div", {}, `${say("word.in_minutes", { minutes: number(horizon / 60, 0) })}: ${usable ? `${number(100 * forecast.p_limit[place], 0)} %` : "–"}`))),
@@ -151,8 +151,6 @@ function temperatureCard(name, machine, row) {
     ),
     h("div", { class: "chart", "data-keep": "", "data-key": `${name} ${row.tag}`, "data-chart": `${name} ${row.tag}`, role: "img", "aria-label": row.sentence }));
 }
-
-const zoneReason = (machine, main) => (main && machine.findings.find((each) => each.check === "model")?.sentence) || "";
 
 function eventList(status) {
   if (!status.recent_events.length) return h("p", { class: "quiet" }, say("word.none"));
