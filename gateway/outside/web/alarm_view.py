@@ -1,6 +1,6 @@
 """The alarms of a machine as a browser shows them: what is so now, what was so, and what tells of one cause. Pure."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -24,11 +24,11 @@ def alarm_rows(words: Words, labels: Mapping[str, str], status: GatewayStatus) -
     """
     rows = [_row(words, labels, status, alarm) for alarm in status.alarm_summary]
     rows.sort(key=lambda row: (SECTIONS.index(row["section"]), row["priority"], not row["holds"], row["since"]))
-    heads: dict[Sequence[str], str] = {}
+    heads: dict[tuple[str, str], str] = {}
     for row in rows:
         kind = ALARM_KINDS.get(row["kind"])
-        alone = kind is None or not kind.cause
-        head = heads.setdefault((row["section"], row["name"] if alone else f"{kind.cause} {row['tag']}"), row["name"])
+        of = f"{kind.cause} {row['tag']}" if kind is not None and kind.cause else row["name"]
+        head = heads.setdefault((row["section"], of), row["name"])
         row["under"] = "" if head == row["name"] else head
     return rows
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from gateway.outside.status import GatewayStatus
+from gateway.outside.status import GatewayStatus, TemperatureStatus
 from gateway.outside.texts import Words
 from sim.units import shown_unit
 
@@ -13,8 +13,11 @@ MODES = ("off", "shadow", "armed")
 
 def mode_of(status: GatewayStatus) -> str:
     """The mode of a machine: that of the block which is written the most."""
-    modes = [one.writeback["mode"] for one in (status, *status.further)]
-    return max(modes, key=MODES.index)
+    return max((str(one.writeback["mode"]) for one in _predicted(status)), key=MODES.index)
+
+
+def _predicted(status: GatewayStatus) -> tuple[GatewayStatus | TemperatureStatus, ...]:
+    return (status, *status.further)
 
 
 def arming_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) -> dict[str, Any] | None:
@@ -23,7 +26,7 @@ def arming_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) 
     A block has the `label` of its temperature, its `address` and `words`, its numbers as rows of a name and a text, and
     what was refused of it last.
     """
-    blocks = [(one, one.writeback) for one in (status, *status.further) if one.writeback["mode"] != "off"]
+    blocks = [(one, one.writeback) for one in _predicted(status) if one.writeback["mode"] != "off"]
     if not blocks:
         return None
     unknown, challenge = words.say("word.unknown"), status.values.get("Challenge")
@@ -50,28 +53,29 @@ def arming_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) 
 def _numbers(words: Words, numbers: Mapping[str, float | None], unit: str) -> list[tuple[str, str]]:
     """The numbers of a block that a PLC would act on, as they are read out of its words."""
 
-    def shown(*names: str, digits: int = 1, times: float = 1.0) -> str:
+    def shown(names: tuple[str, ...], digits: int, times: float) -> str:
         texts = [lacking(name) if (n := numbers[name]) is None else words.number(times * n, digits) for name in names]
         return " – ".join(dict.fromkeys(texts))
 
     def lacking(name: str) -> str:
         return words.say("sentence.beyond", minutes=minutes) if "minutes" in name else words.say("word.unknown")
 
-    def whole(names: tuple[str, ...]) -> bool:
-        return all(name in numbers for name in names)
-
     horizon = numbers.get("horizon")
     minutes = words.say("word.unknown") if horizon is None else f"{horizon / 60.0:.0f}"
     ahead = words.say("word.in_minutes", minutes=minutes)
-    rows = (
-        (words.say("word.predicted"), ("temperature_now",), unit, {}),
-        (words.say("word.band"), ("band_low", "band_high"), unit, {}),
-        (f"{words.say('word.median')} {ahead}", ("horizon_median",), unit, {}),
-        (f"{words.say('word.p_limit')} {ahead}", ("p_limit",), "%", {"digits": 0, "times": 100.0}),
-        (words.say("word.minutes_to_limit"), ("minutes_median",), "", {"digits": 0}),
-        (words.say("arming.band_of_minutes"), ("minutes_low", "minutes_high"), "", {"digits": 0}),
+    rows: tuple[tuple[str, tuple[str, ...], str, int, float], ...] = (
+        (words.say("word.predicted"), ("temperature_now",), f" {unit}", 1, 1.0),
+        (words.say("word.band"), ("band_low", "band_high"), f" {unit}", 1, 1.0),
+        (f"{words.say('word.median')} {ahead}", ("horizon_median",), f" {unit}", 1, 1.0),
+        (f"{words.say('word.p_limit')} {ahead}", ("p_limit",), " %", 0, 100.0),
+        (words.say("word.minutes_to_limit"), ("minutes_median",), "", 0, 1.0),
+        (words.say("arming.band_of_minutes"), ("minutes_low", "minutes_high"), "", 0, 1.0),
     )
-    return [(label, f"{shown(*names, **more)} {of}".rstrip()) for label, names, of, more in rows if whole(names)]
+    return [
+        (label, shown(names, digits, times) + of)
+        for label, names, of, digits, times in rows
+        if all(name in numbers for name in names)
+    ]
 
 
 def _refusals(words: Words, w: Mapping[str, Any]) -> str:
