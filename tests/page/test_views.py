@@ -95,7 +95,7 @@ def test_what_the_sentence_is_worth_is_said_beside_it(
         ({"scan__late": True, "link__last_good": EPOCH - 5.0}, "no reading for 5.0 s; nothing is known of now"),
         ({"link__alive": False, "link__last_good": None}, "has not been read yet"),
         ({"values__" + TEMPERATURE: tag(45.0, "OUT_OF_RANGE", reason="300 is no reading")}, "(300 is no reading)"),
-        ({"values__" + TEMPERATURE: tag(None, "TIMEOUT")}, "(TIMEOUT)"),
+        ({"values__" + TEMPERATURE: tag(None, "TIMEOUT")}, "(no answer in time)"),
     ],
 )
 def test_a_number_that_is_no_present_one_is_not_given(changes: dict[str, Any], said: str) -> None:

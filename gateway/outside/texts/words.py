@@ -23,6 +23,10 @@ class Words:
         """The text with its parts in their places. Raises KeyError for a key or a part that is not there."""
         return self.texts[key].format_map(parts)
 
+    def of_code(self, key: str) -> str:
+        """The text of a code such as a quality (`section.code`); the code itself where there is none."""
+        return self.texts.get(key.replace(" ", "_"), key.partition(".")[2])
+
     def number(self, value: float, digits: int) -> str:
         """A number as this language writes it: the decimal sign is its own."""
         text = f"{value:.{digits}f}"

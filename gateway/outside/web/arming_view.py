@@ -82,7 +82,11 @@ def _refusals(words: Words, w: Mapping[str, Any]) -> str:
     """What the PLC refused last, and why the newest block was not written."""
     found = []
     if w.get("last_refusal"):
-        found.append(words.say("arming.refused", reason=w["last_refusal"], count=w.get("refused", 0)))
+        found.append(
+            words.say("arming.refused", reason=words.of_code(f"refusal.{w['last_refusal']}"), count=w.get("refused", 0))
+        )
     if w.get("last_verdict") not in (None, "written", "shadow"):
-        found.append(f"{w['last_verdict']}: {w.get('last_reason') or words.say('word.unknown')}")
+        found.append(
+            words.of_code(f"verdict.{w['last_verdict']}") + f": {w.get('last_reason') or words.say('word.unknown')}"
+        )
     return "; ".join(found) or words.say("word.none")

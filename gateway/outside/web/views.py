@@ -3,8 +3,9 @@
 Numbers are made into sentences here and nowhere else; who reads the REST interface gets the same ones.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, fields
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from math import isfinite
 from typing import Any
 
@@ -12,6 +13,8 @@ from gateway.outside.status import (
     FamiliarityStatus,
     ForecastStatus,
     GatewayStatus,
+    HealthFinding,
+    TagStatus,
     TemperatureStatus,
     findings,
     health_of,
@@ -26,6 +29,8 @@ from sim.units import shown_unit
 LEVELS = ("normal", "over", "attention", "unknown", "alarm")
 """What a row asks of people, the least first; beyond the second it has a colour (ISA-101: grey is normal)."""
 DOUBTFUL_ZONES = ("yellow", "red")
+MOST_NAMED = 3
+"""How many readings a finding names."""
 NARROW_BAND, USELESS_BAND = 0.8, 0.6
 """A 90 % band that held less than this share of what came is no reason for high confidence, or for any."""
 
@@ -44,7 +49,10 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
         "label": labels.get(status.machine, status.machine),
         "level": max((row["level"] for row in (*temperatures, *own)), key=LEVELS.index),
         "health": health_of(status).value,
-        "findings": [asdict(finding) for finding in findings(status)],
+        "findings": [
+            {"check": each.check, "sentence": _found(words, status, alarms, each)} for each in findings(status)
+        ],
+        "link_reason": link_reason(words, status),
         "temperatures": temperatures,
         "labels": {name: labels[name] for name in status.values if name in labels},
         "alarms": alarms,
@@ -52,6 +60,35 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
         "arming": arming_view(words, labels, status),
         "status": status,
     }
+
+
+def reason_of(words: Words, tag: TagStatus) -> str:
+    """Why a reading is not good: by the code of its quality; in English the driver's own sentence, which says more."""
+    own = tag.reason if words.language == "en" else ""
+    return own or words.of_code(f"quality.{tag.quality.lower()}")
+
+
+def link_reason(words: Words, status: GatewayStatus) -> str:
+    """Why no good readings arrive: what most tags say; "" while they do."""
+    bad = Counter(reason_of(words, tag) for tag in status.values.values() if tag.quality != "GOOD")
+    own = status.link.reason if words.language == "en" else ""
+    return "" if status.link.alive else own or (bad.most_common(1)[0][0] if bad else "")
+
+
+def _found(words: Words, status: GatewayStatus, alarms: Sequence[Mapping[str, Any]], finding: HealthFinding) -> str:
+    """What a check found, in the reader's language where it is made of codes; else the gateway's sentence."""
+    if finding.check == "alarms":
+        titles = [f"{row['title']} ({words.of_code('alarm.' + row['state'])})" for row in alarms if row["active"]]
+        return "; ".join(titles)
+    if words.language == "en":
+        return finding.sentence
+    if finding.check == "link" and (reason := link_reason(words, status)):
+        return words.say("found.link", reason=reason)
+    bad = [f"{name} ({reason_of(words, tag)})" for name, tag in status.values.items() if tag.quality != "GOOD"]
+    if finding.check == "readings":
+        names = ", ".join(bad[:MOST_NAMED]) + (" …" if len(bad) > MOST_NAMED else "")
+        return words.say("found.readings", count=len(bad), all=len(status.values), names=names)
+    return finding.sentence
 
 
 def _only_watched(status: GatewayStatus, tag: str, limit: float) -> TemperatureStatus:
@@ -116,7 +153,7 @@ def _temperature(
         elif silence or tag is None:
             sentence = words.say("sentence.never_read", what=what)
         else:
-            sentence = words.say("sentence.bad", what=what, reason=tag.reason or tag.quality)
+            sentence = words.say("sentence.bad", what=what, reason=reason_of(words, tag))
         return {**row, "level": "unknown", "sentence": sentence, "validity": words.say("validity.none")}
     shown = f"{words.number(value, 1)}\u00a0{unit}"  # never broken between number and unit
     limit = f"{words.number(one.limit, 0 if one.limit == int(one.limit) else 1)}\u00a0{unit}"

@@ -4,11 +4,14 @@ Nor did it show on its first view that something was written to a PLC, or say be
 """
 
 from itertools import product
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
+from drivers.device_file import REFUSALS
+from drivers.tag import Quality
 from gateway.machine.writing.block import SessionWords, Validity, build, read_numbers
+from gateway.machine.writing.writeback import Verdict
 from gateway.outside.status import read_status
 from gateway.outside.texts import LANGUAGES, all_words
 from gateway.outside.web import machine_view
@@ -174,3 +177,31 @@ def test_a_familiarity_that_is_not_known_is_not_shown() -> None:
     for strangeness, shown in ((None, False), (0.4, True)):
         row = view(prediction__familiarity=own | {"strangeness": strangeness})["temperatures"][0]
         assert (row["familiarity"] is not None) is shown
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_a_code_of_the_gateway_or_the_plc_is_worded_in_the_readers_language(language: str) -> None:
+    texts = WORDS[language].texts
+    codes = {
+        "quality": [each.name.lower() for each in Quality],
+        "refusal": [each for each in REFUSALS if each != "none"],
+        "verdict": get_args(Verdict),
+    }
+    for section, names in codes.items():
+        keys = {f"{section}.{name.replace(' ', '_')}" for name in names}
+        assert keys == {key for key in texts if key.startswith(f"{section}.")}
+
+
+@pytest.mark.parametrize("language", ["it", "de"])
+def test_why_nothing_is_read_is_not_said_in_english_to_who_reads_another_language(language: str) -> None:
+    texts = WORDS[language].texts
+    english = "[Errno 111] Connect call failed ('10.0.0.7', 502)"
+    bad = {f"values__{TEMPERATURE}": tag(None, "NOT_CONNECTED", reason=english)}
+    shown = view(language, link__alive=False, link__reason=english, **bad)
+    said = [shown["link_reason"], *(each["sentence"] for each in shown["findings"])]
+    assert shown["link_reason"] == texts["quality.not_connected"] and "Connect call" not in "".join(said)
+    one = view(language, **bad)
+    assert texts["quality.not_connected"] in one["temperatures"][0]["sentence"]
+    assert texts["quality.not_connected"] in one["findings"][0]["sentence"]
+    assert "Connect call" not in one["temperatures"][0]["sentence"] + one["findings"][0]["sentence"]
+    assert view("en", link__alive=False, link__reason=english, **bad)["link_reason"] == english, "which says more"

@@ -139,7 +139,7 @@ function temperatureCard(name, machine, row) {
     h("p", { class: "lead" }, sign(row.level), sentence(row, name)[0]),
     h("p", { class: `validity ${row.valid}` }, `${say("word.validity")}: ${sentence(row, name)[1]}`),
     h("dl", { class: "facts" },
-      fact(say("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${isCut(name) ? say("word.unknown") : row.quality} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
+      fact(say("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${isCut(name) ? say("word.unknown") : qualityWord(row.quality)} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
       fact(say("word.limit"), `${number(row.limit)} ${row.unit}`),
       p && fact(say("word.predicted"), present ? `${number(p.mean)} ${row.unit}` : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
       p && fact(say("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
@@ -151,6 +151,8 @@ function temperatureCard(name, machine, row) {
     ),
     h("div", { class: "chart", "data-keep": "", "data-key": `${name} ${row.tag}`, "data-chart": `${name} ${row.tag}`, role: "img", "aria-label": row.sentence }));
 }
+
+const qualityWord = (code) => (code ? say(`quality.${code.toLowerCase()}`) : "");
 
 function eventList(status) {
   if (!status.recent_events.length) return h("p", { class: "quiet" }, say("word.none"));
@@ -174,5 +176,5 @@ function inputs(status, labels, extra, cut) {
       tagHead(labels, name),
       valueCell(`${shown(tag.value)} ${unit(tag.unit)}`, cut),
       h("td", { class: "number" }, duration(tag.age / status.speed + extra)),
-      h("td", {}, cut ? say("word.unknown") : tag.quality), h("td", {}, tag.reason))))));
+      h("td", {}, cut ? say("word.unknown") : qualityWord(tag.quality)), h("td", {}, tag.reason))))));
 }

@@ -106,5 +106,5 @@ function scores({ start, end, card, warnings }, unit) {
         h("td", { class: "number" }, each.count ? better(each.mae, each.persistence_mae) : "–"), h("td", { class: "number" }, each.count ? `${number(100 * each.coverage90, 0)} %` : "–"), h("td", { class: "number" }, each.count)))))),
     h("dl", { class: "facts" },
       [["score.one_step", card.one_step], ["score.free_run", card.free_run]].map(([key, error]) => h("div", { class: "fact" }, h("dt", {}, say(key)), h("dd", {}, error.count ? `${number(error.mae, 2)} ${unit}` : "–"))),
-      blocks.length > 0 && h("div", { class: "fact" }, h("dt", {}, say("score.blocks")), h("dd", {}, blocks.map(([verdict, count]) => h("div", {}, `${verdict}: ${count}`))))));
+      blocks.length > 0 && h("div", { class: "fact" }, h("dt", {}, say("score.blocks")), h("dd", {}, blocks.map(([verdict, count]) => h("div", {}, `${say(`verdict.${stateKey(verdict)}`)}: ${count}`))))));
 }
