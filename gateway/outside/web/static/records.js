@@ -42,7 +42,7 @@ function entry(row, parts) {
   return h("li", { class: `entry ${level}`, "data-key": `${row.of} ${row.name}`, "data-alarm": row.name },
     sign(level),
     h("div", { class: "alarmtext" }, h("b", { title: row.name }, `${row.of}: ${row.title}`), h("span", { class: "response" }, row.sentence), facts(row),
-      parts.length > 0 && h("ul", { class: "parts" }, parts.map((part) => h("li", { "data-part": part.name }, h("b", { title: part.name }, part.title), h("span", { class: "response" }, part.sentence), facts(part), h("div", { class: "buttons" }, changes(part)))))),
+      parts.length > 0 && h("ul", { class: "parts" }, parts.map((part) => h("li", { "data-part": part.name }, h("b", { title: part.name }, part.title), h("span", { class: "response" }, part.sentence), facts(part), h("div", { class: "changes" }, changes(part)))))),
     h("div", { class: "buttons" }, waiting.length > 0 && can("operator") && acknowledging(waiting, say("change.acknowledge")), changes(row)));
 }
 
