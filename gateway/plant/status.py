@@ -10,7 +10,7 @@ from gateway.machine import FollowedTemperature, Machine
 from gateway.machine.alarms import BY_PERSONS, AlarmBoard, AlarmState, possible
 from gateway.machine.model import ScanPrediction, block_values
 from gateway.machine.reading import STALE_PERIODS, Redundant, Scan, unread
-from gateway.machine.writing import WritebackStage
+from gateway.machine.writing import WritebackStage, read_numbers
 from gateway.outside.status import (
     AlarmStatus,
     FamiliarityStatus,
@@ -151,6 +151,7 @@ def alarm_statuses(board: AlarmBoard, *, normal: bool = True) -> list[AlarmStatu
             reason=alarm.reason,
             limit=condition.limit,
             own_response=condition.own_response,
+            beyond=None if (value := board.newest.get(name)) is None else value > condition.limit,
             of_plant=alarm_subject(name, alarm.tag, "") == PLANT,
             possible=[change.value for change in possible(alarm, latching=condition.latches) if change in BY_PERSONS],
         )
@@ -200,6 +201,7 @@ def _forecast(one: FollowedTemperature, last: Scan | None, now: float) -> Foreca
         p_limit=[estimate.probability for estimate in forecast.exceedance],
         factors=forecast.factors.tolist(),
         block=values,
+        coverage=model.outlook.coverage(),
     )
 
 
@@ -215,6 +217,11 @@ def _writeback(writing: WritebackStage | None, one: FollowedTemperature, now: fl
         "armed_reason": writer.arming.reason if writer.arming else None,
         **asdict(writer.counters),
         "audit": {"path": str(one.config.audit), "complaint": writing.audit.complaint},
+        "block": {
+            "address": writer.layout.words[0].address,
+            "words": len(writer.layout.words),
+            "numbers": read_numbers(writer.layout, last.block.words) if last else {},
+        },
         "last_verdict": last.verdict if last else None,
         "last_reason": last.reason if last else "",
         "last_validity": int(last.block.validity) if last else None,

@@ -143,14 +143,16 @@ class AlarmKind:
     else of its condition is not as usual. `finding` gives that number of a machine or the plant at a scan, None where
     it is not known; of temperatures the stages of a scan find it (`SensorWatch`, `ModelUnit`) under the kind's name.
 
-    `title` and `response` are said in the reader's language; `{tag}`, `{twin}`, `{limit}` and `{unit}` stand for the
-    alarm's. `bit` is that in the block's alarm word (None: none); it, `priority` and the delay (plant s) are defaults,
-    which a plant file may change. `namur` is the category of NAMUR NE 107 for what is wrong with a sensor: failure, out
-    of specification or maintenance required.
+    `title` and `response` are said in the reader's language while it is so, `past` where it was; `{tag}`, `{twin}`,
+    `{limit}` and `{unit}` stand for the alarm's. Of one `cause` ("": none) are the kinds that tell of the same thing.
+    `bit` is that in the block's alarm word (None: none); it, `priority` and the delay (plant s) are defaults, which a
+    plant file may change. `namur` is the category of NAMUR NE 107 for what is wrong with a sensor: failure, out of
+    specification or maintenance required.
     """
 
     subject: Literal["plant", "machine", "watched", "predicted"]
     title: Phrase
+    past: Phrase
     watches: str
     response: Phrase
     consequence: str
@@ -162,9 +164,11 @@ class AlarmKind:
     priority: int = 2
     on_delay: float = 0.0
     namur: str = ""
+    cause: str = ""
 
     def __post_init__(self) -> None:
-        if not (self.title.whole and self.response.whole and self.watches and self.consequence):
+        texts = (self.title, self.past, self.response)
+        if not (all(text.whole for text in texts) and self.watches and self.consequence):
             raise ValueError(f"the kind of alarm {self.title!r} lacks a text, or a text in one of the languages")
         if (self.finding is None) != (self.subject in ("watched", "predicted")):
             raise ValueError(
@@ -172,6 +176,8 @@ class AlarmKind:
             )
 
 
+HEAT = "heat"
+"""The cause of all that tells that one bearing gets hot."""
 FAULT = 0.5
 """What is found of a sensor beyond this is a fault; what is only yes or no is 1 or 0."""
 DRIFT_SINCE = "14d"
@@ -251,6 +257,8 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "over limit": AlarmKind(
         subject="watched", bit=0, priority=1,
         title=Phrase("over its limit", it="oltre il limite", de="über der Grenze"),
+        past=Phrase("was over its limit", it="era oltre il limite", de="war über der Grenze"),
+        cause=HEAT,
         applies=always,
         limit=lambda at: at.config.limit_of(at.tag),
         more=_over_limit,
@@ -265,6 +273,12 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "predicted over limit": AlarmKind(
         subject="predicted", bit=1,
         title=Phrase("will pass its limit", it="supererà il limite", de="wird die Grenze überschreiten"),
+        past=Phrase(
+            "was predicted to pass its limit",
+            it="era previsto il superamento del limite",
+            de="Überschreiten der Grenze war vorhergesagt",
+        ),
+        cause=HEAT,
         applies=_has_model,
         limit=lambda at: at.config.alarms.p_limit,
         more=lambda at: {"deadband": at.config.alarms.p_limit / 2},
@@ -279,6 +293,8 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "anomaly": AlarmKind(
         subject="predicted", bit=2, priority=3,
         title=Phrase("does not fit the model", it="non segue il modello", de="passt nicht zum Modell"),
+        past=Phrase("did not fit the model", it="non seguiva il modello", de="passte nicht zum Modell"),
+        cause=HEAT,
         applies=_has_model,
         limit=lambda at: at.config.alarms.anomaly,
         more=lambda at: {"deadband": at.config.alarms.anomaly / 3},
@@ -293,6 +309,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "unfamiliar": AlarmKind(
         subject="predicted", bit=2, priority=3,
         title=Phrase("unlike the training", it="diverso dall'addestramento", de="anders als im Training"),
+        past=Phrase("was unlike the training", it="era diverso dall'addestramento", de="war anders als im Training"),
         applies=_has_model,
         limit=lambda at: at.config.alarms.unfamiliar,
         more=lambda at: {"deadband": at.config.alarms.unfamiliar / 10},
@@ -311,6 +328,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "review": AlarmKind(
         subject="predicted", bit=5, priority=3,
         title=Phrase("model needs a review", it="modello da rivedere", de="Modell zu prüfen"),
+        past=Phrase("the model needed a review", it="il modello era da rivedere", de="das Modell war zu prüfen"),
         applies=_has_model,
         limit=yes_or_no,
         watches="how often readings lie outside 3 sigma of the model",
@@ -327,6 +345,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "drift": AlarmKind(
         subject="predicted", bit=3, priority=3,
         title=Phrase("model drifts", it="il modello deriva", de="Modell driftet"),
+        past=Phrase("the model drifted", it="il modello derivava", de="das Modell driftete"),
         applies=_has_model,
         limit=lambda at: at.config.alarms.drift_cycles - 0.5,
         more=_drift,
@@ -342,6 +361,8 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "rising": AlarmKind(
         subject="watched",
         title=Phrase("rises towards its limit", it="sale verso il limite", de="steigt zur Grenze hin"),
+        past=Phrase("rose towards its limit", it="saliva verso il limite", de="stieg zur Grenze hin"),
+        cause=HEAT,
         applies=lambda at: at.config.alarms.trend is not None,
         limit=lambda at: at.config.limit_of(at.tag),
         more=lambda at: {"deadband": at.config.alarms.deadband},
@@ -357,6 +378,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "sensor out of range": AlarmKind(
         subject="watched", on_delay=5.0, namur="failure",
         title=Phrase("sensor out of range", it="sensore fuori campo", de="Sensor außerhalb des Bereichs"),
+        past=Phrase(
+            "the sensor was out of range",
+            it="il sensore era fuori campo",
+            de="der Sensor war außerhalb des Bereichs",
+        ),
         applies=_has_sensor,
         limit=yes_or_no,
         watches="readings beyond the tag's `low` and `high`, or that the device calls a failed sensor",
@@ -366,6 +392,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "sensor frozen": AlarmKind(
         subject="watched", namur="failure",
         title=Phrase("sensor frozen", it="sensore bloccato", de="Sensor eingefroren"),
+        past=Phrase("the sensor was frozen", it="il sensore era bloccato", de="der Sensor war eingefroren"),
         applies=_has_sensor,
         limit=yes_or_no,
         watches="a reading that does not move a bit while its twin, or the machine, does",
@@ -375,6 +402,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "sensor jumping": AlarmKind(
         subject="watched", priority=3, namur="out of specification",
         title=Phrase("sensor jumps", it="sensore a salti", de="Sensor springt"),
+        past=Phrase("the sensor jumped", it="il sensore saltava", de="der Sensor sprang"),
         applies=_has_sensor,
         limit=yes_or_no,
         watches="steps between readings that no bearing can take",
@@ -384,6 +412,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "sensor noisy": AlarmKind(
         subject="watched", priority=3, namur="out of specification",
         title=Phrase("sensor noisy", it="sensore rumoroso", de="Sensor rauscht"),
+        past=Phrase("the sensor was noisy", it="il sensore era rumoroso", de="der Sensor rauschte"),
         applies=_has_sensor,
         limit=yes_or_no,
         watches="the spread of the readings about a straight line through each three of them",
@@ -393,6 +422,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "sensor drifting": AlarmKind(
         subject="watched", priority=3, namur="maintenance required",
         title=Phrase("sensor drifts", it="sensore in deriva", de="Sensor driftet"),
+        past=Phrase("the sensor drifted", it="il sensore derivava", de="der Sensor driftete"),
         applies=lambda at: _has_sensor(at) and at.config.twins[:1] == (at.tag,),
         limit=yes_or_no,
         watches="the difference to its twin bearing, against what that was before",
@@ -409,6 +439,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "records": AlarmKind(
         subject="machine", bit=7,
         title=Phrase("records incomplete", it="registrazioni incomplete", de="Aufzeichnungen unvollständig"),
+        past=Phrase(
+            "the records were incomplete",
+            it="le registrazioni erano incomplete",
+            de="die Aufzeichnungen waren unvollständig",
+        ),
         applies=always,
         limit=yes_or_no,
         finding=lambda one, _: found(one.records_watch.complaint),
@@ -429,6 +464,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="una parte del gateway è caduta",
             de="ein Teil des Gateways ist ausgefallen",
         ),
+        past=Phrase(
+            "a part of the gateway had failed",
+            it="una parte del gateway era caduta",
+            de="ein Teil des Gateways war ausgefallen",
+        ),
         applies=always,
         limit=yes_or_no,
         finding=lambda one, _: found(one.records_watch.failed_parts or one.missing_parts),
@@ -446,6 +486,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "clock": AlarmKind(
         subject="machine", bit=8, priority=3,
         title=Phrase("clock wrong", it="orologio errato", de="Uhr falsch"),
+        past=Phrase("the clock was wrong", it="l'orologio era errato", de="die Uhr ging falsch"),
         applies=always,
         limit=yes_or_no,
         finding=lambda one, _: found(one.clock_complaint),
@@ -461,6 +502,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "clock not steered": AlarmKind(
         subject="plant", priority=4, on_delay=3600.0,
         title=Phrase("clock not steered", it="orologio non sincronizzato", de="Uhr nicht gestellt"),
+        past=Phrase(
+            "the clock was not steered",
+            it="l'orologio non era sincronizzato",
+            de="die Uhr wurde nicht gestellt",
+        ),
         applies=always,
         limit=yes_or_no,
         finding=_not_steered,
@@ -482,6 +528,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="nessun collegamento con la macchina",
             de="keine Verbindung zur Maschine",
         ),
+        past=Phrase(
+            "there was no connection to the machine",
+            it="mancava il collegamento con la macchina",
+            de="es gab keine Verbindung zur Maschine",
+        ),
         applies=always,
         limit=yes_or_no,
         finding=lambda one, _: found(not one.link.alive),
@@ -496,6 +547,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "disk": AlarmKind(
         subject="plant",
         title=Phrase("disk nearly full", it="disco quasi pieno", de="Platte fast voll"),
+        past=Phrase("the disk was nearly full", it="il disco era quasi pieno", de="die Platte war fast voll"),
         applies=always,
         limit=lambda _: 0.0,
         finding=_lacking_mb,
@@ -510,6 +562,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "certificate": AlarmKind(
         subject="machine", priority=3,
         title=Phrase("certificate runs out", it="certificato in scadenza", de="Zertifikat läuft ab"),
+        past=Phrase("a certificate ran out", it="un certificato era in scadenza", de="ein Zertifikat lief ab"),
         applies=lambda at: bool(at.config.certificate_folders),
         limit=lambda at: -at.config.alarms.certificate_days,
         finding=lambda one, _: None if one.surroundings.days is None else -one.surroundings.days,
@@ -528,6 +581,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "notification": AlarmKind(
         subject="plant", priority=3,
         title=Phrase("messages not delivered", it="messaggi non recapitati", de="Meldungen nicht zugestellt"),
+        past=Phrase(
+            "messages were not delivered",
+            it="i messaggi non venivano recapitati",
+            de="Meldungen wurden nicht zugestellt",
+        ),
         applies=lambda at: bool(at.config.notify.to),
         limit=yes_or_no,
         finding=lambda one, _: found(one.common.undelivered()),
@@ -548,6 +606,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="altri sistemi non raggiungibili",
             de="andere Systeme nicht erreichbar",
         ),
+        past=Phrase(
+            "other systems were out of reach",
+            it="altri sistemi non erano raggiungibili",
+            de="andere Systeme waren nicht erreichbar",
+        ),
         applies=lambda at: bool(at.config.northbound.sinks),
         limit=yes_or_no,
         finding=lambda one, _: found(one.common.unreached()),
@@ -563,6 +626,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "another writer": AlarmKind(
         subject="machine", bit=6, priority=1,
         title=Phrase("another gateway writes", it="scrive un altro gateway", de="ein anderes Gateway schreibt"),
+        past=Phrase("another gateway wrote", it="scriveva un altro gateway", de="ein anderes Gateway schrieb"),
         applies=lambda at: at.config.map.writeback is not None and at.config.writeback.mode != "off",
         limit=yes_or_no,
         finding=lambda one, scan: None if one.writing is None else found(one.writing.rival(scan.time)),
@@ -584,6 +648,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="il dispositivo segnala un guasto",
             de="das Gerät meldet eine Störung",
         ),
+        past=Phrase(
+            "the device reported a fault",
+            it="il dispositivo segnalava un guasto",
+            de="das Gerät meldete eine Störung",
+        ),
         applies=lambda at: at.complains,
         limit=yes_or_no,
         finding=lambda one, _: found(one.complaints()),
@@ -598,6 +667,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
     "inputs bad": AlarmKind(
         subject="machine", bit=4,
         title=Phrase("readings bad", it="letture non valide", de="Messwerte schlecht"),
+        past=Phrase("readings were bad", it="le letture non erano valide", de="Messwerte waren schlecht"),
         applies=always,
         limit=yes_or_no,
         more=_inputs,

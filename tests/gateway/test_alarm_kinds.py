@@ -17,6 +17,7 @@ from tests.rig.alarm_page import kind_table
 TOY: dict[str, Any] = {
     "subject": "machine",
     "title": Phrase("toy", it="gioco", de="Spiel"),
+    "past": Phrase("it was a toy", it="era un gioco", de="es war ein Spiel"),
     "watches": "whether the clock stands",
     "response": Phrase("wind it up", it="caricarlo", de="aufziehen"),
     "consequence": "nothing",
@@ -41,6 +42,7 @@ def test_one_without_a_part_cannot_be_had(name: str) -> None:
     [
         {"title": Phrase("toy", it="gioco")},
         {"response": Phrase("wind it up")},
+        {"past": Phrase("it was a toy", it="era un gioco")},
         {"watches": ""},
         {"consequence": ""},
         {"finding": None},

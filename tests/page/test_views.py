@@ -95,13 +95,18 @@ def test_what_the_sentence_is_worth_is_said_beside_it(
         ({"scan__late": True, "link__last_good": EPOCH - 5.0}, "no reading for 5.0 s; nothing is known of now"),
         ({"link__alive": False, "link__last_good": None}, "has not been read yet"),
         ({"values__" + TEMPERATURE: tag(45.0, "OUT_OF_RANGE", reason="300 is no reading")}, "(300 is no reading)"),
-        ({"values__" + TEMPERATURE: tag(None, "TIMEOUT")}, "(TIMEOUT)"),
+        ({"values__" + TEMPERATURE: tag(None, "TIMEOUT")}, "(no answer in time)"),
     ],
 )
 def test_a_number_that_is_no_present_one_is_not_given(changes: dict[str, Any], said: str) -> None:
     found = row(**changes)
     assert said in found["sentence"] and "45" not in found["sentence"]
     assert (found["value"], found["level"], found["valid"]) == (None, "unknown", "none")
+
+
+def test_a_value_above_its_limit_is_measured_whatever_the_forecast_is_worth() -> None:
+    hot = row(**{"values__" + TEMPERATURE: tag(85.0), "prediction__zone": "red"})
+    assert (hot["level"], hot["valid"], hot["validity"]) == ("alarm", "good", WORDS["en"].say("validity.measured"))
 
 
 def test_a_machine_is_as_bad_as_the_worst_of_it() -> None:
@@ -114,7 +119,7 @@ def test_a_machine_is_as_bad_as_the_worst_of_it() -> None:
     assert level(alarm_summary=[alarm("over limit T")]) == "alarm"
     assert level(alarm_summary=[alarm("over limit T", "acknowledged")]) == "attention"
     assert level(alarm_summary=[alarm("over limit T", "shelved", active=False)]) == "normal"
-    assert level(alarm_summary=[alarm("over limit T", "returned unacknowledged", active=False)]) == "attention"
+    assert level(alarm_summary=[alarm("over limit T", "returned unacknowledged", active=False)]) == "over"
 
 
 def test_every_text_is_there_in_every_language_with_the_same_parts_and_is_used() -> None:

@@ -59,7 +59,9 @@ class AlarmBoard:
 
     What changes is on record and in the log at once: an alarm waits for nothing that comes later in the scan. The
     alarms go on as they were when the gateway last ran; what cannot be read begins as normal, and is logged, and what
-    the machine has no longer is normal on record from now on: nothing would ever clear it. `words`
+    the machine has no longer is normal on record from now on: nothing would ever clear it. One that stood against
+    another limit than today's is over until a reading says otherwise. `newest` are the numbers that were last held
+    against the limits, by the alarms' names, None where one was not known, and none before the first scan. `words`
     are the PLC's words of acknowledge bits, by tag, each with the temperatures whose alarms it acknowledges; the rise
     of the tag `acknowledge_all` from 0 acknowledges all. `listeners` are told of every change of a state.
     """
@@ -83,6 +85,7 @@ class AlarmBoard:
         self._pressed: bool | None = None
         self.listeners: list[AlarmListener] = []
         self.alarms = {name: new_alarm(condition, now) for name, condition in conditions.items()}
+        self.newest: dict[str, float | None] = {}
         saved = saved_state(historian, "alarms", log) or (now, {})
         if gone := {name: plain for name, plain in saved[1].items() if name not in conditions}:
             self._end_for_good(gone, now)
@@ -98,6 +101,12 @@ class AlarmBoard:
                     # was set back meanwhile prolongs no shelving.
                     alarm = replace(alarm, until=min(alarm.until, now + max(alarm.until - saved[0], 0.0)))
                 self.alarms[name] = alarm
+        before = dict(self.alarms)
+        for name, condition in conditions.items():
+            plain = saved[1].get(name)
+            if isinstance(plain, dict) and plain.get("limit", condition.limit) != condition.limit:
+                self.alarms[name] = moved(self.alarms[name], Change.CLEAR, now, latching=condition.latches)
+        self._make_known(before, {}, now)
         if gone:
             self._save_alarms(now)
         if sensors is not None and (state := saved_state(historian, "sensors", log)) is not None:
@@ -211,6 +220,7 @@ class AlarmBoard:
             # One that the plant file switches off is not there.
             if (condition := self.conditions.get(name)) is None:
                 continue
+            self.newest[name] = value
             alarm = self.alarms[name]
             after = self.alarms[name] = step(condition, alarm, value, now)
             # One that came off the shelf in this scan stands already: it is not raised by what else moves in it.
@@ -305,4 +315,5 @@ class AlarmBoard:
             self._historian.save("sensors", now, self._sensors.to_plain())
 
     def _save_alarms(self, now: float) -> None:
-        self._historian.save("alarms", now, {name: to_plain(alarm) for name, alarm in self.alarms.items()})
+        plain = {name: to_plain(alarm, self.conditions.get(name)) for name, alarm in self.alarms.items()}
+        self._historian.save("alarms", now, plain)

@@ -322,9 +322,9 @@ def word(conditions: Mapping[str, AlarmCondition], alarms: Mapping[str, Alarm], 
     )  # fmt: skip
 
 
-def to_plain(alarm: Alarm) -> dict[str, Any]:
-    """The alarm as JSON can carry it."""
-    return asdict(alarm)
+def to_plain(alarm: Alarm, condition: AlarmCondition | None = None) -> dict[str, Any]:
+    """The alarm as JSON can carry it, with the `limit` that it is held against."""
+    return asdict(alarm) | ({} if condition is None else {"limit": condition.limit})
 
 
 def from_plain(condition: AlarmCondition, saved: Mapping[str, Any]) -> Alarm:
@@ -332,6 +332,7 @@ def from_plain(condition: AlarmCondition, saved: Mapping[str, Any]) -> Alarm:
     state = AlarmState(saved["state"])
     # A release that knew the first four states alone has saved nothing of what stands.
     known = {"standing": state in ACTIVE, **saved, "state": state}
+    known.pop("limit", None)
     alarm = replace(Alarm(**known), kept=AlarmState(known.get("kept", AlarmState.NORMAL)))
     if state is AlarmState.SHELVED:
         alarm = replace(alarm, until=float(saved["until"]))

@@ -23,10 +23,13 @@ from sim.forecast import (
     factors,
     factors_at,
     issue,
+    recent_coverage,
     settle,
     thinned,
 )
 
+COVERAGE_AFTER = 5.0
+"""So many independent forecasts must have matured before how often a band holds is said."""
 FRESH_PERIODS = 3.0
 """A forecast older than three of its periods is not used any more."""
 
@@ -69,6 +72,14 @@ class Outlook:
         self._due = -inf
         self._void = False
         self._measured: float | None = None
+
+    def coverage(self) -> list[float | None]:
+        """By horizon the share of recent 90 % bands that held what came; None before enough have matured."""
+        published = self.ensemble.joint if self.ensemble is not None else self.calibration
+        return [
+            recent_coverage(published, horizon) if state.worth >= COVERAGE_AFTER else None
+            for horizon, state in published.horizons.items()
+        ]
 
     @property
     def busy(self) -> bool:

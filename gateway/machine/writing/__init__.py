@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         build,
         crc,
         next_heartbeat,
+        read_numbers,
     )
     from gateway.machine.writing.block_stage import BlockStage
     from gateway.machine.writing.witnessing import (

@@ -1,7 +1,7 @@
 """The write-back block as words: pure building from the layout, saturating and never wrapping."""
 
 from binascii import crc_hqx
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from functools import partial
@@ -130,6 +130,17 @@ def build(layout: WritebackLayout, values: Values, validity: Validity, session: 
     infinite, and those not known, are the layout's `unknown`.
     """
     return block_builder(layout)(values, validity, session)
+
+
+def read_numbers(layout: WritebackLayout, words: Sequence[int]) -> dict[str, float | None]:
+    """The numbers that a PLC reads out of a block's words (field name -> engineering units); None: "not known"."""
+    found: dict[str, float | None] = {}
+    for field, word in zip(layout.fields, words, strict=True):
+        plan = _word_plan(layout, field)
+        if plan.kind == "number":
+            raw = word - 0x10000 if field.signed and word > 0x7FFF else word
+            found[field.name] = None if word == plan.unknown & 0xFFFF else raw * field.scale
+    return found
 
 
 def _word_plan(layout: WritebackLayout, field: BlockField) -> _WordPlan:

@@ -126,6 +126,7 @@ class ForecastStatus:
 
     `usable`: it is fresh, and the state that it began from is still known. `block` are the fields of the write-back
     block that it fills, brought to the newest scan; of these, minutes without a value lie beyond the horizons.
+    `coverage` is, by horizon, the share of recent 90 % bands that held what came; None before enough have matured.
     """
 
     time: float
@@ -137,6 +138,7 @@ class ForecastStatus:
     p_limit: Sequence[float | None]
     factors: Sequence[float | None]
     block: Mapping[str, float | None]
+    coverage: Sequence[float | None] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,6 +160,8 @@ class AlarmStatus:
     shelved one comes out; `by` and `reason` are of its last change by somebody. `possible` are the changes that persons
     can make now, by their names in the control socket. `of_plant` is one of the whole plant, which this machine
     looks after. `limit` is what its number must not exceed, `own_response` whether what to do is the plant's own words.
+    `beyond` is whether the newest number is above the limit: an alarm goes on standing within its deadband and delay,
+    and where its number is not known (None).
     """
 
     name: str
@@ -180,6 +184,7 @@ class AlarmStatus:
     of_plant: bool = False
     limit: float | None = None
     own_response: bool = True
+    beyond: bool | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,8 +220,9 @@ class GatewayStatus:
     `watched` the limits of the temperatures that have one and are not predicted, by their tags,
     `speed` plant seconds per real second. `alarms` is every alarm's state by name, `alarm_summary` those that are not
     normal. `prediction`, `forecast`, `model` and `guards` are None without a model, or before the first.
-    `writeback` has `mode`, and where blocks are computed `armed_by`, `armed_until`, the writer's counters, and
-    `last_verdict` with `last_reason`. `parts` are the supervised threads and tasks.
+    `writeback` has `mode`, and where blocks are computed `armed_by`, `armed_until`, the writer's counters,
+    `last_verdict` with `last_reason`, and the `block`: its address, how many words, and the numbers of the newest one.
+    `parts` are the supervised threads and tasks.
     """
 
     machine: str

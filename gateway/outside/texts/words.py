@@ -23,6 +23,10 @@ class Words:
         """The text with its parts in their places. Raises KeyError for a key or a part that is not there."""
         return self.texts[key].format_map(parts)
 
+    def of_code(self, key: str) -> str:
+        """The text of a code such as a quality (`section.code`); the code itself where there is none."""
+        return self.texts.get(key.replace(" ", "_"), key.partition(".")[2])
+
     def number(self, value: float, digits: int) -> str:
         """A number as this language writes it: the decimal sign is its own."""
         text = f"{value:.{digits}f}"
@@ -53,6 +57,7 @@ def _own_words() -> dict[str, str]:
     named = {name: (kind, kind.candidate) for name, kind in EFFECTS.items() if kind.candidate is not None}
     return {
         **{f"kind.{key}": kind.title for key, kind in kinds.items()},
+        **{f"past.{key}": kind.past for key, kind in kinds.items()},
         **{f"response.{key}": kind.response for key, kind in kinds.items()},
         **{f"effect.{name}": kind.meaning for name, (kind, _) in named.items()},
         **{f"experiment.{name}": candidate.experiment for name, (_, candidate) in named.items()},

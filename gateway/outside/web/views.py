@@ -3,16 +3,18 @@
 Numbers are made into sentences here and nowhere else; who reads the REST interface gets the same ones.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, fields
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from math import isfinite
 from typing import Any
 
 from gateway.outside.status import (
-    AlarmStatus,
     FamiliarityStatus,
     ForecastStatus,
     GatewayStatus,
+    HealthFinding,
+    TagStatus,
     TemperatureStatus,
     findings,
     health_of,
@@ -20,12 +22,17 @@ from gateway.outside.status import (
     unfamiliar_sentence,
 )
 from gateway.outside.texts import Words, strange_sentence
+from gateway.outside.web.alarm_view import alarm_rows
+from gateway.outside.web.arming_view import arming_view, mode_of
 from sim.units import shown_unit
 
-LEVELS = ("normal", "attention", "unknown", "alarm")
-"""What a row asks of people, the least first; only beyond the first it has a colour (ISA-101: grey is normal)."""
+LEVELS = ("normal", "over", "attention", "unknown", "alarm")
+"""What a row asks of people, the least first; beyond the second it has a colour (ISA-101: grey is normal)."""
 DOUBTFUL_ZONES = ("yellow", "red")
-PUT_ASIDE = ("shelved", "suppressed by design", "out of service")
+MOST_NAMED = 3
+"""How many readings a finding names."""
+NARROW_BAND, USELESS_BAND = 0.8, 0.6
+"""A 90 % band that held less than this share of what came is no reason for high confidence, or for any."""
 
 
 def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) -> dict[str, Any]:
@@ -36,18 +43,52 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
     first = TemperatureStatus(**{field.name: getattr(status, field.name) for field in fields(TemperatureStatus)})
     watched = (_only_watched(status, tag, limit) for tag, limit in status.watched.items())
     temperatures = [_temperature(words, labels, status, one) for one in (first, *status.further, *watched)]
-    alarms = [_alarm(words, labels, status, alarm) for alarm in status.alarm_summary]
+    alarms = alarm_rows(words, labels, status)
     own = [alarm for alarm in alarms if not alarm["of_plant"]]
     return {
         "label": labels.get(status.machine, status.machine),
         "level": max((row["level"] for row in (*temperatures, *own)), key=LEVELS.index),
         "health": health_of(status).value,
-        "findings": [asdict(finding) for finding in findings(status)],
+        "findings": [
+            {"check": each.check, "sentence": _found(words, status, alarms, each)} for each in findings(status)
+        ],
+        "link_reason": link_reason(words, status),
         "temperatures": temperatures,
         "labels": {name: labels[name] for name in status.values if name in labels},
         "alarms": alarms,
+        "mode": mode_of(status),
+        "arming": arming_view(words, labels, status),
         "status": status,
     }
+
+
+def reason_of(words: Words, tag: TagStatus) -> str:
+    """Why a reading is not good: by the code of its quality; in English the driver's own sentence, which says more."""
+    own = tag.reason if words.language == "en" else ""
+    return own or words.of_code(f"quality.{tag.quality.lower()}")
+
+
+def link_reason(words: Words, status: GatewayStatus) -> str:
+    """Why no good readings arrive: what most tags say; "" while they do."""
+    bad = Counter(reason_of(words, tag) for tag in status.values.values() if tag.quality != "GOOD")
+    own = status.link.reason if words.language == "en" else ""
+    return "" if status.link.alive else own or (bad.most_common(1)[0][0] if bad else "")
+
+
+def _found(words: Words, status: GatewayStatus, alarms: Sequence[Mapping[str, Any]], finding: HealthFinding) -> str:
+    """What a check found, in the reader's language where it is made of codes; else the gateway's sentence."""
+    if finding.check == "alarms":
+        titles = [f"{row['title']} ({words.of_code('alarm.' + row['state'])})" for row in alarms if row["active"]]
+        return "; ".join(titles)
+    if words.language == "en":
+        return finding.sentence
+    if finding.check == "link" and (reason := link_reason(words, status)):
+        return words.say("found.link", reason=reason)
+    bad = [f"{name} ({reason_of(words, tag)})" for name, tag in status.values.items() if tag.quality != "GOOD"]
+    if finding.check == "readings":
+        names = ", ".join(bad[:MOST_NAMED]) + (" …" if len(bad) > MOST_NAMED else "")
+        return words.say("found.readings", count=len(bad), all=len(status.values), names=names)
+    return finding.sentence
 
 
 def _only_watched(status: GatewayStatus, tag: str, limit: float) -> TemperatureStatus:
@@ -63,37 +104,6 @@ def _only_watched(status: GatewayStatus, tag: str, limit: float) -> TemperatureS
         guards=None,
         writeback={"mode": "off"},
     )
-
-
-def _alarm(words: Words, labels: Mapping[str, str], status: GatewayStatus, alarm: AlarmStatus) -> dict[str, Any]:
-    """An alarm that is not normal; one that was acknowledged or is over asks for attention, one put aside for none.
-
-    `of` is whose it is in the plant's words; one of the whole plant says nothing of the machine. What to do is said in
-    this language, unless the plant file has words of its own.
-    """
-    of = words.say("nav.plant") if alarm.of_plant else labels.get(status.machine, status.machine)
-    label = of if alarm.of_plant else labels.get(alarm.tag, alarm.tag)
-    urgent = alarm.active and alarm.state == "unacknowledged" and alarm.priority == 1
-    level = "alarm" if urgent else "normal" if alarm.state in PUT_ASIDE else "attention"
-    return {
-        **asdict(alarm),
-        "label": label,
-        "level": level,
-        "of": of,
-        "response": _response(words, labels, status, alarm),
-    }
-
-
-def _response(words: Words, labels: Mapping[str, str], status: GatewayStatus, alarm: AlarmStatus) -> str:
-    """What an operator shall do."""
-    key = f"response.{alarm.kind.replace(' ', '_')}"
-    if alarm.own_response or key not in words.texts or alarm.limit is None:
-        return alarm.response
-    tag = status.values.get(alarm.tag)
-    limit = words.number(alarm.limit, 0 if alarm.limit == int(alarm.limit) else 1)
-    unit = "" if tag is None else shown_unit(tag.unit)
-    twin = words.say("word.twin")
-    return words.say(key, tag=labels.get(alarm.tag, alarm.tag), twin=twin, limit=limit, unit=unit)
 
 
 def _temperature(
@@ -118,6 +128,8 @@ def _temperature(
         "age": None if tag is None else tag.age / status.speed,
         "valid": "none",
         "familiarity": None if one.prediction is None else _familiarity(words, one.prediction.familiarity),
+        "confidence": None if one.prediction is None else _confidence(words, one.prediction.zone, one.forecast),
+        "to_limit": None if one.forecast is None else _to_limit(words, one.forecast),
     }
     # What a faulty sensor shows is no measurement; but above the limit nobody leaves it at that.
     if v is not None and (value is None or value <= one.limit):
@@ -141,7 +153,7 @@ def _temperature(
         elif silence or tag is None:
             sentence = words.say("sentence.never_read", what=what)
         else:
-            sentence = words.say("sentence.bad", what=what, reason=tag.reason or tag.quality)
+            sentence = words.say("sentence.bad", what=what, reason=reason_of(words, tag))
         return {**row, "level": "unknown", "sentence": sentence, "validity": words.say("validity.none")}
     shown = f"{words.number(value, 1)}\u00a0{unit}"  # never broken between number and unit
     limit = f"{words.number(one.limit, 0 if one.limit == int(one.limit) else 1)}\u00a0{unit}"
@@ -154,29 +166,72 @@ def _temperature(
     else:
         sentence = _foreseen(words, forecast, what=what, shown=shown, limit=limit)
         zone = one.prediction.zone if one.prediction is not None else "none"
-        worth = ("doubtful" if zone in DOUBTFUL_ZONES else "good", words.say(f"validity.{zone}"))
+        worth = _worth(words, zone, measured_coverage(forecast))
         if unfamiliar_sentence(one) and row["familiarity"] is not None:
             worth = ("doubtful", f"{words.say('validity.unfamiliar')}: {row['familiarity']['sentence']}")
     level = "normal"
     if value > one.limit:
+        # This is measured: what the forecast is worth says nothing of it.
         level, sentence = "alarm", words.say("sentence.over", what=what, value=shown, limit=limit)
+        worth = ("good", words.say("validity.measured"))
     elif worth[0] != "none" and forecast is not None and minutes_to_limit(forecast)[1] is not None:
         level = "attention"
     return {**row, "level": level, "sentence": sentence, "valid": worth[0], "validity": worth[1]}
 
 
 def _familiarity(words: Words, f: FamiliarityStatus | None) -> dict[str, Any] | None:
-    """How like its training the present cycle is: zone, word, and the sentence of what is strange; None unasked."""
-    if f is None:
+    """How like its training the present cycle is: zone, word, and the sentence of what is strange; None not known."""
+    if f is None or f.strangeness is None:
         return None
-    if f.strangeness is None:
-        return {"zone": f.zone, "word": words.say("familiarity.unknown"), "sentence": "", "detail": ""}
     parts = {"value": words.number(f.strangeness, 2), "limit": words.number(f.limit, 2)}
     detail = [words.say("familiarity.strangeness", **parts)]
     if f.expected_error is not None:
         detail.append(words.say("familiarity.expected", percent=words.number(100.0 * f.expected_error, 0)))
     word = words.say("familiarity.unfamiliar" if f.outside else "familiarity.familiar")
     return {"zone": f.zone, "word": word, "sentence": strange_sentence(words, f.thing), "detail": "; ".join(detail)}
+
+
+def measured_coverage(forecast: ForecastStatus | None) -> float | None:
+    """The share of recent 90 % bands that held what came, over the horizons; None where it is not measured yet."""
+    found = [share for share in (forecast.coverage if forecast is not None else ()) if share is not None]
+    return sum(found) / len(found) if found else None
+
+
+def _worth(words: Words, zone: str, coverage: float | None) -> tuple[str, str]:
+    """Whether a forecast is good or doubtful, and why: by its model's zone and by how often its band held."""
+    if zone != "green":
+        return ("doubtful" if zone in DOUBTFUL_ZONES else "good", words.say(f"validity.{zone}"))
+    if coverage is None:
+        return ("good", words.say("validity.unmeasured"))
+    held = words.say("word.coverage_of", percent=words.number(100.0 * coverage, 0))
+    return (
+        ("doubtful", words.say("validity.narrow", held=held))
+        if coverage < NARROW_BAND
+        else ("good", words.say("validity.green", held=held))
+    )
+
+
+def _confidence(words: Words, zone: str, forecast: ForecastStatus | None) -> dict[str, str]:
+    """The word for how far a forecast can be relied on, with its zone, and the measure that it is made of."""
+    coverage = measured_coverage(forecast)
+    worst = {"green": "high", "yellow": "fair", "red": "low"}.get(zone, "unmeasured")
+    if zone == "green" and coverage is None:
+        worst = "unmeasured"
+    elif coverage is not None and worst != "unmeasured" and coverage < NARROW_BAND:
+        worst = "low" if coverage < USELESS_BAND or worst == "low" else "fair"
+    percent = "–" if coverage is None else words.number(100.0 * coverage, 0)
+    measured = words.say("confidence.unmeasured" if coverage is None else "word.coverage_of", percent=percent)
+    css = {"high": "green", "fair": "yellow", "low": "red"}.get(worst, "none")
+    return {"zone": css, "word": words.say(f"confidence.{worst}"), "coverage": measured}
+
+
+def _to_limit(words: Words, forecast: ForecastStatus) -> dict[str, str]:
+    """The minutes to the limit in words, and their band; what lies beyond the horizon altogether has none."""
+    low, median, high = minutes_to_limit(forecast)
+    beyond = words.say("sentence.beyond", minutes=words.number(forecast.horizons[-1] / 60.0, 0))
+    low_said, median_said, high_said = (beyond if m is None else _minutes(words, m) for m in (low, median, high))
+    band = "" if low is None and high is None else f"{low_said} – {high_said}"
+    return {"median": median_said, "band": band}
 
 
 def minutes_to_limit(forecast: ForecastStatus) -> tuple[float | None, float | None, float | None]:

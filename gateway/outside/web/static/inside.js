@@ -91,11 +91,11 @@ function automaton(model, present) {
 
 export function communicationView() {
   return h("section", { class: "view" }, state.order.map((name) => {
-    const { status, label } = state.machines[name];
+    const { status, label, link_reason } = state.machines[name];
     const outages = [...status.link.outages].reverse().slice(0, 10);
     return h("section", { class: "card", "data-key": name }, h("h2", {}, label),
       h("div", { class: "linkline" }, h("span", {}, say("word.link_hour")), strip(status), linkWord(status, isCut(name))),
-      status.link.reason && h("p", { class: "error" }, status.link.reason),
+      link_reason && h("p", { class: "error" }, link_reason),
       h("dl", { class: "facts" }, fact(say("link.scans"), status.scan.count), fact(say("link.missed"), status.scan.missed), fact(say("link.period"), `${number(status.scan.period, 1)} s`), fact(say("word.writeback"), badge(status.writeback))),
       grid([say("word.link"), say("link.place"), say("link.active"), say("link.connected"), say("word.reason")], status.links.map((link) => [link.name, link.place, shown(link.active), shown(link.connected), link.reason || ""])),
       outages.length > 0 && [h("h3", {}, say("link.outages")), grid([say("link.begin"), say("link.end")], outages.map((each) => [clock(each.last_good), each.recovered_s === null ? say("link.lasts") : duration(each.recovered_s)]))],
@@ -127,5 +127,5 @@ export function boxView() {
       h("dl", { class: "facts" }, fact(say("box.records"), lost ? say("box.lost", { count: lost }) : say("box.kept")),
         fact(say("box.historian"), f ? bytes(f.records.historian) : "–", h("small", {}, historian.path)), f && fact(say("box.audit"), bytes(f.records.audit)))),
     h("section", { class: "card" }, h("h2", {}, say("box.parts")),
-      grid([say("word.name"), say("box.running"), say("box.restarts"), say("box.failure")], parts.map(([part, how]) => [part, shown(how.running), how.restarts, how.failure]))));
+      grid([say("word.name"), say("box.running"), say("box.restarts"), say("box.failure")], parts.map(([part, how]) => [part, how.running || how.failure ? shown(how.running) : say("box.between"), how.restarts, how.failure]))));
 }

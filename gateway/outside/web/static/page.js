@@ -2,9 +2,9 @@
 import { ask, duration, h, morph, say, setPerson, start } from "./dom.js";
 import { age, follow, isCut, state } from "./live.js";
 import { acts, personBox } from "./person.js";
-import { alarmsView, scorecardView } from "./records.js";
+import { alarmsView, scorecardView, waits } from "./records.js";
 import { boxView, communicationView, modelView } from "./inside.js";
-import { machineView, plantView } from "./plant.js";
+import { machineView, modeBadge, plantView } from "./plant.js";
 import { trendsView } from "./trends.js";
 
 const VIEWS = {
@@ -39,6 +39,7 @@ function render() {
   document.body.classList.toggle("cut", cut);
   showCut(cut);
   showNav(name);
+  showMode(cut);
   morph(document.getElementById("person"), personBox());
   const fresh = h("main", { id: "view", tabindex: "-1" }, content(name, rest, cut));
   if (place !== location.hash) {
@@ -69,10 +70,18 @@ function showCut(cut) {
   morph(banner, h("div", { id: "cut", role: "alert" }, h("strong", {}, say("live.cut")), h("span", {}, said)));
 }
 
+// Whether anything is written to a PLC, on every view: of several machines how many.
+function showMode(cut) {
+  const modes = state.order.map((name) => state.machines[name].mode);
+  const most = ["armed", "shadow", "off"].find((mode) => modes.includes(mode));
+  const of = modes.length > 1 && most ? ` ${modes.filter((mode) => mode === most).length}/${modes.length}` : "";
+  morph(document.getElementById("mode"), h("div", { id: "mode" }, most && modeBadge(most, cut, of)));
+}
+
 function showNav(name) {
-  const waiting = state.order.reduce(
-    (sum, each) => sum + state.machines[each].alarms.filter((alarm) => alarm.state.includes("unacknowledged")).length, 0,
-  );
+  // Of one cause all is one.
+  const waiting = new Set(state.order.flatMap((each) =>
+    state.machines[each].alarms.filter(waits).map((alarm) => `${each} ${alarm.under || alarm.name}`))).size;
   const links = Object.keys(VIEWS).map((each) =>
     h("a", { href: `#/${each}`, "aria-current": each === name ? "page" : null },
       say(`nav.${each}`), each === "alarms" && waiting > 0 && h("span", { class: "count" }, String(waiting))));

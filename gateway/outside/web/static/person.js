@@ -1,5 +1,6 @@
 // Who is logged in, and what a person may change.
-import { ask, bytes, h, person, say, setPerson, start } from "./dom.js";
+import { ask, bytes, h, parse, person, say, setPerson, start } from "./dom.js";
+import { state } from "./live.js";
 
 export const personBox = () => h("div", { id: "person" }, person.name
   ? [h("span", { class: "who" }, h("b", {}, person.name), h("small", {}, say(`role.${person.role}`))),
@@ -46,29 +47,34 @@ export const acts = {
     if (!start.open) location.reload();
     changed();
   },
-  async alarm(button, changed) {
+  alarm(button, changed) {
     const { machine, of: alarm, change } = button.dataset;
-    if (change !== "acknowledge") {
-      const minutes = change === "shelve" ? [["minutes", say("person.minutes"), { type: "number", min: 1, value: 60 }]] : [];
-      dialog(`${button.textContent}: ${alarm}`, [["reason", say("person.reason"), line], ...minutes], button.textContent, async (given) => {
-        const more = given.minutes ? { minutes: Number(given.minutes) } : {};
-        await ask("POST", "/api/alarm", { machine, alarm, change, reason: given.reason, ...more }).catch((error) => expired(error, changed));
-      });
-      return;
-    }
+    const minutes = change === "shelve" ? [["minutes", say("person.minutes"), { type: "number", min: 1, value: 60 }]] : [];
+    dialog(`${button.textContent}: ${alarm}`, [["reason", say("person.reason"), line], ...minutes], button.textContent, async (given) => {
+      const more = given.minutes ? { minutes: Number(given.minutes) } : {};
+      await ask("POST", "/api/alarm", { machine, alarm, change, reason: given.reason, ...more }).catch((error) => expired(error, changed));
+    });
+  },
+  // One after the other: what somebody else acknowledged meanwhile is no obstacle to the rest.
+  async acknowledge(button, changed) {
+    let refused = null;
     button.disabled = true;
-    try {
-      await ask("POST", "/api/alarm", { machine, alarm, change });
-    } catch (error) {
-      await failed(error, changed);
-    } finally {
-      button.disabled = false;
+    for (const [machine, alarm] of parse(button.dataset.shown)) {
+      try {
+        await ask("POST", "/api/alarm", { machine, alarm, change: "acknowledge" });
+      } catch (error) {
+        refused = error;
+        if (error.status === 401) break;
+      }
     }
+    button.disabled = false;
+    if (refused) await failed(refused, changed);
   },
   arm(button, changed) {
-    dialog(say("person.arm"), [["reason", say("person.reason"), line], ["minutes", say("person.minutes"), { type: "number", min: 1, max: 480, value: 60 }]], say("person.arm"), async ({ reason, minutes }) => {
-      await ask("POST", "/api/arm", { machine: button.dataset.machine, reason, minutes: Number(minutes) }).catch((error) => expired(error, changed));
-    });
+    const { machine } = button.dataset;
+    dialog(`${say("person.arm")}: ${state.machines[machine]?.label ?? machine}`, [["reason", say("person.reason"), line], ["minutes", say("person.minutes"), { type: "number", min: 1, max: 480, value: 60 }]], say("person.arm"), async ({ reason, minutes }) => {
+      await ask("POST", "/api/arm", { machine, reason, minutes: Number(minutes) }).catch((error) => expired(error, changed));
+    }, aboutArming(state.machines[machine]?.arming));
   },
   disarm(button, changed) {
     dialog(say("person.disarm"), [["reason", say("person.reason"), line]], say("person.disarm"), async ({ reason }) => {
@@ -100,6 +106,17 @@ export const acts = {
     }
   },
 };
+
+// Where something would be written, and what, as it was when the dialog was opened.
+function aboutArming(about) {
+  if (!about) return [];
+  const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label), h("dd", {}, what));
+  return [h("dl", { class: "arming", tabindex: "0" }, fact(say("arming.address"), about.address), fact(say("arming.identity"), about.identity),
+    about.blocks.map((block) => [
+      fact(say("arming.block", { label: block.label }), say("arming.block_at", { words: block.words, address: block.address })),
+      fact(say("arming.refusals"), block.refusals),
+      fact(say("arming.numbers"), block.numbers.length ? block.numbers.map(([name, text]) => h("div", {}, `${name}: ${text}`)) : say("arming.no_block"))]))];
+}
 
 // A session that has ended is logged in anew; anything else is said.
 function expired(error, changed) {

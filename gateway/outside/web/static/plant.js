@@ -2,13 +2,12 @@
 import { clock, duration, h, number, say, shown, unit } from "./dom.js";
 import { age, isCut, state } from "./live.js";
 import { fanChart, sparkline, strip } from "./draw.js";
-import { alarmTable, alarmTitle, can } from "./records.js";
-import { coverageOf } from "./scores.js";
+import { alarmTable, can } from "./records.js";
 
-const SIGNS = { normal: "", attention: "!", unknown: "?", alarm: "!!" };
+const SIGNS = { normal: "", over: "↩", attention: "!", unknown: "?", alarm: "!!" };
 
 // The least first, as the gateway has them.
-const worstLevel = (rows) => Object.keys(SIGNS).findLast((level) => rows.some((row) => row.level === level));
+export const worstLevel = (rows) => Object.keys(SIGNS).findLast((level) => rows.some((row) => row.level === level));
 
 export const sign = (level) =>
   h("span", { class: `sign ${level}`, title: say(`level.${level}`) }, h("span", { "aria-hidden": "true" }, SIGNS[level]), h("span", { class: "hidden" }, say(`level.${level}`)));
@@ -41,6 +40,12 @@ export function badge(writeback) {
   return h("span", { class: `badge ${mode}` }, h("b", {}, say(`word.${mode}`)), " ", h("span", {}, words));
 }
 
+// The mode of writing in one word, of a machine or the worst of several; of what was, where nothing is known of now.
+export function modeBadge(mode, cut, of = "") {
+  const text = say(`word.${mode}`) + of;
+  return h("span", { class: `badge ${cut ? "off" : mode}`, title: `${say("word.writeback")}: ${text}` }, cut ? say("live.was", { value: text }) : h("b", {}, text));
+}
+
 export function plantView() {
   const rows = state.order.flatMap((name) => {
     const machine = state.machines[name], tags = machine.temperatures.map((row) => row.tag);
@@ -50,12 +55,12 @@ export function plantView() {
       const worst = own[0], level = worstLevel([row, ...own]);
       return h("a", { class: `row ${level} ${row.valid}`, href: `#/machine/${encodeURIComponent(name)}`, "data-key": `${name} ${row.tag}`, "data-machine": name, "data-tag": row.tag },
         sign(level),
-        h("span", { class: "what" }, h("b", {}, machine.label), h("span", {}, row.label)),
+        h("span", { class: "what" }, h("b", {}, machine.label), h("span", {}, row.label), modeBadge(machine.mode, isCut(name))),
         h("span", { class: "big" }, value(row, name)),
         h("span", { class: "sentence" }, sentence(row, name)[0], h("small", { class: "validity" }, sentence(row, name)[1])),
         h("span", { class: "picture" }, sparkline(name, row, forecastOf(machine, row.tag).forecast, machine.status.speed)),
         h("span", { class: "worst" }, worst
-          ? h("span", { class: `chip ${worst.level}` }, `${alarmTitle(worst, machine.labels)} · ${say(`alarm.${stateKey(worst.state)}`)}`)
+          ? chip(worst)
           : machine.alarms.every((alarm) => alarm.of_plant) && h("span", { class: "quiet" }, say("alarm.none"))));
     });
   });
@@ -68,8 +73,10 @@ function plantAlarms() {
   if (!own.length) return null;
   return h("a", { class: "row whole", href: "#/alarms", "data-key": "plant" },
     h("span", { class: "what" }, h("b", {}, say("nav.plant"))),
-    h("span", { class: "worst" }, own.map((alarm) => h("span", { class: `chip ${alarm.level}` }, `${alarmTitle(alarm, {})} · ${say(`alarm.${stateKey(alarm.state)}`)}`))));
+    h("span", { class: "worst" }, own.map(chip)));
 }
+
+const chip = (alarm) => h("span", { class: `chip ${alarm.level}` }, `${alarm.title} · ${say(`alarm.${stateKey(alarm.state)}`)}`);
 
 export const stateKey = (text) => text.replaceAll(/[ -]/g, "_");
 
@@ -127,31 +134,25 @@ const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label),
 function temperatureCard(name, machine, row) {
   const one = forecastOf(machine, row.tag), status = machine.status, forecast = one.forecast, p = one.prediction;
   const present = row.value !== null && !isCut(name), usable = forecast && forecast.usable && present;
-  const last = forecast ? forecast.horizons.at(-1) / 60 : 0;
-  const minutes = (which) => {
-    const found = forecast.block[`minutes_${which}`];
-    if (found === null || found > last) return say("sentence.beyond", { minutes: number(last, 0) });
-    return found < 1 ? "< 1" : number(found, 0);
-  };
   const main = row.tag === status.temperature;
   return h("section", { class: `card temperature ${row.level}`, "data-key": row.tag },
     h("p", { class: "lead" }, sign(row.level), sentence(row, name)[0]),
     h("p", { class: `validity ${row.valid}` }, `${say("word.validity")}: ${sentence(row, name)[1]}`),
     h("dl", { class: "facts" },
-      fact(say("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${isCut(name) ? say("word.unknown") : row.quality} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
+      fact(say("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${isCut(name) ? say("word.unknown") : qualityWord(row.quality)} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
       fact(say("word.limit"), `${number(row.limit)} ${row.unit}`),
       p && fact(say("word.predicted"), present ? `${number(p.mean)} ${row.unit}` : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
       p && fact(say("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
-      p && fact(say("word.confidence"), h("span", { class: `zone ${p.zone}` }, present ? say(`zone.${p.zone}`) : "–"), h("small", {}, present && zoneReason(machine, main))),
+      p && fact(say("word.confidence"), h("span", { class: `zone ${present ? row.confidence.zone : ""}` }, present ? row.confidence.word : "–")),
       row.familiarity && fact(say("familiarity.title"), h("span", { class: `zone ${present ? row.familiarity.zone : ""}` }, present ? row.familiarity.word : "–"), present && h("small", {}, [row.familiarity.sentence, row.familiarity.detail].filter(Boolean).join(" · "))),
-      forecast && fact(say("word.minutes_to_limit"), usable ? `${minutes("median")}` : "–", usable && h("small", {}, `${minutes("low")} – ${minutes("high")}`)),
+      forecast && fact(say("word.minutes_to_limit"), usable ? row.to_limit.median : "–", usable && row.to_limit.band && h("small", {}, row.to_limit.band)),
       forecast && fact(say("word.p_limit"), forecast.horizons.map((horizon, place) => h("div", {}, `${say("word.in_minutes", { minutes: number(horizon / 60, 0) })}: ${usable ? `${number(100 * forecast.p_limit[place], 0)} %` : "–"}`))),
-      forecast && fact(say("word.coverage"), coverageOf(name, row.tag)),
+      forecast && fact(say("word.coverage"), row.confidence ? row.confidence.coverage : "–"),
     ),
     h("div", { class: "chart", "data-keep": "", "data-key": `${name} ${row.tag}`, "data-chart": `${name} ${row.tag}`, role: "img", "aria-label": row.sentence }));
 }
 
-const zoneReason = (machine, main) => (main && machine.findings.find((each) => each.check === "model")?.sentence) || "";
+const qualityWord = (code) => (code ? say(`quality.${code.toLowerCase()}`) : "");
 
 function eventList(status) {
   if (!status.recent_events.length) return h("p", { class: "quiet" }, say("word.none"));
@@ -175,5 +176,5 @@ function inputs(status, labels, extra, cut) {
       tagHead(labels, name),
       valueCell(`${shown(tag.value)} ${unit(tag.unit)}`, cut),
       h("td", { class: "number" }, duration(tag.age / status.speed + extra)),
-      h("td", {}, cut ? say("word.unknown") : tag.quality), h("td", {}, tag.reason))))));
+      h("td", {}, cut ? say("word.unknown") : qualityWord(tag.quality)), h("td", {}, tag.reason))))));
 }

@@ -2,35 +2,56 @@
 import { ask, duration, h, moment, number, person, say, shown } from "./dom.js";
 import { state } from "./live.js";
 import { scoreOf } from "./scores.js";
-import { sign, stateKey } from "./plant.js";
+import { sign, stateKey, worstLevel } from "./plant.js";
 
 const ROLES = ["operator", "engineer", "administrator"];
 export const can = (role) => ROLES.indexOf(person.role) >= ROLES.indexOf(role);
 
-// An alarm in the reader's language, with what it watches in the plant's words; its own name where nobody knows its kind.
-export function alarmTitle({ kind, name, tag, of_plant }, labels) {
-  if (!kind) return name;
-  const what = name === kind || of_plant ? "" : (labels[tag] ?? tag);
-  return what ? `${what}: ${say(`kind.${stateKey(kind)}`)}` : say(`kind.${stateKey(kind)}`);
+// What was, in the reader's language, with what it watched in the plant's words; its own name where nobody knows its kind.
+function pastTitle({ kind, condition, tag, of_plant }, labels) {
+  if (!kind) return condition;
+  const what = condition === kind || of_plant ? "" : (labels[tag] ?? tag);
+  return what ? `${what}: ${say(`past.${stateKey(kind)}`)}` : say(`past.${stateKey(kind)}`);
 }
 
-// The alarms of some machines that are not normal, the most urgent first; the plant's too, which one of them looks after.
+export const waits = (alarm) => alarm.state === "unacknowledged" || alarm.state.endsWith(" unacknowledged");
+
+// The alarms of some machines: what stands, then what is over, then what was put aside, the most urgent first. What
+// tells of one cause is one row, with its parts below it. The plant's are shown too, which one of them looks after.
+const SECTIONS = ["standing", "over", "aside"];
 export function alarmTable(names, ofPlant = true) {
-  const rows = names.flatMap((name) => state.machines[name].alarms.filter((alarm) => ofPlant || !alarm.of_plant).map((alarm) => ({ name, machine: state.machines[name], ...alarm, alarm: alarm.name })));
+  const rows = names.flatMap((name) => state.machines[name].alarms.filter((alarm) => ofPlant || !alarm.of_plant)
+    .map((alarm) => ({ ...alarm, machine: name, status: state.machines[name].status })));
   rows.sort((a, b) => a.priority - b.priority || b.since - a.since);
   if (!rows.length) return h("p", { class: "quiet" }, say("alarm.none"));
-  return h("ul", { class: "alarms" }, rows.map((row) => {
-    const alarm = row.alarm, possible = row.possible?.length ? row.possible : row.state.includes("unacknowledged") ? ["acknowledge"] : [];
-    return h("li", { class: `entry ${row.level}`, "data-key": `${row.of} ${alarm}`, "data-alarm": alarm },
-      sign(row.level),
-      h("div", { class: "alarmtext" }, h("b", { title: alarm }, `${row.of}: ${alarmTitle({ ...row, name: alarm }, row.machine.labels)}`), h("span", { class: "response" }, row.response),
-        h("small", {}, `${say("alarm.priority")} ${row.priority} · ${say(`alarm.${stateKey(row.state)}`)} · ${say("word.since")} ${moment(row.since)} (${duration((row.machine.status.time - row.since) / row.machine.status.speed)})`,
-          row.acknowledged_by && ` · ${say("alarm.acknowledged_by")} ${row.acknowledged_by}`,
-          row.until && ` · ${say("alarm.until", { until: moment(row.until), by: row.by, reason: row.reason })}`)),
-      h("div", { class: "buttons" }, possible.filter((change) => can(change.includes("service") ? "engineer" : "operator")).map((change) =>
-        h("button", { "data-act": "alarm", "data-change": change, "data-machine": row.machine.status.machine, "data-of": alarm, class: change === "acknowledge" ? "main" : null }, say(`change.${stateKey(change)}`)))));
-  }));
+  const waiting = rows.filter(waits);
+  return [
+    waiting.length > 1 && can("operator") && h("p", { class: "buttons" }, acknowledging(waiting, say("alarm.acknowledge_all", { count: waiting.length }))),
+    SECTIONS.map((section) => {
+      const heads = rows.filter((row) => row.section === section && !row.under);
+      return heads.length > 0 && [h("h3", {}, say(`alarm.${section}`)),
+        h("ul", { class: "alarms" }, heads.map((row) => entry(row, rows.filter((each) => each.machine === row.machine && each.under === row.name))))];
+    })];
 }
+
+// What is acknowledged is what was shown when the button was pressed, and nothing that came since.
+const acknowledging = (rows, text) => h("button", { class: "main", "data-act": "acknowledge", "data-shown": JSON.stringify(rows.map((row) => [row.machine, row.name])) }, text);
+
+function entry(row, parts) {
+  const level = worstLevel([row, ...parts]), waiting = [row, ...parts].filter(waits);
+  return h("li", { class: `entry ${level}`, "data-key": `${row.of} ${row.name}`, "data-alarm": row.name },
+    sign(level),
+    h("div", { class: "alarmtext" }, h("b", { title: row.name }, `${row.of}: ${row.title}`), h("span", { class: "response" }, row.sentence), facts(row),
+      parts.length > 0 && h("ul", { class: "parts" }, parts.map((part) => h("li", { "data-part": part.name }, h("b", { title: part.name }, part.title), h("span", { class: "response" }, part.sentence), facts(part), h("div", { class: "changes" }, changes(part)))))),
+    h("div", { class: "buttons" }, waiting.length > 0 && can("operator") && acknowledging(waiting, say("change.acknowledge")), changes(row)));
+}
+
+const facts = (row) => h("small", {}, `${say("alarm.priority")} ${row.priority} · ${say(`alarm.${stateKey(row.state)}`)} · ${say(row.section === "over" ? "alarm.over_since" : "word.since")} ${moment(row.since)} (${duration((row.status.time - row.since) / row.status.speed)})`,
+  row.acknowledged_by && ` · ${say("alarm.acknowledged_by")} ${row.acknowledged_by}`,
+  row.until && ` · ${say("alarm.until", { until: moment(row.until), by: row.by, reason: row.reason })}`);
+
+const changes = (row) => row.possible.filter((change) => change !== "acknowledge" && can(change.includes("service") ? "engineer" : "operator")).map((change) =>
+  h("button", { "data-act": "alarm", "data-change": change, "data-machine": row.status.machine, "data-of": row.name }, say(`change.${stateKey(change)}`)));
 
 // How many alarms there are against what a person can deal with; the sentences are the gateway's.
 function ratesFacts(rates) {
@@ -52,13 +73,13 @@ export function alarmsView() {
       .then((all) => (history.rows = all.flat().sort((a, b) => b.time - a.time).slice(0, 200)));
   }
   return h("section", { class: "view" },
-    h("h2", {}, say("alarm.standing")), alarmTable(state.order),
+    h("h2", {}, say("nav.alarms")), alarmTable(state.order),
     ratesFacts(history.rates),
     h("h2", {}, say("alarm.history")),
     !history.rows ? h("p", { class: "quiet" }, say("word.loading")) : !history.rows.length ? h("p", { class: "quiet" }, say("word.nothing"))
       : h("div", { class: "scroll", tabindex: "0" }, h("table", {},
         h("thead", {}, h("tr", {}, [say("word.time"), say("word.machine"), say("alarm.alarm"), say("word.state"), say("word.value"), say("alarm.acknowledged_by")].map((text) => h("th", { scope: "col" }, text)))),
-        h("tbody", {}, history.rows.map((row) => h("tr", {}, h("td", {}, moment(row.time)), h("td", {}, row.of_plant ? say("nav.plant") : state.machines[row.name]?.label ?? row.name), h("th", { scope: "row", title: row.condition }, alarmTitle({ ...row, name: row.condition }, state.machines[row.name]?.labels ?? {})),
+        h("tbody", {}, history.rows.map((row) => h("tr", {}, h("td", {}, moment(row.time)), h("td", {}, row.of_plant ? say("nav.plant") : state.machines[row.name]?.label ?? row.name), h("th", { scope: "row", title: row.condition }, pastTitle(row, state.machines[row.name]?.labels ?? {})),
           h("td", {}, say(`alarm.${stateKey(row.state)}`)), h("td", { class: "number" }, shown(row.value)), h("td", {}, row.acknowledged_by)))))));
 }
 
@@ -72,17 +93,18 @@ export function scorecardView() {
 }
 
 function scores({ start, end, card, warnings }, unit) {
-  const better = (own, other) => (own === null || !other ? "–" : `${number(100 * (1 - own / other), 0)} %`);
+  const better = (own, other) => (own === null || !other ? "–"
+    : say(own > other ? "score.worse" : "score.better", { percent: number(Math.abs(100 * (1 - own / other)), 0) }));
   const blocks = Object.entries(card.writes.verdicts);
   return h("div", {}, h("h3", {}, `${moment(start).slice(0, 10)} – ${moment(end).slice(0, 10)}`),
     h("dl", { class: "facts" }, [["hits", warnings.hits], ["misses", warnings.misses], ["false_alarms", warnings.false_alarms], ["lead", duration(warnings.lead)]]
       .map(([key, found]) => h("div", { class: "fact" }, h("dt", {}, say(`score.${key}`)), h("dd", {}, h("b", {}, String(found)))))),
     h("div", { class: "scroll", tabindex: "0" }, h("table", {},
-      h("thead", {}, h("tr", {}, [say("score.horizon"), say("score.error"), say("score.persistence"), say("score.better"), say("word.coverage"), say("score.count")].map((text, place) => h("th", { scope: "col", class: place ? "number" : null }, text)))),
+      h("thead", {}, h("tr", {}, [say("score.horizon"), say("score.error"), say("score.persistence"), say("score.against"), say("word.coverage"), say("score.count")].map((text, place) => h("th", { scope: "col", class: place ? "number" : null }, text)))),
       h("tbody", {}, card.forecasts.map((each) => h("tr", {}, h("th", { scope: "row" }, `${number(each.horizon / 60, 0)} min`),
         h("td", { class: "number" }, each.count ? `${number(each.mae, 2)} ${unit}` : "–"), h("td", { class: "number" }, each.count ? `${number(each.persistence_mae, 2)} ${unit}` : "–"),
         h("td", { class: "number" }, each.count ? better(each.mae, each.persistence_mae) : "–"), h("td", { class: "number" }, each.count ? `${number(100 * each.coverage90, 0)} %` : "–"), h("td", { class: "number" }, each.count)))))),
     h("dl", { class: "facts" },
       [["score.one_step", card.one_step], ["score.free_run", card.free_run]].map(([key, error]) => h("div", { class: "fact" }, h("dt", {}, say(key)), h("dd", {}, error.count ? `${number(error.mae, 2)} ${unit}` : "–"))),
-      blocks.length > 0 && h("div", { class: "fact" }, h("dt", {}, say("score.blocks")), h("dd", {}, blocks.map(([verdict, count]) => h("div", {}, `${verdict}: ${count}`))))));
+      blocks.length > 0 && h("div", { class: "fact" }, h("dt", {}, say("score.blocks")), h("dd", {}, blocks.map(([verdict, count]) => h("div", {}, `${say(`verdict.${stateKey(verdict)}`)}: ${count}`))))));
 }

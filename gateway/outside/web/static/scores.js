@@ -1,5 +1,5 @@
 // Scores from the records, asked once in a while: they read all that is kept.
-import { ask, number, say } from "./dom.js";
+import { ask } from "./dom.js";
 
 const AGAIN_MS = 600000;
 const kept = new Map();
@@ -16,14 +16,4 @@ export function scoreOf(machine, temperature, changed = () => {}) {
       .finally(changed);
   }
   return kept.get(key);
-}
-
-// How often what came lay in the 90 % band, over all horizons.
-export function coverageOf(machine, temperature) {
-  const { weeks } = scoreOf(machine, temperature);
-  const scored = (weeks || []).flatMap((week) => week.card.forecasts).filter((each) => each.count > 0);
-  const count = scored.reduce((sum, each) => sum + each.count, 0);
-  if (!count) return "–";
-  const share = scored.reduce((sum, each) => sum + each.coverage90 * each.count, 0) / count;
-  return say("word.coverage_of", { percent: number(100 * share, 0), count });
 }
