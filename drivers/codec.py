@@ -53,6 +53,16 @@ _SEVERAL_REGISTERS = (Order.ABCD, Order.CDAB, Order.BADC, Order.DCBA)
 _ONE_REGISTER = (Order.ABCD, Order.BADC)
 
 
+def integer_range(dtype: DType) -> tuple[int, int] | None:
+    """The least and the largest number of an integer or BCD type; None for any other."""
+    if dtype in _BCD_DIGITS:
+        return 0, 10 ** _BCD_DIGITS[dtype] - 1
+    if dtype not in _INTEGERS:
+        return None
+    bits, signed = _INTEGERS[dtype]
+    return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
+
+
 def registers_needed(tag: Tag) -> int:
     """How many 16-bit registers the tag covers (1..). Raises AddressError for a bit or a length that cannot be."""
     if tag.bit is not None:
@@ -332,11 +342,7 @@ def _number_bytes(tag: Tag, value: Value) -> bytes:
             raise EncodingError(f"{tag.name}: it would be stored as {reason}")
     else:
         count = round(raw)
-        if tag.dtype in _BCD_DIGITS:
-            low, high = 0, 10 ** _BCD_DIGITS[tag.dtype] - 1
-        else:
-            bits, signed = _INTEGERS[tag.dtype]
-            low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
+        low, high = integer_range(tag.dtype) or (0, 0)
         if not low <= count <= high:
             raise EncodingError(f"{tag.name}: it would be stored as {count}, and a {tag.dtype} holds {low} to {high}")
         if tag.dtype in _BCD_DIGITS:
@@ -344,6 +350,7 @@ def _number_bytes(tag: Tag, value: Value) -> bytes:
             payload = int(str(count), 16).to_bytes(_BCD_DIGITS[tag.dtype] // 2, "big")
         else:
             # Modulo 2**bits is two's complement; an 8-bit number fills the low byte of one register.
+            bits = _INTEGERS[tag.dtype][0]
             payload = (count % (1 << bits)).to_bytes(max(2, bits // 8), "big")
     # Read back as a device would: what was rounded may have become the very number that says "not available".
     stored, _ = _RAW[tag.dtype](tag, payload)
