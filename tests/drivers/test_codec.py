@@ -314,3 +314,27 @@ def test_an_encoder_writes_what_encode_writes(dtype: DType, order: Order, more: 
             return str(error)
 
     assert outcome(lambda: encoder(tag)(value)) == outcome(lambda: encode(tag, value))
+
+
+@pytest.mark.parametrize(
+    ("tag", "words", "said"),
+    [
+        (Tag("T", "a", DType.INT16, sentinel=32767, other_sentinels=(-32768,)), [0x7FFF], "32767"),
+        (Tag("T", "a", DType.INT16, sentinel=32767, other_sentinels=(0x8000,)), [0x8000], "32768"),
+        (
+            Tag("T", "a", DType.FLOAT32, sentinel=-9999.0),
+            list(struct.unpack(">HH", struct.pack(">f", -9999.0))),
+            "-9999",
+        ),
+        (
+            Tag("T", "a", DType.FLOAT32, sentinel=-999.9),
+            list(struct.unpack(">HH", struct.pack(">f", -999.9))),
+            "-999.9",
+        ),
+    ],
+)
+def test_each_of_several_sentinels_is_no_value(tag: Tag, words: list[int], said: str) -> None:
+    for read in (decode(tag, words), reader(tag)(words)):
+        assert read[:2] == (None, Quality.NO_DATA) and said in read[2]
+    with pytest.raises(EncodingError):
+        encode(tag, tag.sentinels[-1])
