@@ -30,6 +30,10 @@ GAP_S = 0.02
 TORN_S = 5 * GAP_S
 """After a pause of so long on a serial port the rest of a reply does not come any more: its bytes follow one another
 within 1.5 characters (MODBUS over serial line V1.02, 2.5.1.1). A device server's network knows no such limit."""
+_MOST_NOISE = 8
+"""Bytes before a reply that are passed over: what a transceiver makes as it turns round, no frame (V1.02, 2.5.1.1)."""
+_TURN_ROUND = (b"\0", b"\xff")
+"""Of such bytes the first; no device has these numbers."""
 _FLOOD = 65536
 _CHUNK = 4096
 
@@ -48,6 +52,8 @@ class Quiet:
     """What each unit of the line was asked last and has not answered."""
 
     owed: dict[int, Owed] = field(default_factory=dict)
+    failures: dict[int, str] = field(default_factory=dict)
+    """By unit, why its last question failed: what waiting for its end would hide."""
 
 
 class _Port(Protocol):
@@ -159,12 +165,17 @@ class LineWire:
         self._asked.add(wanted.unit)
         self._live_port().send(frame)
         self._tell(frame, sent=True)
-        if self._settings.echo:
-            await self._skip_echo(wanted, frame, until)
-        reply = await self._reply(wanted, frame, until)
-        received = self._clock()
-        self._data = self._data[len(reply) :]
-        self._checked(wanted, reply)
+        try:
+            if self._settings.echo:
+                await self._skip_echo(wanted, frame, until)
+            reply = await self._reply(wanted, frame, until)
+            received = self._clock()
+            self._data = self._data[len(reply) :]
+            self._checked(wanted, reply)
+        except (ReplyTimeout, ReplyMismatch) as error:
+            self._quiet.failures[wanted.unit] = str(error)
+            raise
+        self._quiet.failures.pop(wanted.unit, None)
         self.last = reply[:-2]
         return WireReply(words_of(wanted, reply[3:-2]), sent, received)
 
@@ -198,8 +209,10 @@ class LineWire:
                         self._data, self.foreign = b"", self.foreign + 1
                         continue
                 if not await self._more(min(until, _now() + left)) and _now() >= until:
+                    why = self._quiet.failures.get(owed.question.unit, "")
                     raise ReplyTimeout(
                         f"{wanted}: not asked, as {owed.question} may still be answered for {left:.2f} s"
+                        + (f"; what went wrong: {why}" if why else "")
                     )
                 continue
             await asyncio.sleep(max(pause, self._heard + pause - _now()))
@@ -238,13 +251,7 @@ class LineWire:
 
     def _is_reply_to(self, question: Asked) -> bool:
         """True if what came in the meantime begins with a whole reply to the question."""
-        try:
-            length = rtu.reply_length(question, self._data)
-        except ReplyMismatch:
-            return False
-        if length is None or len(self._data) < length:
-            return False
-        return self._data[0] == question.unit and rtu.crc(self._data[: length - 2]) == self._data[length - 2 : length]
+        return rtu.begins_reply(question, self._data)
 
     def _take_out_late(self, asked_unit: int) -> None:
         """Drop whole late replies of units other than the one that is asked from the front of what has come."""
@@ -275,16 +282,27 @@ class LineWire:
             self._take_out_late(wanted.unit)
             if len(self._data) >= len(frame) and self._data.startswith(frame):
                 raise ReplyMismatch(f"{wanted}: the line gives back what is sent: set echo = true")
+            self._pass_noise(wanted)
             try:
-                length = rtu.reply_length(wanted, self._data)
+                length = None if self._data[:1] in _TURN_ROUND else rtu.reply_length(wanted, self._data)
             except ReplyMismatch:
                 await self._rest()
+                if self._pass_noise(wanted):
+                    continue
                 raise
             if length is not None and len(self._data) >= length:
                 return self._data[:length]
             if not await self._more(until):
                 part = f" ({len(self._data)} bytes of one came)" if self._data else ""
                 raise ReplyTimeout(f"{wanted}: no reply in time{part}")
+
+    def _pass_noise(self, wanted: Asked) -> bool:
+        """Drop what stands before the reply that was asked for, which its unit, function, length and CRC tell."""
+        for at in range(1, min(_MOST_NOISE, len(self._data) - 1) + 1):
+            if rtu.begins_reply(wanted, self._data[at:]) and not self._is_reply_to(wanted):
+                self._data, self.foreign = self._data[at:], self.foreign + 1
+                return True
+        return False
 
     async def _rest(self) -> None:
         """Let a frame of unknown length come to its end."""

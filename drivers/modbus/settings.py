@@ -54,6 +54,9 @@ class ModbusSettings(Reconnecting):
     max_write_registers: int = Field(123, ge=1, le=123, description="the most registers of one write, 1 to 123")
     max_gap: int = Field(8, ge=0, le=124, description="the addresses read in vain to save a request, 0 to 124")
     pause_ms: float = Field(0.0, ge=0.0, le=10_000.0, description="the milliseconds between two requests, 0 to 10000")
+    pause_after_connect: float = Field(
+        0.0, ge=0.0, le=60.0, description="the seconds before the first request on a connection, 0 to 60"
+    )
     one_client: bool = Field(False, description="true if the device serves one connection only")
     max_failures: int = Field(3, ge=1, le=100, description="the failures in a row that end a connection, 1 to 100")
     max_silence: float = Field(

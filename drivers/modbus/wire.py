@@ -280,6 +280,8 @@ class Wire:
         question, sent = self._open.pop(number, (None, 0.0))
         if question is not None:
             self._ids.answered(number)
+            # What was asked before it and is silent keeps nothing else from being asked.
+            self._open = {other: asked for other, asked in self._open.items() if asked[1] >= sent}
         self._any_answer.set()
         if request is None or outcome is None or outcome.done() or question is None:
             self.foreign += 1
