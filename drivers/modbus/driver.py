@@ -373,8 +373,10 @@ class ModbusDriver:
             samples |= self._samples(part, outcome)
             if isinstance(outcome, Failure):
                 reasons[part.start, part.stop] = outcome.reason
+                if outcome.quality is Quality.TIMEOUT and not await self._answers_elsewhere(part):
+                    return self._samples(block, outcome) | {key: s for key, s in samples.items() if s.value is not None}
             else:
-                answered = True
+                answered, self._known_good = True, part
             try:
                 part = search.send(isinstance(outcome, Failure))
             except StopIteration as end:

@@ -21,7 +21,7 @@ from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus import rtu
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.verify import Asked, check_reply, words_of
+from drivers.modbus.verify import HEADER, Asked, check_reply, split_frames, words_of
 from drivers.modbus.wire import WireReply, socket_place
 from drivers.tap import current, moved
 
@@ -106,7 +106,8 @@ class LineWire:
                 self._port = _SerialPort(settings, self)
             else:
                 loop = asyncio.get_running_loop()
-                _, self._port = await loop.create_connection(lambda: _Dialled(self), settings.host, settings.port)
+                dialled = _Dialled if settings.transport == "rtu-tcp" else _Headed
+                _, self._port = await loop.create_connection(lambda: dialled(self), settings.host, settings.port)
         except termios.error as error:
             reason = f"the port does not take these settings ({error.args[-1]}): check baud, parity and stopbits"
             raise LinkDown(f"{settings.place} cannot be opened: {reason}") from error
@@ -284,7 +285,7 @@ class LineWire:
                 raise ReplyMismatch(f"{wanted}: the line gives back what is sent: set echo = true")
             self._pass_noise(wanted)
             try:
-                length = None if self._data[:1] in _TURN_ROUND else rtu.reply_length(wanted, self._data)
+                length = None if self._begins_with_noise(wanted) else rtu.reply_length(wanted, self._data)
             except ReplyMismatch:
                 await self._rest()
                 if self._pass_noise(wanted):
@@ -295,6 +296,9 @@ class LineWire:
             if not await self._more(until):
                 part = f" ({len(self._data)} bytes of one came)" if self._data else ""
                 raise ReplyTimeout(f"{wanted}: no reply in time{part}")
+
+    def _begins_with_noise(self, wanted: Asked) -> bool:
+        return self._data[:1] in _TURN_ROUND and self._data[0] != wanted.unit and len(self._data) <= _MOST_NOISE + 256
 
     def _pass_noise(self, wanted: Asked) -> bool:
         """Drop what stands before the reply that was asked for, which its unit, function, length and CRC tell."""
@@ -330,6 +334,15 @@ class LineWire:
         return rtu.transmission(octets, self._settings.baud) if self._settings.serial else 0.0
 
     # ------------------------------------------------------------ called by the port
+
+    def heard_headed(self, plain: bytes, *, matches: bool) -> None:
+        """A frame without its header has come; `matches`: the header's number was that of the last request."""
+        if not matches and self._settings.transaction_id != "any":
+            self.foreign += 1
+            return
+        if self._settings.answers_as == plain[0]:
+            plain = bytes((self._settings.unit,)) + plain[1:]
+        self.heard(plain + rtu.crc(plain))
 
     def heard(self, data: bytes) -> None:
         """Bytes have come."""
@@ -434,6 +447,32 @@ class _Dialled(asyncio.Protocol):
         """Close at once; what was not sent yet is discarded."""
         if self._transport is not None:
             self._transport.abort()
+
+
+class _Headed(_Dialled):
+    """A connection of Modbus TCP whose replies are told apart as on a serial line: by their unit, function and length.
+
+    For devices that put a number of their own into the header: each frame goes without it and comes with a checksum.
+    """
+
+    def __init__(self, wire: LineWire) -> None:
+        super().__init__(wire)
+        self._number, self._rest = 0, b""
+
+    def send(self, data: bytes) -> None:
+        """Send a frame with a header in the place of its checksum."""
+        self._number = self._number % 0xFFFF + 1
+        pdu = data[:-2]
+        super().send(self._number.to_bytes(2, "big") + b"\0\0" + len(pdu).to_bytes(2, "big") + pdu)
+
+    def data_received(self, data: bytes) -> None:
+        try:
+            frames, self._rest = split_frames(self._rest + data)
+        except ReplyMismatch as error:
+            self._wire.broken(str(error), LinkFault.FOREIGN)
+            return
+        for frame in frames:
+            self._wire.heard_headed(frame[HEADER:], matches=int.from_bytes(frame[:2], "big") == self._number)
 
 
 def _now() -> float:

@@ -36,7 +36,8 @@ _UNDER_A_QUESTION = frozenset({LinkFault.CLOSED, LinkFault.FOREIGN, LinkFault.CU
 a part of the reply."""
 _OF_THE_CONNECTION = (
     "transport", "certificates", "tls_name", "baud", "parity", "stopbits", "echo", "longest_reply", "connect_timeout",
-    "one_client", "pause_after_connect", "backoff_first", "backoff_cap", "max_failures", "max_silence",
+    "one_client", "transaction_id", "answers_as", "pause_after_connect",
+    "backoff_first", "backoff_cap", "max_failures", "max_silence",
 )  # fmt: skip
 
 

@@ -54,7 +54,6 @@ class ModbusSurvey:
         self._lost, self._fault = "", LinkFault.OTHER
         self._answered = self._tried = False
         self._slowest = 0.0
-        # Between the first question and the one that was answered, where the device answers nothing at first.
         self.seconds_to_first = 0.0
         self._last_exchange = float("-inf")
         self._foreign = 0
@@ -82,8 +81,12 @@ class ModbusSurvey:
             wire.abandon()
 
     def statistics(self) -> Mapping[str, float]:
-        """Counters by the names of the driver's."""
-        return {**self._counts, "foreign_replies": self._foreign + (self._wire.foreign if self._wire else 0)}
+        """Counters by the names of the driver's; `seconds_to_first`: from the first question to its answer."""
+        return {
+            **self._counts,
+            "seconds_to_first": self.seconds_to_first,
+            "foreign_replies": self._foreign + (self._wire.foreign if self._wire else 0),
+        }
 
     def cautions(self) -> tuple[str, ...]:
         """What works and should not stay as it is."""
@@ -192,24 +195,23 @@ class ModbusSurvey:
         deadline = self._deadline
         if self._answered or self._tried:
             return await self._once(request, deadline, again=again)
-        self._tried = True
-        until, began = _now() + FIRST_S, self._clock()
+        self._tried, began = True, _now()
         while True:
             try:
-                reply = await self._once(request, deadline, again=again)
+                return await self._once(request, deadline, again=again)
             except ReplyTimeout:
-                again, deadline = True, min(2 * deadline, until - _now())
+                again, deadline = True, min(2 * deadline, began + FIRST_S - _now())
                 if deadline < self._settings.timeout:
                     raise
-                continue
-            self.seconds_to_first = reply.sent - began
-            return reply
+            finally:
+                # What the answer has taken, if there is one: that of a refusal too.
+                self.seconds_to_first = self._slowest = _now() - began
 
     @property
     def _deadline(self) -> float:
         """Seconds that an answer has: what is set, else no less than the slowest answer has taken."""
         timeout = self._settings.timeout
-        return timeout if "timeout" in self._settings.model_fields_set else max(timeout, 1.5 * self._slowest + 0.1)
+        return timeout if "timeout" in self._settings.model_fields_set else max(timeout, 3 * self._slowest + 0.1)
 
     async def _once(self, request: ModbusPDU, deadline: float, *, again: bool) -> WireReply:
         if (rest := self._last_exchange + self._settings.pause_ms / 1000 - _now()) > 0.0:
