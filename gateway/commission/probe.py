@@ -224,13 +224,6 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
         steps.append(ok("identity", ", ".join(f"{name} {text}" for name, text in facts["identity"].items()) or "empty"))
     except (DeviceException, ReplyTimeout, ReplyMismatch):
         steps.append(warning("identity", "the device does not say who it is (function 43), as most do not"))
-    if (quiet := survey.statistics().get("seconds_to_first", 0.0)) > 0:
-        pause = 0.1 * ceil(10 * quiet)
-        facts["habits"] = {"pause_after_connect": pause}
-        sentence = (
-            f"answers nothing for up to {quiet:.1f} s after a connection was made: pause_after_connect = {pause:.1f}"
-        )
-        steps.append(warning("habit", sentence))
     facts["tables"] = tables = {}
     for table in _TABLES:
         try:
@@ -258,7 +251,7 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
         pause = 0.1 * ceil(10 * first)
         facts["habits"] = {"pause_after_connect": pause}
         sentence = (
-            f"answers nothing for up to {first:.1f} s after a connection is made: pause_after_connect = {pause:.1f}"
+            f"answers nothing for up to {first:.1f} s after connecting: pause_after_connect = {pause:.1f}"
         )
         steps.append(warning("habit", sentence))
     timeout, attempts = proposed(facts["round_trip_ms"]["max"] / 1e3)
