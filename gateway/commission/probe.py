@@ -250,9 +250,7 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
     if first > QUIET_S and first > 4 * slowest:
         pause = 0.1 * ceil(10 * first)
         facts["habits"] = {"pause_after_connect": pause}
-        sentence = (
-            f"answers nothing for up to {first:.1f} s after connecting: pause_after_connect = {pause:.1f}"
-        )
+        sentence = f"answers nothing for up to {first:.1f} s after connecting: pause_after_connect = {pause:.1f}"
         steps.append(warning("habit", sentence))
     timeout, attempts = proposed(facts["round_trip_ms"]["max"] / 1e3)
     facts["proposed"] = {"timeout": timeout, "attempts": attempts}

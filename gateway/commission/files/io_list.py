@@ -13,7 +13,7 @@ from typing import Any
 from drivers.codec import integer_range
 from drivers.tag import DType
 from gateway.commission.files.cells import ListError, ListRow, ListSheet, RowError, key_of, number_of, read_sheet
-from gateway.commission.files.io_places import Numbering, Place, place_of
+from gateway.commission.files.io_places import AddressCell, ListedPlace, Numbering, place_of
 from gateway.commission.files.io_units import CountFactor, factor_of, range_of, unit_of
 from gateway.commission.files.io_words import (
     COLUMNS,
@@ -87,7 +87,7 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     problems: list[str] = []
     for line in sheet.lines:
         try:
-            tags.append(_listed(_Row(sheet, line, how, numbering), tags))
+            tags.append(_listed(_ListedRow(sheet, line, how, numbering), tags))
         except RowError as error:
             problems.append(f"{sheet.where(line, error.column)}: {error}")
     if not tags and not problems:
@@ -96,7 +96,7 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
 
 
 @dataclass(frozen=True, slots=True)
-class _Row:
+class _ListedRow:
     """A row with what is known of its list."""
 
     sheet: ListSheet
@@ -124,7 +124,7 @@ class _Scaling:
     taken: str = ""
 
 
-def _listed(row: _Row, before: Sequence[Listed]) -> Listed:
+def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     line, how = row.line, row.how
     listed = line.get("name")
     if not listed:
@@ -296,7 +296,7 @@ def _decided(number: float, dtype: str, low: float | None, high: float | None) -
     return best[0] if len(best) == 1 else ""
 
 
-def _scaling(row: _Row, dtype: str) -> _Scaling:
+def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
     """Scale, offset and range as they are given, or from a raw range and the range in units. Raises RowError."""
     line = row.line
     low, high, column = _range(line)
@@ -326,11 +326,11 @@ def _scaling(row: _Row, dtype: str) -> _Scaling:
         raise RowError("low", f"{low:g} is not below the highest value {high:g}; swap or correct them")
     low, high, said = _plausible(column, dtype, (scale, offset), (low, high))
     taken = "; ".join(note for note in (taken, said) if note)
-    return _Scaling(scale, offset, low, high, unit or None, taken)
+    return _Scaling(scale, offset, low=low, high=high, unit=unit or None, taken=taken)
 
 
 def _scale(
-    row: _Row, dtype: str, of_unit: CountFactor | None, ends: tuple[float | None, float | None]
+    row: _ListedRow, dtype: str, of_unit: CountFactor | None, ends: tuple[float | None, float | None]
 ) -> tuple[float | None, str]:
     """(units per count, how it was taken), from the scale's cell, the unit's and the number of decimals."""
     line, header = row.line, set(row.header("scale").split())
@@ -418,7 +418,7 @@ def _type_cell(line: ListRow) -> TypeCell:
     return cell
 
 
-def _type(row: _Row, cell: TypeCell, place: Place, address: str) -> tuple[str, int]:
+def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> tuple[str, int]:
     line, text = row.line, row.get("dtype")
     count = _whole(line, "count") or place.count
     if place.count and count != place.count:
@@ -453,7 +453,7 @@ def _type(row: _Row, cell: TypeCell, place: Place, address: str) -> tuple[str, i
     return dtype, length
 
 
-def _order(row: _Row, cell: TypeCell, dtype: str, place: Place) -> tuple[str | None, str]:
+def _order(row: _ListedRow, cell: TypeCell, dtype: str, place: ListedPlace) -> tuple[str | None, str]:
     """(order, how it was taken); None where the type has none."""
     text = row.get("order")
     own = ORDERS.get(key_of(text)) if text not in _EMPTY else ""
@@ -483,16 +483,16 @@ def _order(row: _Row, cell: TypeCell, dtype: str, place: Place) -> tuple[str | N
 _NO_REGISTER = Register("", 0)
 
 
-def _address(row: _Row, cell: TypeCell) -> tuple[str, Place]:
+def _address(row: _ListedRow, cell: TypeCell) -> tuple[str, ListedPlace]:
     """(address in the driver's notation, its place)."""
     text, how = row.get("address"), row.how
     if not text:
         raise RowError("address", "is empty; give the address, or take the row out")
     own = _bit(row)
     if not how.registers:
-        return text, Place(register=_NO_REGISTER, bit=own)
+        return text, ListedPlace(register=_NO_REGISTER, bit=own)
     table = _table(row)
-    place = place_of(text, cell.dtype, row.numbering, how.plc, table or how.table, named=bool(table))
+    place = place_of(AddressCell(text, cell.dtype, row.numbering, how.plc, table or how.table, named=bool(table)))
     if own is not None and place.bit is None:
         place = replace(place, bit=own)
     if place.bit is not None and place.bit > 15:
@@ -507,7 +507,7 @@ def _address(row: _Row, cell: TypeCell) -> tuple[str, Place]:
     return str(register), place
 
 
-def _bit(row: _Row) -> int | None:
+def _bit(row: _ListedRow) -> int | None:
     """The bit of the bit's column, counted from 0 at the low end; its header may say that it counts otherwise."""
     bit, header = _whole(row.line, "bit"), row.header("bit")
     if bit is None:
@@ -521,7 +521,7 @@ def _bit(row: _Row) -> int | None:
     return bit
 
 
-def _table(row: _Row) -> str:
+def _table(row: _ListedRow) -> str:
     """The row's own table; "" where it names none."""
     text = row.get("table")
     if text in _EMPTY:

@@ -24,7 +24,7 @@ _REFERENCE_TABLES = {"0": "coil", "1": "discrete", "3": "input", "4": "holding"}
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ListedPlace:
     """A row's place: register, bit of it, so many registers (0: not said), bytes of a text, and how it was taken."""
 
     register: Register
@@ -77,23 +77,23 @@ _ANY = {key: MAKERS["schneider"][key] for key in ("m", "mw", "iw", "qw", "i")}
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """An address cell with what its row says beside it."""
+class AddressCell:
+    """An address cell with what its row says beside it.
+
+    `kind` is the row's type, "" where it has none; `table` is that of bare numbers, `named` if the row itself names it.
+    """
 
     text: str
     kind: str
     how: Numbering
     plc: str
     table: str
-    named: bool
+    named: bool = False
 
 
-def place_of(text: str, kind: str, how: Numbering, plc: str, table: str, *, named: bool = False) -> Place:
-    """The place that an address cell names; `kind` is the row's type, "" where it has none; `table` of bare numbers.
-
-    `named`: the row itself names the table. Raises RowError.
-    """
-    cell = _Asked(text, kind, how, plc, table, named)
+def place_of(cell: AddressCell) -> ListedPlace:
+    """The place that an address cell names. Raises RowError."""
+    text, kind, plc = cell.text, cell.kind, cell.plc
     plain = text.lower().replace(" ", "")
     if match := _ARRAY.fullmatch(text.strip()):
         raise RowError("address", f"{text!r} is an array of {match[2]}, which is not supported; give each its own row")
@@ -111,7 +111,7 @@ def place_of(text: str, kind: str, how: Numbering, plc: str, table: str, *, name
     return _single(plain, cell)
 
 
-def _stretch(plain: str, cell: _Asked) -> Place | None:
+def _stretch(plain: str, cell: AddressCell) -> ListedPlace | None:
     """The first of a range of registers, with how many; None for what is no range."""
     text = cell.text
     match = _RANGE.fullmatch(plain)
@@ -133,7 +133,7 @@ def _stretch(plain: str, cell: _Asked) -> Place | None:
     return replace(first, count=count)
 
 
-def _single(plain: str, cell: _Asked) -> Place:
+def _single(plain: str, cell: AddressCell) -> ListedPlace:
     """A place by whatever notation: holding:100, 40101, 4x101, %MW100, 0x64, or a bare number in a table."""
     text, how, table = cell.text, cell.how, cell.table
     reference = how.references and not how.hexadecimal and len(plain) >= 5 and plain.isdecimal()
@@ -146,12 +146,12 @@ def _single(plain: str, cell: _Asked) -> Place:
                     f"{text!r} is {register} as a reference number, and its row says {table}; where the list's numbers "
                     "are addresses as they go on the wire, give --numbers plain",
                 )
-            return Place(_within(register, text))
+            return ListedPlace(_within(register, text))
     if match := _SHORT.fullmatch(plain):  # counts from 1, as reference numbers do; %MW100 from 0
         register = Register(_REFERENCE_TABLES[match[1]], int(match[2]) - 1)
         if cell.named and register.table != table:
             raise RowError("address", f"{text!r} is {register}, and its row says {table}; correct one of them")
-        return Place(_within(register, text))
+        return ListedPlace(_within(register, text))
     if match := _NOUGHT.fullmatch(plain):
         number = match[1]
         if number.isdecimal() and not how.hexadecimal and cell.kind in ("", "bool"):
@@ -159,26 +159,26 @@ def _single(plain: str, cell: _Asked) -> Place:
                 raise RowError(
                     "address", f"{text!r} is a coil's reference number, or hexadecimal; give --numbers hex, or coil:99"
                 )
-            return Place(_within(Register("coil", int(number) - 1), text))
-        return Place(_within(Register(table, int(number, 16)), text))
+            return ListedPlace(_within(Register("coil", int(number) - 1), text))
+        return ListedPlace(_within(Register(table, int(number, 16)), text))
     if match := _IEC.fullmatch(plain):
         return _iec(match, text, cell.plc)
     if match := _HEX.fullmatch(plain):
-        return Place(_within(Register(table, int(match[1] or match[2], 16)), text))
+        return ListedPlace(_within(Register(table, int(match[1] or match[2], 16)), text))
     if match := _HEADED.fullmatch(plain):
         raise RowError(
             "address", f"{text!r}: {match[1].upper()} counts from 1 or from 0 by its server; give 40101 or holding:100"
         )
     if how.hexadecimal and _BARE_HEX.fullmatch(plain):
-        return Place(_within(Register(table, int(plain, 16) - how.first), text))
+        return ListedPlace(_within(Register(table, int(plain, 16) - how.first), text))
     if not how.hexadecimal and plain.isdecimal() and len(plain) <= 5:
         if how.doubt:
             raise RowError("address", f"{text!r}: {how.doubt}")
-        return Place(_within(Register(table, int(plain) - how.first), text))
+        return ListedPlace(_within(Register(table, int(plain) - how.first), text))
     raise RowError("address", f"{text!r} is no address; give one such as 40101, 4x101, %MW100, holding:100 or 100")
 
 
-def _iec(match: re.Match[str], text: str, plc: str) -> Place:
+def _iec(match: re.Match[str], text: str, plc: str) -> ListedPlace:
     """An IEC 61131-3 address by its maker's map. Raises RowError where the maker decides and is not named."""
     letters, number = match["area"] + match["size"], int(match["number"])
     bit = None if match["bit"] is None else int(match["bit"])
@@ -191,12 +191,12 @@ def _iec(match: re.Match[str], text: str, plc: str) -> Place:
         if bit >= rule.bits:
             raise RowError("address", f"{text!r} has bit {bit}, and {plc} counts {rule.bits} of them")
         if rule.table in ("holding", "input"):  # by bytes: two a register, the low one first
-            return Place(
+            return ListedPlace(
                 _within(Register(rule.table, rule.first + number // 2), text), 8 * (number % 2) + bit, note=plc
             )
-        return Place(_within(Register(rule.table, rule.first + rule.bits * number + bit), text), note=plc)
+        return ListedPlace(_within(Register(rule.table, rule.first + rule.bits * number + bit), text), note=plc)
     register = Register(rule.table, rule.first + rule.step * number)
-    return Place(_within(register, text), bit, note=plc or f"%{letters.upper()} by its number: else --plc")
+    return ListedPlace(_within(register, text), bit, note=plc or f"%{letters.upper()} by its number: else --plc")
 
 
 def _within(register: Register, text: str) -> Register:
