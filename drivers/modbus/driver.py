@@ -345,6 +345,8 @@ class ModbusDriver:
 
     async def _answers_elsewhere(self, block: AddressBlock) -> bool:
         """Whether a device that is silent to a block answers a single place: one that did, or the block's own ends."""
+        # On a line nothing is asked while an old answer may come.
+        await asyncio.sleep(self._settings.longest_reply if self._settings.on_line else 0.0)
         ends = (block.spans[0], block.spans[-1]) if len(block.spans) > 1 else ()
         places = [AddressBlock(span.area, span.start, span.count, (span,)) for span in ends]
         if self._known_good is not None and self._known_good != block:
@@ -354,6 +356,7 @@ class ModbusDriver:
                 return False
             outcome = await self._ask(place, patiently=False)
             if isinstance(outcome, WireReply) or outcome.code:
+                self._known_good = place
                 return True
         return False
 
@@ -421,7 +424,7 @@ class ModbusDriver:
         async with self._lock:
             try:
                 if not patiently:
-                    return await self._line.ask(self._read_request(block), again=True)
+                    return await self._while_busy(lambda: self._line.ask(self._read_request(block), again=True), _BUSY)
                 return await self._attempts(block)
             except DeviceException as error:
                 return Failure(quality_of(error.code), str(error), error.code)

@@ -112,7 +112,7 @@ class ModbusSettings(Reconnecting):
             raise ValueError(f"unit is {self.unit}, and on a serial line a device has one of 1 to 247 (0 is for all)")
         if self.by_shape and self.transport != "tcp":
             raise ValueError(f"transaction_id and answers_as mean nothing with transport {self.transport!r}")
-        if (self.by_shape or self.transport in _LINES) and self.outstanding > 1:
+        if self.on_line and self.outstanding > 1:
             raise ValueError(f"outstanding is {self.outstanding}, and a serial line carries 1 request at a time")
         return self
 
@@ -120,6 +120,11 @@ class ModbusSettings(Reconnecting):
     def by_shape(self) -> bool:
         """Whether replies over TCP are told apart as on a serial line, one question at a time."""
         return self.transaction_id == "any" or self.answers_as is not None
+
+    @property
+    def on_line(self) -> bool:
+        """Whether one question is open at a time, and an old answer is waited for."""
+        return self.by_shape or self.transport in _LINES
 
     @property
     def limits(self) -> RequestLimits:

@@ -1,6 +1,7 @@
 """Habits of real devices: each is read good, or named in one sentence with the setting that reads it."""
 
 import asyncio
+import random
 import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -63,6 +64,8 @@ class Habit:
                 head = await reader.readexactly(1 if self.serial else 7)
                 size = 7 if self.serial else int.from_bytes(head[4:6], "big") - 1
                 request = await reader.readexactly(size)
+                if self.serial and request[0] == 16:
+                    request += await reader.readexactly(request[5] + 1)
                 if self.echo:
                     writer.write(head + request)
                 pdu = self.answer(request[:-2] if self.serial else request)
@@ -138,12 +141,15 @@ async def test_a_habit_is_read(habit: Habit, settings: dict[str, Any]) -> None:
         assert await values(driver, lambda found: None not in found) == list(range(8))
 
 
-async def test_silence_at_one_register_costs_that_register() -> None:
-    async with driven(Habit(silent_at=5)) as driver:
+@pytest.mark.parametrize("place", [0, 5, 7])
+async def test_silence_at_one_register_costs_that_register(place: int) -> None:
+    async with driven(Habit(silent_at=place)) as driver:
         found = await values(driver, lambda found: found.count(None) == 1)
-        assert found[5] is None
-        lost = (await driver.read(TAGS))[5]
-        assert "holding:5" in lost.reason and "quarantine" in lost.reason
+        assert found[place] is None
+        assert f"holding:{place}" in (await driver.read(TAGS))[place].reason
+
+
+async def test_silence_is_found_by_hand_too() -> None:
     async with served(Habit(silent_at=5)) as settings, open_survey(settings, clock=lambda: 0.0) as survey:
         raws = await survey.tags(TAGS)
         assert [raw.sample.value for raw in raws] == [0, 1, 2, 3, 4, None, 6, 7]
@@ -202,3 +208,27 @@ async def test_a_device_that_is_not_there_is_said_to_be_silent() -> None:
         with pytest.raises(ReplyTimeout):
             await survey.read("holding", 0, 1)
         assert not survey.statistics()["foreign_replies"]
+
+
+def drawn(rng: random.Random) -> tuple[Habit, dict[str, Any]]:
+    """Two or three habits of one device, and the settings that they need."""
+    serial = rng.random() < 0.4
+    pool: dict[str, Any] = {"quiet": 0.4, "silent_at": rng.randrange(8), "busy": 1, "late": 0.05, "stale": 1}
+    pool |= {"lead": b"\0"} if serial else {"transaction": 0, "unit": 255}
+    names = rng.sample(sorted(pool), rng.choice((2, 3)))
+    needed = {"transaction": {"transaction_id": "any"}, "unit": {"answers_as": 255}}
+    settings: dict[str, Any] = {"timeout": 0.5, "longest_reply": 0.6} if serial else {"timeout": 0.5}
+    for name in names:
+        settings |= needed.get(name, {})
+    return Habit(serial=serial, **{name: pool[name] for name in names}), settings
+
+
+async def test_drawn_habits_together_leave_every_other_register_readable() -> None:
+    async def one(seed: int) -> None:
+        habit, settings = drawn(random.Random(seed))
+        lost = [] if habit.silent_at < 0 else [habit.silent_at]
+        async with driven(habit, **settings) as driver:
+            found = await values(driver, lambda found: found.count(None) == len(lost))
+            assert [place for place, value in enumerate(found) if value is None] == lost
+
+    await asyncio.gather(*(one(seed) for seed in range(24)))
