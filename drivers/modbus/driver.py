@@ -339,7 +339,7 @@ class ModbusDriver:
         silent = outcome.quality is Quality.TIMEOUT
         if not outcome.about_addresses or not self._refused.may_bisect(block, _now()):
             return samples
-        if silent and not await self._answers_elsewhere(block):
+        if silent and (len(block.spans) < 2 or not await self._answers_elsewhere(block)):
             return samples
         return samples | await self._bisected(block, outcome)
 
