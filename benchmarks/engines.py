@@ -21,10 +21,11 @@ from benchmarks import belief as belief_benchmark
 from benchmarks.figures import Figure, give
 from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
 from benchmarks.smc import question, speed_start
-from sim.engine.belief import Belief, Tracker, compile_model, observe, on_event, start, with_inputs
+from sim.engine.belief import Belief, Tracker, observe, on_event, start, with_inputs
 from sim.engine.moment_equations import moments
 from sim.engine.schedules import Schedule, schedule
 from sim.engine.simulation import simulate
+from sim.engine.tracker import compile_model
 from sim.forecast.fan import Forecast, forecast
 from sim.lab.checking.smc.answers import prepared
 from sim.lab.checking.smc.runs import LARGEST, sampler

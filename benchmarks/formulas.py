@@ -18,8 +18,9 @@ from rich.table import Table
 from benchmarks.figures import Figure, best, give
 from sim.lab.checking.language.parse import parse_query
 from sim.lab.checking.query.tree import Probability
-from sim.lab.checking.smc.answers import QuerySettings, answer, initial, prepared
+from sim.lab.checking.smc.answers import QuerySettings, answer, prepared
 from sim.lab.checking.smc.runs import sampler
+from sim.lab.checking.smc.start import initial
 from sim.sha.automaton import Distribution, Flow
 from sim.sha.model import Model
 from tests.rig.formulas import CHAIN, SLOPES, START, Reference, random_path, references, small_model, traced_course

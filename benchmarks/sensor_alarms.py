@@ -14,8 +14,9 @@ import numpy as np
 
 from benchmarks.figures import Figure, give
 from drivers.tag import Quality, Sample
-from gateway.machine.alarms import FAULT, SensorWatch
+from gateway.machine.alarms import SensorWatch
 from gateway.machine.reading import Scan
+from gateway.settings.alarm_kinds import FAULT
 from sim.lab.recordings import load_map, load_traces
 from sim.plant import SCENARIOS, production, scenario
 from sim.sha import Array

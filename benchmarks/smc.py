@@ -28,9 +28,10 @@ from rich.table import Table
 from benchmarks.figures import Figure, give
 from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
 from sim.lab.checking.query.tree import Compare, Eventually, Number, Probability, Quantity, TimeSpan
-from sim.lab.checking.smc.answers import Answer, QuerySettings, Start, answer, initial, prepared
+from sim.lab.checking.smc.answers import Answer, QuerySettings, Start, answer, prepared
 from sim.lab.checking.smc.paths.known_events import Known
 from sim.lab.checking.smc.runs import LARGEST, Sampler, sampler
+from sim.lab.checking.smc.start import initial
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model

@@ -53,6 +53,16 @@ _SEVERAL_REGISTERS = (Order.ABCD, Order.CDAB, Order.BADC, Order.DCBA)
 _ONE_REGISTER = (Order.ABCD, Order.BADC)
 
 
+def integer_range(dtype: DType) -> tuple[int, int] | None:
+    """The least and the largest number of an integer or BCD type; None for any other."""
+    if dtype in _BCD_DIGITS:
+        return 0, 10 ** _BCD_DIGITS[dtype] - 1
+    if dtype not in _INTEGERS:
+        return None
+    bits, signed = _INTEGERS[dtype]
+    return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
+
+
 def registers_needed(tag: Tag) -> int:
     """How many 16-bit registers the tag covers (1..). Raises AddressError for a bit or a length that cannot be."""
     if tag.bit is not None:
@@ -90,15 +100,15 @@ def decode(tag: Tag, registers: Sequence[int], *, one_order: bool = False) -> Re
         return text, Quality.GOOD, ""
     if tag.bit is not None or tag.dtype is DType.BOOL:
         register = int.from_bytes(payload, "big")
-        if tag.sentinel is not None and register == tag.sentinel:
-            return None, Quality.NO_DATA, _not_available(tag)
+        if tag.sentinel is not None and register in tag.sentinels:
+            return None, Quality.NO_DATA, _not_available(register)
         return bool(register >> tag.bit & 1 if tag.bit is not None else register), Quality.GOOD, ""
     raw, reason = _RAW[tag.dtype](tag, payload)
     if raw is None:
         return None, Quality.DECODING_ERROR, reason
     # The sentinel is a raw number: it is looked for before scale and offset.
-    if _is_sentinel(tag, raw):
-        return None, Quality.NO_DATA, _not_available(tag)
+    if tag.sentinel is not None and (said := _sentinel_of(tag, raw)) is not None:
+        return None, Quality.NO_DATA, _not_available(said)
     # Other orders are looked at for what cannot be, not for each of the many readings that can.
     looks = partial(_looks_swapped, tag, () if one_order else registers)
     if not math.isfinite(raw):
@@ -332,11 +342,7 @@ def _number_bytes(tag: Tag, value: Value) -> bytes:
             raise EncodingError(f"{tag.name}: it would be stored as {reason}")
     else:
         count = round(raw)
-        if tag.dtype in _BCD_DIGITS:
-            low, high = 0, 10 ** _BCD_DIGITS[tag.dtype] - 1
-        else:
-            bits, signed = _INTEGERS[tag.dtype]
-            low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
+        low, high = integer_range(tag.dtype) or (0, 0)
         if not low <= count <= high:
             raise EncodingError(f"{tag.name}: it would be stored as {count}, and a {tag.dtype} holds {low} to {high}")
         if tag.dtype in _BCD_DIGITS:
@@ -344,11 +350,12 @@ def _number_bytes(tag: Tag, value: Value) -> bytes:
             payload = int(str(count), 16).to_bytes(_BCD_DIGITS[tag.dtype] // 2, "big")
         else:
             # Modulo 2**bits is two's complement; an 8-bit number fills the low byte of one register.
+            bits = _INTEGERS[tag.dtype][0]
             payload = (count % (1 << bits)).to_bytes(max(2, bits // 8), "big")
     # Read back as a device would: what was rounded may have become the very number that says "not available".
     stored, _ = _RAW[tag.dtype](tag, payload)
-    if stored is not None and _is_sentinel(tag, stored):
-        raise EncodingError(f'{tag.name}: {value!r} is stored as {tag.sentinel}, which says "not available"')
+    if stored is not None and (said := _sentinel_of(tag, stored)) is not None:
+        raise EncodingError(f'{tag.name}: {value!r} is stored as {said}, which says "not available"')
     return payload
 
 
@@ -368,7 +375,7 @@ def _raw_bcd(tag: Tag, payload: bytes) -> tuple[int | float | None, str]:
         return int(digits), ""
     # A pattern that is no number can still be the device's sign for "not available" (0xFFFF).
     pattern = int(digits, 16)
-    return (pattern, "") if pattern == tag.sentinel else (None, f"0x{digits} is not binary-coded decimal")
+    return (pattern, "") if pattern in tag.sentinels else (None, f"0x{digits} is not binary-coded decimal")
 
 
 _RAW: dict[DType, Callable[[Tag, bytes], tuple[int | float | None, str]]] = {
@@ -378,14 +385,17 @@ _RAW: dict[DType, Callable[[Tag, bytes], tuple[int | float | None, str]]] = {
 }
 
 
-def _is_sentinel(tag: Tag, raw: int | float) -> bool:
-    """True for the number itself and, as manuals print -32768 as 0x8000, for its unsigned pattern."""
-    if tag.sentinel is None:
-        return False
-    if tag.dtype in _INTEGERS and isinstance(raw, int):
-        bits, signed = _INTEGERS[tag.dtype]
-        return raw == tag.sentinel or (signed and raw < 0 and raw + 2**bits == tag.sentinel)
-    return raw == tag.sentinel
+def _sentinel_of(tag: Tag, raw: int | float) -> int | float | None:
+    """The sentinel that a raw number is: itself, a signed one's unsigned pattern, as manuals print -32768 as 0x8000, or
+    what a float32 makes of it."""
+    for sentinel in tag.sentinels:
+        if raw == sentinel:
+            return sentinel
+        if tag.dtype in _INTEGERS and raw < 0 and raw + 2 ** _INTEGERS[tag.dtype][0] == sentinel:
+            return sentinel
+        if tag.dtype is DType.FLOAT32 and abs(raw - sentinel) <= abs(sentinel) * _LIMIT_SLACK:
+            return sentinel
+    return None
 
 
 def _broken_limit(tag: Tag, value: int | float) -> str | None:
@@ -397,8 +407,8 @@ def _broken_limit(tag: Tag, value: int | float) -> str | None:
     return None
 
 
-def _not_available(tag: Tag) -> str:
-    return f'the device says "not available" ({tag.sentinel})'
+def _not_available(sentinel: int | float) -> str:
+    return f'the device says "not available" ({sentinel})'
 
 
 def _list(labels: Mapping[int, str]) -> str:

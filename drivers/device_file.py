@@ -7,10 +7,11 @@ how a value lies in a register is no part of it, so that either keeps a path of 
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from drivers.driver import DRIVERS
 from drivers.settings import ConfigError, Label, Name, Section, checked, read_toml
@@ -70,6 +71,20 @@ class DeviceTable(BaseModel):
         return driver
 
 
+def _sentinels(given: object) -> object:
+    """One raw number or a list of them as a tuple. Raises ValueError for anything else."""
+    numbers = given if isinstance(given, list | tuple) else [] if given is None else [given]
+    if not all(isinstance(number, int | float) and type(number) is not bool and isfinite(number) for number in numbers):
+        raise ValueError(
+            f"must be a whole number, a number or a list of them, got {given!r}; give the raw number that means 'not "
+            "available'"
+        )
+    return tuple(numbers)
+
+
+_Sentinels = Annotated[tuple[int | float, ...], BeforeValidator(_sentinels)]
+
+
 class TagTable(Section):
     """`[[tags]]`: one tag; see `drivers.tag.Tag`."""
 
@@ -84,7 +99,7 @@ class TagTable(Section):
     high: float | None = Field(None, description="the highest plausible value")
     bit: int | None = Field(None, ge=0, le=15, description="a bit number from 0 to 15")
     length: int = Field(0, ge=0, le=LONGEST_TEXT, description=f"a string's length in bytes, at most {LONGEST_TEXT}")
-    sentinel: int | None = Field(None, description="the raw number that means 'not available'")
+    sentinel: _Sentinels = Field((), description="the raw number that means 'not available', or a list of them")
     deadband: float = Field(0.0, ge=0, description="the smallest change worth storing")
     max_rate: float | None = Field(None, gt=0, description="the fastest believable change in units per second")
     frozen_after: float = Field(
@@ -100,6 +115,15 @@ class TagTable(Section):
             raise ValueError("scale 0 would make every reading 0; give the engineering units per raw count")
         return scale
 
+    @model_validator(mode="after")
+    def _sentinels_of_type(self) -> "TagTable":
+        parts = [number for number in self.sentinel if isinstance(number, float) and not number.is_integer()]
+        if parts and self.dtype not in (DType.FLOAT32, DType.FLOAT64):
+            raise ValueError(
+                f"sentinel {parts[0]:g} is never a raw {self.dtype}; give a whole number, or a float's dtype"
+            )
+        return self
+
     @field_validator("labels")
     @classmethod
     def _numbers(cls, labels: dict[str, str]) -> dict[str, str]:
@@ -110,7 +134,9 @@ class TagTable(Section):
 
     def tag(self) -> Tag:
         """The tag that it describes."""
-        return Tag(**{**dict(self), "labels": {int(key): text for key, text in self.labels.items()}})
+        first, others = (self.sentinel[0], self.sentinel[1:]) if self.sentinel else (None, ())
+        labels = {int(key): text for key, text in self.labels.items()}
+        return Tag(**{**dict(self), "labels": labels, "sentinel": first, "other_sentinels": others})
 
 
 @dataclass(frozen=True, slots=True)

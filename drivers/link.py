@@ -17,6 +17,8 @@ C = TypeVar("C")
 
 PROMPT = 4
 """So many connections that a peer takes and never answers are given up by the rule alone: it may be starting up."""
+HESITATIONS_S = (0.0, 0.0, 0.6, 1.2, 2.4, 3.0)
+"""Seconds before the first question on a connection, by how many in a row before it brought no answer."""
 MOST_DOUBLINGS = 3
 """Those after them are held for twice as long each time, at last for eight times the rule's silence."""
 
@@ -89,6 +91,7 @@ class Link(Generic[C]):
         self._silence = 0.0
         self._attempts_in_a_row = self._silent_in_a_row = 0
         self._tried_at = 0.0
+        self._hesitated = self._learned = 0.0
         self._reason = "not opened"
         self._counts = {"attempts": 0, "connects": 0, "losses": 0, "dead_peers": 0}
 
@@ -154,6 +157,19 @@ class Link(Generic[C]):
         return float(self._dead_peer.max_silence * 2.0**doublings)
 
     @property
+    def hesitation(self) -> float:
+        """Seconds to wait after a connection before the first question on it.
+
+        A device may answer nothing for a while after a connection was made, and each new one begins that anew: so the
+        pause grows with each connection in a row that brought no answer, and the one that brought one is kept.
+        """
+        return max(HESITATIONS_S[min(self._silent_in_a_row, len(HESITATIONS_S) - 1)], self._learned)
+
+    def hesitate(self, pause: float) -> None:
+        """So long has been waited before the first question on this connection."""
+        self._hesitated = pause
+
+    @property
     def suspect(self) -> bool:
         """True while the connections before this one, and this one so far, were taken and never answered."""
         return self._silent_in_a_row > 0 and not self._proven
@@ -161,6 +177,8 @@ class Link(Generic[C]):
     def answered(self, connection: C) -> None:
         """A valid reply has come over this connection."""
         if connection is self._connection:
+            if not self._proven and self._hesitated and self._silent_in_a_row:
+                self._learned = self._hesitated
             self._proven = True
             self._failures = self._attempts_in_a_row = self._silent_in_a_row = 0
             self._silence = 0.0
@@ -186,8 +204,11 @@ class Link(Generic[C]):
             self._drop(reason)
 
     def statistics(self) -> Mapping[str, float]:
-        """Counters: connection attempts, connections made, losses, and how many of those were dead peers."""
-        return dict(self._counts)
+        """Counters: connection attempts, connections made, losses, and how many of those were dead peers.
+
+        `pause_after_connect`: what the peer has been seen to need, in seconds.
+        """
+        return {**self._counts, "pause_after_connect": self._learned}
 
     # ------------------------------------------------------------ the one task
 
@@ -227,7 +248,7 @@ class Link(Generic[C]):
     def _take(self, connection: C) -> None:
         self._connection = connection
         self._counts["connects"] += 1
-        self._proven = False
+        self._proven, self._hesitated = False, 0.0
         self._failures = 0
         self._silence = 0.0
         self._reason = ""

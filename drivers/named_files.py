@@ -64,6 +64,19 @@ def contents(path: Path, most: int = MOST_BYTES) -> bytes:
     return data
 
 
+def text_of(data: bytes) -> str:
+    """What other people's programs write: UTF-8 where the bytes are, UTF-16 where they say so, else Windows-1252.
+
+    A byte that even that has no sign for becomes the sign for one; what is meant by it, nobody knows.
+    """
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", errors="replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", errors="replace")
+
+
 def endless_number(text: str) -> str:
     """What is wrong with the first number of more than MOST_DIGITS digits in a row, with its line; "" without one."""
     # Python refuses int() of more than 4300 digits and needs time in their square below: looked for beforehand.

@@ -78,7 +78,8 @@ class Tag:
 
     `address` is the driver's own notation (`holding:100`, `coil:3`, `0x2001:1`). Engineering value = raw * scale +
     offset, in `unit`; `low`..`high` is the plausible range in engineering units (outside it: OUT_OF_RANGE).
-    `sentinel` is the raw number by which the device says "not available". `deadband` (engineering units) is the change
+    `sentinel` is the raw number by which the device says "not available", `other_sentinels` are further ones (wire
+    broken, short circuit), of which none is ever written. `deadband` (engineering units) is the change
     that is worth reporting, `max_rate` (units/s) the fastest believable one. `frozen_after` (s): a reading that has not
     moved a bit for longer is SENSOR_NOT_ACCURATE; 0 turns the check off, as a signal at rest may be constant. `bit`
     picks one bit of a register, `length` is a string's length in bytes, `labels` names an enumeration's values.
@@ -95,12 +96,18 @@ class Tag:
     high: float | None = None
     bit: int | None = None
     length: int = 0
-    sentinel: int | None = None
+    sentinel: int | float | None = None
     deadband: float = 0.0
     max_rate: float | None = None
     frozen_after: float = 0.0
     writable: bool = False
     labels: Mapping[int, str] = field(default_factory=dict)
+    other_sentinels: tuple[int | float, ...] = ()
+
+    @property
+    def sentinels(self) -> tuple[int | float, ...]:
+        """All raw numbers that mean "not available"."""
+        return () if self.sentinel is None else (self.sentinel, *self.other_sentinels)
 
 
 @dataclass(frozen=True, slots=True)

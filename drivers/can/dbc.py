@@ -18,14 +18,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from drivers.can.dbc_parts import DbcStatement, readable, spelled_out
 from drivers.can.fields import Bits, Field, LayoutCondition, check_type, frame_key
 from drivers.can.protection import CONFIRMED, PROFILE, Protection
 from drivers.errors import AddressError, DriverError
-from drivers.named_files import contents, endless_number
+from drivers.named_files import contents, endless_number, text_of
 from drivers.tag import DType, Tag
 
 if TYPE_CHECKING:
-    from cantools.database.can import Message, Signal
+    from cantools.database.can import Database, Message, Signal
 
 
 PREFIX = "dbc:"
@@ -80,6 +81,19 @@ def _line(text: str, found: re.Match[str]) -> str:
     return f"line {text.count(chr(10), 0, found.start()) + 1}"
 
 
+def _loaded(text: str) -> tuple[Database | None, str]:
+    """The database in a text, or why there is none."""
+    import cantools
+    from cantools.database.can import Database
+
+    try:
+        # Not strict: that signals overlap, or lie outside their message, in other people's files is theirs to mend.
+        loaded = cantools.database.load_string(text, database_format="dbc", strict=False)
+    except (cantools.Error, *_CANTOOLS_RAISES) as error:
+        return None, " ".join(str(error).split())[:200] or type(error).__name__
+    return (loaded, "") if isinstance(loaded, Database) else (None, "it is of another kind")
+
+
 @dataclass(frozen=True, slots=True)
 class MessageFacts:
     """What a DBC file says of a whole message: `cycle` in s (None: not cyclic), `layouts` if multiplexed (else 1)."""
@@ -93,27 +107,31 @@ class MessageFacts:
 
 
 class Dbc:
-    """One DBC file. Raises DriverError if it cannot be read."""
+    """One DBC file. Raises DriverError if it cannot be read.
+
+    `left_out` says of each part of it that cannot be used its line and what it is, and the first time why.
+    """
 
     def __init__(self, path: Path) -> None:
-        import cantools
-        from cantools.database.can import Database
-
         self.path = path
         try:
-            text = contents(path, MOST_BYTES).decode("cp1252")
-            if problem := endless_number(text) or _oversized(text):
-                raise DriverError(f"{path}: {problem}")
-            # Not strict: that signals overlap, or lie outside their message, in other people's files is theirs to mend.
-            loaded = cantools.database.load_string(text, database_format="dbc", strict=False)
+            text = text_of(contents(path, MOST_BYTES))
         except OSError as error:
             raise DriverError(f"{path}: is no DBC file that can be used: {error.strerror or error}") from None
-        except (cantools.Error, *_CANTOOLS_RAISES) as error:
-            reason = " ".join(str(error).split())[:200] or type(error).__name__
-            raise DriverError(f"{path}: is no DBC file that can be used: {reason}") from None
-        if not isinstance(loaded, Database):
-            raise DriverError(f"{path}: is no DBC file")
-        self._messages = {message.name: message for message in loaded.messages}
+        if problem := endless_number(text) or _oversized(text):
+            raise DriverError(f"{path}: {problem}")
+        left: list[DbcStatement] = []
+        loaded, reason = _loaded(text)
+        if loaded is None:
+            text, left = readable(spelled_out(text), lambda part: _loaded(part)[1])
+            loaded = _loaded(text)[0] if text else None
+        if loaded is None or (left and not loaded.messages):
+            raise DriverError(f"{path}: is no DBC file that can be used: {reason}")
+        self._messages: dict[str, Message] = {}
+        self.left_out = tuple(f"{path}: {part}" for part in left)
+        for message in loaded.messages:
+            if self._messages.setdefault(message.name, message) is not message:
+                self.left_out += (f"{path}: a second message {message.name!r} is left out",)
 
     @cached_property
     def messages(self) -> Mapping[str, MessageFacts]:
@@ -125,7 +143,10 @@ class Dbc:
         name, _, signal_name = tag.address.removeprefix(PREFIX).partition(".")
         message = self._messages.get(name)
         if message is None:
-            raise AddressError(f"{tag.name}: {self.path} has no message {name!r}; it has {', '.join(self._messages)}")
+            why = "".join(f"; {part}" for part in self.left_out if f" {name}:" in part or f" {name} :" in part)
+            raise AddressError(
+                f"{tag.name}: {self.path} has no message {name!r}; it has {', '.join(self._messages)}{why}"
+            )
         signals = {signal.name: signal for signal in message.signals}
         signal = signals.get(signal_name)
         if signal is None:

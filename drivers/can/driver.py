@@ -145,6 +145,10 @@ class CanDriver:
         now = time.monotonic()
         return [self._sample(self._hearing(tag), now) for tag in tags]
 
+    def cautions(self) -> tuple[str, ...]:
+        """What of the DBC file cannot be used, in sentences."""
+        return self._signals.left_out
+
     def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """In sentences: what cannot be read and why, each message with its timeout and signals, what may be sent."""
         heard = [self._hearing(tag) for tag in tags]

@@ -41,6 +41,11 @@ class SignalMap:
                 raise DriverError(f"can: timeouts: {name}: {seconds!r} must be seconds above 0, at most a day")
             self._timeouts[key] = float(seconds)
 
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What of the DBC file cannot be used, in sentences."""
+        return () if self._dbc is None else self._dbc.left_out
+
     def key(self, name: str, where: str) -> int:
         """The key of a message by its name in the DBC file, or of a frame by its id. Raises DriverError."""
         if self._dbc is not None and name in self._dbc.messages:

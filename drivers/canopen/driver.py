@@ -154,6 +154,10 @@ class CanopenDriver:
             samples.append(sample)
         return samples
 
+    def cautions(self) -> tuple[str, ...]:
+        """What of the EDS cannot be used, in sentences."""
+        return self._sheet.left_out if self._sheet is not None else ()
+
     def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """Which TPDO brings which tags and when it is late, which tags are asked for, and which lie nowhere."""
         options, maps = self._options, self._tpdos()

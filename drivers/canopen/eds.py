@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from canopen import ObjectDictionary
-from canopen.objectdictionary import ODVariable
+from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 from canopen.objectdictionary.eds import import_eds
 
 from drivers.canopen.pdo import COMMUNICATION, Kind, PdoMapping, from_objects
 from drivers.canopen.place import ObjectPlace, bytes_needed, from_bytes, parse_place
+from drivers.canopen.sheet_text import SheetSection, sections_of, sections_of_xml, written
 from drivers.errors import AddressError, DriverError
-from drivers.named_files import contents, endless_number
+from drivers.named_files import contents, endless_number, text_of
 from drivers.tag import Tag
 
 MOST_BYTES = 8 << 20
@@ -34,10 +35,14 @@ class EdsEntry:
 
 @dataclass(frozen=True, slots=True)
 class DataSheet:
-    """The whole object dictionary of one node, with its node id worked in."""
+    """The whole object dictionary of one node, with its node id worked in.
+
+    `left_out` says of each object of the file that cannot be used its line and why.
+    """
 
     origin: str
     objects: Mapping[ObjectPlace, EdsEntry]
+    left_out: tuple[str, ...] = ()
 
     def value(self, place: ObjectPlace) -> int | None:
         """The number that the EDS gives to an object (ParameterValue before DefaultValue); None where it has none."""
@@ -82,16 +87,17 @@ def locate(tag: Tag, sheet: DataSheet | None) -> Where:
     if sheet is None or (entry is not None and entry.readable and entry.size in (None, needed, needed or entry.size)):
         return Where(place)
     if entry is None:
-        return Where(place, f"{place} is not in the EDS ({sheet.origin})")
+        lost = next((problem for problem in sheet.left_out if f"[{place.index:04X}" in problem), "")
+        return Where(place, f"{place} is not in the EDS ({lost or sheet.origin})")
     if not entry.readable:
         return Where(place, f"{place} cannot be read")
     return Where(place, f"{place} has {entry.size} bytes, and a {tag.dtype} has {needed}")
 
 
 def load_sheet(path: Path, node: int) -> DataSheet:
-    """The EDS (or DCF) in a file, for this node id. Raises DriverError naming file and reason."""
+    """The EDS, DCF, XDD or XDC in a file, for this node id. Raises DriverError naming file and reason."""
     try:
-        text = contents(path, MOST_BYTES).decode("utf-8-sig", errors="replace")
+        text = text_of(contents(path, MOST_BYTES))
     except OSError as error:
         raise DriverError(f"canopen: eds: {path} cannot be read ({error.strerror}); give the device's EDS") from None
     return parse_sheet(text, node, str(path))
@@ -101,19 +107,21 @@ def parse_sheet(text: str, node: int, origin: str) -> DataSheet:
     """The EDS in a text. Raises DriverError naming `origin` and the reason."""
     if problem := endless_number(text):
         raise DriverError(f"canopen: eds: {origin}: {problem}")
-    if "[DeviceInfo]" not in text:  # the library warns of that in a way that is deprecated itself
-        text += "\n[DeviceInfo]\n"
     try:
-        read: Callable[..., ObjectDictionary] = import_eds
-        dictionary = read(io.StringIO(text), node)
-    # AttributeError: an object without members that others count on, such as a compact array of nothing.
-    except (IniError, KeyError, ValueError, TypeError, IndexError, AttributeError, OverflowError) as error:
-        reason = " ".join(str(error).split())
+        sections, left = sections_of_xml(text) if text.lstrip().startswith("<") else sections_of(text)
+    except ValueError as error:
         raise DriverError(
-            f"canopen: eds: {origin} is no EDS: {reason}; give the device's electronic data sheet"
+            f"canopen: eds: {origin} is no EDS: {error}; give the device's electronic data sheet"
         ) from None
+    # All at once; where that fails, each object by itself.
+    try:
+        items = list(_read(sections, node).items())
+    except _LIBRARY_RAISES:
+        items, more = _one_by_one(sections, node)
+        left += more
+    left_out = tuple(f"canopen: eds: {origin}: {problem}" for problem in left)
     objects: dict[ObjectPlace, EdsEntry] = {}
-    for index, item in dictionary.items():
+    for index, item in items:
         members = [item] if isinstance(item, ODVariable) else list(item.values())
         for member in members:
             number = member.default if member.value is None else member.value
@@ -136,5 +144,34 @@ def parse_sheet(text: str, node: int, origin: str) -> DataSheet:
                 value=number if fits else None,
             )
     if not objects:
-        raise DriverError(f"canopen: eds: {origin} has no objects; give the device's own")
-    return DataSheet(origin, objects)
+        why = f" ({left[0]})" if left else ""
+        raise DriverError(f"canopen: eds: {origin} has no objects{why}; give the device's own")
+    return DataSheet(origin, objects, left_out)
+
+
+# AttributeError: an object without members that others count on, such as a compact array of nothing.
+_LIBRARY_RAISES = (IniError, KeyError, ValueError, TypeError, IndexError, AttributeError, OverflowError)
+
+
+def _read(sections: Mapping[str, SheetSection], node: int) -> ObjectDictionary:
+    # The library warns of a missing [DeviceInfo] in a way that is deprecated itself.
+    read: Callable[..., ObjectDictionary] = import_eds
+    return read(io.StringIO(f"[DeviceInfo]\n{written(sections)}\n"), node)
+
+
+def _one_by_one(
+    sections: Mapping[str, SheetSection], node: int
+) -> tuple[list[tuple[int, ODVariable | ODArray | ODRecord]], list[str]]:
+    """The objects that can be read, and why the others cannot, in words with lines."""
+    items: list[tuple[int, ODVariable | ODArray | ODRecord]] = []
+    problems: list[str] = []
+    # Types of a device's own, of which objects may be, are sections with numbers of two or three digits.
+    types = {name: section for name, section in sections.items() if len(name.partition("sub")[0]) < 4}
+    for index in dict.fromkeys(name[:4] for name in sections if name not in types):
+        own = {name: section for name, section in sections.items() if name[:4] == index}
+        try:
+            items += [item for item in _read(types | own, node).items() if item[0] == int(index, 16)]
+        except _LIBRARY_RAISES as error:
+            line = min(section.line for section in own.values())
+            problems.append(f"line {line}: [{index}] is left out: {' '.join(str(error).split())}")
+    return items, problems

@@ -2,7 +2,7 @@
 
 import asyncio
 import random
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -43,6 +43,9 @@ from drivers.tag import Quality, Sample, Tag, Value
 
 # A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.
 _ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
+_BUSY, _NOT_TAKEN = frozenset({5, 6}), frozenset({6})
+"""Exceptions after which a read is asked again in its time, and a write sent again: 6 says that nothing was done."""
+_FIRST_PAUSE_S = 0.02
 _MAX_WRITE_BITS = 1968  # 0x07B0 (MODBUS Application Protocol V1.1b3, 6.11)
 _LAYOUTS_KEPT = 64
 _NOTHING: tuple[tuple[int, ...], Reading] = ((), (None, Quality.NO_DATA, ""))
@@ -55,6 +58,11 @@ class Failure:
     quality: Quality
     reason: str
     code: int = 0
+
+    @property
+    def about_addresses(self) -> bool:
+        """Whether it may be about one address of several: a refusal, or silence, by which some devices refuse."""
+        return self.code in _ABOUT_ADDRESSES or self.quality is Quality.TIMEOUT
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +159,9 @@ class ModbusDriver:
         self._readers: dict[int, Callable[[Sequence[int]], Reading]] = {}
         self._decoded: dict[int, tuple[tuple[int, ...], Reading]] = {}
         self._writes: dict[tuple[int, ...], _WriteLayout] = {}
-        self._counts = dict.fromkeys(("retries", "writes", "bisections"), 0)
+        # A block that was answered: by it silence to another is told from absence.
+        self._known_good: AddressBlock | None = None
+        self._counts = dict.fromkeys(("retries", "busy", "writes", "late_read_backs", "bisections"), 0)
         self._line = shared.join(settings)
         self.supervisor = shared.supervisor
 
@@ -219,11 +229,22 @@ class ModbusDriver:
         async with self._lock:
             self._counts["writes"] += 1
             request = write_request(block.area, block.start, words, self._settings.unit)
+            until = _now() + self._settings.longest_read
             await self._once(request, before_sending)
-            try:
-                stored = await self._read_back(block)
-            except DriverError as error:
-                raise WriteUnverified(f"the device confirmed the write, but reading back failed: {error}") from error
+            pause = _FIRST_PAUSE_S
+            while True:
+                try:
+                    stored = await self._read_back(block)
+                except DriverError as error:
+                    raise WriteUnverified(
+                        f"the device confirmed the write, but reading back failed: {error}"
+                    ) from error
+                # A gateway's image, or a PLC that copies its table once a cycle, shows it later.
+                if words == stored or _now() + pause > until:
+                    break
+                self._counts["late_read_backs"] += 1
+                await asyncio.sleep(pause)
+                pause *= 2
         wrong = []
         for span in block.spans if words != stored else ():
             part = slice(span.start - block.start, span.stop - block.start)
@@ -236,7 +257,7 @@ class ModbusDriver:
         """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
         wire = self._line.connection
         try:
-            await self._line.ask(request, before_sending, urgent=True)
+            await self._while_busy(lambda: self._line.ask(request, before_sending, urgent=True), _NOT_TAKEN)
         except (ReplyTimeout, ReplyMismatch):
             if wire is not None:
                 self._line.give_up(wire, "a write was not answered: what is left of it must not arrive later")
@@ -313,9 +334,31 @@ class ModbusDriver:
         samples = self._samples(block, outcome)
         if isinstance(outcome, WireReply):
             self._refused.answered(block)
-        elif outcome.code in _ABOUT_ADDRESSES and self._refused.may_bisect(block, _now()):
-            return samples | await self._bisected(block, outcome)
-        return samples
+            self._known_good = block
+            return samples
+        silent = outcome.quality is Quality.TIMEOUT
+        if not outcome.about_addresses or not self._refused.may_bisect(block, _now()):
+            return samples
+        if silent and (len(block.spans) < 2 or not await self._answers_elsewhere(block)):
+            return samples
+        return samples | await self._bisected(block, outcome)
+
+    async def _answers_elsewhere(self, block: AddressBlock) -> bool:
+        """Whether a device that is silent to a block answers a single place: one that did, or the block's own ends."""
+        # On a line nothing is asked while an old answer may come.
+        await asyncio.sleep(self._settings.longest_reply if self._settings.on_line else 0.0)
+        ends = (block.spans[0], block.spans[-1]) if len(block.spans) > 1 else ()
+        places = [AddressBlock(span.area, span.start, span.count, (span,)) for span in ends]
+        if self._known_good is not None and self._known_good != block:
+            places.insert(0, self._known_good)
+        for place in places[:2]:
+            if self._line.connection is None:
+                return False
+            outcome = await self._ask(place, patiently=False)
+            if isinstance(outcome, WireReply) or outcome.code:
+                self._known_good = place
+                return True
+        return False
 
     async def _bisected(self, block: AddressBlock, refusal: Failure) -> dict[int, Sample]:
         """Find the refused addresses of a refused block; the samples of the parts that were asked on the way."""
@@ -326,15 +369,17 @@ class ModbusDriver:
         search = bisect(block)
         part = next(search, None)
         while part is not None:
-            outcome = await self._ask(part)
-            if isinstance(outcome, Failure) and outcome.code not in _ABOUT_ADDRESSES:
+            outcome = await self._ask(part, patiently=False)
+            if isinstance(outcome, Failure) and not outcome.about_addresses:
                 # The link or the device's mood has changed: what was not reached is unknown, and nothing is concluded.
                 return self._samples(block, outcome) | {key: s for key, s in samples.items() if s.value is not None}
             samples |= self._samples(part, outcome)
             if isinstance(outcome, Failure):
                 reasons[part.start, part.stop] = outcome.reason
+                if outcome.quality is Quality.TIMEOUT and not await self._answers_elsewhere(part):
+                    return self._samples(block, outcome) | {key: s for key, s in samples.items() if s.value is not None}
             else:
-                answered = True
+                answered, self._known_good = True, part
             try:
                 part = search.send(isinstance(outcome, Failure))
             except StopIteration as end:
@@ -344,10 +389,10 @@ class ModbusDriver:
 
     async def _tried(self, trial: AddressBlock) -> dict[int, Sample]:
         """Ask a quarantined place again, in a request of its own."""
-        outcome = await self._ask(trial)
+        outcome = await self._ask(trial, patiently=False)
         if isinstance(outcome, WireReply):
             self._refused.rejoin(trial)
-        elif outcome.code in _ABOUT_ADDRESSES:
+        elif outcome.about_addresses:
             self._refused.again(trial, outcome.reason, _now())
         return self._samples(trial, outcome)
 
@@ -374,10 +419,12 @@ class ModbusDriver:
     def _no(self, tag: Tag, quality: Quality, reason: str) -> Sample:
         return Sample(tag.name, None, quality, self._clock(), reason=reason)
 
-    async def _ask(self, block: AddressBlock) -> WireReply | Failure:
-        """Read one block; what goes wrong is a Failure."""
+    async def _ask(self, block: AddressBlock, *, patiently: bool = True) -> WireReply | Failure:
+        """Read one block; what goes wrong is a Failure. Not `patiently`: once, after others that had no answer."""
         async with self._lock:
             try:
+                if not patiently:
+                    return await self._while_busy(lambda: self._line.ask(self._read_request(block), again=True), _BUSY)
                 return await self._attempts(block)
             except DeviceException as error:
                 return Failure(quality_of(error.code), str(error), error.code)
@@ -392,6 +439,26 @@ class ModbusDriver:
 
     async def _attempts(self, block: AddressBlock, *, urgent: bool = False) -> WireReply:
         """Read a block, again with a new transaction id if no valid reply came; each request has its own deadline."""
+        return await self._while_busy(lambda: self._tries(block, urgent=urgent), _BUSY)
+
+    async def _while_busy(self, ask: Callable[[], Awaitable[WireReply]], codes: frozenset[int]) -> WireReply:
+        """Ask again after a pause what the device refuses for the moment, as long as a reading lasts at most.
+
+        V1.1b3, section 7: "the client should retransmit the message later".
+        """
+        until, pause = _now() + self._settings.longest_read, _FIRST_PAUSE_S
+        while True:
+            try:
+                return await ask()
+            except DeviceException as error:
+                if error.code not in codes or _now() + pause > until:
+                    raise
+            self._counts["busy"] += 1
+            await asyncio.sleep(pause)
+            pause *= 2
+
+    async def _tries(self, block: AddressBlock, *, urgent: bool) -> WireReply:
+        """Read a block, again with a new transaction id if no valid reply came."""
         again, wire = False, self._line.connection
         # After a connection that was taken and never answered, the next ones get one question each.
         for _ in range(0 if self._line.suspect else self._settings.attempts - 1):

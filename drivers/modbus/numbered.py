@@ -20,6 +20,7 @@ from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, asked, check_reply, wor
 from drivers.modbus.wire import (
     FLOOD,
     NOT_BEHIND_A_PART,
+    OTHER_ID,
     Secured,
     WireReply,
     discard,
@@ -159,7 +160,7 @@ class NumberedWire(asyncio.Protocol):
             if reply.done():
                 return
             others, part = self.foreign - foreign, self._stream.unfinished
-            why = f" ({others} with another transaction id dropped)" if others else ""
+            why = OTHER_ID.format(others) if others else ""
             if part[:2] != frame[:2] and self._is_awaited(part):
                 part = b""
             why = f" ({len(part)} bytes of one came)" if part else why

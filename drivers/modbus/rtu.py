@@ -74,6 +74,19 @@ def reply_length(request: Asked, data: bytes) -> int | None:
     raise ReplyMismatch(f"{request}: the reply is of function {data[1]} and {request.function} was asked")
 
 
+def begins_reply(request: Asked, data: bytes) -> bool:
+    """Whether the data begin with a whole reply to the request: its unit, its function or refusal, length and CRC."""
+    if len(data) < _EXCEPTION or data[0] != request.unit or data[1] & 0x7F != request.function:
+        return False
+    try:
+        length = reply_length(request, data)
+    except ReplyMismatch:
+        return False
+    if length is None or len(data) < length:
+        return False
+    return crc(data[: length - 2]) == data[length - 2 : length]
+
+
 def _identity_length(data: bytes) -> int | None:
     """An identification's length: 8 bytes of head, then so many objects of number, length and text; then the CRC."""
     if len(data) < 8:

@@ -21,7 +21,7 @@ from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus import rtu
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.verify import Asked, check_reply, words_of
+from drivers.modbus.verify import HEADER, Asked, check_reply, split_frames, words_of
 from drivers.modbus.wire import WireReply, socket_place
 from drivers.tap import current, moved
 
@@ -30,6 +30,10 @@ GAP_S = 0.02
 TORN_S = 5 * GAP_S
 """After a pause of so long on a serial port the rest of a reply does not come any more: its bytes follow one another
 within 1.5 characters (MODBUS over serial line V1.02, 2.5.1.1). A device server's network knows no such limit."""
+_MOST_NOISE = 8
+"""Bytes before a reply that are passed over: what a transceiver makes as it turns round, no frame (V1.02, 2.5.1.1)."""
+_TURN_ROUND = (b"\0", b"\xff")
+"""Of such bytes the first; no device has these numbers."""
 _FLOOD = 65536
 _CHUNK = 4096
 
@@ -48,6 +52,8 @@ class Quiet:
     """What each unit of the line was asked last and has not answered."""
 
     owed: dict[int, Owed] = field(default_factory=dict)
+    failures: dict[int, str] = field(default_factory=dict)
+    """By unit, why its last question failed: what waiting for its end would hide."""
 
 
 class _ByteStream(Protocol):
@@ -100,7 +106,8 @@ class LineWire:
                 self._port = _SerialPort(settings, self)
             else:
                 loop = asyncio.get_running_loop()
-                _, self._port = await loop.create_connection(lambda: _Dialled(self), settings.host, settings.port)
+                dialled = _Dialled if settings.transport == "rtu-tcp" else _Headed
+                _, self._port = await loop.create_connection(lambda: dialled(self), settings.host, settings.port)
         except termios.error as error:
             reason = f"the port does not take these settings ({error.args[-1]}): check baud, parity and stopbits"
             raise LinkDown(f"{settings.place} cannot be opened: {reason}") from error
@@ -159,12 +166,17 @@ class LineWire:
         self._asked.add(wanted.unit)
         self._live_port().send(frame)
         self._tell(frame, sent=True)
-        if self._settings.echo:
-            await self._skip_echo(wanted, frame, until)
-        reply = await self._reply(wanted, frame, until)
-        received = self._clock()
-        self._data = self._data[len(reply) :]
-        self._checked(wanted, reply)
+        try:
+            if self._settings.echo:
+                await self._skip_echo(wanted, frame, until)
+            reply = await self._reply(wanted, frame, until)
+            received = self._clock()
+            self._data = self._data[len(reply) :]
+            self._checked(wanted, reply)
+        except (ReplyTimeout, ReplyMismatch) as error:
+            self._quiet.failures[wanted.unit] = str(error)
+            raise
+        self._quiet.failures.pop(wanted.unit, None)
         self.last = reply[:-2]
         return WireReply(words_of(wanted, reply[3:-2]), sent, received)
 
@@ -198,8 +210,10 @@ class LineWire:
                         self._data, self.foreign = b"", self.foreign + 1
                         continue
                 if not await self._more(min(until, _now() + left)) and _now() >= until:
+                    why = self._quiet.failures.get(owed.question.unit, "")
                     raise ReplyTimeout(
                         f"{wanted}: not asked, as {owed.question} may still be answered for {left:.2f} s"
+                        + (f"; what went wrong: {why}" if why else "")
                     )
                 continue
             await asyncio.sleep(max(pause, self._heard + pause - _now()))
@@ -238,13 +252,7 @@ class LineWire:
 
     def _is_reply_to(self, question: Asked) -> bool:
         """True if what came in the meantime begins with a whole reply to the question."""
-        try:
-            length = rtu.reply_length(question, self._data)
-        except ReplyMismatch:
-            return False
-        if length is None or len(self._data) < length:
-            return False
-        return self._data[0] == question.unit and rtu.crc(self._data[: length - 2]) == self._data[length - 2 : length]
+        return rtu.begins_reply(question, self._data)
 
     def _take_out_late(self, asked_unit: int) -> None:
         """Drop whole late replies of units other than the one that is asked from the front of what has come."""
@@ -275,16 +283,30 @@ class LineWire:
             self._take_out_late(wanted.unit)
             if len(self._data) >= len(frame) and self._data.startswith(frame):
                 raise ReplyMismatch(f"{wanted}: the line gives back what is sent: set echo = true")
+            self._pass_noise(wanted)
             try:
-                length = rtu.reply_length(wanted, self._data)
+                length = None if self._begins_with_noise(wanted) else rtu.reply_length(wanted, self._data)
             except ReplyMismatch:
                 await self._rest()
+                if self._pass_noise(wanted):
+                    continue
                 raise
             if length is not None and len(self._data) >= length:
                 return self._data[:length]
             if not await self._more(until):
                 part = f" ({len(self._data)} bytes of one came)" if self._data else ""
                 raise ReplyTimeout(f"{wanted}: no reply in time{part}")
+
+    def _begins_with_noise(self, wanted: Asked) -> bool:
+        return self._data[:1] in _TURN_ROUND and self._data[0] != wanted.unit and len(self._data) <= _MOST_NOISE + 256
+
+    def _pass_noise(self, wanted: Asked) -> bool:
+        """Drop what stands before the reply that was asked for, which its unit, function, length and CRC tell."""
+        for at in range(1, min(_MOST_NOISE, len(self._data) - 1) + 1):
+            if rtu.begins_reply(wanted, self._data[at:]) and not self._is_reply_to(wanted):
+                self._data, self.foreign = self._data[at:], self.foreign + 1
+                return True
+        return False
 
     async def _rest(self) -> None:
         """Let a frame of unknown length come to its end."""
@@ -312,6 +334,15 @@ class LineWire:
         return rtu.transmission(octets, self._settings.baud) if self._settings.serial else 0.0
 
     # ------------------------------------------------------------ called by the port
+
+    def heard_headed(self, plain: bytes, *, matches: bool) -> None:
+        """A frame without its header has come; `matches`: the header's number was that of the last request."""
+        if not matches and self._settings.transaction_id != "any":
+            self.foreign += 1
+            return
+        if self._settings.answers_as == plain[0]:
+            plain = bytes((self._settings.unit,)) + plain[1:]
+        self.heard(plain + rtu.crc(plain))
 
     def heard(self, data: bytes) -> None:
         """Bytes have come."""
@@ -416,6 +447,32 @@ class _Dialled(asyncio.Protocol):
         """Close at once; what was not sent yet is discarded."""
         if self._transport is not None:
             self._transport.abort()
+
+
+class _Headed(_Dialled):
+    """A connection of Modbus TCP whose replies are told apart as on a serial line: by their unit, function and length.
+
+    For devices that put a number of their own into the header: each frame goes without it and comes with a checksum.
+    """
+
+    def __init__(self, wire: LineWire) -> None:
+        super().__init__(wire)
+        self._number, self._rest = 0, b""
+
+    def send(self, data: bytes) -> None:
+        """Send a frame with a header in the place of its checksum."""
+        self._number = self._number % 0xFFFF + 1
+        pdu = data[:-2]
+        super().send(self._number.to_bytes(2, "big") + b"\0\0" + len(pdu).to_bytes(2, "big") + pdu)
+
+    def data_received(self, data: bytes) -> None:
+        try:
+            frames, self._rest = split_frames(self._rest + data)
+        except ReplyMismatch as error:
+            self._wire.broken(str(error), LinkFault.FOREIGN)
+            return
+        for frame in frames:
+            self._wire.heard_headed(frame[HEADER:], matches=int.from_bytes(frame[:2], "big") == self._number)
 
 
 def _now() -> float:

@@ -54,6 +54,16 @@ class ModbusSettings(Reconnecting):
     max_write_registers: int = Field(123, ge=1, le=123, description="the most registers of one write, 1 to 123")
     max_gap: int = Field(8, ge=0, le=124, description="the addresses read in vain to save a request, 0 to 124")
     pause_ms: float = Field(0.0, ge=0.0, le=10_000.0, description="the milliseconds between two requests, 0 to 10000")
+    pause_after_connect: float = Field(
+        0.0, ge=0.0, le=60.0, description="the seconds before the first request on a connection, 0 to 60"
+    )
+    transaction_id: Literal["match", "any"] = Field(
+        "match",
+        description="'any' for a device whose answers have another transaction id than the request, else 'match'",
+    )
+    answers_as: int | None = Field(
+        None, ge=0, le=255, description="the unit id that the device's answers have, if not the one that is asked"
+    )
     one_client: bool = Field(False, description="true if the device serves one connection only")
     max_failures: int = Field(3, ge=1, le=100, description="the failures in a row that end a connection, 1 to 100")
     max_silence: float = Field(
@@ -100,9 +110,21 @@ class ModbusSettings(Reconnecting):
     def _what_a_line_carries(self) -> "ModbusSettings":
         if self.transport in _LINES and not 1 <= self.unit <= _LAST_UNIT:
             raise ValueError(f"unit is {self.unit}, and on a serial line a device has one of 1 to 247 (0 is for all)")
-        if self.transport in _LINES and self.outstanding > 1:
+        if self.by_shape and self.transport != "tcp":
+            raise ValueError(f"transaction_id and answers_as mean nothing with transport {self.transport!r}")
+        if self.on_line and self.outstanding > 1:
             raise ValueError(f"outstanding is {self.outstanding}, and a serial line carries 1 request at a time")
         return self
+
+    @property
+    def by_shape(self) -> bool:
+        """Whether replies over TCP are told apart as on a serial line, one question at a time."""
+        return self.transaction_id == "any" or self.answers_as is not None
+
+    @property
+    def on_line(self) -> bool:
+        """Whether one question is open at a time, and an old answer is waited for."""
+        return self.by_shape or self.transport in _LINES
 
     @property
     def limits(self) -> RequestLimits:

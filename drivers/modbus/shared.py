@@ -36,7 +36,8 @@ _UNDER_A_QUESTION = frozenset({LinkFault.CLOSED, LinkFault.FOREIGN, LinkFault.CU
 a part of the reply."""
 _OF_THE_CONNECTION = (
     "transport", "certificates", "tls_name", "baud", "parity", "stopbits", "echo", "longest_reply", "connect_timeout",
-    "one_client", "backoff_first", "backoff_cap", "max_failures", "max_silence",
+    "one_client", "transaction_id", "answers_as", "pause_after_connect",
+    "backoff_first", "backoff_cap", "max_failures", "max_silence",
 )  # fmt: skip
 
 
@@ -66,6 +67,8 @@ class SharedLink:
         self._stall: Stall | None = None
         self._suspect: Suspect | None = None
         self._foreign = 0
+        # The connection on which something has been asked.
+        self._greeted: AnyWire | None = None
 
     def _adopt(self, settings: ModbusSettings) -> None:
         """Be a connection of this kind. Raises DriverError."""
@@ -141,6 +144,13 @@ class SharedLink:
             if settings.limits.pause and (rest := self._last_exchange + settings.limits.pause - _now()) > 0.0:
                 await asyncio.sleep(rest)
             wire = self.link.connection or await self._wire()
+            if wire is not self._greeted:
+                self._greeted = wire
+                if pause := max(self.settings.pause_after_connect, self.link.hesitation):
+                    self.link.hesitate(pause)
+                    await asyncio.sleep(pause)
+                    if self.link.connection is not wire:
+                        raise LinkDown(f"not connected: {self.link.reason}")
             started = _now()
             if not again:
                 health.asked_at = started

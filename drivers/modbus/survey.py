@@ -13,7 +13,7 @@ from drivers.codec import decode
 from drivers.driver import Clock
 from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area, TagSpan, locate
-from drivers.modbus.plan import AddressBlock, fitting, plan_spans
+from drivers.modbus.plan import AddressBlock, fitting, halves, plan_spans
 from drivers.modbus.replies import TransactionIds
 from drivers.modbus.settings import ModbusSettings, read_settings
 from drivers.modbus.transport import AnyWire, explained, make_transport
@@ -26,6 +26,10 @@ _ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
 _OBJECTS = ("vendor", "product code", "revision", "vendor URL", "product", "model", "application")
 """V1.1b3, 6.21: the objects 0 to 6 of an identification."""
 _MOST_PARTS = 16
+FIRST_S = 3.0
+"""Seconds for which the first question to a device is asked and waited for."""
+_MOST_OPEN = 8
+"""Questions without an answer on a connection: somebody looks on, and ends it soon."""
 
 
 @asynccontextmanager
@@ -48,7 +52,9 @@ class ModbusSurvey:
         self._limits = settings.limits
         self._wire: AnyWire | None = None
         self._lost, self._fault = "", LinkFault.OTHER
-        self._answered = False
+        self._answered = self._tried = False
+        self._slowest = 0.0
+        self.seconds_to_first = 0.0
         self._last_exchange = float("-inf")
         self._foreign = 0
         self._counts = dict.fromkeys(("requests", "timeouts", "mismatches", "exceptions", "connects"), 0)
@@ -65,6 +71,7 @@ class ModbusSurvey:
             raise LinkDown(reason, fault=LinkFault.SILENT) from None
         self._wire, self._lost = wire, ""
         self._counts["connects"] += 1
+        await asyncio.sleep(self._settings.pause_after_connect)
 
     def close(self) -> None:
         """Let the connection go."""
@@ -74,8 +81,12 @@ class ModbusSurvey:
             wire.abandon()
 
     def statistics(self) -> Mapping[str, float]:
-        """Counters by the names of the driver's."""
-        return {**self._counts, "foreign_replies": self._foreign + (self._wire.foreign if self._wire else 0)}
+        """Counters by the names of the driver's; `seconds_to_first`: from the first question to its answer."""
+        return {
+            **self._counts,
+            "seconds_to_first": self.seconds_to_first,
+            "foreign_replies": self._foreign + (self._wire.foreign if self._wire else 0),
+        }
 
     def cautions(self) -> tuple[str, ...]:
         """What works and should not stay as it is."""
@@ -114,9 +125,10 @@ class ModbusSurvey:
             raws |= await self._block(block)
         return [raws[id(tag)] for tag in tags]
 
-    async def _block(self, block: AddressBlock) -> dict[int, Raw]:
+    async def _block(self, block: AddressBlock, *, alive: bool = False) -> dict[int, Raw]:
+        """Its readings; where the device is silent, and `alive` elsewhere, those of its parts."""
         try:
-            reply = await self._patiently(block)
+            reply = await self._patiently(block, attempts=1 if alive else self._settings.attempts)
         except DeviceException as error:
             if error.code in _ABOUT_ADDRESSES and len(block.spans) > 1:
                 parts: dict[int, Raw] = {}
@@ -125,6 +137,9 @@ class ModbusSurvey:
                 return parts
             return self._block_failed(block, quality_of(error.code), str(error))
         except DriverError as error:
+            cut = halves(block) if isinstance(error, ReplyTimeout) else None
+            if cut is not None and (alive or await self._answers_at_an_end(block)):
+                return await self._block(cut[0], alive=True) | await self._block(cut[1], alive=True)
             quality = Quality.TIMEOUT if isinstance(error, ReplyTimeout) else Quality.COMMUNICATION_ERROR
             quality = Quality.NOT_CONNECTED if isinstance(error, LinkDown) else quality
             return self._block_failed(block, quality, str(error))
@@ -137,15 +152,27 @@ class ModbusSurvey:
             raws[id(span.tag)] = Raw(span.tag, sample, f"{span.area}:{span.start}", span.count, tuple(words))
         return raws
 
-    async def _patiently(self, block: AddressBlock) -> WireReply:
-        """As often as the settings allow, as the driver would."""
-        request = (block.area, block.start, block.count, self._unit(None))
-        for _ in range(self._settings.attempts - 1):
+    async def _answers_at_an_end(self, block: AddressBlock) -> bool:
+        """Whether a device that is silent to a block answers its first or its last tag."""
+        for span in (block.spans[0], block.spans[-1]):
             try:
-                return await self._exchange(read_request(*request))
+                await self._exchange(read_request(span.area, span.start, span.count, self._unit(None)))
+            except DeviceException:
+                return True
+            except DriverError:
+                continue
+            return True
+        return False
+
+    async def _patiently(self, block: AddressBlock, attempts: int) -> WireReply:
+        """As often as the settings allow, as the driver would: a late reply to the same question answers it."""
+        request = (block.area, block.start, block.count, self._unit(None))
+        for attempt in range(attempts - 1):
+            try:
+                return await self._exchange(read_request(*request), again=attempt > 0)
             except (ReplyTimeout, ReplyMismatch):
                 continue
-        return await self._exchange(read_request(*request))
+        return await self._exchange(read_request(*request), again=attempts > 1)
 
     def _block_failed(self, block: AddressBlock, quality: Quality, reason: str) -> dict[int, Raw]:
         return {
@@ -159,8 +186,34 @@ class ModbusSurvey:
     def _unit(self, unit: int | None) -> int:
         return self._settings.unit if unit is None else unit
 
-    async def _exchange(self, request: ModbusPDU) -> WireReply:
-        """One request, once; a connection that the device has closed after an answer is made anew before."""
+    async def _exchange(self, request: ModbusPDU, *, again: bool = False) -> WireReply:
+        """One request; a connection that the device has closed after an answer is made anew before.
+
+        The first question is waited for, and asked again, over FIRST_S: the device may be slow, or answer nothing for a
+        while after a connection was made.
+        """
+        deadline = self._deadline
+        if self._answered or self._tried:
+            return await self._once(request, deadline, again=again)
+        self._tried, began = True, _now()
+        while True:
+            try:
+                return await self._once(request, deadline, again=again)
+            except ReplyTimeout:
+                again, deadline = True, min(2 * deadline, began + FIRST_S - _now())
+                if deadline < self._settings.timeout:
+                    raise
+            finally:
+                # What the answer has taken, if there is one: that of a refusal too.
+                self.seconds_to_first = self._slowest = _now() - began
+
+    @property
+    def _deadline(self) -> float:
+        """Seconds that an answer has: what is set, else no less than the slowest answer has taken."""
+        timeout = self._settings.timeout
+        return timeout if "timeout" in self._settings.model_fields_set else max(timeout, 3 * self._slowest + 0.1)
+
+    async def _once(self, request: ModbusPDU, deadline: float, *, again: bool) -> WireReply:
         if (rest := self._last_exchange + self._settings.pause_ms / 1000 - _now()) > 0.0:
             await asyncio.sleep(rest)
         if self._wire is None:
@@ -172,7 +225,7 @@ class ModbusSurvey:
             raise LinkDown(self._lost)
         self._counts["requests"] += 1
         try:
-            reply = await wire.ask(request, self._settings.timeout)
+            reply = await wire.ask(request, deadline, again=again, most_open=_MOST_OPEN)
         except DeviceException as error:
             self._answered = True
             self._counts["exceptions"] += 1
@@ -186,7 +239,7 @@ class ModbusSurvey:
             raise self._turned_away() if not self._answered else LinkDown(self._lost, fault=self._fault) from None
         finally:
             self._last_exchange = _now()
-        self._answered = True
+        self._answered, self._slowest = True, max(self._slowest, reply.received - reply.sent)
         return reply
 
     def _turned_away(self) -> LinkDown:

@@ -77,9 +77,9 @@ def make_transport(
             return Wire(*place, ids=ids, clock=clock, on_lost=on_lost, secured=secured)
         return NumberedWire(*place, ids=ids, clock=clock, on_lost=on_lost, on_late=on_late, secured=secured)
 
-    if settings.transport == "tcp":
+    if settings.transport == "tcp" and not settings.by_shape:
         return ModbusTransport(headed, tuple)
-    if settings.transport != "tls":
+    if settings.transport != "tls":  # a line, or a connection that is treated as one
         # One for all wires to come: what is still under way on the line outlives a reconnection.
         quiet = Quiet()
         heard = on_late or (lambda _, __: None)

@@ -88,7 +88,10 @@ def check_reply(request: Asked, reply: bytes) -> None:
     """
     unit, function, body = reply[6], reply[7], reply[8:]
     if unit != request.unit:
-        raise ReplyMismatch(f"{request}: the reply is from unit {unit} and unit {request.unit} was asked")
+        raise ReplyMismatch(
+            f"{request}: the reply is from unit {unit} and unit {request.unit} was asked; if one device alone is "
+            f"behind the connection, give unit = {unit}, or answers_as = {unit}"
+        )
     # An exception reply has the request's function with its highest bit set (section 7).
     if function == request.function | 0x80:
         if len(body) != 1:

@@ -38,6 +38,9 @@ from drivers.tap import current, moved
 FLOOD = 65536
 """More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line."""
 NOT_BEHIND_A_PART = "of a reply that nobody waits for {} bytes have come, and nothing is asked behind them"
+OTHER_ID = (
+    ' ({} with another transaction id dropped; if all of the device\'s answers have, give transaction_id = "any")'
+)
 # asyncio reads up to 256 KiB at once; a chunk that pymodbus finds too large it drops without a word.
 _LARGEST_CHUNK = 1 << 20
 _PROBE_S, _PROBES = 1, 2
@@ -202,7 +205,7 @@ class Wire:
 
         def too_late() -> None:
             others, part = self.foreign - foreign, self._stream.unfinished
-            why = f" ({others} with another transaction id dropped)" if others else ""
+            why = OTHER_ID.format(others) if others else ""
             why = f" ({len(part)} bytes of one came)" if part else why
             sentence = f"{self._request}: no reply within {deadline:.3g} s{why}"
             self._fail(ReplyTimeout(sentence))
@@ -277,6 +280,8 @@ class Wire:
         """End the exchange with the frame if it answers the request, or with what is wrong in it."""
         request, outcome = self._request, self._outcome
         number = int.from_bytes(frame[:2], "big")
+        while number in self._open and (oldest := next(iter(self._open))) != number:
+            del self._open[oldest]  # what was asked before it and is silent keeps nothing else from being asked
         question, sent = self._open.pop(number, (None, 0.0))
         if question is not None:
             self._ids.answered(number)

@@ -61,8 +61,8 @@ class Decoded:
 
     @property
     def problem(self) -> str:
-        """What of the log was no data frame, in words; "" if nothing."""
-        return self.log.summary()
+        """What of the log was no data frame, and what of the DBC file no message, in words; "" if nothing."""
+        return "; ".join(filter(None, (self.log.summary(), *self.decoder.left_out)))
 
 
 def decode_log(path: Path, settings: Mapping[str, Any], tags: Sequence[Tag]) -> Decoded:

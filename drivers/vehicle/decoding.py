@@ -132,6 +132,11 @@ class Decoder:
             self._fields.setdefault(id(slot), []).append((place.tag, place.field))
             self._timeouts[tag.name] = place.timeout
 
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What of the DBC file cannot be used, in sentences."""
+        return self._signals.left_out
+
     def take(self, frame: CanFrame) -> list[TagReading]:
         """What the frame, or the message that it completes, says of the tags.
 

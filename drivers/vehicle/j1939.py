@@ -183,7 +183,7 @@ def _number(parameter: J1939Tag, signal: GroupSignal, data: bytes) -> Reading:
         )
     raw = signal.bits.get(data)
     instead = special(raw, signal.bits.length)
-    if instead is None and raw == parameter.tag.sentinel:
+    if instead is None and raw in parameter.tag.sentinels:
         instead = _SPECIAL[0xFF]
     if instead is not None:
         return None, *instead

@@ -10,7 +10,8 @@ import math
 import re
 import struct
 import zlib
-from collections.abc import Callable, Generator, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
@@ -30,8 +31,12 @@ from can.io.blf import (
 from drivers.can import CanFrame
 from drivers.errors import RecordingError
 from drivers.named_files import regular
+from drivers.vehicle import log_dialects
+from drivers.vehicle.log_dialects import NoTimesError, Rewrite
 
 _LONGEST_LINE = 4096
+_HEAD_LINES = 200
+"""Lines by which it is told what has written a log."""
 UNPACKED_FREE_BYTES, UNPACKED_PER_PACKED = 1 << 25, 64
 """Bytes that a compressed log may unpack to whatever its size, and how many more for each byte of it: a log of a bus
 has 5 to 30, and zlib makes a thousand of what says nothing."""
@@ -47,7 +52,7 @@ _CANDUMP = re.compile(
     r"#(?:#[0-7](?:[0-9A-Fa-f]{2}){0,64}|[Rr][0-8]?|(?:[0-9A-Fa-f]{2}){0,8})(?:\s+[RTrt])?\s*"
 )
 _CSV = re.compile(r"\s*-?[\d.]+(?:[eE][-+]?\d+)?,(?:0x)?[0-9A-Fa-f]+,[01],[01],[01],\d+,[A-Za-z0-9+/=]*\s*")
-_CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
+_CSV_HEADER = log_dialects.PYTHON_CAN_HEADER
 _TRC = re.compile(r"\s*(?:;.*|\d+\)?\s+[\d.]+\s+\S.*)?\s*")
 
 # The readers warn of lines and objects, on the terminal where nobody else listens; what they leave out is counted here.
@@ -59,13 +64,17 @@ LineCheck = Callable[[str], str]
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A kind of log: its reader, whether it is text, what lines it has, and a line to restart the reader with."""
+    """A kind of log: its reader, whether it is text, what lines it has, and a line to restart the reader with.
+
+    `dialect` looks at its first lines, and gives what makes lines of other programs the reader's.
+    """
 
     reader: Callable[..., can.io.generic.MessageReader]
     text: bool = True
     check: LineCheck = lambda _: ""
     restart: str | None = None
     header: str = ""
+    dialect: Callable[[Sequence[str]], Rewrite] = lambda _: str
 
 
 def _candump_line(line: str) -> str:
@@ -144,8 +153,14 @@ class _CheckedBlf(can.BLFReader):
                 raise BLFParseError(f"a container is packed in a way that is not known ({method})")
             yield from self._parse_container(data)
             if not whole:
-                raise BLFParseError("a container is cut short")
+                raise BLFParseError(f"a container is cut short; {self._announced}")
+        if (size := self.file.tell()) < self.file_size:
+            raise BLFParseError(f"it ends after {size} bytes; {self._announced}")
         self.stop()
+
+    @property
+    def _announced(self) -> str:
+        return f"its header announces {self.object_count} objects in {self.file_size} bytes"
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:
         before = len(self._tail)
@@ -209,14 +224,15 @@ def circling(stream: BinaryIO) -> bool:
 
 
 FORMATS: dict[str, Format] = {
-    "candump": Format(can.CanutilsLogReader, check=_candump_line),
-    "asc": Format(can.ASCReader, restart="\n"),
+    "candump": Format(can.CanutilsLogReader, check=_candump_line, dialect=log_dialects.of_candump),
+    "asc": Format(can.ASCReader, restart="\n", dialect=log_dialects.of_asc),
     "trc": Format(can.TRCReader, check=lambda line: "" if _TRC.fullmatch(line) else "refused"),
     "csv": Format(
         can.CSVReader,
         check=lambda line: "" if _CSV.fullmatch(line) else "refused" if line.strip() else "blank",
         restart=_CSV_HEADER + "\n",
         header=_CSV_HEADER,
+        dialect=log_dialects.of_csv,
     ),
     "blf": Format(_CheckedBlf, text=False),
     "mf4": Format(can.MF4Reader, text=False),
@@ -274,7 +290,11 @@ class Log:
                     yield frame
 
     def _from_text(self, kind: Format, stream: BinaryIO) -> Iterator[can.Message]:
-        lines = _Lines(stream, kind, self)
+        try:
+            lines = _Lines(stream, kind, self)
+        except NoTimesError as error:
+            self.note("broken", str(error))
+            return
         reader = kind.reader(cast(TextIO, lines))
         while not lines.ended:
             try:
@@ -391,6 +411,10 @@ class _Lines:
         self.number = 0
         self.ended = self._broken = False
         self.first: str | None = None
+        self._ahead: deque[bytes] = deque()
+        while len(self._ahead) < _HEAD_LINES and (octets := self._read_on()):
+            self._ahead.append(octets)
+        self._rewrite = kind.dialect([octets.decode("utf-8", "replace") for octets in self._ahead])
 
     def __iter__(self) -> "_Lines":
         return self
@@ -400,7 +424,7 @@ class _Lines:
             line, self.first = self.first, None
             return line
         while True:
-            line = self._line()
+            line = self._rewrite(self._line())
             if self.number == 1 and self._kind.header:
                 if line.strip().lstrip("\ufeff") != self._kind.header:
                     self._log.note("refused", f"line 1 is not {self._kind.header!r}")
@@ -434,6 +458,9 @@ class _Lines:
             self._log.note("refused", f"line {self.number} is not text")
 
     def _read(self) -> bytes:
+        return self._ahead.popleft() if self._ahead else self._read_on()
+
+    def _read_on(self) -> bytes:
         if self._broken:
             return b""
         try:

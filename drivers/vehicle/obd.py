@@ -270,7 +270,7 @@ def _field(obd_tag: ObdTag, field: PidField, frame: bytes) -> Reading:
     if not all(condition.met(frame) for condition in field.conditions):
         return None, Quality.NO_DATA, f"{field.name} is not there in this vehicle"
     raw = field.bits.get(frame)
-    if raw in field.unused or raw == obd_tag.tag.sentinel:
+    if raw in field.unused or raw in obd_tag.tag.sentinels:
         return None, Quality.NO_DATA, f'the unit says "not used" ({raw})'
     if field.signed and raw >> field.bits.length - 1:
         raw -= 1 << field.bits.length

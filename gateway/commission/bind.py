@@ -1,5 +1,6 @@
 """`decanter plc bind`: a place in the device bound to a tag's name, in the device file's own text."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,12 @@ from gateway.console import CommandResult
 _LIMITS = ("low", "high", "sentinel", "max_rate")
 
 
+def _one_or_several(_: click.Context, __: click.Parameter, numbers: Sequence[float]) -> int | float | list[Any] | None:
+    """A callback: the one number, a list of several, None for none; whole numbers as such."""
+    whole = [int(number) if number.is_integer() else number for number in numbers]
+    return whole if len(whole) > 1 else next(iter(whole), None)
+
+
 @click.command(short_help="Bind a place in the device to a tag's name; TOML edits keep comments.")
 @click.argument("name", required=False)
 @click.argument("address", required=False)
@@ -44,7 +51,13 @@ _LIMITS = ("low", "high", "sentinel", "max_rate")
 @click.option("--units", help="The engineering unit as text, such as degC.")
 @click.option("--low", type=float, help="The lowest plausible value.")
 @click.option("--high", type=float, help="The highest plausible value.")
-@click.option("--sentinel", type=int, help="The raw number that means 'not available'.")
+@click.option(
+    "--sentinel",
+    multiple=True,
+    type=float,
+    callback=_one_or_several,
+    help="A raw number that means 'not available'; may be given again.",
+)
 @click.option("--max-rate", type=float, help="The fastest believable change in units a second.")
 @click.option("--label", "labels", multiple=True, metavar="RAW=TEXT", callback=pairs, help="A name of a raw number.")
 @click.option("--block", metavar="ADDRESS", help="Where the write-back block begins.")

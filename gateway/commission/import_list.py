@@ -1,5 +1,6 @@
 """`decanter plc import`: the tags of an I/O list into the device file, each bad row with its own sentence."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,11 @@ import click
 from drivers.driver import capabilities
 from gateway.commission.files import (
     DRY_RUN,
+    GAINS,
     HEARTBEAT,
     KEEP,
+    MAKERS,
+    NUMBERS,
     Binding,
     FileChange,
     Files,
@@ -28,6 +32,35 @@ from gateway.commission.read import ORDERS
 from gateway.console import CommandResult
 
 
+def as_listed(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options that say how a list is meant where it does not say so itself."""
+    options = (
+        click.option(
+            "--order",
+            type=click.Choice(ORDERS),
+            default=None,
+            help="Order of wide values.  [default: ABCD, or the list's]",
+        ),
+        click.option("--shift", type=int, default=0, help="Add this to every address, such as -1 or 1."),
+        click.option("--gain", type=click.Choice(GAINS), help="What a gain above 1 does to a reading."),
+        click.option(
+            "--numbers",
+            type=click.Choice(NUMBERS),
+            help="What bare addresses are: decimal, hexadecimal, or none of them a reference as 40101 (plain).",
+        ),
+        click.option("--plc", type=click.Choice(tuple(MAKERS)), help="Whose addresses %MD50 and %QX1.3 are."),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def reading_of(options: Mapping[str, Any], **more: Any) -> Reading:
+    """How a list is read, by the options of `as_listed`."""
+    given = {key: options[key] for key in ("order", "shift", "gain", "numbers", "plc") if options[key] is not None}
+    return Reading(**given, **more)
+
+
 @click.command("import", short_help="Take the tags of an I/O list (CSV, XLSX) into the device file.")
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--sheet", help="The sheet of a workbook; the first by default.")
@@ -40,8 +73,7 @@ from gateway.console import CommandResult
     show_default=True,
     help="The table of bare numbers.",
 )
-@click.option("--order", type=click.Choice(ORDERS), default="ABCD", show_default=True, help="Order of wide values.")
-@click.option("--shift", type=int, default=0, help="Add this to every address, such as -1 or 1.")
+@as_listed
 @click.option("--only", multiple=True, metavar="TAG", help="Only this tag; may be given again.")
 @click.option("--without", multiple=True, metavar="TAG", help="Leave this tag out; may be given again.")
 @click.option("--rename", multiple=True, metavar="OLD=NEW", callback=pairs, help="Give a tag of the list another name.")
@@ -61,7 +93,7 @@ def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
     def work(files: Files) -> CommandResult:
         device, plant = settings_of(options["keep"])
         registers = capabilities(files.driver).registers
-        how = Reading(options["registers"], options["order"], options["shift"], registers, options["rename"])
+        how = reading_of(options, table=options["registers"], registers=registers, rename=options["rename"])
         io_list = read_io_list(path, how, options["columns"], options["sheet"])
         only, without = options["only"], options["without"]
         if only or without:
@@ -96,7 +128,12 @@ def import_outcome(
         "columns": dict(io_list.sheet.columns),
         "ignored_columns": list(io_list.sheet.ignored),
         "tags": [
-            {"name": tag.name, "line": tag.line, **{key: value for key, value in tag.keys.items() if value is not None}}
+            {
+                "name": tag.name,
+                "line": tag.line,
+                **{key: value for key, value in tag.keys.items() if value is not None},
+                **({"taken": tag.taken} if tag.taken else {}),
+            }
             for tag in io_list.tags
         ],
         "problems": list(io_list.problems),

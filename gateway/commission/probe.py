@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
+from math import ceil
 from statistics import median
 from typing import Any
 
@@ -42,6 +43,8 @@ from gateway.console import CommandResult
 ROUND_TRIPS = 10
 TIMEOUTS_S = (0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 """Timeouts that are proposed."""
+QUIET_S = 0.25
+"""A first answer that takes longer than this and than all others comes of a device that is silent at first."""
 OTHER_UNITS = (1, 255, 0, 2, 247)
 """Asked when the given unit is silent: what devices and gateways use where nothing was set."""
 _TABLES = ("coil", "discrete", "input", "holding")
@@ -140,6 +143,13 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
         # because one that answers settles that it is Modbus.
         others = await _other_units(survey, unit)
         sentence = f"unit {unit} does not answer{_hint(others)}"
+        if not others and survey.statistics()["foreign_replies"]:
+            sentence = (
+                f"something answers, and no answer to unit {unit} has its request's transaction id ({error}): give "
+                'transaction_id = "any", or a longer timeout if they only come late'
+            )
+            steps.append(failed("modbus", sentence, error))
+            return None
         cause: ReplyTimeout | LinkDown = error
         other = LINKS[site.target.kind].mistaken_for if site.target.kind in LINKS else ""
         if not others and other:
@@ -157,7 +167,8 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
         steps.append(failed("modbus", sentence, cause))
         return None
     except ReplyMismatch as error:
-        steps.append(failed("modbus", f"{error}: what answers does not keep to the protocol", LinkDown(str(error))))
+        keeps = "" if "answers_as" in str(error) else ": what answers does not keep to the protocol"
+        steps.append(failed("modbus", f"{error}{keeps}", LinkDown(str(error))))
         return None
     except LinkDown as error:
         # The peer was there and broke off: it speaks another protocol, or it is busy.
@@ -225,6 +236,13 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
     facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
     sentence = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
     steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))
+    # An answer that took long, and no other one did: the device was silent at first, and is not slow.
+    first, slowest = survey.statistics().get("seconds_to_first", 0.0), facts["round_trip_ms"]["max"] / 1e3
+    if first > QUIET_S and first > 4 * slowest:
+        pause = 0.1 * ceil(10 * first)
+        facts["habits"] = {"pause_after_connect": pause}
+        sentence = f"answers nothing for up to {first:.1f} s after connecting: pause_after_connect = {pause:.1f}"
+        steps.append(warning("habit", sentence))
     timeout, attempts = propose_timeout(facts["round_trip_ms"]["max"] / 1e3)
     facts["proposed"] = {"timeout": timeout, "attempts": attempts}
     steps.append(ok("proposal", f"timeout = {timeout:g} and attempts = {attempts} in [device] of the plant file"))

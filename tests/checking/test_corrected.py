@@ -22,10 +22,11 @@ from sim.lab.checking.query.tree import (
     TimeSpan,
     Until,
 )
-from sim.lab.checking.smc.answers import Answer, QuerySettings, Start, answer, believed, initial, prepared
+from sim.lab.checking.smc.answers import Answer, QuerySettings, Start, answer, prepared
 from sim.lab.checking.smc.paths.known_events import Cuts
 from sim.lab.checking.smc.runs import engine
 from sim.lab.checking.smc.splitting.estimator import SplitEstimate, split
+from sim.lab.checking.smc.start import believed, initial
 from sim.sha.automaton import Distribution
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Event, Trace

@@ -8,7 +8,8 @@ import pytest
 from sim.engine.belief import advance, filter_trace
 from sim.engine.open_loop_run import open_loop
 from sim.lab.checking.language.parse import parse_query
-from sim.lab.checking.smc.answers import QuerySettings, answer, believed, initial
+from sim.lab.checking.smc.answers import QuerySettings, answer
+from sim.lab.checking.smc.start import believed, initial
 from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model

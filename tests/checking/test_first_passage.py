@@ -5,10 +5,11 @@ import pytest
 
 from benchmarks.smc import contains, parameter_sets, question, start_of
 from sim.lab.checking.query.tree import Expectation, Hypothesis
-from sim.lab.checking.smc.answers import QuerySettings, Start, answer, initial, prepared
+from sim.lab.checking.smc.answers import QuerySettings, Start, answer, prepared
 from sim.lab.checking.smc.paths import known_events as paths_known
 from sim.lab.checking.smc.paths import plan as paths
 from sim.lab.checking.smc.runs import sampler
+from sim.lab.checking.smc.start import initial
 from sim.sha.automaton import Flow
 from tests.checking.worlds import TEMP, along, compare, eventually, flow, model, normal
 from tests.rig.quadrature import Stretch, brownian, first_passage

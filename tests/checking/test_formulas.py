@@ -9,8 +9,9 @@ import pytest
 from sim.lab.checking.language.parse import parse_query
 from sim.lab.checking.language.printing import query_text
 from sim.lab.checking.query.tree import At, Constant, Formula, Not, Probability
-from sim.lab.checking.smc.answers import QuerySettings, answer, initial, prepared
+from sim.lab.checking.smc.answers import QuerySettings, answer, prepared
 from sim.lab.checking.smc.runs import sampler
+from sim.lab.checking.smc.start import initial
 from tests.rig.chain import until
 from tests.rig.formulas import (
     CHAIN,

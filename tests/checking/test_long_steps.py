@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from sim.lab.checking.query.tree import Always, Both, Either, Formula, Path, Probability, TimeSpan, Until
-from sim.lab.checking.smc.answers import QuerySettings, Start, answer, initial
+from sim.lab.checking.smc.answers import QuerySettings, Start, answer
 from sim.lab.checking.smc.paths import Cuts, State, long_steps
 from sim.lab.checking.smc.paths.known_events import known
 from sim.lab.checking.smc.paths.long_steps import NestedStep, joined
+from sim.lab.checking.smc.start import initial
 from tests.checking.worlds import along, compare, eventually, flow, model, normal
 
 RELAXING = model([flow("exponential", k=0.01)], [normal(42.0, 0.5)], first=normal(40.0))

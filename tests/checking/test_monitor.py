@@ -29,9 +29,10 @@ from sim.lab.checking.query.tree import (
     TimeSpan,
     Until,
 )
-from sim.lab.checking.smc.answers import QuerySettings, answer, initial, prepared
+from sim.lab.checking.smc.answers import QuerySettings, answer, prepared
 from sim.lab.checking.smc.monitors.formula import compile_formulas
 from sim.lab.checking.smc.runs import sampler
+from sim.lab.checking.smc.start import initial
 from sim.sha.automaton import Distribution
 from tests.checking.worlds import AGE, TEMP, TIME, along, compare, eventually, flow, model, normal
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from sim.lab.checking.query.tree import Always, At, Both, Either, Probability, TimeSpan, Until
-from sim.lab.checking.smc.answers import QuerySettings, answer, initial, prepared
+from sim.lab.checking.smc.answers import QuerySettings, answer, prepared
 from sim.lab.checking.smc.monitors.path import cuts
 from sim.lab.checking.smc.paths.known_events import Cuts
 from sim.lab.checking.smc.runs import engine
 from sim.lab.checking.smc.splitting.estimator import SplitEstimate, skewed_interval, split
+from sim.lab.checking.smc.start import initial
 from tests.checking.worlds import along, compare, eventually, flow, model, normal
 from tests.rig.quadrature import Stretch, brownian, first_passage
 

@@ -8,8 +8,9 @@ import pytest
 from scipy.special import ndtr
 
 from sim.lab.checking.query.tree import At, Both, Comparison, Eventually, Probability, TimeSpan
-from sim.lab.checking.smc.answers import QuerySettings, Start, answer, believed, initial
+from sim.lab.checking.smc.answers import QuerySettings, Start, answer
 from sim.lab.checking.smc.paths import long_steps, unknown_events
+from sim.lab.checking.smc.start import believed, initial
 from sim.sha.automaton import Distribution, Effect
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace

@@ -14,7 +14,8 @@ from sim.lab.checking.query.tree import (
     Quantity,
     TimeSpan,
 )
-from sim.lab.checking.smc.answers import Start, initial
+from sim.lab.checking.smc.answers import Start
+from sim.lab.checking.smc.start import initial
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model, Stay

@@ -81,7 +81,8 @@ def test_equal_seeds_give_equal_answers_and_other_seeds_other_ones(place: Path) 
 def test_more_runs_begin_with_the_same_runs(place: Path) -> None:
     """The first 1000 of 3000 runs are the 1000 runs: their courses' goals come at the same moments."""
     from sim.lab.checking.language.parse import parse_query
-    from sim.lab.checking.smc.answers import QuerySettings, answer, initial
+    from sim.lab.checking.smc.answers import QuerySettings, answer
+    from sim.lab.checking.smc.start import initial
     from sim.lab.formats.find import find_model
 
     found = find_model(place / "model").runnable()

@@ -9,7 +9,7 @@ from openpyxl import Workbook
 
 from gateway.commission.files.cells import ListError, number_of
 from gateway.commission.files.io_list import IoList, Reading, read_io_list
-from gateway.commission.files.io_words import type_of
+from gateway.commission.files.io_words import type_cell
 
 ITALIAN = """\
 Elenco I/O - linea 2;;;;;;;
@@ -172,5 +172,5 @@ def test_what_is_no_number_is_refused(text: str) -> None:
      ("intero senza segno", "uint16"), ("word", "uint16"), ("64 bit int", "int64"), ("string 16", "string")],
 )  # fmt: skip
 def test_types_are_known_by_their_usual_names(words: str, dtype: str) -> None:
-    found = type_of(words)
-    assert found is not None and found[0] == dtype
+    found = type_cell(words)
+    assert not found.unknown and found.dtype == dtype

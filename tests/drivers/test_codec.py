@@ -396,3 +396,27 @@ def test_an_encoder_writes_what_encode_writes(more: dict[str, Any]) -> None:
         for value in VALUES:
             written, wanted = outcome(partial(write, value)), outcome(partial(encode, tag, value))
             assert written == wanted, (dtype, order, value)
+
+
+@pytest.mark.parametrize(
+    ("tag", "words", "said"),
+    [
+        (Tag("T", "a", DType.INT16, sentinel=32767, other_sentinels=(-32768,)), [0x7FFF], "32767"),
+        (Tag("T", "a", DType.INT16, sentinel=32767, other_sentinels=(0x8000,)), [0x8000], "32768"),
+        (
+            Tag("T", "a", DType.FLOAT32, sentinel=-9999.0),
+            list(struct.unpack(">HH", struct.pack(">f", -9999.0))),
+            "-9999",
+        ),
+        (
+            Tag("T", "a", DType.FLOAT32, sentinel=-999.9),
+            list(struct.unpack(">HH", struct.pack(">f", -999.9))),
+            "-999.9",
+        ),
+    ],
+)
+def test_each_of_several_sentinels_is_no_value(tag: Tag, words: list[int], said: str) -> None:
+    for read in (decode(tag, words), reader(tag)(words)):
+        assert read[:2] == (None, Quality.NO_DATA) and said in read[2]
+    with pytest.raises(EncodingError):
+        encode(tag, tag.sentinels[-1])

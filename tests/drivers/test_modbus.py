@@ -352,7 +352,8 @@ async def test_an_exception_about_the_moment_is_not_bisected(
     driver = await opened()
     samples = await driver.read(block_of(8))
     assert {(sample.value, sample.quality) for sample in samples} == {(None, quality)}
-    assert plc.asked() == [(3, 0, 8)]
+    # What is said to pass by itself is asked again within the reading.
+    assert set(plc.asked()) == {(3, 0, 8)} and (len(plc.asked()) > 1) == (code in (5, 6))
     assert driver.connected
 
 

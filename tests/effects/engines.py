@@ -5,10 +5,11 @@ from functools import cache
 
 import numpy as np
 
-from sim.engine.belief import advance, compile_model, on_event, start, with_inputs
+from sim.engine.belief import advance, on_event, start, with_inputs
 from sim.engine.open_loop_run import open_loop
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
+from sim.engine.tracker import compile_model
 from sim.lab.discrepancy.fitting.baseline import frame_of
 from sim.lab.discrepancy.fitting.candidates import entry_of
 from sim.lab.discrepancy.fitting.course import at

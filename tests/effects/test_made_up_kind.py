@@ -12,8 +12,9 @@ from sim.artefacts.model_json import model_text, parse_model
 from sim.effects.correction import in_sensor_scale
 from sim.effects.kind import EffectRefusal
 from sim.effects.kinds import ROLES
-from sim.engine.belief import compile_model, start
+from sim.engine.belief import start
 from sim.engine.plant import compile_plant
+from sim.engine.tracker import compile_model
 from sim.forecast.fan import forecast
 from sim.lab.discrepancy.augment import augmented
 from sim.lab.discrepancy.fitting.candidates import entry_of

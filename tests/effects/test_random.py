@@ -7,20 +7,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sim.effects import disturbance_step
-from sim.engine.belief import (
-    advance,
-    compile_model,
-    machine_offset,
-    observe,
-    on_event,
-    start,
-    with_machine_offset,
-)
+from sim.engine.belief import advance, machine_offset, observe, on_event, start, with_machine_offset
 from sim.engine.moment_equations import moments
 from sim.engine.plant import compile_plant
 from sim.engine.response import respond
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
+from sim.engine.tracker import compile_model
 from sim.forecast.fan import forecast
 from sim.lab.checking.smc.paths import Cuts
 from sim.lab.checking.smc.runs import engine

@@ -172,6 +172,13 @@ def test_what_is_not_a_read_of_what_is_there_is_refused(unit: int, request_: byt
 # ------------------------------------------------------------------ the gateway
 
 
+def test_a_client_that_knows_of_no_units_reads_the_first_machine() -> None:
+    server = PeerServer("127.0.0.1", 0, {3: Numbers()})
+    request_ = bytes((3, 0, 100, 0, 1))
+    assert server.answer(255, request_) == server.answer(0, request_) == server.answer(3, request_)
+    assert server.answer(4, request_) == bytes((0x83, 10))
+
+
 async def test_a_foreign_master_reads_from_the_gateway_what_it_has_read_of_a_plc_with_one_connection(
     tmp_path: Path,
 ) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sim.artefacts.model_json import model_text, parse_model
-from sim.engine.belief import advance, compile_model, machine_offset, observe, on_event, start
+from sim.engine.belief import advance, machine_offset, observe, on_event, start
+from sim.engine.tracker import compile_model
 from sim.forecast import LEVELS, forecast
 from sim.lab.learning.bins.candidates import CANDIDATES
 from sim.lab.learning.bins.learn import Learned, learn_bins

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.engine.belief import advance, anomaly, compile_model, filter_trace, observe, on_event, start, with_inputs
+from sim.engine.belief import advance, anomaly, filter_trace, observe, on_event, start, with_inputs
 from sim.engine.moment_equations import moments
 from sim.engine.schedules import schedule
+from sim.engine.tracker import compile_model
 from sim.sha import flows
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
 from sim.sha.events import DECANTER

@@ -12,22 +12,12 @@ from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
 from gateway.machine.model.predict import Predictor
-from sim.engine.belief import (
-    Belief,
-    advance,
-    belief_of,
-    compile_model,
-    filter_trace,
-    observe,
-    on_event,
-    restarted,
-    start,
-    with_inputs,
-)
+from sim.engine.belief import Belief, advance, filter_trace, observe, on_event, restarted, start, with_inputs
+from sim.engine.belief_state import belief_of
 from sim.engine.moment_equations import moments
 from sim.engine.plant import compile_plant
 from sim.engine.schedules import schedule
-from sim.engine.tracker import Tracker
+from sim.engine.tracker import Tracker, compile_model
 from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model

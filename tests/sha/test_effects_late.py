@@ -9,10 +9,12 @@ from scipy.integrate import solve_ivp
 
 from sim.effects.check import check_effect
 from sim.effects.late import late_jumps
-from sim.engine.belief import advance, belief_of, compile_model, on_event, start, with_inputs
+from sim.engine.belief import advance, on_event, start, with_inputs
+from sim.engine.belief_state import belief_of
 from sim.engine.moment_equations import moments
 from sim.engine.plant import compile_plant
 from sim.engine.schedules import schedule
+from sim.engine.tracker import compile_model
 from sim.forecast.fan import forecast
 from sim.sha.automaton import SHA, Distribution, Edge, Effect, Flow, Location
 from sim.sha.events import Alphabet, Switch

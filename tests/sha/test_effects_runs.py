@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from sim.effects import with_targets
-from sim.engine.belief import compile_model, on_event, start, with_inputs
+from sim.engine.belief import on_event, start, with_inputs
 from sim.engine.moment_equations import mean_outputs, moments
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
+from sim.engine.tracker import compile_model
 from sim.forecast.fan import forecast
 from sim.sha.automaton import Distribution, Effect
 from sim.sha.events import Alphabet, Switch

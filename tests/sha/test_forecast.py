@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from sim.engine.belief import advance, compile_model, filter_trace, on_event, start
+from sim.engine.belief import advance, filter_trace, on_event, start
+from sim.engine.tracker import compile_model
 from sim.forecast.fan import LEVELS, Forecast, forecast
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from sim.engine.belief import compile_model, start
+from sim.engine.belief import start
 from sim.engine.particles import bridges, lay_out, survival
+from sim.engine.tracker import compile_model
 from sim.forecast.fan import forecast
 from sim.sha.semi_markov import Paths
 from sim.sha.trace import Array, Event

@@ -12,13 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
-from sim.engine.belief import Belief, advance, compile_model, observe, on_event, start, with_inputs
+from sim.engine.belief import Belief, advance, observe, on_event, start, with_inputs
 from sim.engine.moment_equations import moments
 from sim.engine.schedules import Schedule, schedule
 from sim.engine.simulation import simulate
+from sim.engine.tracker import compile_model
 from sim.forecast.fan import forecast
 from sim.lab.checking.language.parse import parse_query
-from sim.lab.checking.smc.answers import QuerySettings, answer, initial
+from sim.lab.checking.smc.answers import QuerySettings, answer
+from sim.lab.checking.smc.start import initial
 from sim.sha.automaton import SHA, Distribution, Effect
 from sim.sha.events import DECANTER
 from sim.sha.model import Model

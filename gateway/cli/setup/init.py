@@ -22,9 +22,8 @@ from gateway.commission.files import (
     read_io_list,
     template,
 )
-from gateway.commission.import_list import bindings
+from gateway.commission.import_list import as_listed, bindings, reading_of
 from gateway.commission.options import SharedOptions, link_options
-from gateway.commission.read import ORDERS
 from gateway.console import emit, make_folder, service_of, shipped
 from gateway.entry import sentences
 from gateway.lab.traces.map import asked_map
@@ -41,10 +40,7 @@ _HEARTBEAT = re.compile("heart ?beat|life ?(bit|counter|word)|watchdog|contatore
 @click.command(short_help="Make a folder that runs, from an address and an I/O list.")
 @click.argument("folder", type=_PATH, default=".")
 @click.option("--list", "list_path", type=_PATH, help="The PLC's I/O list (CSV, XLSX).")
-@click.option(
-    "--order", type=click.Choice(ORDERS), default="ABCD", show_default=True, help="Of the list's wide values."
-)
-@click.option("--shift", type=int, default=0, help="Add this to every address of the list, such as -1 or 1.")
+@as_listed
 @click.option("--without", multiple=True, metavar="TAG", help="Leave this tag of the list out; may be given again.")
 @click.option("--skip-bad", is_flag=True, help="Leave out rows of the list that cannot be used.")
 @click.option(
@@ -72,7 +68,7 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
     """
     with sentences():
         asked = _Prompt(terminal())
-        how = Reading(order=options["order"], shift=options["shift"])
+        how = reading_of(options)
         described = _described(given.device, options["list_path"], how, asked, skip=options["skip_bad"])
         described = _without(described, options["without"])
         device, io_list, known = described.device, described.io_list, described.names

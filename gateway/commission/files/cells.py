@@ -33,6 +33,14 @@ class ListError(OneLineError, ValueError):
     """The list cannot be used; the message says why and what would be right."""
 
 
+class RowError(OneLineError, ValueError):
+    """What is wrong with a row: the column and the rest of the sentence."""
+
+    def __init__(self, column: str, reason: str) -> None:
+        super().__init__(reason)
+        self.column = column
+
+
 @dataclass(frozen=True, slots=True)
 class ListRow:
     """One row: its line in the file (1..) and its cells by the names of the columns that were recognised."""

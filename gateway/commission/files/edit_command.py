@@ -97,4 +97,18 @@ def _view(data: Mapping[str, Any]) -> Iterator[Part]:
 
 
 _NEW_LINES = 30
-_COLUMNS = ("line", "name", "address", "dtype", "order", "bit", "scale", "offset", "unit", "low", "high", "sentinel")
+_COLUMNS = (
+    "line",
+    "name",
+    "address",
+    "dtype",
+    "order",
+    "bit",
+    "scale",
+    "offset",
+    "unit",
+    "low",
+    "high",
+    "sentinel",
+    "taken",
+)

@@ -1,60 +1,70 @@
-"""An I/O list as tags: each row gives one, or one sentence that says what is wrong with it."""
+"""An I/O list as tags: each row gives one, or one sentence that says what is wrong with it.
+
+A row is read whole or refused: what a cell says and is not understood is never left out, and where two readings of it
+are possible an option asks for the one.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import OneLineError
-from gateway.commission.files.cells import ListError, ListRow, ListSheet, key_of, number_of, read_sheet
-from gateway.commission.files.io_words import COLUMNS, FUNCTIONS, KNOWN_TYPES, ORDERS, TABLES, type_of
-from gateway.commission.survey import AddressTextError, Register, parse_register
+from drivers.codec import integer_range
+from drivers.tag import DType
+from gateway.commission.files.cells import ListError, ListRow, ListSheet, RowError, key_of, number_of, read_sheet
+from gateway.commission.files.io_places import AddressCell, ListedPlace, Numbering, place_of
+from gateway.commission.files.io_units import CountFactor, factor_of, range_of, unit_of
+from gateway.commission.files.io_words import (
+    COLUMNS,
+    KNOWN_TYPES,
+    ORDERS,
+    TABLES,
+    WIDTHS,
+    TypeCell,
+    tables_of,
+    type_cell,
+    widened_to,
+)
+from gateway.commission.survey import Register
 
-_BIT = re.compile(r"(.+?)[.:/](?:bit\s*)?(\d{1,2})")
-_SHORT = re.compile(r"([0134])x0*(\d{1,5})")
-_IEC = re.compile(r"%?(m|mw|mx|mf|md|i|iw|ix|q|qw|qx)\s*(\d{1,5})")
-_HEX = re.compile(r"(?:0x|16#)([0-9a-f]{1,4})|([0-9a-f]{1,4})h")
-_REFERENCE_TABLES = {"0": "coil", "1": "discrete", "3": "input", "4": "holding"}
-_IEC_TABLES = {"m": "coil", "mx": "coil", "q": "coil", "qx": "coil", "mw": "holding", "qw": "holding"} | {
-    "i": "discrete", "ix": "discrete", "iw": "input", "mf": "holding", "md": "holding"
-}  # fmt: skip
-_UNITS = dict.fromkeys(("°c", "c", "deg c", "gradi c", "gradi"), "degC") | {"giri min": "rpm", "giri": "rpm"}
-_SINGLE = frozenset({"bool", "int8", "uint8", "int16", "uint16", "bcd16", "string"})
+GAINS = ("multiply", "divide")
+"""What is done with a reading by a gain above 1."""
+_HEX_NUMBER = re.compile(r"(?:0x|16#)([0-9a-f]{1,8})|([0-9a-f]{1,4})h")
+_EMPTY = ("", "-", "–", "n/a", "n.a.")
 _DIGITS = 9
-
-
-class _RowError(OneLineError, ValueError):
-    """What is wrong with a row: the column and the rest of the sentence."""
-
-    def __init__(self, column: str, reason: str) -> None:
-        super().__init__(reason)
-        self.column = column
+_NEAR = 1e-3
+"""A range ends where a type does if they differ by less, as a part of it."""
+_SINGLE = frozenset({"bool", "int8", "uint8", "int16", "uint16", "bcd16", "string"})
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
     """How a list is read where it does not say itself.
 
-    `table` of bare numbers, `order` of values wider than a register, `shift` added to every address, `registers` False
-    for other drivers' addresses, which are left as they are.
+    `table` of bare numbers, `order` of values wider than a register ("": ABCD, or what the list's layout has), `shift`
+    added to every address, `registers` False for other drivers' addresses, which are left as they are. `gain` (one of
+    GAINS), `numbers` (one of NUMBERS) and `plc` (one of MAKERS) settle what a list leaves open; "" where nothing does.
     """
 
     table: str = "holding"
-    order: str = "ABCD"
+    order: str = ""
     shift: int = 0
     registers: bool = True
+    gain: str = ""
+    numbers: str = ""
+    plc: str = ""
     rename: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A tag of the list: its keys as the device file has them (None: not written there), and its line."""
+    """A tag of the list: its keys as the device file has them (None: not written there), its line, how it was taken."""
 
     name: str
     keys: Mapping[str, Any]
     line: int
+    taken: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,173 +81,458 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     if unknown := sorted(set(columns or {}) - set(COLUMNS)):
         raise ListError(f"--column {unknown[0]}=...: there is no such column; known are {', '.join(COLUMNS)}")
     sheet = read_sheet(path, COLUMNS, ("name", "address"), given=columns, sheet=page)
+    how, numbering = _of_the_layout(sheet, how), _numbering(sheet, how)
+    how = replace(how, gain=how.gain or _gain_of_the_list(sheet))
     tags: list[Listed] = []
     problems: list[str] = []
     for line in sheet.lines:
         try:
-            tags.append(_listed(sheet, line, how, tags))
-        except _RowError as error:
+            tags.append(_listed(_ListedRow(sheet, line, how, numbering), tags))
+        except RowError as error:
             problems.append(f"{sheet.where(line, error.column)}: {error}")
     if not tags and not problems:
         raise ListError(f"{path}: has a header in line {sheet.header_line} and no row under it; give one row a tag")
     return IoList(sheet, tuple(tags), tuple(problems))
 
 
-def _listed(sheet: ListSheet, line: ListRow, how: Reading, before: Sequence[Listed]) -> Listed:
+@dataclass(frozen=True, slots=True)
+class _ListedRow:
+    """A row with what is known of its list."""
+
+    sheet: ListSheet
+    line: ListRow
+    how: Reading
+    numbering: Numbering
+
+    def get(self, column: str) -> str:
+        return self.line.get(column)
+
+    def header(self, column: str) -> str:
+        """The column's header, as `key_of` writes it."""
+        return key_of(self.sheet.columns.get(column, ""))
+
+
+@dataclass(frozen=True, slots=True)
+class _Scaling:
+    """Engineering value = raw * scale + offset, the range in units, the unit's name, and how it was taken."""
+
+    scale: float | None = None
+    offset: float | None = None
+    low: float | None = None
+    high: float | None = None
+    unit: str | None = None
+    taken: str = ""
+
+
+def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
+    line, how = row.line, row.how
     listed = line.get("name")
     if not listed:
-        raise _RowError("name", "is empty; give the tag's name, or take the row out")
+        raise RowError("name", "is empty; give the tag's name, or take the row out")
     name = how.rename.get(listed, listed)
     if twice := next((tag for tag in before if tag.name == name), None):
-        raise _RowError("name", f"{name!r} is in line {twice.line} already; give each tag a name of its own")
-    address, bit = _address(sheet, line, how)
-    dtype, length = _type(line, address, bit)
-    low, high = _number(line, "low"), _number(line, "high")
-    # Scale and offset as they are given, or from a raw range and the range in units.
-    scale, offset = _number(line, "scale"), _number(line, "offset")
-    raw_low, raw_high = _number(line, "raw_low"), _number(line, "raw_high")
-    if scale == 0:
-        raise _RowError("scale", "is 0, which would make every reading 0; give the units per count")
-    if scale is None and raw_high is not None and high is not None:
-        span, least = raw_high - (raw_low or 0.0), low or 0.0
-        if span == 0 or high == least:
-            raise _RowError("raw_high", "the raw range or the range in units is empty; give two different ends")
-        slope = (high - least) / span
-        scale, offset = round(slope, _DIGITS), round(least - slope * (raw_low or 0.0), _DIGITS)
-    if low is not None and high is not None and not low < high:
-        raise _RowError("low", f"{low:g} is not below the highest value {high:g}; swap or correct them")
-    numeric, order = dtype not in ("bool", "string"), None
-    if dtype not in _SINGLE:  # one register alone has no order of words, and its bytes are Modbus's
-        text = line.get("order")
-        order = ORDERS.get(key_of(text)) if text and text != "-" else how.order
-        if order is None:
-            raise _RowError("order", f"{text!r} is no order that is known here; give ABCD, CDAB, BADC or DCBA")
-    unit = line.get("unit")
+        raise RowError("name", f"{name!r} is in line {twice.line} already; give each tag a name of its own")
+    if key_of(line.get("access")) in _WRITE_ONLY:
+        raise RowError("access", f"{line.get('access')!r} says that it cannot be read; take the row out")
+    cell = _type_cell(line)
+    address, place = _address(row, cell)
+    dtype, length = _type(row, cell, place, address)
+    numeric = dtype not in ("bool", "string")
+    scaling = _scaling(row, dtype) if numeric else _Scaling()
+    order, said = _order(row, cell, dtype, place)
+    for other in before:
+        # Two tags may share a register only where each takes another bit of it.
+        bits = (place.bit, other.keys["bit"])
+        if address == other.keys["address"] and (None in bits or bits[0] == bits[1]):
+            sentence = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
+            raise RowError(
+                "address", f"{sentence}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)"
+            )
     keys = {
         "address": address,
         "dtype": dtype,
         "order": order,
-        "scale": scale if numeric else None,
-        "offset": offset if numeric else None,
-        "bit": bit,
+        "scale": scaling.scale,
+        "offset": scaling.offset,
+        "bit": place.bit,
         "length": length or None,
-        "unit": _UNITS.get(key_of(unit), unit) if numeric and unit not in ("", "-") else None,
-        "low": low if numeric else None,
-        "high": high if numeric else None,
-        "sentinel": _whole(line, "sentinel") if numeric else None,
+        "unit": scaling.unit,
+        "low": scaling.low,
+        "high": scaling.high,
+        "sentinel": _sentinel(line) if numeric else None,
     }
-    for other in before:
-        # Two tags may share a register only where each takes another bit of it.
-        bits = (bit, other.keys["bit"])
-        if address == other.keys["address"] and (None in bits or bits[0] == bits[1]):
-            sentence = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
-            raise _RowError(
-                "address", f"{sentence}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)"
-            )
-    return Listed(name, keys, line.number)
+    return Listed(name, keys, line.number, "; ".join(note for note in (place.note, said, scaling.taken) if note))
+
+
+_WRITE_ONLY = frozenset({"w", "wo", "write", "write only", "scrittura", "solo scrittura"})
 
 
 def _number(line: ListRow, column: str) -> float | None:
     text = line.get(column)
-    if text in ("", "-", "–", "n/a", "n.a."):
+    if text in _EMPTY:
         return None
     try:
         return round(number_of(text), 12)
     except ValueError:
-        raise _RowError(column, f"{text!r} is no number; give one such as 0,1 or 0.1, or leave it empty") from None
+        raise RowError(column, f"{text!r} is no number; give one such as 0,1 or 0.1, or leave it empty") from None
 
 
 def _whole(line: ListRow, column: str) -> int | None:
-    text = line.get(column).lower()
-    if match := _HEX.fullmatch(text):
-        return int(match[1] or match[2], 16)
-    number = _number(line, column)
-    if number is not None and not number.is_integer():
-        raise _RowError(column, f"{text!r} is no whole number; give the raw number that means 'not available'")
+    number = _raw(line.get(column), column)
+    if number is not None and not float(number).is_integer():
+        raise RowError(column, f"{line.get(column)!r} is no whole number")
     return None if number is None else int(number)
 
 
-def _type(line: ListRow, address: str, bit: int | None) -> tuple[str, int]:
+def _raw(text: str, column: str) -> int | float | None:
+    if text in _EMPTY:
+        return None
+    if match := _HEX_NUMBER.fullmatch(text.lower()):
+        return int(match[1] or match[2], 16)
+    try:
+        number = number_of(text)
+    except ValueError:
+        raise RowError(column, f"{text!r} is no number; give the raw number, such as 0x7FFF or 32767") from None
+    return int(number) if number.is_integer() else number
+
+
+def _sentinel(line: ListRow) -> int | float | list[int | float] | None:
+    """The raw number or numbers that mean "not available"; a float's NaN always does."""
+    parts = [part for part in re.split(r"[;/|]|,\s+", line.get("sentinel")) if part.strip().lower() not in ("", "nan")]
+    numbers = [number for part in parts if (number := _raw(part.strip(), "sentinel")) is not None]
+    return numbers[0] if len(numbers) == 1 else numbers or None
+
+
+# ---------------------------------------------------------------- what holds for the whole list
+
+
+def _of_the_layout(sheet: ListSheet, how: Reading) -> Reading:
+    """What an export of a known program has by default."""
+    headers = {key_of(text) for text in (*sheet.columns.values(), *sheet.ignored)}
+    if not how.order and {"respect data type", "client access"} <= headers:
+        return replace(how, order=LOW_WORD_FIRST)
+    return how
+
+
+LOW_WORD_FIRST = "CDAB?"
+"""The order by default of the OPC servers that export such lists, of which the table speaks."""
+
+
+def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
+    header = set(key_of(sheet.columns.get("address", "")).split())
+    cells = [line.get("address").lower() for line in sheet.lines]
+    bare = [cell for cell in cells if re.fullmatch(r"[0-9a-f]{1,4}", cell)]
+    first = 1 if header & {"1", "one"} and header & {"based", "base", "from"} else 0
+    if how.numbers or header & {"hex", "hexadecimal", "hexa", "esadecimale", "esa"}:
+        hexadecimal = how.numbers == "hex" if how.numbers else not header & {"dec", "decimal", "decimale"}
+        return Numbering(hexadecimal, first, how.numbers != "plain")
+    doubt = ""
+    if odd := next((cell for cell in bare if not cell.isdecimal()), None):
+        doubt = f"{odd!r} of this list is hexadecimal, so this number may be; give --numbers hex or --numbers decimal"
+    elif len(bare) > 1 and all(len(cell) == 4 for cell in bare) and all(cell.startswith("0") for cell in bare[:1]):
+        doubt = "numbers of four digits with noughts before them may be hexadecimal; give --numbers hex or decimal"
+    return Numbering(False, first, True, doubt)
+
+
+def _gain_of_the_list(sheet: ListSheet) -> str:
+    """What the rows whose range and type decide say of gains above 1; "" where none does, or they contradict."""
+    found = set()
+    for line in sheet.lines:
+        try:
+            factor = _scale_cell(line) or unit_of(line.get("unit"))[1]
+            if factor is None or not factor.either:
+                continue
+            dtype = widened_to(_type_cell(line).dtype, _whole(line, "count") or 0, wide=True)
+            low, high, _ = _range(line)
+        except (RowError, ValueError):
+            continue
+        found.add(_decided(factor.number, dtype or _type_cell(line).dtype, low, high))
+    found.discard("")
+    return found.pop() if len(found) == 1 else ""
+
+
+# ---------------------------------------------------------------- scale, range, unit
+
+
+_MULTIPLIERS = frozenset({"multiplier", "moltiplicatore", "factor", "fattore", "resolution", "risoluzione"})
+_DIVISORS = frozenset({"divisor", "divider", "divisore", "teiler", "divide", "inverse", "inverso", "reciprocal"})
+
+
+def _scale_cell(line: ListRow) -> CountFactor | None:
+    """The factor of the scale's column; None for none. Raises RowError."""
+    text = line.get("scale")
+    if text in _EMPTY or key_of(text) in ("none", "nessuna", "no", "linear", "lineare"):
+        return None
+    try:
+        return factor_of(text)
+    except ValueError as error:
+        raise RowError("scale", str(error)) from None
+
+
+def _range(line: ListRow) -> tuple[float | None, float | None, str]:
+    """(low, high, the column they are from), from their own columns or from that of ranges."""
+    low, high = _number(line, "low"), _number(line, "high")
+    if low is None and high is None and (found := range_of(line.get("range"))) is not None:
+        return *found, "range"
+    return low, high, "high" if low is None else "low"
+
+
+def _limits(dtype: str) -> tuple[float, float] | None:
+    return integer_range(DType(dtype)) if dtype in set(DType) else None
+
+
+def _decided(number: float, dtype: str, low: float | None, high: float | None) -> str:
+    """Whether a gain above 1 multiplies or divides, by the range and the type; "" where both are possible."""
+    limits = _limits(dtype)
+    if limits is None or high is None:
+        return ""
+    ends = {"multiply": limits[1] * number, "divide": limits[1] / number}
+    exact = [gain for gain, end in ends.items() if abs(end - high) <= _NEAR * high]
+    possible = [gain for gain, end in ends.items() if high <= end * (1 + _NEAR)]
+    # Counts of 10 units give no 0.5, and no range that is smaller than one of them.
+    if any(end is not None and not (end / number).is_integer() and abs(end) < 100 * number for end in (low, high)):
+        possible = [gain for gain in possible if gain == "divide"]
+    best = exact or possible
+    return best[0] if len(best) == 1 else ""
+
+
+def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
+    """Scale, offset and range as they are given, or from a raw range and the range in units. Raises RowError."""
+    line = row.line
+    low, high, column = _range(line)
+    offset = _number(line, "offset")
+    raw_low, raw_high = _number(line, "raw_low"), _number(line, "raw_high")
+    kind = key_of(line.get("scale"))
+    if kind in ("square root", "radice quadrata"):
+        raise RowError("scale", f"{line.get('scale')!r} is a curve, which is not supported; give a linear scale")
+    unit_text = "" if line.get("unit") in _EMPTY else line.get("unit")
+    try:
+        unit, of_unit = unit_of(unit_text) if unit_text else ("", None)
+    except ValueError as error:
+        raise RowError("unit", str(error)) from None
+    scale, taken = _scale(row, dtype, of_unit, (low, high))
+    ends = raw_high is not None and high is not None and kind not in ("none", "nessuna", "no")
+    if scale is None and ends and raw_high is not None and high is not None:
+        span, least = raw_high - (raw_low or 0.0), low or 0.0
+        if span == 0 or high == least:
+            raise RowError("raw_high", "the raw range or the range in units is empty; give two different ends")
+        slope = (high - least) / span
+        scale, offset = round(slope, _DIGITS), round(least - slope * (raw_low or 0.0), _DIGITS)
+    elif kind in ("linear", "lineare"):
+        raise RowError("scale", f"{line.get('scale')!r} needs the ends of both ranges beside it; give them")
+    if key_of(line.get("negate")) in ("1", "true", "yes", "si"):
+        scale, offset, taken = -(scale or 1.0), -(offset or 0.0), f"{taken}; negated".removeprefix("; ")
+    if low is not None and high is not None and not low < high:
+        raise RowError("low", f"{low:g} is not below the highest value {high:g}; swap or correct them")
+    low, high, said = _plausible(column, dtype, (scale, offset), (low, high))
+    taken = "; ".join(note for note in (taken, said) if note)
+    return _Scaling(scale, offset, low=low, high=high, unit=unit or None, taken=taken)
+
+
+def _scale(
+    row: _ListedRow, dtype: str, of_unit: CountFactor | None, ends: tuple[float | None, float | None]
+) -> tuple[float | None, str]:
+    """(units per count, how it was taken), from the scale's cell, the unit's and the number of decimals."""
+    line, header = row.line, set(row.header("scale").split())
+    own = _scale_cell(line)
+    if own is not None and own.number == 0:
+        raise RowError("scale", "is 0, which would make every reading 0; give the units per count")
+    if own is not None and header & _DIVISORS:
+        own = CountFactor(1 / own.number)
+    elif own is not None and header & _MULTIPLIERS:
+        own = CountFactor(own.number)
+    if (decimals := _whole(line, "decimals")) is not None:
+        exponent = decimals if "expon" in row.header("decimals") or "espon" in row.header("decimals") else -decimals
+        own = _same(own, CountFactor(10.0**exponent), "decimals")
+    if of_unit is not None:
+        own = _same(own, of_unit, "unit")
+    if own is None:
+        return None, ""
+    if not own.either:
+        said = f"scale {own.number:g} from the unit" if of_unit is not None else ""
+        return round(own.number, 12), said
+    column = "unit" if of_unit is not None else "scale"
+    gain = _decided(own.number, dtype, *ends) or row.how.gain
+    if not gain:
+        raise RowError(
+            column,
+            f"{line.get(column)!r} may mean times {own.number:g} or divided by {own.number:g}, and no range decides; "
+            "give --gain multiply or --gain divide",
+        )
+    if gain == "divide":
+        return round(1 / own.number, 12), f"{row.sheet.columns.get(column)} {own.number:g} divides"
+    return own.number, f"{row.sheet.columns.get(column)} {own.number:g} multiplies"
+
+
+def _same(own: CountFactor | None, other: CountFactor, column: str) -> CountFactor:
+    """One factor of two cells that say the same. Raises RowError where they do not."""
+    if own is None:
+        return other
+    if abs(own.number - other.number) <= 1e-9 * other.number:
+        return CountFactor(own.number, own.either and other.either)
+    if own.either and abs(own.number * other.number - 1) <= 1e-9:
+        return other
+    raise RowError(column, f"says {other.number:g} a count, and the row's scale {own.number:g}; correct one of them")
+
+
+def _plausible(
+    column: str, dtype: str, line: tuple[float | None, float | None], ends: tuple[float | None, float | None]
+) -> tuple[float | None, float | None, str]:
+    """The range in units, held against what the type can hold. Raises RowError where they contradict."""
+    limits, (low, high) = _limits(dtype), ends
+    if limits is None or (low is None and high is None):
+        return low, high, ""
+    scale, offset = line[0] or 1.0, line[1] or 0.0
+    reach = sorted(limit * scale + offset for limit in limits)
+    slack = _NEAR * max(abs(reach[0]), abs(reach[1])) + abs(scale)
+    outside = (high is not None and high > reach[1] + slack) or (low is not None and low < reach[0] - slack)
+    if outside and abs(scale) < 1 and high == limits[1] and low in (None, *limits, 0.0):
+        # Its ends are the type's own: it is a range of raw counts.
+        counts = [end if end is None else round(end * scale + offset, _DIGITS) for end in (low, high)]
+        return counts[0], counts[1], "range of raw counts"
+    shown = " to ".join("?" if end is None else f"{end:g}" for end in (low, high))
+    if outside:
+        raise RowError(
+            column,
+            f"the range {shown} is beyond what a {dtype} with scale {scale:g} holds; correct scale, type or range",
+        )
+    if scale == 1.0 and offset == 0.0 and any(end is not None and not float(end).is_integer() for end in (low, high)):
+        raise RowError(column, f"the range {shown} has parts of a count, and the {dtype} no scale; give the scale")
+    return low, high, ""
+
+
+# ---------------------------------------------------------------- type and order
+
+
+def _type_cell(line: ListRow) -> TypeCell:
+    """The row's type; an empty one where it has none. Raises RowError for a word that is not understood."""
     text = line.get("dtype")
-    if not text:
-        return ("bool", 0) if bit is not None or address.partition(":")[0] in ("coil", "discrete") else ("uint16", 0)
-    kind = type_of(key_of(text))
-    if kind is None:
-        raise _RowError("dtype", f"{text!r} is no type that is known here; give one of {KNOWN_TYPES}")
-    dtype, length = kind
+    if text in _EMPTY:
+        return TypeCell()
+    if re.search(r"\barray\b|\[\s*\d*\s*\.\.", text, re.IGNORECASE):
+        raise RowError("dtype", f"{text!r} is an array, which is not supported; give each element its own row")
+    cell = type_cell(key_of(text))
+    if cell.unknown:
+        word = "" if key_of(text) == cell.unknown else f": {cell.unknown!r} is not understood"
+        raise RowError("dtype", f"{text!r} is no type that is known here{word}; give one of {KNOWN_TYPES}")
+    return cell
+
+
+def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> tuple[str, int]:
+    line, text = row.line, row.get("dtype")
+    count = _whole(line, "count") or place.count
+    if place.count and count != place.count:
+        raise RowError("address", f"{row.get('address')!r} has {place.count} registers, and the row says {count}")
+    if not cell.dtype:
+        if place.bit is not None or address.partition(":")[0] in ("coil", "discrete"):
+            return "bool", 0
+        if count > 1:
+            raise RowError("dtype", f"is empty, and the row has {count} registers; give one of {KNOWN_TYPES}")
+        return "uint16", 0
+    dtype, length = cell.dtype, cell.length
     if dtype == "string":
-        length = length or _whole(line, "length") or 0
+        length = length or place.length or _whole(line, "length") or 2 * count
         if length <= 0:
-            raise _RowError("dtype", "a string needs its length in bytes: write STRING[16], or give a column Length")
-    elif bit is not None:
-        dtype = "bool"
+            raise RowError("dtype", "a string needs its length in bytes: write STRING[16], or give a column Length")
+        return dtype, length
+    if place.bit is not None:
+        if dtype in ("bool", "uint16") or (dtype == "int16" and line.get("bit")):
+            return "bool", 0
+        raise RowError("dtype", f"{text!r} is wider than bit {place.bit} of a register; give BOOL, or no bit")
+    if count and row.how.registers:
+        widened = widened_to(dtype, count, wide=cell.wide)
+        if not widened:
+            own = WIDTHS[dtype]
+            raise RowError("dtype", f"{text!r} has {own} register{'s' * (own > 1)}, and the row says {count}")
+        return widened, length
+    size = _whole(line, "length")
+    if size is not None and size not in (WIDTHS[dtype], 2 * WIDTHS[dtype], 16 * WIDTHS[dtype], 1):
+        raise RowError("length", f"is {size}, and {text!r} has {WIDTHS[dtype]} registers; correct one of them")
+    if size is not None and not cell.wide and size not in (16, 32) and (size, dtype) != (4, "float32"):
+        raise RowError("length", f"is {size}, of registers or bytes, and {text!r} says no width; write INT16 or INT32")
     return dtype, length
+
+
+def _order(row: _ListedRow, cell: TypeCell, dtype: str, place: ListedPlace) -> tuple[str | None, str]:
+    """(order, how it was taken); None where the type has none."""
+    text = row.get("order")
+    own = ORDERS.get(key_of(text)) if text not in _EMPTY else ""
+    if own is None:
+        raise RowError("order", f"{text!r} is no order that is known here; give ABCD, CDAB, BADC or DCBA")
+    if own and cell.order and own != cell.order:
+        raise RowError("order", f"{text!r} is {own}, and the type's cell says {cell.order}; correct one of them")
+    order = cell.order or own
+    if dtype == "string":
+        return ("BADC", "low byte first") if place.swapped else (None, "")
+    if (
+        dtype in _SINGLE
+    ):  # one register alone has no order of words, and its bytes are Modbus's unless it says otherwise
+        if order == "BADC" or (cell.order == "DCBA" and dtype != "bool"):
+            return "BADC", f"{row.get('dtype')}: bytes swapped" if cell.order else "bytes swapped"
+        return None, ""
+    if order:
+        return order, f"{order} by its type" if cell.order else ""
+    if row.how.order == LOW_WORD_FIRST:
+        return "CDAB", "low word first, as such servers have it by default (else --order)"
+    return row.how.order or "ABCD", ""
 
 
 # ---------------------------------------------------------------- addresses
 
 
-def _address(sheet: ListSheet, line: ListRow, how: Reading) -> tuple[str, int | None]:
-    """(address in the driver's notation, bit or None)."""
-    text = line.get("address")
+_NO_REGISTER = Register("", 0)
+
+
+def _address(row: _ListedRow, cell: TypeCell) -> tuple[str, ListedPlace]:
+    """(address in the driver's notation, its place)."""
+    text, how = row.get("address"), row.how
     if not text:
-        raise _RowError("address", "is empty; give the address, or take the row out")
+        raise RowError("address", "is empty; give the address, or take the row out")
+    own = _bit(row)
     if not how.registers:
-        return text, _bit(line)
-    plain, bit = text.lower().replace(" ", ""), _bit(line)
-    match = _BIT.fullmatch(plain)
-    if bit is None and match and not match[1].isalpha():
-        plain, bit = match[1], int(match[2])
-    if bit is not None and bit > 15:
-        raise _RowError("bit", f"bit {bit} is not in a register, which has bits 0 to 15")
-    register = _register(sheet, line, plain, text, how)
-    moved = register.moved(how.shift)
-    if not 0 <= moved.number <= 65535:
-        raise _RowError("address", f"{text!r} moved by {how.shift} is outside 0 to 65535; give another --shift")
-    return str(moved), None if moved.is_bit else bit
+        return text, ListedPlace(register=_NO_REGISTER, bit=own)
+    table = _table(row)
+    place = place_of(AddressCell(text, cell.dtype, row.numbering, how.plc, table or how.table, named=bool(table)))
+    if own is not None and place.bit is None:
+        place = replace(place, bit=own)
+    if place.bit is not None and place.bit > 15:
+        raise RowError("bit", f"bit {place.bit} is not in a register, which has bits 0 to 15")
+    register = place.register.moved(how.shift)
+    if not 0 <= register.number <= 65535:
+        raise RowError("address", f"{text!r} moved by {how.shift} is outside 0 to 65535; give another --shift")
+    if register.is_bit:
+        if cell.dtype not in ("", "bool"):
+            raise RowError("dtype", f"{row.get('dtype')!r} does not lie in {register}, which is one bit; correct one")
+        place = replace(place, bit=None)
+    return str(register), place
 
 
-def _bit(line: ListRow) -> int | None:
-    bit = _whole(line, "bit")
-    if bit is not None and not 0 <= bit <= 15:
-        raise _RowError("bit", f"bit {bit} is not in a register, which has bits 0 to 15")
+def _bit(row: _ListedRow) -> int | None:
+    """The bit of the bit's column, counted from 0 at the low end; its header may say that it counts otherwise."""
+    bit, header = _whole(row.line, "bit"), row.header("bit")
+    if bit is None:
+        return None
+    if re.search(r"\b1 (?:8|16)\b|\b1 based\b|\bfrom 1\b", header):
+        bit -= 1
+    if re.search(r"\bmsb 0\b|\b0 msb\b|\binver(?:se|ted|so)\b|\breversed?\b", header):
+        bit = 15 - bit
+    if not 0 <= bit <= 15:
+        raise RowError("bit", f"bit {row.get('bit')} is not in a register, which has bits 0 to 15")
     return bit
 
 
-def _register(sheet: ListSheet, line: ListRow, plain: str, text: str, how: Reading) -> Register:
-    """A place by whatever notation: holding:100, 40101, 4x101, %MW100, 0x64, or a bare number in a table."""
-    if ":" in plain or len(plain) >= 5:  # fewer digits are no reference number, but a bare address
-        with suppress(AddressTextError):
-            return _within(parse_register(plain), text)
-    # 4x101 counts from 1, as reference numbers do; %MW100 from 0.
-    if (match := _SHORT.fullmatch(plain)) and match[2] != "0":
-        return _within(Register(_REFERENCE_TABLES[match[1]], int(match[2]) - 1), text)
-    if match := _IEC.fullmatch(plain):
-        return _within(Register(_IEC_TABLES[match[1]], int(match[2])), text)
-    # The table's own column is looked at last: an address that says its table needs none.
-    table = _table(sheet, line) or how.table
-    if match := _HEX.fullmatch(plain):
-        return _within(Register(table, int(match[1] or match[2], 16)), text)
-    if plain.isdecimal() and len(plain) <= 5:
-        return _within(Register(table, int(plain)), text)
-    raise _RowError("address", f"{text!r} is no address; give one such as 40101, 4x101, %MW100, holding:100 or 100")
-
-
-def _within(register: Register, text: str) -> Register:
-    if not 0 <= register.number <= 65535:
-        raise _RowError("address", f"{text!r} is outside the addresses, which are 0 to 65535")
-    return register
-
-
-def _table(sheet: ListSheet, line: ListRow) -> str:
+def _table(row: _ListedRow) -> str:
     """The row's own table; "" where it names none."""
-    text = line.get("table")
-    if not text:
+    text = row.get("table")
+    if text in _EMPTY:
         return ""
-    key = key_of(text)
+    key, header = key_of(text), row.header("table")
     if known := TABLES.get(key):
         return known
-    header = key_of(sheet.columns.get("table", ""))
-    if key in FUNCTIONS and any(word in header for word in ("func", "funz", "code", "codice", "fc")):
-        return FUNCTIONS[key]
-    raise _RowError("table", f"{text!r} is no register table; give holding, input, coil or discrete")
+    if any(word in header for word in ("func", "funz", "code", "codice", "fc")) or "fc" in key:
+        tables = tables_of(key)
+        if tables is not None and not tables:
+            raise RowError("table", f"{text!r} only writes, and a tag is read; take the row out")
+        if (tables is not None and len(set(tables)) == 1) or tables == ("holding", "input"):
+            return tables[0]
+    raise RowError("table", f"{text!r} is no register table; give holding, input, coil or discrete")

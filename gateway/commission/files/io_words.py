@@ -1,7 +1,11 @@
-"""The words of I/O lists: how columns, types, orders and tables are called in Italian and English ones."""
+"""The words of I/O lists: how columns, types, orders and tables are called in Italian and English ones.
+
+Every word of a cell is understood or the row is refused: a word that is dropped may have said the order.
+"""
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 COLUMNS: Mapping[str, tuple[str, ...]] = {
     "name": (
@@ -26,16 +30,27 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("swap", "byte word order"),
     ),
     "bit": ("bit", "n bit", "numero bit", "bit number", "posizione bit"),
+    "count": (
+        *("quantity", "qty", "registers", "number of registers", "no of registers", "n registers", "register count"),
+        *("words", "word count", "numero registri", "numero di registri", "n registri", "no of words", "num registers"),
+    ),
     "length": ("lunghezza", "length", "len", "byte", "bytes", "caratteri"),
     "scale": (
         *("scala", "scale", "fattore", "factor", "fattore di scala", "scale factor", "scaling", "moltiplicatore"),
-        *("multiplier", "gain", "guadagno", "risoluzione", "resolution", "k", "coefficiente"),
+        *("multiplier", "gain", "guadagno", "risoluzione", "resolution", "k", "coefficiente", "ratio"),
+        *("divisor", "divider", "divisore", "divide by", "teiler"),
     ),
+    "decimals": (
+        *("decimals", "decimal places", "decimali", "cifre decimali", "number of decimals", "decimal digits"),
+        *("exponent", "esponente", "scale exponent"),
+    ),
+    "range": ("range", "campo", "intervallo", "value range", "wertebereich", "span", "campo di valori", "limits"),
     "offset": ("offset", "scostamento", "zero"),
     "unit": (
         *("unita", "unita di misura", "unita misura", "um", "u m", "unit", "units", "ing unit", "eng unit"),
         *("engineering unit", "engineering units", "eu", "udm", "u d m", "misura"),
     ),
+    "negate": ("negate value", "negate"),
     "raw_low": ("raw min", "min raw", "grezzo min", "min grezzo", "raw low", "inizio scala raw", "count min"),
     "raw_high": ("raw max", "max raw", "grezzo max", "max grezzo", "raw high", "fondo scala raw", "count max"),
     "low": (
@@ -51,7 +66,6 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 """Column -> the headers by which it is recognised, as `cells.key_of` writes them; the first that fits wins."""
 
-_BITS = re.compile(r"(\d+)\s*bit")
 _STRING = re.compile(r"(?:w?string|stringa|char|testo|text)\s*[\[( ]?\s*(\d*)")
 
 _TYPES: Mapping[str, str] = {
@@ -66,8 +80,14 @@ _TYPES: Mapping[str, str] = {
         ("dint", "int32", "long", "intero lungo", "s32", "i32", "signed 32", "int 32", "doppio intero"), "int32"
     ),
     **dict.fromkeys(("udint", "uint32", "dword", "ulong", "u32", "unsigned 32", "uint 32", "doppia parola"), "uint32"),
-    **dict.fromkeys(("lint", "int64", "s64", "i64", "int 64"), "int64"),
-    **dict.fromkeys(("ulint", "uint64", "lword", "u64", "uint 64", "qword"), "uint64"),
+    **dict.fromkeys(("lint", "int64", "s64", "i64", "int 64", "llong"), "int64"),
+    **dict.fromkeys(("ulint", "uint64", "lword", "u64", "uint 64", "qword", "acc64", "bitfield64"), "uint64"),
+    **dict.fromkeys(("acc32", "bitfield32", "enum32", "udword"), "uint32"),
+    **dict.fromkeys(("acc16", "bitfield16", "enum16", "enum"), "uint16"),
+    **dict.fromkeys(("sunssf", "int2"), "int16"),
+    **dict.fromkeys(("int4",), "int32"),
+    **dict.fromkeys(("float4",), "float32"),
+    **dict.fromkeys(("float8",), "float64"),
     **dict.fromkeys(
         ("real", "float", "float32", "reale", "single", "floating point", "f32", "ieee754", "ieee 754"), "float32"
     ),
@@ -76,7 +96,7 @@ _TYPES: Mapping[str, str] = {
     **dict.fromkeys(("sint", "int8", "s8", "i8", "int 8"), "int8"),
     **dict.fromkeys(("usint", "uint8", "u8", "byte", "uint 8"), "uint8"),
     **dict.fromkeys(("bcd", "bcd16", "bcd 16"), "bcd16"),
-    **dict.fromkeys(("bcd32", "dbcd", "bcd 32"), "bcd32"),
+    **dict.fromkeys(("bcd32", "dbcd", "lbcd", "bcd 32"), "bcd32"),
 }
 KNOWN_TYPES = "BOOL, INT, UINT, WORD, DINT, UDINT, DWORD, LINT, ULINT, REAL, LREAL, BYTE, BCD, STRING[n]"
 
@@ -90,7 +110,20 @@ ORDERS: Mapping[str, str] = {
     **dict.fromkeys(("big endian word swap", "big endian swapped", "mid little endian", "parola bassa prima"), "CDAB"),
     **dict.fromkeys(("badc", "byte swap", "swap byte", "2143", "mid big endian"), "BADC"),
     **dict.fromkeys(("dcba", "little endian", "little", "lsb first", "4321", "byte and word swap"), "DCBA"),
+    **dict.fromkeys(("ab cd", "ab cd ef gh", "be", "msw first", "most significant word first", "high first"), "ABCD"),
+    **dict.fromkeys(("high low", "hi lo", "big endian word order", "high word", "msw"), "ABCD"),
+    **dict.fromkeys(("cd ab", "gh ef cd ab", "lsw first", "least significant word first", "low first"), "CDAB"),
+    **dict.fromkeys(("low high", "lo hi", "word swapped", "words swapped", "swapped words", "swap words"), "CDAB"),
+    **dict.fromkeys(("little endian byte swap", "little endian byte swapped", "low word", "lsw"), "CDAB"),
+    **dict.fromkeys(("ba dc", "byte swapped", "bytes swapped", "big endian byte swap"), "BADC"),
+    **dict.fromkeys(("big endian byte swapped", "little endian word swap", "little endian word swapped"), "BADC"),
+    **dict.fromkeys(("dc ba", "le"), "DCBA"),
+    **dict.fromkeys(("mid little endian",), "CDAB"),
 }
+_ORDER_NOT_IN_A_TYPE = frozenset(
+    {"no", "none", "nessuno", "si", "yes", "1234", "3412", "2143", "4321", "big", "little"}
+)
+_PHRASES = sorted((set(ORDERS) - _ORDER_NOT_IN_A_TYPE), key=lambda phrase: -len(phrase.split()))
 
 TABLES: Mapping[str, str] = {
     **dict.fromkeys(("holding", "holding register", "holding registers", "hr", "4x", "03", "fc3", "fc03"), "holding"),
@@ -102,8 +135,25 @@ TABLES: Mapping[str, str] = {
     **dict.fromkeys(("ingresso digitale", "ingressi digitali", "fc 2", "fc 02"), "discrete"),
 }
 """Register table, by its name, by the digit of references with an x, or by the function code that reads it."""
-FUNCTIONS: Mapping[str, str] = {"3": "holding", "4": "input"}
-"""Bare digits, where the column is one of function codes; elsewhere 4 may also mean the references from 40001 on."""
+_READ_BY = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
+_WRITTEN_BY = frozenset({5, 6, 10, 15, 16, 22, 23})
+"""Functions that write; 10 is 16 in hexadecimal."""
+_FUNCTION_WORDS = re.compile(
+    r"\b(?:fc|fn|f|function|functions|funzione|code|read|write|r|w|and|e|or|holding|input|h)\b"
+)
+
+
+def tables_of(key: str) -> tuple[str, ...] | None:
+    """The tables that a cell of function codes reads (`03/06/16`); empty for writing alone, None for no codes."""
+    plain = _FUNCTION_WORDS.sub(" ", re.sub(r"(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])", " ", key))
+    parts = plain.split()
+    if not parts or not all(part.isdecimal() for part in parts):
+        return None
+    numbers = {int(part) for part in parts}
+    if not numbers <= set(_READ_BY) | _WRITTEN_BY:
+        return None
+    return tuple(_READ_BY[number] for number in sorted(numbers) if number in _READ_BY)
+
 
 _FLAGS: Mapping[str, bool] = {
     **dict.fromkeys(("1", "true", "vero", "on", "acceso", "accesa", "si", "yes", "marcia", "attivo"), True),
@@ -113,31 +163,91 @@ _FLAGS: Mapping[str, bool] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class TypeCell:
+    """A type's cell: the type, a text's bytes, the order that it names, and whether it says how wide the number is.
+
+    `unknown` is a word of it that is not understood; then the rest means nothing.
+    """
+
+    dtype: str = ""
+    length: int = 0
+    order: str = ""
+    wide: bool = True
+    unknown: str = ""
+
+
+_FLOAT = frozenset({"float", "real", "reale", "floating", "point", "ieee", "754", "ieee754", "single", "precision"})
+_PLAIN = frozenset({"unsigned", "uint", "word", "senza", "segno"})
+_SIGNED = frozenset({"signed", "int", "integer", "intero", "con", "two", "twos", "s", "complement"})
+_FILLERS = frozenset({"bit", "bits", "value", "number", "format", "register", "registers", "reg", "regs", "numero"})
+_WIDTHLESS = frozenset({"integer", "signed", "unsigned", "intero", "unsigned integer", "signed integer"})
+_COUNTED = re.compile(r"(\d) (?:registers?|words?|regs?|registri)")
+"""`2 registers` in a type's cell."""
+
+
+def type_cell(key: str) -> TypeCell:
+    """A type's cell, as `cells.key_of` writes it."""
+    for start in (key, key.replace("32bit", "32 bit").replace("16bit", "16 bit").replace("64bit", "64 bit")):
+        if found := type_of(start):
+            return TypeCell(found[0], found[1], wide=start not in _WIDTHLESS)
+    words, order = f" {key} ", ""
+    # The longest phrase first: `little endian byte swap` is another order than `little endian`.
+    for phrase in _PHRASES:
+        if f" {phrase} " in words:
+            words, order = words.replace(f" {phrase} ", "  ", 1), ORDERS[phrase]
+            break
+    rest = " ".join(words.split())
+    count = _COUNTED.search(rest)
+    rest = " ".join(_COUNTED.sub(" ", rest).split())
+    found = type_of(rest)
+    wide = rest not in _WIDTHLESS
+    if found is None:
+        tokens = [token for token in re.sub(r"(\d)bit", r"\1 bit", rest).split() if token not in _FILLERS]
+        widths = [token for token in tokens if token in ("8", "16", "32", "64")]
+        kinds = [token for token in tokens if token not in widths]
+        unknown = [token for token in kinds if token not in _FLOAT | _PLAIN | _SIGNED]
+        if unknown or not kinds or len(widths) > 1:
+            return TypeCell(unknown=(unknown or tokens or [key])[0])
+        wide = bool(widths) or not set(kinds) <= _WIDTHLESS | _FLOAT
+        kind = "float" if set(kinds) & _FLOAT else "uint" if set(kinds) & _PLAIN else "int"
+        bits = widths[0] if widths else "32" if kind == "float" else "16"
+        if kind == "float" and bits not in ("32", "64"):
+            return TypeCell(unknown=bits)
+        found = (f"{kind}{bits}", 0)
+    dtype, length = found
+    if count is not None:
+        widened = widened_to(dtype, int(count[1]), wide=wide)
+        if not widened:
+            return TypeCell(unknown=count[0])
+        dtype, wide = widened, True
+    return TypeCell(dtype, length, order, wide)
+
+
+def widened_to(dtype: str, registers: int, *, wide: bool) -> str:
+    """The type of its kind that has so many registers; "" where it says another width itself."""
+    own = WIDTHS.get(dtype, 0)
+    if own in (0, registers):
+        return dtype
+    kind = dtype.rstrip("0123456789")
+    widened = f"{kind}{16 * registers}"
+    return widened if not wide and widened in WIDTHS else ""
+
+
+WIDTHS: Mapping[str, int] = {
+    **dict.fromkeys(("bool", "int8", "uint8", "int16", "uint16", "bcd16"), 1),
+    **dict.fromkeys(("int32", "uint32", "float32", "bcd32"), 2),
+    **dict.fromkeys(("int64", "uint64", "float64"), 4),
+}
+"""Registers of a type; a text has as many as it needs."""
+
+
 def type_of(key: str) -> tuple[str, int] | None:
-    """(type, length in bytes) by a type's name without case and signs; None for one that is not known."""
+    """(type, length in bytes) by a type's whole name without case and signs; None for one that is not known."""
     if match := _STRING.fullmatch(key):
         return "string", int(match[1] or 0)
-    if key in _TYPES:
-        return _TYPES[key], 0
-    compact = key.replace(" ", "")
-    if compact in _TYPES:
-        return _TYPES[compact], 0
-    # `32 bit float`, `16-bit unsigned integer` and the like: the kind by its words, the width by its number. Unsigned
-    # comes before signed, because both have the word integer.
-    match = _BITS.search(key)
-    if match is None:
-        return None
-    bits, words = match[1], set(key.split())
-    widths: tuple[str, ...] = ("8", "16", "32", "64")
-    if words & {"float", "real", "reale", "floating", "ieee"}:
-        kind, widths = "float", ("32", "64")
-    elif words & {"unsigned", "uint", "word"} or "senza segno" in key:
-        kind = "uint"
-    elif words & {"signed", "int", "integer", "intero"}:
-        kind = "int"
-    else:
-        return None
-    return (f"{kind}{bits}", 0) if bits in widths else None
+    found = _TYPES.get(key) or _TYPES.get(key.replace(" ", ""))
+    return (found, 0) if found else None
 
 
 def flag_of(key: str) -> bool | None:

@@ -3,10 +3,11 @@
 import asyncio
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters
 from gateway.commission.session import Site, Target, mention_gateway
 from gateway.commission.survey.addresses import Register, parse_register
@@ -50,6 +51,7 @@ class _Asking:
                 return False
             except (ReplyTimeout, ReplyMismatch, LinkDown) as error:
                 if last:
+                    await self._find_alive(start, count)
                     await self._missed(error)
             else:
                 self.alive, self.silences = (start, 1), 0
@@ -66,6 +68,14 @@ class _Asking:
                     raise
                 await asyncio.sleep(0.05 * 2**attempt)
             else:
+                return
+
+    async def _find_alive(self, start: int, count: int) -> None:
+        """Of a device that has answered nothing yet: whether it answers one end of a block to which it is silent."""
+        for place in (start, start + count - 1) if self.alive is None and count > 1 else ():
+            with suppress(DriverError):
+                await self.survey.read(self.table, place, 1)
+                self.alive = (place, 1)
                 return
 
     async def _missed(self, error: ReplyTimeout | ReplyMismatch | LinkDown) -> None:

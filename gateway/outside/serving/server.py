@@ -23,6 +23,9 @@ IDLE_S = 300.0
 """A client that asks nothing for so long makes room for another."""
 
 
+_NO_UNIT = (0, 255)
+
+
 class ServedImage(Protocol):
     """What is served for one unit: see `gateway.outside.serving.DeviceImage`."""
 
@@ -38,7 +41,8 @@ class PeerServer:
     def __init__(self, host: str, port: int, images: Mapping[int, ServedImage], *, most_clients: int = 8) -> None:
         self.host, self.port = host, port
         self.refused = self.answered = 0
-        self._images = images
+        # Clients that know of no units ask 255, some 0 (MODBUS Messaging on TCP/IP V1.0b, page 23): the first machine.
+        self._images = dict.fromkeys(_NO_UNIT, next(iter(images.values()), None)) | dict(images)
         self._clients: SharedPlaces[asyncio.StreamWriter] = SharedPlaces(most_clients, _abort)
 
     async def serve(self) -> None:

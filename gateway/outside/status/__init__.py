@@ -15,6 +15,7 @@ from gateway.outside.status.changes import (
 from gateway.outside.status.client import ControlError, GatewayLine, connect, short
 from gateway.outside.status.health import (
     Health,
+    HealthFinding,
     findings,
     health_of,
     link_sentence,

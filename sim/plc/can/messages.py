@@ -60,7 +60,7 @@ class Sender:
             number: float = 0  # of a text, too, which has no place in a signal
             if value is None:
                 absent = math.nan if signal.is_float else 0
-                number = absent if tag.sentinel is None else tag.sentinel
+                number = tag.sentinel[0] if tag.sentinel else absent
             elif not isinstance(value, str):
                 number = (value - float(signal.offset)) / float(signal.scale)
                 if not signal.is_float:

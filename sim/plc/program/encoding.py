@@ -61,7 +61,7 @@ def sentinel_fits(tag: Tag) -> bool:
         return True
     if tag.dtype is DType.STRING or tag.bit is not None:
         return False
-    return limits(tag.dtype)[0] <= tag.sentinel < 1 << 16 * words_of_type(tag)
+    return all(limits(tag.dtype)[0] <= sentinel < 1 << 16 * words_of_type(tag) for sentinel in tag.sentinels)
 
 
 def encode(tag: Tag, value: Value) -> list[int]:
@@ -94,8 +94,10 @@ def encode(tag: Tag, value: Value) -> list[int]:
     low, high = limits(tag.dtype)
     fitting = min(max(raw, low), high)
     # A reading that happens to be the sentinel's number must not say "not available": its neighbour comes closest.
-    if tag.sentinel is not None and _pack(tag, fitting) == _sentinel_bytes(tag, tag.sentinel):
-        fitting += 1 if fitting == low else -1
+    patterns = {_sentinel_bytes(tag, sentinel) for sentinel in tag.sentinels}
+    step = 1 if fitting <= low + len(patterns) else -1
+    while _pack(tag, fitting) in patterns:
+        fitting += step
     words = ordered(_pack(tag, fitting), tag.order)
     if fitting != raw:
         raise Unrepresentable(f"{tag.name} cannot hold {number!r} {tag.unit}".rstrip() + f" ({tag.dtype})", words)
@@ -128,7 +130,7 @@ def decode(tag: Tag, words: Sequence[int]) -> Value | None:
         return bool(int.from_bytes(octets, "big") >> tag.bit & 1 if tag.bit is not None else any(octets))
     if tag.dtype is DType.STRING:
         return octets[: tag.length].rstrip(b"\0 ").decode("latin-1")
-    if tag.sentinel is not None and octets == _sentinel_bytes(tag, tag.sentinel):
+    if any(octets == _sentinel_bytes(tag, sentinel) for sentinel in tag.sentinels):
         return None
     if tag.dtype in _BCD_DIGITS:
         return _scaled(tag, int(octets.hex())) if octets.hex().isdecimal() else None
@@ -156,14 +158,14 @@ def _scaled(tag: Tag, raw: float) -> Value:
     return raw if tag.scale == 1 and tag.offset == 0 else raw * tag.scale + tag.offset
 
 
-def _sentinel_bytes(tag: Tag, sentinel: int) -> bytes:
+def _sentinel_bytes(tag: Tag, sentinel: int | float) -> bytes:
     if tag.dtype in FLOATS:
         return struct.pack(_FORMATS[tag.dtype], sentinel)
     size = 2 * words_of_type(tag)
     mask = 0xFF if tag.dtype in (DType.INT8, DType.UINT8) else (1 << 8 * size) - 1
     if tag.dtype in _BCD_DIGITS and sentinel <= limits(tag.dtype)[1]:
-        return _pack(tag, sentinel)
-    return (sentinel & mask).to_bytes(size, "big")
+        return _pack(tag, int(sentinel))
+    return (int(sentinel) & mask).to_bytes(size, "big")
 
 
 def _pack(tag: Tag, raw: int) -> bytes:

@@ -1,0 +1,280 @@
+"""Register lists as makers and programs write them: each row whole, or refused with its reason; nothing in silence."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.commission.files.io_list import IoList, Reading, read_io_list
+
+SHARED = Path(__file__).parents[3] / "shared" / "cases" / "devices"
+_PLAIN = Reading()
+
+
+def read(folder: Path, text: str, how: Reading = _PLAIN) -> IoList:
+    path = folder / "list.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_io_list(path, how)
+
+
+def row(folder: Path, header: str, cells: str, how: Reading = _PLAIN) -> dict[str, Any] | str:
+    """The keys of a list's one row, or why it was refused."""
+    found = read(folder, f"Name;{header}\nT;{cells}\n", how)
+    if found.problems:
+        return found.problems[0]
+    return {
+        **{key: value for key, value in found.tags[0].keys.items() if value is not None},
+        "how": found.tags[0].taken,
+    }
+
+
+@pytest.mark.parametrize(
+    ("cell", "unit", "scale"),
+    [
+        ("0.1 °C", "degC", 0.1),
+        ("0,1°C", "degC", 0.1),
+        ("0.1A", "A", 0.1),
+        ("x0.1 V", "V", 0.1),
+        ("1/10 °C", "degC", 0.1),
+        ("°C/10", "degC", 0.1), ("°C ÷10", "degC", 0.1), ("kWh (x 0.01)", "kWh", 0.01), ("V [0.1V]", "V", 0.1),
+        ("10 W", "W", 10.0),
+        ("10^-2 bar", "bar", 0.01),
+        ("10⁻¹ m³/h", "m³/h", 0.1),
+        ("0.1", "", 0.1),
+        ("÷10", "", 0.1),
+        ("0.01 m3/h", "m3/h", 0.01), ("tenths of °C", "degC", 0.1), ("A x 0.1", "A", 0.1), ("0.1 %/bit", "%", 0.1),
+        ("1/min", "rpm", None), ("m3/h", "m3/h", None), ("l/100 km", "l/100 km", None), ("mg/Nm3", "mg/Nm3", None),
+        ("kW", "kW", None), ("min-1", "rpm", None), ("ppm CO2", "ppm CO2", None), ("°C", "degC", None),
+    ],
+)  # fmt: skip
+def test_a_factor_in_a_units_cell_is_the_scale(cell: str, unit: str, scale: float | None, tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;Type;Unit", f"100;INT16;{cell}")
+    assert isinstance(found, dict), found
+    assert (found.get("unit", ""), found.get("scale")) == (unit, pytest.approx(scale) if scale else None)
+    assert scale is None or "from the unit" in found["how"]
+
+
+@pytest.mark.parametrize("cell", ["0-10 V", "4-20 mA", "°C*10", "V x 100", "10", "3 phases", "kW/4", "°C 24"])
+def test_a_digit_in_a_units_cell_that_nobody_reads_refuses_the_row(cell: str, tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;Type;Unit", f"100;INT16;{cell}")
+    assert isinstance(found, str) and "line 2, 'Unit'" in found
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "scale"),
+    [
+        ("Scale", "0.1", 0.1), ("Scale", "/10", 0.1), ("Scale", "x 0,1", 0.1), ("Scale", "1/100", 0.01),
+        ("Scale", "10^-2", 0.01),
+        ("Divisor", "10", 0.1),
+        ("Scale (inverse)", "100", 0.01),
+        ("Multiplier", "10", 10.0),
+        ("Decimals", "2", 0.01), ("Exponent", "-1", 0.1), ("Scale", "*10", 10.0), ("Scale", "raw/10", 0.1),
+        ("Gain;Range", "10;-3276.8 to 3276.7", 0.1), ("Gain;Range", "10;0..300000", 10.0),
+        ("Scale;Unit", "0.1;0.1 A", 0.1), ("Ratio;Min;Max", "10;0;0.5", 0.1),
+    ],
+)  # fmt: skip
+def test_a_scale_is_what_its_cell_header_and_range_say(header: str, cells: str, scale: float, tmp_path: Path) -> None:
+    found = row(tmp_path, f"Address;Type;{header}", f"100;INT16;{cells}")
+    assert isinstance(found, dict), found
+    assert found["scale"] == pytest.approx(scale)
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "word"),
+    [
+        ("Gain", "10", "--gain"),
+        ("Scale", "100", "--gain"),
+        ("Scale", "Square Root", "curve"),
+        ("Scale", "Linear", "ends"),
+        ("Scale;Unit", "0.01;0.1 A", "correct one"), ("Scale;Range", "0.1;0 to 10000", "beyond"),
+        ("Range", "-3276.8 to 3276.7", "parts of a count"), ("Sentinel", "broken", "no number"),
+    ],
+)  # fmt: skip
+def test_a_scale_that_contradicts_or_is_open_is_asked_for(header: str, cells: str, word: str, tmp_path: Path) -> None:
+    found = row(tmp_path, f"Address;Type;{header}", f"100;INT16;{cells}")
+    assert isinstance(found, str) and word in found
+
+
+def test_a_gain_is_settled_by_its_option_or_by_another_row(tmp_path: Path) -> None:
+    for gain, scale in (("multiply", 10.0), ("divide", 0.1)):
+        found = row(tmp_path, "Address;Type;Gain", "100;INT16;10", Reading(gain=gain))
+        assert isinstance(found, dict) and found["scale"] == pytest.approx(scale) and gain[:5] in found["how"]
+    of_all = read(tmp_path, "Name;Address;Type;Gain;Range\nA;1;INT16;10;-3276.8 to 3276.7\nB;3;INT32;1000;\n")
+    assert [tag.keys["scale"] for tag in of_all.tags] == [pytest.approx(0.1), pytest.approx(0.001)]
+
+
+@pytest.mark.parametrize(
+    ("cell", "dtype", "order"),
+    [
+        ("32 bit float, little endian", "float32", "DCBA"),
+        ("FLOAT32_LE", "float32", "DCBA"),
+        ("Float CD AB", "float32", "CDAB"),
+        ("UINT32 (word swapped)", "uint32", "CDAB"), ("Float big-endian byte swap", "float32", "BADC"),
+        ("32-bit signed little-endian byte swap", "int32", "CDAB"), ("REAL (ABCD)", "float32", "ABCD"),
+        ("U32 low word first", "uint32", "CDAB"),
+        ("signed 32bit", "int32", "ABCD"),
+        ("64-bit unsigned integer", "uint64", "ABCD"),
+        ("Unsigned (2 registers)", "uint32", "ABCD"), ("LBCD", "bcd32", "ABCD"), ("DWORD", "uint32", "ABCD"),
+        ("acc32", "uint32", "ABCD"), ("Float4", "float32", "ABCD"),
+    ],
+)  # fmt: skip
+def test_every_word_of_a_types_cell_counts(cell: str, dtype: str, order: str, tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;Type", f"100;{cell}")
+    assert isinstance(found, dict), found
+    assert (found["dtype"], found["order"]) == (dtype, order)
+
+
+@pytest.mark.parametrize(
+    "cell", ["Word Array", "float backwards", "INT16 packed", "date", "float 24 bit", "time of day"]
+)
+def test_a_type_of_which_a_word_is_unknown_is_refused(cell: str, tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;Type", f"100;{cell}")
+    assert isinstance(found, str) and "line 2, 'Type'" in found
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "dtype"),
+    [
+        ("Type;Quantity", "Unsigned;2", "uint32"),
+        ("Type;Registers", "signed;4", "int64"),
+        ("Type;Words", "DINT;2", "int32"),
+    ],
+)
+def test_a_number_of_registers_makes_a_type_wide(header: str, cells: str, dtype: str, tmp_path: Path) -> None:
+    found = row(tmp_path, f"Address;{header}", f"100;{cells}")
+    assert isinstance(found, dict) and found["dtype"] == dtype
+    wrong = row(tmp_path, "Address;Type;Quantity", "100;UINT16;2")
+    assert isinstance(wrong, str) and "1 register" in wrong
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "place"),
+    [
+        ("Function;Address;Type", "03/06/16;40101-40102;REAL", "holding:100"),
+        ("Function;Address;Type", "3, 16;100~101;DINT", "holding:100"),
+        ("Function;Address;Type", "FC04;3x119;INT", "input:118"),
+        ("Function;Address;Type", "03h/10h;100..101;DINT", "holding:100"),
+        ("Function;Address;Type", "4;100 to 101;DINT", "input:100"), ("Address;Type", "40101-02;REAL", "holding:100"),
+        ("Function;Address;Type", "1/5/15;12;BOOL", "coil:12"), ("Register (HEX);Type", "0064;INT", "holding:100"),
+        ("Address (hex);Type", "1F0;INT", "holding:496"), ("Register (1-based);Type", "101;INT", "holding:100"),
+        ("Address;Type", "0x0064;INT", "holding:100"),
+        ("Address;Type", "64h;INT", "holding:100"),
+        ("Address;Type", "%MW100;INT", "holding:100"),
+    ],
+)  # fmt: skip
+def test_an_address_is_taken_with_its_function_range_and_header(
+    header: str, cells: str, place: str, tmp_path: Path
+) -> None:
+    found = row(tmp_path, header, cells)
+    assert isinstance(found, dict), found
+    assert found["address"] == place
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "word"),
+    [
+        ("Address;Type", "40101-40102;INT", "2"),
+        ("Address;Type", "40101-40104;REAL", "4"),
+        ("Address;Type", "100[10];INT", "array"),
+        ("Function;Address;Type", "6/16;100;INT", "only writes"), ("Function;Address;Type", "04;40101;INT", "input"),
+        ("Address;Type", "HR100;INT", "counts from"),
+        ("Address;Type", "40101.3;DINT", "bit 3"),
+        ("Function;Address;Type", "1;100;REAL", "one bit"),
+        ("Address;Type", "0x0064;BOOL", "--numbers"), ("Address;Type;Access", "100;INT;WO", "cannot be read"),
+    ],
+)  # fmt: skip
+def test_an_address_that_contradicts_is_refused(header: str, cells: str, word: str, tmp_path: Path) -> None:
+    found = row(tmp_path, header, cells)
+    assert isinstance(found, str) and word in found
+
+
+@pytest.mark.parametrize(
+    ("plc", "cell", "place", "bit"),
+    [
+        ("openplc", "%QX1.3", "coil:11", None),
+        ("openplc", "%MD50", "holding:2148", None),
+        ("openplc", "%MW5", "holding:1029", None),
+        ("codesys", "%MD50", "holding:100", None),
+        ("codesys", "%MX10.3", "holding:5", 3),
+        ("codesys", "%MX11.3", "holding:5", 11),
+        ("schneider", "%MD50", "holding:50", None),
+        ("schneider", "%MW50.4", "holding:50", 4),
+        ("schneider", "%M7", "coil:7", None),
+        ("wago", "%MW0", "holding:12288", None),
+        ("wago", "%IX2.15", "discrete:47", None),
+        ("codesys", "%QX1.3", "coil:11", None),
+    ],
+)  # fmt: skip
+def test_an_iec_address_lies_where_its_maker_says(
+    plc: str, cell: str, place: str, bit: int | None, tmp_path: Path
+) -> None:
+    kind = "DINT" if "D" in cell else "BOOL" if bit is not None or "X" in cell or cell == "%M7" else "INT"
+    found = row(tmp_path, "Address;Type", f"{cell};{kind}", Reading(plc=plc))
+    assert isinstance(found, dict), found
+    assert (found["address"], found.get("bit")) == (place, bit)
+    if "MW" not in cell and cell != "%M7":
+        assert "--plc" in str(row(tmp_path, "Address;Type", f"{cell};{kind}"))
+
+
+def test_numbers_that_may_be_hexadecimal_are_asked_for(tmp_path: Path) -> None:
+    text = "Name;Address;Type\nA;0064;INT\nB;00A6;INT\n"
+    assert all("--numbers" in problem or "no address" in problem for problem in read(tmp_path, text).problems)
+    assert [tag.keys["address"] for tag in read(tmp_path, text, Reading(numbers="hex")).tags] == [
+        "holding:100",
+        "holding:166",
+    ]
+    plain = read(tmp_path, "Name;Function;Address;Type\nA;3;32080;INT\n")
+    assert "--numbers plain" in plain.problems[0]
+    assert read(tmp_path, "Name;Function;Address;Type\nA;3;32080;INT\n", Reading(numbers="plain")).tags[0].keys[
+        "address"
+    ] == ("holding:32080")
+
+
+@pytest.mark.parametrize(
+    ("header", "cell", "bit"), [("Bit", "3", 3), ("Bit (1-16)", "16", 15), ("Bit (MSB = 0)", "15", 0), ("Bit", "0", 0)]
+)
+def test_a_bit_is_counted_as_its_header_says(header: str, cell: str, bit: int, tmp_path: Path) -> None:
+    found = row(tmp_path, f"Address;{header}", f"100;{cell}")
+    assert isinstance(found, dict) and found["bit"] == bit
+
+
+def test_several_sentinels_are_a_list(tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;Type;Sentinel", "100;INT16;0x7FFF / 0x8000")
+    assert isinstance(found, dict) and found["sentinel"] == [0x7FFF, 0x8000]
+
+
+# ---------------------------------------------------------------- the shared lists
+
+
+_RIGHT: dict[str, dict[str, dict[str, Any]]] = {
+    "list_factor_in_the_unit": {
+        "TCuscinettiRiduttore": {"scale": 0.1, "unit": "degC"},
+        "Assorbimento": {"scale": 0.1, "unit": "A"},
+    },
+    "list_gain_divides": {"Bearing": {"scale": 0.1}, "Power": {"scale": 0.001}},
+    "list_hex_header": {
+        "Bearing": {"address": "holding:100"},
+        "Current": {"address": "holding:102"},
+        "Speed": {"address": "holding:256"},
+    },
+    "list_iec_bits": {"Start": {"address": "coil:11"}, "Energy": {"address": "holding:2148"}},
+    "list_of_an_opc_server": {
+        "Bearing1": {"address": "holding:106", "dtype": "float32", "order": "CDAB"},
+        "Current": {"address": "holding:101", "scale": pytest.approx(150 / 27648, rel=1e-5)},
+        "Status": {"address": "holding:100", "bit": 3},
+        "Total": {"address": "holding:119", "dtype": "bcd32"},
+        "Serial": {"address": "holding:199", "dtype": "string", "length": 20},
+    },
+    "list_order_in_the_type": {"Bearing": {"dtype": "float32", "order": "DCBA"}},
+    "list_ranges_and_functions": {"A": {"address": "holding:100", "dtype": "float32"}, "C": {"address": "input:118"}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", _RIGHT)
+def test_the_shared_lists_give_what_is_right(case: str) -> None:
+    path = SHARED / case / "list.csv"
+    if not path.is_file():
+        pytest.skip("the shared cases are not here")
+    found = read_io_list(path, Reading(plc="openplc" if case == "list_iec_bits" else ""))
+    tags = {tag.name: tag.keys for tag in found.tags}
+    assert {name: {key: tags[name][key] for key in right} for name, right in _RIGHT[case].items()} == _RIGHT[case]

@@ -1,0 +1,108 @@
+"""Logs as other programs write them: every frame with its time, or the log is said to be cut or to have none."""
+
+from pathlib import Path
+
+import can
+import pytest
+
+from drivers.can import CanFrame
+from drivers.vehicle.log import Log, open_log
+
+SHARED = Path(__file__).parents[3] / "shared" / "cases" / "devices"
+DATA = bytes.fromhex("F07D7D6813F0F07D")
+PRINTED = "can0  0CF00400   [8]  F0 7D 7D 68 13 F0 F0 7D"
+GVRET = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
+CANEDGE = "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;DataBytes\n"
+BUSMASTER = "***BUSMASTER Ver 3.2.2***\n***PROTOCOL CAN***\n***{base}***\n***{mode} MODE***\n"
+
+
+def read(folder: Path, name: str, text: str) -> tuple[list[CanFrame], Log]:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    log = open_log(path)
+    return list(log.frames()), log
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "times"),
+    [
+        ("a.log", f" (1772359200.000000)  {PRINTED}\n (1772359200.100000)  {PRINTED}\n", [1772359200.0, 1772359200.1]),
+        ("b.log", f" (2026-03-01 10:00:00.5)  {PRINTED}\n", [1772359200.5]),
+        ("c.log", f" (1772359200.000000)  {PRINTED.replace('can0', 'can0  RX - -')}  '.}}}}h..'\n", [1772359200.0]),
+        ("d.log", f" (000.000000)  {PRINTED}\n (000.250000)  {PRINTED}\n", [0.0, 0.25]),
+        ("e.csv", GVRET + "1500000,0CF00400,true,Rx,0,8,F0,7D,7D,68,13,F0,F0,7D,\n", [1.5]),
+        ("f.csv", CANEDGE + "1772359200.5;1;0CF00400;1;8;8;0;0;0;F07D7D6813F0F07D\n", [1772359200.5]),
+        (
+            "g.log",
+            BUSMASTER.format(base="HEX", mode="SYSTEM")
+            + "00:00:01:5000 Rx 1 0x0CF00400 x 8 F0 7D 7D 68 13 F0 F0 7D \n***[STOP LOGGING SESSION]***\n",
+            [1.5],
+        ),
+        (
+            "h.log",
+            BUSMASTER.format(base="DEC", mode="RELATIVE")
+            + "0:0:1:5000 Rx 1 217056256 x 8 240 125 125 104 19 240 240 125\n" * 2,
+            [1.5, 3.0],
+        ),
+    ],
+)
+def test_what_another_program_writes_gives_its_frames(name: str, text: str, times: list[float], tmp_path: Path) -> None:
+    frames, log = read(tmp_path, name, text)
+    assert [frame.time for frame in frames] == pytest.approx(times), log.summary()
+    assert all((frame.id, frame.extended, frame.data) == (0x0CF00400, True, DATA) for frame in frames)
+    assert not log.problem
+
+
+def test_kinds_of_printed_frames_are_told_apart(tmp_path: Path) -> None:
+    rows = ("can0  123   [0]  remote request", "can0  123  [12]  " + "00 " * 12, "can0  123   [3]  01 02 03")
+    frames, log = read(tmp_path, "a.log", "".join(f" (1.000000)  {row}\n" for row in rows))
+    assert [(frame.id, len(frame.data), frame.fd) for frame in frames] == [(0x123, 12, True), (0x123, 3, False)]
+    assert log.counts["remote_frames"] == 1 and not log.counts["refused"]
+
+
+@pytest.mark.parametrize(
+    "text", [f"  {PRINTED}\n" * 2, f" (000.100000)  {PRINTED}\n (000.000000)  {PRINTED}\n (000.099000)  {PRINTED}\n"]
+)
+def test_a_log_without_times_of_its_own_says_what_to_do(text: str, tmp_path: Path) -> None:
+    frames, log = read(tmp_path, "a.log", text)
+    assert not frames and log.counts["broken"] == 1 and "candump -L" in log.problem
+
+
+def test_relative_times_of_an_asc_are_added_up_over_every_event(tmp_path: Path) -> None:
+    text = "date Sun Mar 1 10:00:00 am 2026\nbase hex  timestamps relative\nno internal events logged\n"
+    row = "   {} 1  CF00400x       Rx   d 8 F0 7D 7D 68 13 F0 F0 7D\n"
+    text += row.format("0.000000") + row.format("0.100000") + "   0.050000 1  ErrorFrame\n" + row.format("0.100000")
+    frames, log = read(tmp_path, "a.asc", text)
+    assert [frame.time for frame in frames] == pytest.approx([0.0, 0.1, 0.25])
+    assert log.counts["error_frames"] == 1
+    absolute, _ = read(tmp_path, "b.asc", text.replace("relative", "absolute"))
+    assert [frame.time for frame in absolute] == pytest.approx([0.0, 0.1, 0.1])
+
+
+def test_a_blf_that_is_shorter_than_its_header_says_is_broken(tmp_path: Path) -> None:
+    path, whole = tmp_path / "cut.blf", tmp_path / "whole.blf"
+    with can.BLFWriter(str(whole)) as writer:
+        for number in range(6000):
+            writer.on_message_received(
+                can.Message(timestamp=1.0 + number, arbitration_id=0x0CF00400, is_extended_id=True, data=DATA)
+            )
+    data = whole.read_bytes()
+    assert len(list(open_log(whole).frames())) == 6000
+    # Between two containers, where nothing of the rest shows that there was more.
+    for cut in (data.index(b"LOBJ", data.index(b"LOBJ") + 4), 2 * len(data) // 3):
+        path.write_bytes(data[:cut])
+        log = open_log(path)
+        assert len(list(log.frames())) < 6000
+        assert log.counts["broken"] == 1 and "announces 6000 objects" in log.problem
+
+
+def test_the_shared_logs_have_their_times() -> None:
+    if not SHARED.is_dir():
+        pytest.skip("the shared cases are not here")
+    times = {
+        name: [frame.time for frame in open_log(SHARED / name).frames()]
+        for name in ("asc_relative_times/log.asc", "candump_as_printed/ta.log", "candump_as_printed/tA.log")
+    }
+    assert times["asc_relative_times/log.asc"] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    assert times["candump_as_printed/ta.log"] == pytest.approx([1772359200.0, 1772359200.1])
+    assert times["candump_as_printed/tA.log"] == pytest.approx([1772359200.0, 1772359200.1])

@@ -1,0 +1,234 @@
+"""Habits of real devices: each is read good, or named in one sentence with the setting that reads it."""
+
+import asyncio
+import random
+import struct
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
+
+import pytest
+
+from drivers.errors import DeviceException, ReplyTimeout
+from drivers.modbus import rtu
+from drivers.modbus.driver import ModbusDriver, open_modbus
+from drivers.modbus.survey import open_survey
+from drivers.tag import DType, Quality, Tag
+
+TAGS = [Tag(f"T{number}", f"holding:{number}", DType.INT16, writable=True) for number in range(8)]
+SOON = {"timeout": 0.15, "backoff_first": 0.01, "backoff_cap": 0.02}
+"""Short waits; a machine that is loaded makes them longer, which costs the tests nothing but time."""
+
+
+@dataclass
+class Habit:
+    """A device with one habit or several: registers 0 to 7 hold their own numbers."""
+
+    quiet: float = 0.0
+    silent_at: int = -1
+    busy: int = 0
+    stale: int = 0
+    transaction: int | None = None
+    unit: int | None = None
+    lead: bytes = b""
+    late: float = 0.0
+    echo: bool = False
+    serial: bool = False
+    registers: dict[int, int] = field(default_factory=lambda: {number: number for number in range(8)})
+    requests: list[tuple[int, int, int]] = field(default_factory=list)
+    _former: list[dict[int, int]] = field(default_factory=list)
+    _asked: Any = field(default_factory=count)
+
+    def answer(self, pdu: bytes) -> bytes | None:
+        function, start, number = struct.unpack(">BHH", pdu[:5])
+        self.requests.append((function, start, number))
+        if self.busy and next(self._asked) % 3 < self.busy:
+            return bytes((function | 0x80, 6))
+        if function == 3 and start <= self.silent_at < start + number:
+            return None
+        if function == 16:
+            self._former = [dict(self.registers)] * self.stale
+            self.registers |= dict(
+                zip(range(start, start + number), struct.unpack(f">{number}H", pdu[6:]), strict=True)
+            )
+            return pdu[:5]
+        shown = self._former.pop() if self._former else self.registers
+        return struct.pack(f">BB{number}H", function, 2 * number, *(shown[at] for at in range(start, start + number)))
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        born = asyncio.get_running_loop().time()
+        try:
+            while True:
+                head = await reader.readexactly(1 if self.serial else 7)
+                size = 7 if self.serial else int.from_bytes(head[4:6], "big") - 1
+                request = await reader.readexactly(size)
+                if self.serial and request[0] == 16:
+                    request += await reader.readexactly(request[5] + 1)
+                if self.echo:
+                    writer.write(head + request)
+                pdu = self.answer(request[:-2] if self.serial else request)
+                if pdu is None or asyncio.get_running_loop().time() < born + self.quiet:
+                    continue
+                await asyncio.sleep(self.late)
+                unit = bytes((head[-1] if self.unit is None else self.unit,))
+                if self.serial:
+                    writer.write(self.lead + unit + pdu + rtu.crc(unit + pdu))
+                    continue
+                number = head[:2] if self.transaction is None else self.transaction.to_bytes(2, "big")
+                writer.write(number + b"\0\0" + (len(pdu) + 1).to_bytes(2, "big") + unit + pdu)
+        except (asyncio.IncompleteReadError, OSError, asyncio.CancelledError):
+            writer.close()
+
+
+@asynccontextmanager
+async def served(habit: Habit, **settings: Any) -> AsyncIterator[dict[str, Any]]:
+    """The settings of a driver for the device."""
+    server = await asyncio.start_server(habit.serve, "127.0.0.1", 0)
+    try:
+        transport = "rtu-tcp" if habit.serial else "tcp"
+        port = server.sockets[0].getsockname()[1]
+        yield {"transport": transport, "host": "127.0.0.1", "port": port, **SOON, **settings}
+    finally:
+        server.close()
+
+
+@asynccontextmanager
+async def driven(habit: Habit, **settings: Any) -> AsyncIterator[ModbusDriver]:
+    async with served(habit, **settings) as given:
+        driver = open_modbus(given, clock=lambda: 0.0, write_map=TAGS)
+        try:
+            await driver.open()
+            yield driver
+        finally:
+            await driver.close()
+
+
+async def values(driver: ModbusDriver, done: Callable[[list[int | None]], bool]) -> list[int | None]:
+    """Readings, asked for until they are as wanted; none that is good may be another register's."""
+    async with asyncio.timeout(30):
+        while True:
+            samples = await driver.read(TAGS)
+            found = [
+                int(sample.value) if sample.quality.is_good and sample.value is not None else None for sample in samples
+            ]
+            assert all(value in (number, None) for number, value in enumerate(found))
+            if done(found):
+                return found
+            await asyncio.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("habit", "settings"),
+    [
+        (Habit(quiet=1.0), {}),
+        (Habit(quiet=0.5), {"pause_after_connect": 0.6}),
+        (Habit(transaction=0), {"transaction_id": "any"}),
+        (Habit(transaction=77, unit=0), {"transaction_id": "any", "answers_as": 0}),
+        (Habit(unit=255), {"answers_as": 255}),
+        (Habit(busy=2), {"timeout": 1.0}),
+        (Habit(serial=True, lead=b"\0"), {}),
+        (Habit(serial=True, lead=b"\0\xff\x55"), {}),
+        (Habit(busy=1, transaction=0), {"transaction_id": "any", "timeout": 1.0}),
+        (Habit(serial=True, lead=b"\0", busy=1), {"timeout": 1.0}),
+        (Habit(quiet=0.4, busy=1), {"timeout": 1.0}),
+    ],
+    ids=str,
+)
+async def test_a_habit_is_read(habit: Habit, settings: dict[str, Any]) -> None:
+    async with driven(habit, **settings) as driver:
+        assert await values(driver, lambda found: None not in found) == list(range(8))
+
+
+@pytest.mark.parametrize("place", [0, 5, 7])
+async def test_silence_at_one_register_costs_that_register(place: int) -> None:
+    async with driven(Habit(silent_at=place)) as driver:
+        found = await values(driver, lambda found: found.count(None) == 1)
+        assert found[place] is None
+        assert f"holding:{place}" in (await driver.read(TAGS))[place].reason
+
+
+async def test_silence_is_found_by_hand_too() -> None:
+    async with served(Habit(silent_at=5)) as settings, open_survey(settings, clock=lambda: 0.0) as survey:
+        raws = await survey.tags(TAGS)
+        assert [raw.sample.value for raw in raws] == [0, 1, 2, 3, 4, None, 6, 7]
+        assert raws[5].sample.quality is Quality.TIMEOUT
+
+
+async def test_a_late_read_back_is_waited_for_within_the_writes_time() -> None:
+    habit = Habit(stale=2)
+    async with driven(habit, timeout=1.0) as driver:
+        await values(driver, lambda found: None not in found)
+        await driver.write([(TAGS[0], 100), (TAGS[1], 101)])
+        assert driver.statistics()["late_read_backs"] >= 2
+    assert habit.requests.count((16, 0, 2)) == 1 and (habit.registers[0], habit.registers[1]) == (100, 101)
+
+
+async def test_a_write_refused_as_busy_is_sent_again_and_no_other_is() -> None:
+    habit = Habit(busy=1)
+    async with driven(habit, timeout=1.0) as driver:
+        for _ in range(3):
+            await driver.write([(TAGS[0], 9)])
+        assert driver.statistics()["busy"] > 0
+    habit = Habit()
+    habit.answer = lambda pdu: bytes((pdu[0] | 0x80, 4)) if pdu[0] == 16 else Habit().answer(pdu)  # type: ignore[method-assign]
+    async with driven(habit, timeout=1.0) as driver:
+        with pytest.raises(DeviceException):
+            await driver.write([(TAGS[0], 9)])
+
+
+async def test_without_its_setting_the_habit_is_named() -> None:
+    for habit, word in ((Habit(transaction=0), 'transaction_id = "any"'), (Habit(unit=0), "answers_as = 0")):
+        async with driven(habit) as driver:
+            sample = (await driver.read(TAGS))[0]
+            assert not sample.quality.is_good and word in sample.reason
+
+
+async def test_waiting_on_a_line_says_what_went_wrong_before() -> None:
+    async with driven(Habit(serial=True, echo=True)) as driver:
+        await driver.read(TAGS)
+        sample = (await driver.read(TAGS))[0]
+        assert "set echo = true" in sample.reason
+
+
+@pytest.mark.parametrize("habit", [Habit(late=0.4), Habit(quiet=0.5)], ids=["slow", "quiet"])
+async def test_the_first_question_by_hand_is_waited_for(habit: Habit) -> None:
+    async with served(habit) as settings:
+        del settings["timeout"]
+        async with open_survey(settings, clock=asyncio.get_running_loop().time) as survey:
+            words = await survey.read("holding", 3, 1)
+            assert words.words == (3,)
+            assert survey.statistics()["seconds_to_first"] >= max(habit.late, habit.quiet) / 2
+            assert (await survey.read("holding", 4, 1)).words == (4,)
+
+
+async def test_a_device_that_is_not_there_is_said_to_be_silent() -> None:
+    async with served(Habit(quiet=1e9)) as settings, open_survey(settings, clock=lambda: 0.0) as survey:
+        with pytest.raises(ReplyTimeout):
+            await survey.read("holding", 0, 1)
+        assert not survey.statistics()["foreign_replies"]
+
+
+def drawn(rng: random.Random) -> tuple[Habit, dict[str, Any]]:
+    """Two or three habits of one device, and the settings that they need."""
+    serial = rng.random() < 0.4
+    pool: dict[str, Any] = {"quiet": 0.4, "silent_at": rng.randrange(8), "busy": 1, "late": 0.05, "stale": 1}
+    pool |= {"lead": b"\0"} if serial else {"transaction": 0, "unit": 255}
+    names = rng.sample(sorted(pool), rng.choice((2, 3)))
+    needed = {"transaction": {"transaction_id": "any"}, "unit": {"answers_as": 255}}
+    settings: dict[str, Any] = {"timeout": 0.5, "longest_reply": 0.6} if serial else {"timeout": 0.5}
+    for name in names:
+        settings |= needed.get(name, {})
+    return Habit(serial=serial, **{name: pool[name] for name in names}), settings
+
+
+async def test_drawn_habits_together_leave_every_other_register_readable() -> None:
+    async def one(seed: int) -> None:
+        habit, settings = drawn(random.Random(seed))
+        lost = [] if habit.silent_at < 0 else [habit.silent_at]
+        async with driven(habit, **settings) as driver:
+            found = await values(driver, lambda found: found.count(None) == len(lost))
+            assert [place for place, value in enumerate(found) if value is None] == lost
+
+    await asyncio.gather(*(one(seed) for seed in range(24)))
