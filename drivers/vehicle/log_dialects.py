@@ -10,6 +10,8 @@ import re
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
+from drivers.errors import OneLineError
+
 Rewrite = Callable[[str], str]
 """A line in the reader's form, or the line itself where it is no record."""
 
@@ -29,7 +31,7 @@ CANEDGE_HEADER = "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;Da
 WITH_TIMES = "record it with candump -L, or print it with candump -ta"
 
 
-class NoTimesError(ValueError):
+class NoTimesError(OneLineError, ValueError):
     """The log has no times, or such that nobody knows what they count from; the message says what to do."""
 
 

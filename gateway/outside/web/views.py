@@ -78,8 +78,11 @@ def link_reason(words: Words, status: GatewayStatus) -> str:
 def _found(words: Words, status: GatewayStatus, alarms: Sequence[Mapping[str, Any]], finding: HealthFinding) -> str:
     """What a check found, in the reader's language where it is made of codes; else the gateway's sentence."""
     if finding.check == "alarms":
-        titles = [f"{row['title']} ({words.of_code('alarm.' + row['state'])})" for row in alarms if row["active"]]
-        return "; ".join(titles)
+        return "; ".join(
+            f"{row['of'] + ': ' if row['of_plant'] else ''}{row['title']} ({words.of_code('alarm.' + row['state'])})"
+            for row in alarms
+            if row["active"]
+        )
     if words.language == "en":
         return finding.sentence
     if finding.check == "link" and (reason := link_reason(words, status)):

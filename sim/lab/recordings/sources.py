@@ -3,7 +3,6 @@
 Each kind has its kept library, which is imported where such a file is read.
 """
 
-import csv
 import gzip
 import io
 import zipfile
@@ -13,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import BinaryIO, cast
 
+from drivers.csv_rows import write_rows
 from drivers.named_files import regular
 from sim.lab.recordings.load_report import TraceError
 
@@ -92,7 +92,7 @@ def _parquet(path: Path) -> BinaryIO:
 
 def _written(rows: Iterable[Iterable[object]]) -> BinaryIO:
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([["" if cell is None else cell for cell in row] for row in rows])
+    write_rows(text, rows)
     return io.BytesIO(text.getvalue().encode())
 
 

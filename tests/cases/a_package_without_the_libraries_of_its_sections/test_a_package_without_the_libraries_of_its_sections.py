@@ -21,7 +21,7 @@ from tests.cli.support import decanter
 from tests.gateway.support import plant_file
 
 ROOT = Path(__file__).parents[3]
-LABORATORY = {"tune", "cluster", "bench", "dev"}
+LABORATORY = {"tune", "cluster", "bench", "dev", "mutants"}
 """Extras that no box needs: nothing in a plant file asks for them."""
 
 

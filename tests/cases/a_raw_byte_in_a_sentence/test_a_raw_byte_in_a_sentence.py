@@ -31,7 +31,7 @@ NO_SENTENCE = {
     "ModbusRefusal", "TooManyQueriesError", "RecordFault", "Interrupted", "Unrepresentable",
 }  # fmt: skip
 """Errors whose sentence reaches nobody: the caller catches them, and says something of its own."""
-ARITHMETIC = ("sim/lab/checking", "sim/effects", "sim/lab/learning")
+ARITHMETIC = ("sim/proof", "sim/lab/checking", "sim/effects", "sim/lab/learning")
 """What computes imports nothing of the floor below; what it says is made one line where it is said."""
 
 
