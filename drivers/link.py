@@ -161,9 +161,11 @@ class Link(Generic[C]):
         """Seconds to wait after a connection before the first question on it.
 
         A device may answer nothing for a while after a connection was made, and each new one begins that anew: so the
-        pause grows with each connection in a row that brought no answer, and the one that brought one is kept.
+        pause grows with each connection in a row that brought no answer. The one that brought one is kept, and tried
+        next where a connection was silent again: a peer that was away for once is asked at once.
         """
-        return max(HESITATIONS_S[min(self._silent_in_a_row, len(HESITATIONS_S) - 1)], self._learned)
+        pause = HESITATIONS_S[min(self._silent_in_a_row, len(HESITATIONS_S) - 1)]
+        return max(pause, self._learned) if self._silent_in_a_row else pause
 
     def hesitate(self, pause: float) -> None:
         """So long has been waited before the first question on this connection."""

@@ -17,6 +17,10 @@ _BEGINS = re.compile(
 _OF_A_MESSAGE = re.compile(
     r"(?:BO_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|SIG_GROUP_|BO_TX_BU_|CM_\s+(?:BO_|SG_)|BA_\s+\"[^\"]*\"\s+(?:BO_|SG_))\s+(\d+)"
 )
+_DECIDES = re.compile(
+    r"SIG_VALTYPE_\s|SG_MUL_VAL_\s|BA_\s+\"(?:E2E[^\"]*|VFrameFormat)\"\s|SG_\s+\S+\s+(?:M|m\d+M?)\s*:"
+)
+"""What says how other signals of its message are decoded, or when: without it they would be read wrongly."""
 _MOST_TRIALS = 400
 """Readings of parts of a file, each of a part only; a file with more slips than that finds is refused whole."""
 _END = '\nCM_ "";\n'
@@ -120,6 +124,15 @@ def readable(text: str, problem_of: Callable[[str], str]) -> tuple[str, list[Dbc
         for part in parts
         if part.line not in kept and part.text.strip()
     ]
+    decided = {part.message: part.line for part in left if _DECIDES.match(part.text.lstrip())}
+    whole = [part for part in parts if part.message is not None and part.message in decided and part.line in kept]
+    kept -= {part.line for part in whole}
+    left += [
+        replace(part, reason=f"line {decided[part.message]}, by which it is decoded, cannot be read")
+        for part in whole
+        if part.text.lstrip().startswith("BO_ ")
+    ]
+    left.sort(key=lambda part: part.line)
     lost = {part.message for part in left if part.text.lstrip().startswith("BO_ ")}
     # With a message goes all that is said of it.
     left = [part for part in left if part.message not in lost or part.text.lstrip().startswith("BO_ ")]

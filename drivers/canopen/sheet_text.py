@@ -155,8 +155,8 @@ def sections_of_xml(text: str) -> tuple[dict[str, SheetSection], list[str]]:
     if re.search(r"<!(?:DOCTYPE|ENTITY)", text, re.IGNORECASE):
         raise ValueError("it has a document type, which no XDD has")
     try:
-        root = ElementTree.fromstring(text.encode())  # noqa: S314 - without a document type nothing in it expands
-    except ElementTree.ParseError as error:
+        root = ElementTree.fromstring(text)  # noqa: S314 - without a document type nothing in it expands
+    except (ElementTree.ParseError, LookupError) as error:
         raise ValueError(f"it is no XML ({error})") from None
     lines: list[str] = []
     for item in root.iter():

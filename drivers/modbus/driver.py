@@ -59,11 +59,6 @@ class Failure:
     reason: str
     code: int = 0
 
-    @property
-    def about_addresses(self) -> bool:
-        """Whether it may be about one address of several: a refusal, or silence, by which some devices refuse."""
-        return self.code in _ABOUT_ADDRESSES or self.quality is Quality.TIMEOUT
-
 
 @dataclass(frozen=True, slots=True)
 class _TagLayout:
@@ -336,17 +331,26 @@ class ModbusDriver:
             self._refused.answered(block)
             self._known_good = block
             return samples
-        silent = outcome.quality is Quality.TIMEOUT
-        if not outcome.about_addresses or not self._refused.may_bisect(block, _now()):
+        if not self._may_refuse(outcome) or not self._refused.may_bisect(block, _now()):
             return samples
-        if silent and (len(block.spans) < 2 or not await self._answers_elsewhere(block)):
+        silent = outcome.quality is Quality.TIMEOUT
+        if silent and len(block.spans) < 2:
+            return samples
+        if silent and not await self._answers_elsewhere(block):
+            self._refused.found(block, (), answered=False, reasons={}, now=_now())
             return samples
         return samples | await self._bisected(block, outcome)
 
+    def _may_refuse(self, failure: Failure) -> bool:
+        """Whether it may be about one address of several: a refusal, or silence, by which some devices refuse.
+
+        On a line an old answer is waited for after each silence, and meanwhile nothing of the device is read: there
+        silence is none.
+        """
+        return failure.code in _ABOUT_ADDRESSES or (failure.quality is Quality.TIMEOUT and not self._settings.on_line)
+
     async def _answers_elsewhere(self, block: AddressBlock) -> bool:
         """Whether a device that is silent to a block answers a single place: one that did, or the block's own ends."""
-        # On a line nothing is asked while an old answer may come.
-        await asyncio.sleep(self._settings.longest_reply if self._settings.on_line else 0.0)
         ends = (block.spans[0], block.spans[-1]) if len(block.spans) > 1 else ()
         places = [AddressBlock(span.area, span.start, span.count, (span,)) for span in ends]
         if self._known_good is not None and self._known_good != block:
@@ -369,8 +373,9 @@ class ModbusDriver:
         search = bisect(block)
         part = next(search, None)
         while part is not None:
-            outcome = await self._ask(part, patiently=False)
-            if isinstance(outcome, Failure) and not outcome.about_addresses:
+            # One lost reply makes no refusal: a part that cannot be halved is asked as a block is.
+            outcome = await self._ask(part, patiently=len(part.spans) == 1)
+            if isinstance(outcome, Failure) and not self._may_refuse(outcome):
                 # The link or the device's mood has changed: what was not reached is unknown, and nothing is concluded.
                 return self._samples(block, outcome) | {key: s for key, s in samples.items() if s.value is not None}
             samples |= self._samples(part, outcome)
@@ -392,7 +397,7 @@ class ModbusDriver:
         outcome = await self._ask(trial, patiently=False)
         if isinstance(outcome, WireReply):
             self._refused.rejoin(trial)
-        elif outcome.about_addresses:
+        elif self._may_refuse(outcome):
             self._refused.again(trial, outcome.reason, _now())
         return self._samples(trial, outcome)
 

@@ -69,6 +69,7 @@ class SharedLink:
         self._foreign = 0
         # The connection on which something has been asked.
         self._greeted: AnyWire | None = None
+        self._ask_from = 0.0
 
     def _adopt(self, settings: ModbusSettings) -> None:
         """Be a connection of this kind. Raises DriverError."""
@@ -146,11 +147,14 @@ class SharedLink:
             wire = self.link.connection or await self._wire()
             if wire is not self._greeted:
                 self._greeted = wire
-                if pause := max(self.settings.pause_after_connect, self.link.hesitation):
-                    self.link.hesitate(pause)
-                    await asyncio.sleep(pause)
-                    if self.link.connection is not wire:
-                        raise LinkDown(f"not connected: {self.link.reason}")
+                pause = max(self.settings.pause_after_connect, self.link.hesitation)
+                self.link.hesitate(pause)
+                self._ask_from = _now() + pause
+            # Every turn waits for it: the one that begins the pause may be given up in it.
+            if (rest := self._ask_from - _now()) > 0.0:
+                await asyncio.sleep(rest)
+                if self.link.connection is not wire:
+                    raise LinkDown(f"not connected: {self.link.reason}")
             started = _now()
             if not again:
                 health.asked_at = started

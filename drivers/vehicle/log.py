@@ -32,7 +32,7 @@ from drivers.can import CanFrame
 from drivers.errors import RecordingError
 from drivers.named_files import regular
 from drivers.vehicle import log_dialects
-from drivers.vehicle.log_dialects import NoTimesError, Rewrite
+from drivers.vehicle.log_dialects import LogDialectError, Rewrite
 
 _LONGEST_LINE = 4096
 _HEAD_LINES = 200
@@ -292,7 +292,7 @@ class Log:
     def _from_text(self, kind: Format, stream: BinaryIO) -> Iterator[can.Message]:
         try:
             lines = _Lines(stream, kind, self)
-        except NoTimesError as error:
+        except LogDialectError as error:
             self.note("broken", str(error))
             return
         reader = kind.reader(cast(TextIO, lines))

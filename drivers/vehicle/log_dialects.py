@@ -8,6 +8,7 @@ import base64
 import datetime as dt
 import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 
 from drivers.errors import OneLineError
@@ -31,14 +32,14 @@ CANEDGE_HEADER = "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;Da
 WITH_TIMES = "record it with candump -L, or print it with candump -ta"
 
 
-class NoTimesError(OneLineError, ValueError):
-    """The log has no times, or such that nobody knows what they count from; the message says what to do."""
+class LogDialectError(OneLineError, ValueError):
+    """What the log's form leaves open (what times count from, where data begin); the message says what to do."""
 
 
 def of_candump(head: Sequence[str]) -> Rewrite:
     """candump's files (-L, -l) as they are, its printed forms (-ta, -tA, -tz, -x), and BUSMASTER's logs.
 
-    Raises NoTimesError for what is printed without times, or with those of one frame after another (-td).
+    Raises LogDialectError for what is printed without times, or with those of one frame after another (-td).
     """
     if any(line.startswith("***BUSMASTER") for line in head):
         return _of_busmaster(head)
@@ -46,10 +47,10 @@ def of_candump(head: Sequence[str]) -> Rewrite:
     if not printed:
         return _as_it_is
     if any(match["time"] is None for match in printed):
-        raise NoTimesError(f"candump has printed it without times; {WITH_TIMES}")
+        raise LogDialectError(f"candump has printed it without times; {WITH_TIMES}")
     counted = [float(match[1]) for line in head if (match := _COUNTED.match(line))]
     if counted and any(later < earlier for earlier, later in pairwise(counted)):
-        raise NoTimesError(f"candump has printed the time from frame to frame (-td); {WITH_TIMES}")
+        raise LogDialectError(f"candump has printed the time from frame to frame (-td); {WITH_TIMES}")
 
     def rewrite(line: str) -> str:
         match = _PRINTED.fullmatch(line)
@@ -128,26 +129,29 @@ def of_csv(head: Sequence[str]) -> Rewrite:
     """python-can's CSV as it is; that of SavvyCAN (GVRET) and of CANedge's converter in its form."""
     header = next((line.strip().lstrip("\ufeff") for line in head if line.strip()), "")
     if header.startswith(GVRET_HEADER):
-        return _of_gvret
+        columns = [name.strip().casefold() for name in header.split(",")]
+        if "len" not in columns:
+            raise LogDialectError(f"its header {header[:60]!r} has no column LEN: nobody knows where data begin")
+        return partial(_of_gvret, columns.index("len"))
     return _of_canedge if header == CANEDGE_HEADER else _as_it_is
 
 
 PYTHON_CAN_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
 
 
-def _of_gvret(line: str) -> str:
+def _of_gvret(length_at: int, line: str) -> str:
     if line.strip().lstrip("\ufeff").startswith(GVRET_HEADER):
         return PYTHON_CAN_HEADER + "\n"
     cells = [cell.strip() for cell in line.strip().split(",")]
     try:
-        # The time in microseconds; data from the seventh column on, "Dir" and "Bus" before the length.
+        # The time in microseconds; the data after the length, before which newer versions have "Dir" too.
         time, number, extended, size = (
             int(cells[0]) / 1e6,
             int(cells[1], 16),
             cells[2].casefold() == "true",
-            int(cells[5]),
+            int(cells[length_at]),
         )
-        data = bytes(int(cell, 16) for cell in cells[6 : 6 + size])
+        data = bytes(int(cell, 16) for cell in cells[length_at + 1 : length_at + 1 + size])
     except (ValueError, IndexError):
         return line
     return _record(time, number, extended=extended, size=size, data=data)

@@ -209,7 +209,7 @@ def test_questions_are_asked_until_everything_is_proved(
 def test_a_soak_counts_what_was_lost_and_keeps_a_recording(tmp_path: Path) -> None:
     with running() as process:
         force(process, "Coppia", 33.0)
-        process.fault("exception", code=4, count=2)
+        process.fault("exception", code=10, count=2)
         options = ("--seconds", 1.5, "--period", 0.1, "--record", tmp_path / "soak.csv")
         data = answer(tmp_path, "soak", *options, "--device", DECANTER, *at(process))
     assert data["exit"] == 1 and data["scans_with_bad"] >= 1 and data["bad_tags"]["Coppia"] >= 1

@@ -135,3 +135,23 @@ def test_a_file_that_cannot_be_used_is_one_sentence(others: Path, tmp_path: Path
             open_driver("can", settings, clock=lambda: 0.0)
         assert str(path) in str(caught.value)
         assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("SIG_VALTYPE_ 100 Wide : 1;", "SIG_VALTYPE_ 100 Wide : one;"),
+        ('BA_ "E2EProfile" BO_ 100 "P01";', 'BA_ "E2EProfile" BO_ 100 P01"";'),
+    ],
+    ids=["float", "protection"],
+)
+def test_a_slip_in_what_decides_how_a_message_is_decoded_costs_the_whole_message(
+    before: str, after: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "slip.dbc"
+    text = OTHERS if before in OTHERS else OTHERS + before + "\n"
+    path.write_text(text.replace(before, after), encoding="latin-1")
+    dbc = Dbc(path)
+    with pytest.raises(AddressError, match="no message"):
+        dbc.locate(Tag("w", "dbc:Deep.Wide"))
+    assert any("by which it is decoded" in str(part) for part in dbc.left_out)

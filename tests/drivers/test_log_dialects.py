@@ -31,6 +31,7 @@ def read(folder: Path, name: str, text: str) -> tuple[list[CanFrame], Log]:
         ("c.log", f" (1772359200.000000)  {PRINTED.replace('can0', 'can0  RX - -')}  '.}}}}h..'\n", [1772359200.0]),
         ("d.log", f" (000.000000)  {PRINTED}\n (000.250000)  {PRINTED}\n", [0.0, 0.25]),
         ("e.csv", GVRET + "1500000,0CF00400,true,Rx,0,8,F0,7D,7D,68,13,F0,F0,7D,\n", [1.5]),
+        ("i.csv", GVRET.replace("Dir,", "") + "1500000,0CF00400,true,0,8,F0,7D,7D,68,13,F0,F0,7D,\n", [1.5]),
         ("f.csv", CANEDGE + "1772359200.5;1;0CF00400;1;8;8;0;0;0;F07D7D6813F0F07D\n", [1772359200.5]),
         (
             "g.log",
@@ -106,3 +107,8 @@ def test_the_shared_logs_have_their_times() -> None:
     assert times["asc_relative_times/log.asc"] == pytest.approx([0.0, 0.1, 0.2, 0.3])
     assert times["candump_as_printed/ta.log"] == pytest.approx([1772359200.0, 1772359200.1])
     assert times["candump_as_printed/tA.log"] == pytest.approx([1772359200.0, 1772359200.1])
+
+
+def test_an_older_savvycan_log_whose_first_byte_reads_as_a_length_is_not_shifted(tmp_path: Path) -> None:
+    frames, _ = read(tmp_path, "a.csv", GVRET.replace("Dir,", "") + "1500000,123,false,0,8,04,01,02,03,04,05,06,07,\n")
+    assert [(frame.id, frame.data) for frame in frames] == [(0x123, bytes((4, 1, 2, 3, 4, 5, 6, 7)))]

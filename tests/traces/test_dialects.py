@@ -17,6 +17,7 @@ from openpyxl import Workbook
 from gateway.cli.main import main
 from gateway.console import shipped
 from sim.lab.recordings import LoadReport, TraceError, load_map, load_traces
+from sim.lab.recordings.clock import spread_evenly
 from sim.sha import Trace
 from tests.traces.exports import STEP, Recording, comma, recording, wide, written
 
@@ -471,3 +472,56 @@ def test_a_packed_file_that_ends_too_early_is_refused_in_one_sentence(tmp_path: 
     assert "it ends within what was packed" in asked(path, tmp_path / "m.toml")
     with pytest.raises(TraceError, match="ends within what was packed"):
         load_traces(path, load_map(shipped("traces", "decanter")))
+
+
+@pytest.mark.parametrize("level", [850.0, 85.0, 999.0])
+def test_a_load_that_is_off_or_at_a_number_that_others_use_as_a_code_is_read(level: float, tmp_path: Path) -> None:
+    plant = recording()
+    current = np.where(plant.current > plant.current.mean(), level, 0.0)
+    (trace,), report, said = mapped(wide(tmp_path / "a.csv", of=replace(plant, current=current)), tmp_path / "m.toml")
+    assert report.files[0].bad_cells == 0 and "bad =" not in said["text"]
+    assert any(level in values for values in trace.signals.values())
+
+
+def test_a_code_of_many_digits_is_written_as_it_is(tmp_path: Path) -> None:
+    plant = recording()
+    heat = plant.heat.copy()
+    heat[[5, 60]] = 2147483647.0
+    (trace,), report, said = mapped(wide(tmp_path / "a.csv", of=replace(plant, heat=heat)), tmp_path / "m.toml")
+    assert report.files[0].bad_cells == 2 and "2147483647" in said["text"]
+    assert np.nanmax(trace.signals["Bearing_temperature"]) < 1e3
+
+
+def test_rows_before_a_pause_of_the_recorder_are_spread_no_farther_than_others() -> None:
+    times = np.repeat([0.0, 60.0, 120.0, 30_000.0, 30_060.0], 6)
+    spread = spread_evenly(times)
+    assert np.diff(spread).min() == pytest.approx(10.0) and spread[17] == pytest.approx(170.0)
+
+
+def test_a_zone_that_there_is_not_is_one_sentence(tmp_path: Path) -> None:
+    said = asked(wide(tmp_path / "a.csv", of=recording()), tmp_path / "m.toml", "--timezone", "Europe/Rom")
+    assert "there is no time zone 'Europe/Rom'" in said
+
+
+@pytest.mark.parametrize("names", [("log.2024-01.csv", "log.2024-02.csv"), ("a.1.csv", "a.2.csv")])
+def test_all_parts_of_a_folder_are_read_whatever_dots_their_names_have(names: tuple[str, str], tmp_path: Path) -> None:
+    lines = wide(tmp_path / "whole.csv", of=recording()).read_text(encoding="utf-8").splitlines(keepends=True)
+    half = 1 + (len(lines) - 1) // 2
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    for name, rows in zip(names, (lines[1:half], lines[half:]), strict=True):
+        (folder / name).write_text("".join([lines[0], *rows]), encoding="utf-8")
+    (trace,), report, _ = mapped(folder, tmp_path / "m.toml")
+    assert len(report.files) == 2 and trace.times.size == len(lines) - 1
+
+
+def test_a_folder_of_several_kinds_of_files_is_refused_and_a_copy_beside_a_csv_is_none(tmp_path: Path) -> None:
+    text = wide(tmp_path / "whole.csv", of=recording()).read_bytes()
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    (folder / "a.csv").write_bytes(text)
+    (folder / "b.csv.gz").write_bytes(gzip.compress(text))
+    assert "its files end in" in asked(folder, tmp_path / "m.toml")
+    (folder / "b.csv.gz").rename(folder / "a.csv.gz")
+    traces, _, _ = mapped(folder, tmp_path / "m.toml")
+    assert len(traces) == 1

@@ -104,7 +104,8 @@ class AlarmBoard:
         before = dict(self.alarms)
         for name, condition in conditions.items():
             plain = saved[1].get(name)
-            if isinstance(plain, dict) and plain.get("limit", condition.limit) != condition.limit:
+            # What stood against a limit that is higher now may be over; against a lower one it stands all the more.
+            if isinstance(plain, dict) and condition.limit > plain.get("limit", condition.limit):
                 self.alarms[name] = moved(self.alarms[name], Change.CLEAR, now, latching=condition.latches)
         self._make_known(before, {}, now)
         if gone:

@@ -10,12 +10,20 @@ if TYPE_CHECKING:
     from sim.lab.recordings.channel_use import channel_uses
     from sim.lab.recordings.clock import longest_rising, read_clock, to_utc, unroll_midnight
     from sim.lab.recordings.clock_words import plain_time
-    from sim.lab.recordings.column_map import SECONDS, SPREADSHEET, ClockColumns, ColumnMap, load_map, parse_map
+    from sim.lab.recordings.column_map import (
+        SECONDS,
+        SPREADSHEET,
+        ClockColumns,
+        ColumnMap,
+        load_map,
+        parse_map,
+        zone_problem,
+    )
     from sim.lab.recordings.cycles import split_cycles
     from sim.lab.recordings.fault_codes import codes_in
     from sim.lab.recordings.load_report import LoadReport, TraceError, listed
     from sim.lab.recordings.readings import unread_hash
-    from sim.lab.recordings.sources import head_of
+    from sim.lab.recordings.sources import head_of, stem_of
     from sim.lab.recordings.text_table import SEPARATORS, decode_head, folded, rows_mark, told_apart
     from sim.lab.recordings.trace_file import write_trace
     from sim.lab.recordings.traces import csv_files, files_by_machine, load_traces, units

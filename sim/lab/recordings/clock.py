@@ -148,7 +148,8 @@ def spread_evenly(times: Array) -> Array:
     if distinct.size < 2:
         return times
     usual = int(np.median(counts))
-    steps = np.append(np.diff(distinct), np.diff(distinct)[-1])
+    # Where the recorder was off, the last rows before are no farther apart than others.
+    steps = np.minimum(np.append(np.diff(distinct), np.diff(distinct)[-1]), np.median(np.diff(distinct)))
     size = counts.astype(float)
     size[0], size[-1] = max(usual, counts[0]), max(usual, counts[-1])
     place = (

@@ -84,11 +84,8 @@ class ClockColumns(_MapPart):
     @field_validator("timezone")
     @classmethod
     def _zone_exists(cls, zone: str) -> str:
-        try:
-            ZoneInfo(zone)
-        except (ZoneInfoNotFoundError, ValueError):
-            meant = did_you_mean(zone, available_timezones()) or "give a name like 'UTC' or 'Europe/Rome'"
-            raise ValueError(f"there is no time zone {zone!r}; {meant}") from None
+        if problem := zone_problem(zone):
+            raise ValueError(problem)
         return zone
 
     @field_validator("formats")
@@ -210,6 +207,16 @@ class Long(_MapPart):
     value: Names
     object: Names = ()
     objects: tuple[str, ...] = ()
+
+
+def zone_problem(zone: str) -> str:
+    """What is wrong with the name of a time zone; "" if there is such a zone."""
+    try:
+        ZoneInfo(zone)
+    except (ZoneInfoNotFoundError, OSError, ValueError):
+        meant = did_you_mean(zone, available_timezones()) or "give a name like 'UTC' or 'Europe/Rome'"
+        return f"there is no time zone {zone!r}; {meant}"
+    return ""
 
 
 class ByColumn(_MapPart):

@@ -11,6 +11,12 @@ CODES = (
     3.4028235e38, -3.4028235e38,
 )  # fmt: skip
 """Ends of integers (also in tenths and hundredths), of a Pt100 and of a float, DS18B20's -127 and 85, rows of nines."""
+POSSIBLE = frozenset({85.0, 850.0, 988.0, 999.0, 999.9})
+"""Codes that a speed, a valve or a pressure may well reach: they count only where they are rare."""
+_RARE = 0.05
+"""Share of the readings up to which a possible number is a code."""
+_VARIED = 10
+"""Distinct other readings from which on a signal moves by itself: what is 0 or 850 is switched, and has no code."""
 _SAME = 1e-6
 _FAR = 0.25
 """Of the range of all other readings: so far a code lies from the readings beside it."""
@@ -34,8 +40,12 @@ def codes_in(values: Array) -> dict[float, int]:
     at = np.searchsorted(where, np.flatnonzero(known))
     left, right = others[(at - 1).clip(min=0)], others[at.clip(max=others.size - 1)]
     away = np.minimum(np.abs(finite[known] - left), np.abs(finite[known] - right))
+    varied = np.unique(others).size >= _VARIED
     for code in np.unique(finite[known]).tolist():
         own = finite[known] == code
+        possible = code in POSSIBLE or (-1000.0 < code < 0.0 and others.min() < 0.0)
+        if possible and not (varied and own.sum() <= _RARE * finite.size):
+            continue
         if np.all(away[own] > _FAR * span):
             found[float(code)] = int(own.sum())
     return found

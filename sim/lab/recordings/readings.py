@@ -14,6 +14,7 @@ from sim.lab.recordings.clock import clock_columns, read_clock, to_utc
 from sim.lab.recordings.column_map import ColumnMap, Long, Names, SignalColumn
 from sim.lab.recordings.fault_codes import codes_in
 from sim.lab.recordings.load_report import FileReport, TraceError, listed
+from sim.lab.recordings.sources import stem_of
 from sim.lab.recordings.text_table import TextLayout, find_layout, place_of, read_rows
 from sim.sha import Array, Mask
 
@@ -121,7 +122,7 @@ def _aliases(path: Path, column_map: ColumnMap, signal: str) -> Names:
     names = column_map.names_of(signal)
     if not column_map.parts:
         return names
-    own = f"{path.name.split('.')[0]}/"
+    own = f"{stem_of(path)}/"
     return (*names, *(name.removeprefix(own) for name in names if name.startswith(own)))
 
 
@@ -241,7 +242,8 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
             )
         chunk.rows.clear()
         chunks.append(chunk)
-    if chunks and not column_map.parts:
+    # Of parts that have one tag each, a file is not asked for the tags of the others.
+    if chunks and not (column_map.parts and len(values) == 1):
         for name in column_map.signals.keys() - values.keys() - column_map.derived.keys():
             names = " or ".join(map(repr, column_map.names_of(name)))
             report.notes.append(f"there is no column {names}: no {name}")
@@ -281,7 +283,8 @@ def _read_long(
                 what = field or "another object"
                 unmapped[what] += len(where)
                 cells = sum(bool(rows[index][value_at].strip()) for index in where)
-                report.unused[what] += cells + len(where) * len(clock_columns(column_map.clock))
+                owners = len(clock_columns(column_map.clock)) + sum(map(bool, column_map.by_column))
+                report.unused[what] += cells + len(where) * owners
                 continue
             name, cells_ = names[field], [rows[index][value_at] for index in where]
             values, faults = _convert(name, column_map.signals[name], cells_, column_map, report)

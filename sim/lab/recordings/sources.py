@@ -18,7 +18,12 @@ from sim.lab.recordings.load_report import TraceError
 
 UNPACKING = (EOFError, zlib.error, zipfile.BadZipFile)
 """What a packed file raises that is cut off, while it is read."""
+_PACKED = (".gz", ".zip", ".zst")
 _TEXT = (".csv", ".txt", ".tsv", ".dat", ".log")
+
+
+_DAMAGED = (KeyError, ValueError, RuntimeError, SyntaxError)
+"""What the libraries raise beside: of a password, of a packing they do not know, of XML that is none."""
 
 
 def opened(path: Path) -> BinaryIO:
@@ -28,7 +33,7 @@ def opened(path: Path) -> BinaryIO:
         return regular(path).open("rb")
     try:
         return kind(regular(path))
-    except (zipfile.BadZipFile, gzip.BadGzipFile, zlib.error, EOFError, KeyError, ValueError) as error:
+    except (zipfile.BadZipFile, gzip.BadGzipFile, zlib.error, EOFError, *_DAMAGED) as error:
         if isinstance(error, TraceError):
             raise
         raise TraceError(f"{path}: it is no {path.suffix[1:]} file that can be unpacked ({error})") from None
@@ -43,10 +48,16 @@ def head_of(path: Path, size: int) -> bytes:
         raise TraceError(f"{path}: it ends within what was packed ({error}); give the whole file") from None
 
 
+def stem_of(path: Path) -> str:
+    """The name of a recording's file without what says how it is written."""
+    packed = path.suffix.lower() in _PACKED and Path(path.stem).suffix
+    return Path(path.stem).stem if packed else path.stem
+
+
 def is_recording(path: Path) -> bool:
     """Whether a file of a folder is a recording by its name: a CSV, also packed, or a table of another program."""
     names = [suffix.lower() for suffix in path.suffixes]
-    packed = names[-2:-1] == [".csv"] and names[-1] in (".gz", ".zip", ".zst")
+    packed = names[-2:-1] == [".csv"] and names[-1] in _PACKED
     return names[-1:] in ([".csv"], [".xlsx"], [".parquet"]) or packed
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from sim.lab.recordings.auto_thresholds import with_gap, with_thresholds
 from sim.lab.recordings.clock import longest_rising, spread_evenly, unroll_midnight
-from sim.lab.recordings.column_map import ColumnMap
+from sim.lab.recordings.column_map import ByColumn, ColumnMap
 from sim.lab.recordings.load_report import FileReport, LoadReport, TraceError
 from sim.lab.recordings.readings import FileReadings, Rows, Series, Whose, joined, read_file, refuse_rows, select
-from sim.lab.recordings.sources import UNPACKING, is_recording
+from sim.lab.recordings.sources import UNPACKING, is_recording, stem_of
 from sim.sha import Alphabet, Array, Mask, Trace, encode
 
 Source = str | Path | Iterable[str | Path]
@@ -73,6 +73,10 @@ def files_by_machine(source: Source, column_map: ColumnMap) -> dict[str, list[Pa
 
     Of a folder its own and those in the folders below: a file beside the machines' folders must not stand for them all.
     """
+    if isinstance(column_map.machine, ByColumn):
+        raise TraceError(
+            "the column map takes the machine from a column, so that no file is of one; give each machine its files"
+        )
     machines: dict[str, list[Path]] = {}
     for group in _groups(_files(source, column_map, below=True), column_map):
         machines.setdefault(_machine([FileReport(path) for path in group], column_map), []).extend(group)
@@ -101,6 +105,9 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
 def csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
     """The CSV files among paths, in the order of their names; only those of the pattern `parts`, if any is."""
     files = [path for path in paths if is_recording(path) and path.is_file() and path.name[:1] != "."]
+    # What stands packed, or as the sheet that it was exported from, beside a CSV of its name is no second recording.
+    plain = {(path.parent, stem_of(path)) for path in files if path.suffix.lower() == ".csv"}
+    files = [path for path in files if path.suffix.lower() == ".csv" or (path.parent, stem_of(path)) not in plain]
     return sorted([path for path in files if parts and fnmatch.fnmatch(path.name, parts)] or files)
 
 
@@ -116,12 +123,12 @@ def _groups(files: Sequence[Path], column_map: ColumnMap) -> list[list[Path]]:
 def _name(group: Sequence[Path], taken: set[str]) -> str:
     first = group[0]
     parent = first.absolute().parent.name
-    name = first.stem if len(group) == 1 else parent
+    name = stem_of(first) if len(group) == 1 else parent
     if name in taken:
         name = f"{parent}-{name}"
     number = 2
     while name in taken:
-        name, number = f"{first.stem}({number})", number + 1
+        name, number = f"{stem_of(first)}({number})", number + 1
     return name
 
 
@@ -130,7 +137,7 @@ def _machine(files: Sequence[FileReport], column_map: ColumnMap) -> str:
     first = files[0].path.absolute()
     match column_map.machine:
         case "file" if len(files) == 1:
-            return first.stem
+            return stem_of(first)
         case str() as name if name not in ("file", "folder"):
             return name
         case _:

@@ -10,6 +10,7 @@ import numpy as np
 
 from sim.lab.recordings import (
     LoadReport,
+    TraceError,
     codes_in,
     csv_files,
     gap_of,
@@ -19,6 +20,7 @@ from sim.lab.recordings import (
     load_traces,
     parse_map,
     round_to,
+    zone_problem,
 )
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
@@ -87,6 +89,8 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     `names` are the signals' names by their headers, that of a derived switch by RUNNING; others are made of the header.
     """
     names = names or {}
+    if answers.timezone and (problem := zone_problem(answers.timezone)):
+        raise TraceError(f"--timezone: {problem}")
     if path.is_dir():
         table, clock = one_table(path, csv_files(path.iterdir(), ""), answers)
     else:
@@ -320,12 +324,17 @@ def _signal(column: FoundColumn, parts: Parts) -> str:
         keys += [f"offset = {column.offset!r}"] if column.offset else []
         unit = column.unit or ("degC" if column is parts.temperature else "")
         keys += [f"unit = {_quoted(unit)}"] if unit else []
-        keys += [f"bad = [{', '.join(f'{code:g}' for code in column.bad)}]"] if column.bad else []
+        keys += [f"bad = [{', '.join(map(_exact, column.bad))}]"] if column.bad else []
     comment = ""
     finite = column.values[np.isfinite(column.values)]
     if column.kind == "number" and finite.size:
         comment = f"    # {finite.min():g} to {finite.max():g}" + (", constant" if np.ptp(finite) == 0 else "")
     return f"{_quoted(column.name)} = {{ {', '.join(keys)} }}{comment}"
+
+
+def _exact(number: float) -> str:
+    """A number as a map writes it: short where that is the very number."""
+    return short if float(short := f"{number:g}") == number else repr(number)
 
 
 def _derived(parts: Parts, name: str) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.lab.recordings import TraceError, folded
+from sim.lab.recordings import TraceError, folded, listed, stem_of
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.decide import clock_of
@@ -24,6 +24,10 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         raise TraceError(
             f"{folder}: there is no CSV file in it; give a file, or a folder of the parts of one recording"
         )
+    endings = sorted({file.name.removeprefix(stem_of(file)) for file in files})
+    if len(endings) > 1:
+        raise TraceError(f"{folder}: its files end in {listed(endings)}; give a folder in which all are of one kind")
+    (ending,) = endings
     tables = [find_table(file) for file in files]
     clocks = [clock_of(table, answers) for table in tables]
     first, clock = tables[0], clocks[0]
@@ -49,10 +53,10 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         keys: list[str] = []
         for place, name in enumerate(table.header):
             shared = single and len(tables) > 1 and seen[folded(name)] > 1 and place not in (own.place, own.date)
-            key = f"{table.path.name.split('.')[0]}/{name}" if shared else name
+            key = f"{stem_of(table.path)}/{name}" if shared else name
             key = next((known for known in names if folded(known) == folded(key)), key)
             names += [key] if key not in names else []
-            titles.setdefault(key, table.path.name.split(".")[0] if shared else table.titles[place])
+            titles.setdefault(key, stem_of(table.path) if shared else table.titles[place])
             units.setdefault(key, table.units[place])
             keys.append(key)
         for row, time in zip(table.rows, seconds_of(table, own)[0].tolist(), strict=True):
@@ -65,6 +69,6 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         titles=tuple(titles[name] for name in names),
         units=tuple(units[name] for name in names),
         rows=tuple(tuple(row.get(name, "") for name in names) for _, row in rows),
-        parts=f"*{''.join(files[0].suffixes[-2:] if len(files[0].suffixes) > 1 else files[0].suffixes)}",
+        parts=f"*{ending}",
     )
     return table, replace(clock, place=0, date=None if date is None else 1)
