@@ -73,7 +73,7 @@ counterparts:
 # Bugs put in one by one where a wrong number would be believed ([tool.mutmut] in pyproject.toml lists the modules), and
 # whether a test fails with each: the share, and those with which none does. ONLY='drivers.codec.*' for some. Hours for all.
 mutants: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutants]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[mutants]'
 	nice -n 10 $(BIN)/python -m tests.mutants $(ONLY)
 
 # Every parser and protocol side, INPUTS each (100000); TARGET=name for one, SEED for others, JOBS targets at a time. It

@@ -126,7 +126,8 @@ class Dbc:
             text, left = readable(spelled_out(text), lambda part: _loaded(part)[1])
             loaded = _loaded(text)[0] if text else None
         if loaded is None or (left and not loaded.messages):
-            raise DriverError(f"{path}: is no DBC file that can be used: {reason}")
+            why = "".join(f"; {part}" for part in left[:1])
+            raise DriverError(f"{path}: is no DBC file that can be used: {reason}{why}")
         self._messages: dict[str, Message] = {}
         self.left_out = tuple(f"{path}: {part}" for part in left)
         for message in loaded.messages:

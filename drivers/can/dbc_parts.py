@@ -15,7 +15,7 @@ _BEGINS = re.compile(
     r"|CAT_DEF_|FILTER|BU_SG_REL_|BU_EV_REL_|BU_BO_REL_)(?=[\s:]|$)"
 )
 _OF_A_MESSAGE = re.compile(
-    r"(?:BO_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|SIG_GROUP_|BO_TX_BU_|CM_\s+(?:BO_|SG_)|BA_\s+\"[^\"]*\"\s+(?:BO_|SG_))\s+(\d+)"
+    r"(?:BO_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|SIG_GROUP_|BO_TX_BU_|CM_\s+(?:BO_|SG_)|BA_\s+\"[^\"]*\"\s+(?:BO_|SG_))\s+(\d+)(?!\w)"
 )
 _DECIDES = re.compile(
     r"SIG_VALTYPE_\s|SG_MUL_VAL_\s|BA_\s+\"(?:E2E[^\"]*|VFrameFormat)\"\s|SG_\s+\S+\s+(?:M|m\d+M?)\s*:"
@@ -125,7 +125,10 @@ def readable(text: str, problem_of: Callable[[str], str]) -> tuple[str, list[Dbc
         if part.line not in kept and part.text.strip()
     ]
     decided = {part.message: part.line for part in left if _DECIDES.match(part.text.lstrip())}
-    whole = [part for part in parts if part.message is not None and part.message in decided and part.line in kept]
+    if decided.keys() - {part.message for part in parts if part.text.lstrip().startswith("BO_ ")}:
+        # Nobody knows which message it would have told how to be decoded.
+        return "", left
+    whole = [part for part in parts if part.message in decided and part.line in kept]
     kept -= {part.line for part in whole}
     left += [
         replace(part, reason=f"line {decided[part.message]}, by which it is decoded, cannot be read")

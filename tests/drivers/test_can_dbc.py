@@ -155,3 +155,12 @@ def test_a_slip_in_what_decides_how_a_message_is_decoded_costs_the_whole_message
     with pytest.raises(AddressError, match="no message"):
         dbc.locate(Tag("w", "dbc:Deep.Wide"))
     assert any("by which it is decoded" in str(part) for part in dbc.left_out)
+
+
+def test_a_slip_that_hides_whose_decoding_it_decides_costs_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "slip.dbc"
+    path.write_text(OTHERS.replace("SIG_VALTYPE_ 100 Wide : 1;", "SIG_VALTYPE_ 1O0 Wide : 1;"), encoding="latin-1")
+    settings = {"interface": "hub", "channel": "x", "dbc": str(path)}
+    with pytest.raises(DriverError, match="no DBC file that can be used") as caught:
+        open_driver("can", settings, clock=lambda: 0.0)
+    assert "SIG_VALTYPE_ 1O0" in str(caught.value) and len(str(caught.value).splitlines()) == 1
