@@ -9,7 +9,15 @@ from sim.lab.discrepancy.beginning import beginning
 from sim.lab.discrepancy.ceiling import ceiling
 from sim.lab.discrepancy.diagnosis import CandidateLaw, Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
 from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on, restored
-from sim.lab.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors, told_by_all, with_what_is_left
+from sim.lab.discrepancy.gap import (
+    Excess,
+    excess,
+    floor_of,
+    sensor_noise,
+    stated_errors,
+    told_by_all,
+    with_what_is_left,
+)
 from sim.lab.discrepancy.held_out import HeldOutRun, RunsBefore, compared, foretold, let_run, runs_before, surely_nearer
 from sim.lab.discrepancy.judging import (
     NamingResult,
