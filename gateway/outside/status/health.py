@@ -174,7 +174,8 @@ def virtual_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStat
 
 
 def _virtual(status: GatewayStatus) -> str:
-    said = [sentence for one in (status, *status.further) if (sentence := virtual_sentence(status, one))]
+    all_of_them: list[GatewayStatus | TemperatureStatus] = [status, *status.further]
+    said = [sentence for one in all_of_them if (sentence := virtual_sentence(status, one))]
     return said[0] if len(said) == 1 else "; ".join(said)
 
 
