@@ -238,6 +238,15 @@ def test_a_bit_is_counted_as_its_header_says(header: str, cell: str, bit: int, t
     assert isinstance(found, dict) and found["bit"] == bit
 
 
+def test_a_place_that_the_list_writes_in_two_ways_is_two_tags_and_one_that_was_copied_is_none(tmp_path: Path) -> None:
+    found = read(tmp_path, "Name;Address;Type\nA;40101-40102;REAL\nB;100~101;DINT\nC;40101-40102;DINT\n")
+    assert [tag.keys["address"] for tag in found.tags] == ["holding:100", "holding:100"]
+    assert "'A' of line 2" in found.tags[1].taken and "'40101-40102'" in found.tags[1].taken
+    assert "line 4, 'Address'" in found.problems[0] and "'A' of line 2" in found.problems[0]
+    bits = read(tmp_path, "Name;Address;Type\nA;40101.1;BOOL\nB;100.1;BOOL\nC;100;INT\n")
+    assert len(bits.tags) == 1 and len(bits.problems) == 2, "a bit shown otherwise is a slip of the spreadsheet"
+
+
 def test_several_sentinels_are_a_list(tmp_path: Path) -> None:
     found = row(tmp_path, "Address;Type;Sentinel", "100;INT16;0x7FFF / 0x8000")
     assert isinstance(found, dict) and found["sentinel"] == [0x7FFF, 0x8000]
@@ -266,7 +275,11 @@ _RIGHT: dict[str, dict[str, dict[str, Any]]] = {
         "Serial": {"address": "holding:199", "dtype": "string", "length": 20},
     },
     "list_order_in_the_type": {"Bearing": {"dtype": "float32", "order": "DCBA"}},
-    "list_ranges_and_functions": {"A": {"address": "holding:100", "dtype": "float32"}, "C": {"address": "input:118"}},
+    "list_ranges_and_functions": {
+        "A": {"address": "holding:100", "dtype": "float32"},
+        "B": {"address": "holding:100", "dtype": "int32"},
+        "C": {"address": "input:118"},
+    },
 }  # fmt: skip
 
 
