@@ -2,8 +2,8 @@
 
 import asyncio
 import random
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -24,6 +24,16 @@ from drivers.errors import (
     WriteUnverified,
 )
 from drivers.modbus.address import TagSpan, locate
+from drivers.modbus.identity import (
+    MOST_PARTS,
+    PinnedMark,
+    identification,
+    mark_request,
+    object_request,
+    server_id_request,
+    stranger,
+    text_of_server_id,
+)
 from drivers.modbus.plan import (
     AddressBlock,
     Quarantine,
@@ -39,15 +49,31 @@ from drivers.modbus.settings import ModbusSettings, place_of, read_settings
 from drivers.modbus.shared import SharedLink
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import WireReply, read_request, write_request
+from drivers.survey import Raw
 from drivers.tag import Quality, Sample, Tag, Value
 
 # A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.
 _ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
 _BUSY, _NOT_TAKEN = frozenset({5, 6}), frozenset({6})
 """Exceptions after which a read is asked again in its time, and a write sent again: 6 says that nothing was done."""
+_ILLEGAL_FUNCTION = 1
+_OTHER_FUNCTION = {
+    16: "if it takes single registers alone, give write_with = 6",
+    6: "if it takes several registers alone, give write_with = 16",
+    15: "if it takes single coils alone, give write_with = 5",
+    5: "if it takes several coils alone, give write_with = 15",
+}
+"""What else a refusal of the function that writes may mean, by that function."""
+_MOST_ROUNDS = 3
+_SAYS_NOTHING = frozenset({1, 2, 3})
+"""Refusals by which a device says that it has no such mark."""
+IDENTITY_S = 60.0
+"""So often a pinned device says who it is, also where nothing has failed."""
+_NOT_KNOWN = "it is not known whether this is the pinned device (identity)"
 _FIRST_PAUSE_S = 0.02
 _MAX_WRITE_BITS = 1968  # 0x07B0 (MODBUS Application Protocol V1.1b3, 6.11)
 _LAYOUTS_KEPT = 64
+_ADDRESSES = 0x10000
 _NOTHING: tuple[tuple[int, ...], Reading] = ((), (None, Quality.NO_DATA, ""))
 
 
@@ -121,9 +147,23 @@ def open_modbus(
     that cannot be written.
     """
     checked = read_settings(settings)
-    make_shared = partial(SharedLink, checked, clock=clock, seed=seed, alone=connections is None, rng=rng)
-    shared = make_shared() if connections is None else connections.at(place_of(checked), make_shared)
-    return ModbusDriver(checked, clock=clock, write_map=tuple(write_map), shared=shared)
+    return make_modbus(checked, clock=clock, write_map=write_map, seed=seed, connections=connections, rng=rng)
+
+
+def make_modbus(
+    settings: ModbusSettings,
+    *,
+    clock: Clock,
+    write_map: Sequence[Tag] = (),
+    seed: int = 0,
+    connections: Connections | None = None,
+    rng: random.Random | None = None,
+) -> "ModbusDriver":
+    """`open_modbus` of settings that are checked already."""
+    make_shared = partial(SharedLink, settings, clock=clock, seed=seed, alone=connections is None, rng=rng)
+    shared = make_shared() if connections is None else connections.at(place_of(settings), make_shared)
+    kind = PinnedDriver if settings.identity else ModbusDriver
+    return kind(settings, clock=clock, write_map=tuple(write_map), shared=shared)
 
 
 class ModbusDriver:
@@ -181,6 +221,15 @@ class ModbusDriver:
 
     async def read(self, tags: Sequence[Tag]) -> list[Sample]:
         """Read all tags now; a failure is a Sample of bad quality with the reason. A block's tags share one reply."""
+        if not self._settings.close_between_scans:
+            return await self._scanned(tags)
+        await self._line.ready()
+        try:
+            return await self._scanned(tags)
+        finally:
+            self._line.rest()
+
+    async def _scanned(self, tags: Sequence[Tag]) -> list[Sample]:
         now = _now()
         self._refused.renew(now, self._line.connects)
         layout = self._layout(tags)
@@ -213,6 +262,8 @@ class ModbusDriver:
     async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
         """Write all values with one request (function 16; 15 for coils), sent once, then read back and compare.
 
+        Where the device takes single registers or coils alone (`write_with`), one request for each, in their order.
+
         Raises WriteForbidden, EncodingError, or AddressError if the tags are not one block (nothing was sent);
         LinkDown, ReplyTimeout, ReplyMismatch (it is not known whether the device took it); DeviceException;
         WriteUnverified. Never retries: whether to write again is the caller's decision.
@@ -220,12 +271,25 @@ class ModbusDriver:
         if not values:
             return
         layout = self._write_layout([tag for tag, _ in values])
+        try:
+            await self._written(layout, values, before_sending)
+        finally:
+            if self._settings.close_between_scans:
+                self._line.rest()
+
+    async def _written(
+        self, layout: _WriteLayout, values: Sequence[tuple[Tag, Value]], before_sending: BeforeSending
+    ) -> None:
         block, words = layout.block, [word for place, words in layout.pieces for word in words(values[place][1])]
         async with self._lock:
+            if self._settings.close_between_scans:
+                await self._line.ready()
             self._counts["writes"] += 1
-            request = write_request(block.area, block.start, words, self._settings.unit)
             until = _now() + self._settings.longest_read
-            await self._once(request, before_sending)
+            for request in self._write_requests(block, words):
+                await self._once(request, before_sending)
+            if self._settings.read_back == "never":
+                return
             pause = _FIRST_PAUSE_S
             while True:
                 try:
@@ -248,6 +312,16 @@ class ModbusDriver:
         if wrong:
             raise WriteUnverified("the device confirmed the write, but " + "; ".join(wrong))
 
+    def _write_requests(self, block: AddressBlock, words: Sequence[int]) -> Iterator[ModbusPDU]:
+        """The one request of a write, or one a word where the device takes no other."""
+        unit, area = self._settings.unit, block.area
+        registers, coils = self._settings.singly
+        if not (coils if area.is_bits else registers):
+            yield write_request(area, block.start, words, unit)
+            return
+        for place, word in enumerate(words, start=block.start):
+            yield write_request(area, place, [word], unit, single=True)
+
     async def _once(self, request: ModbusPDU, before_sending: BeforeSending) -> None:
         """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
         wire = self._line.connection
@@ -256,6 +330,10 @@ class ModbusDriver:
         except (ReplyTimeout, ReplyMismatch):
             if wire is not None:
                 self._line.give_up(wire, "a write was not answered: what is left of it must not arrive later")
+            raise
+        except DeviceException as error:
+            if error.code == _ILLEGAL_FUNCTION and (remedy := _OTHER_FUNCTION.get(request.function_code)):
+                raise DeviceException(error.code, f"{error}; {remedy}") from None
             raise
 
     async def _read_back(self, block: AddressBlock) -> list[int]:
@@ -429,7 +507,7 @@ class ModbusDriver:
         async with self._lock:
             try:
                 if not patiently:
-                    return await self._while_busy(lambda: self._line.ask(self._read_request(block), again=True), _BUSY)
+                    return await self._while_busy(lambda: self._asked(block, again=True), _BUSY)
                 return await self._attempts(block)
             except DeviceException as error:
                 return Failure(quality_of(error.code), str(error), error.code)
@@ -468,16 +546,161 @@ class ModbusDriver:
         # After a connection that was taken and never answered, the next ones get one question each.
         for _ in range(0 if self._line.suspect else self._settings.attempts - 1):
             try:
-                return await self._line.ask(self._read_request(block), again=again, urgent=urgent)
+                return await self._asked(block, again=again, urgent=urgent)
             except (ReplyTimeout, ReplyMismatch):
                 if self._line.connection is not wire:
                     raise
                 self._counts["retries"] += 1
                 again = True
-        return await self._line.ask(self._read_request(block), again=again, urgent=urgent)
+        return await self._asked(block, again=again, urgent=urgent)
 
-    def _read_request(self, block: AddressBlock) -> ModbusPDU:
-        return read_request(block.area, block.start, block.count, self._settings.unit)
+    async def _asked(self, block: AddressBlock, *, again: bool, urgent: bool = False) -> WireReply:
+        """Ask for a block once; where the device takes aligned reads alone, for what lies around it too."""
+        settings = self._settings
+        if settings.aligned == 1 or block.area.is_bits:
+            request = read_request(block.area, block.start, block.count, settings.unit)
+            return await self._line.ask(request, again=again, urgent=urgent)
+        start = block.start // settings.aligned * settings.aligned
+        stop = min(-(-block.stop // settings.aligned) * settings.aligned, _ADDRESSES)
+        request = read_request(block.area, start, stop - start, settings.unit)
+        reply = await self._line.ask(request, again=again, urgent=urgent)
+        return replace(reply, words=reply.words[block.start - start : block.stop - start])
+
+
+    # ------------------------------------------------------------ by hand
+
+    async def by_hand(self, request: ModbusPDU, deadline: float, *, again: bool = False) -> WireReply:
+        """Send one request once over the driver's connection, whatever unit it is for; it fails as it fails."""
+        return await self._line.by_hand(request, deadline, again=again)
+
+    def raw(self, tag: Tag, sample: Sample) -> Raw:
+        """The reading with the words that it was made of, where it was made of any."""
+        decoded = self._decoded.get(id(tag)) if sample.sent is not None else None
+        try:
+            span = locate(tag)
+        except AddressError:
+            return Raw(tag, sample, tag.address, 0)
+        return Raw(tag, sample, f"{span.area}:{span.start}", span.count, decoded[0] if decoded else None)
+
+    def allow(self, timeout: float) -> None:
+        """Wait so long (s) for an answer from now on: what the device has been seen to need."""
+        self._settings = self._line.settings = self._settings.model_copy(update={"timeout": timeout})
+
+    async def who(self, marks: Sequence[PinnedMark], *, urgent: bool = False) -> tuple[str, tuple[int, int]]:
+        """Why the device is not the one that has these marks ("" if it is), and the line's `proof` as it answered.
+
+        Raises DriverError where it is not known: it does not answer, or hangs up between its answers.
+        """
+        for _ in range(_MOST_ROUNDS):
+            reason, proofs = await self._marks(marks, urgent=urgent)
+            # Answers that came over several connections may be several devices'.
+            if reason or len({connects for connects, _ in proofs}) == 1:
+                return reason, proofs[-1]
+        raise ReplyMismatch("the device hangs up between the questions for its marks: pin one that tells it alone")
+
+    async def _marks(self, marks: Sequence[PinnedMark], *, urgent: bool) -> tuple[str, list[tuple[int, int]]]:
+        unit, heard, proofs = self._settings.unit, dict[str, str](), []
+        async with self._lock:
+            for mark in marks:
+                try:
+                    if mark.object < 0:
+                        request = mark_request(mark, unit) if mark.count else server_id_request(unit)
+                        words = (await self._marked(request, urgent=urgent)).words
+                        said = mark.found(words) if mark.count else text_of_server_id(words)
+                    else:
+                        if mark.name not in heard:
+                            heard |= await self._objects(mark, urgent=urgent)
+                        said = heard.get(mark.name)
+                except DeviceException as error:
+                    if error.code not in _SAYS_NOTHING:
+                        raise
+                    said = None
+                proofs.append(self._line.proof)
+                if reason := stranger(mark, said, f"{self._settings.place} unit {unit}"):
+                    return reason, proofs
+        return "", proofs
+
+    async def _objects(self, mark: PinnedMark, *, urgent: bool) -> Mapping[str, str]:
+        """The objects of an identification (function 43) up to the one that is wanted."""
+        heard: dict[str, str] = {}
+        after = 0
+        for _ in range(MOST_PARTS):
+            request = object_request(self._settings.unit, after, mark.object)
+            part, after = identification((await self._marked(request, urgent=urgent)).words)
+            heard |= part
+            if not after or mark.name in heard:
+                break
+        return heard
+
+    async def _marked(self, request: ModbusPDU, *, urgent: bool) -> WireReply:
+        """Ask who the device is, as often as a reading is asked for."""
+        for _ in range(self._settings.attempts - 1):
+            try:
+                return await self._while_busy(lambda: self._line.ask(request, urgent=urgent), _BUSY)
+            except (ReplyTimeout, ReplyMismatch):
+                continue
+        return await self._while_busy(lambda: self._line.ask(request, urgent=urgent), _BUSY)
+
+
+class PinnedDriver(ModbusDriver):
+    """A driver that believes and writes nothing unless the device has said that it is the pinned one (`identity`).
+
+    It is asked on each connection, after each question without an answer, by which a cable that was put elsewhere shows
+    on a line, and every IDENTITY_S seconds.
+    """
+
+    _proof: tuple[int, int] | None = None
+    _proven_at = 0.0
+    _stranger = ""
+
+    async def read(self, tags: Sequence[Tag]) -> list[Sample]:
+        """As any driver; where the device is not known to be the pinned one all readings are bad.
+
+        One that hangs up after each answer is believed where it is the pinned one before the reading and after it.
+        """
+        if (unknown := await self._unproven(urgent=False)) is None:
+            samples = await super().read(tags)
+            # What came over a connection that was made meanwhile may be another device's, as what followed a silence.
+            if (unknown := await self._unproven(urgent=False)) is None:
+                return samples
+        return [self._no(tag, *unknown) for tag in tags]
+
+    async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
+        """As any driver; raises LinkDown, and nothing is sent, where the device is not known to be the pinned one."""
+        if (unknown := await self._unproven(urgent=True)) is not None:
+            raise LinkDown(f"{unknown[1]}; nothing was sent")
+        proof = self._line.proof
+
+        def to_the_pinned_one() -> None:
+            if self._line.proof != proof:
+                raise LinkDown("the connection has changed since the device said who it is; nothing (more) was sent")
+            before_sending()
+
+        await super().write(values, before_sending=to_the_pinned_one)
+
+    def complaints(self) -> tuple[str, ...]:
+        """That another device than the pinned one answers."""
+        return (self._stranger,) if self._stranger else ()
+
+    async def _unproven(self, *, urgent: bool) -> tuple[Quality, str] | None:
+        """Why the device is not known to be the pinned one, which is asked if need be; None where it is."""
+        if self._settings.close_between_scans:
+            await self._line.ready()
+        if self._proof == self._line.proof and _now() < self._proven_at + IDENTITY_S:
+            return None
+        self._proof = None
+        try:
+            self._stranger, proof = await self.who(self._settings.identity, urgent=urgent)
+        except ReplyTimeout as error:
+            return Quality.TIMEOUT, f"{_NOT_KNOWN}: {error}"
+        except LinkDown as error:
+            return Quality.NOT_CONNECTED, str(error)
+        except DriverError as error:
+            return Quality.COMMUNICATION_ERROR, f"{_NOT_KNOWN}: {error}"
+        if self._stranger:
+            return Quality.NOT_CONNECTED, self._stranger
+        self._proof, self._proven_at = proof, _now()
+        return None
 
 
 # ---------------------------------------------------------------- without state
