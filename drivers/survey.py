@@ -78,6 +78,14 @@ class AsksRegisters(Protocol):
         """What the device says of itself (function 43/14): vendor, product, revision, ..."""
         ...
 
+    async def server_id(self, unit: int | None = None) -> str:
+        """What the device says of itself in its maker's own way (function 17)."""
+        ...
+
+    async def stranger(self) -> str:
+        """Why the device is not the one that the settings pin; "" if it is, or none is pinned."""
+        ...
+
     async def tags(self, tags: Sequence[Tag]) -> list[Raw]:
         """Each tag with its raw words, all from the fewest requests; a failure is a sample of bad quality."""
         ...

@@ -599,7 +599,8 @@ class ModbusDriver:
         raise ReplyMismatch("the device hangs up between the questions for its marks: pin one that tells it alone")
 
     async def _marks(self, marks: Sequence[PinnedMark], *, urgent: bool) -> tuple[str, list[tuple[int, int]]]:
-        unit, heard, proofs = self._settings.unit, dict[str, str](), []
+        unit, heard, proofs = self._settings.unit, dict[str, str](), list[tuple[int, int]]()
+        said: str | tuple[int, ...] | None
         async with self._lock:
             for mark in marks:
                 try:

@@ -6,7 +6,7 @@ says: an object of its identification (function 43), its server id (function 17)
 
 import re
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -152,9 +152,12 @@ def stranger(mark: PinnedMark, said: str | tuple[int, ...] | None, place: str) -
     """That the device is another one than the pinned one, in words; "" where it says what is expected."""
     if said == mark.expected:
         return ""
-    shown: Callable[[object], str] = lambda value: repr(list(value) if isinstance(value, tuple) else value)  # noqa: E731
-    heard = "says nothing of it" if said is None else f"says {shown(said)}"
+    heard = "says nothing of it" if said is None else f"says {_shown(said)}"
     return (
-        f"another device answers at {place}: of {mark.name} it {heard}, and {shown(mark.expected)} is pinned (identity); "
-        "nothing of it is believed, and nothing is written to it"
+        f"another device answers at {place}: of {mark.name} it {heard}, and {_shown(mark.expected)} is pinned "
+        "(identity); nothing of it is believed, and nothing is written to it"
     )
+
+
+def _shown(said: str | tuple[int, ...]) -> str:
+    return repr(list(said) if isinstance(said, tuple) else said)

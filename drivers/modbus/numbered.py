@@ -18,6 +18,7 @@ from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, Re
 from drivers.modbus.replies import KEPT_S, ReplyStream, TransactionIds
 from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, asked, check_reply, words_of
 from drivers.modbus.wire import (
+    ANY_ID,
     FLOOD,
     LATE,
     NOT_BEHIND_A_PART,
@@ -51,7 +52,7 @@ class NumberedWire(asyncio.Protocol):
     """A connection, from `connect` to `abandon`.
 
     `on_lost` hears why it broke, `on_late` of which unit a reply came when nobody waited for it any more, and whether
-    the unit gave it itself.    """
+    the unit gave it itself."""
 
     def __init__(
         self,
@@ -165,9 +166,10 @@ class NumberedWire(asyncio.Protocol):
             why = LATE.format(late) if late else OTHER_ID.format(others) if others else ""
             if part[:2] != frame[:2] and self._is_awaited(part):
                 part = b""
+            remedy = ANY_ID if others and not late and not part else None
             why = f" ({len(part)} bytes of one came)" if part else why
             sentence = f"{question.asked}: no reply within {deadline:.3g} s{why}"
-            reply.set_exception(ReplyTimeout(sentence))
+            reply.set_exception(ReplyTimeout(sentence, remedy=remedy))
             if part:
                 self._break_cut(sentence)  # bytes of the next reply would make it whole
 

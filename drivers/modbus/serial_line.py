@@ -12,7 +12,7 @@ import os
 import termios
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import serial
 from pymodbus.pdu import ModbusPDU
@@ -276,7 +276,9 @@ class LineWire:
         """Take away our own request, which the adapter gives back. Raises ReplyMismatch if it is another one."""
         while len(self._data) < len(frame):
             if not await self._more(until):
-                raise ReplyTimeout(f"{wanted}: not even our own request came back: set echo = false?")
+                raise ReplyTimeout(
+                    f"{wanted}: not even our own request came back: set echo = false?", remedy={"echo": False}
+                )
             self._take_out_late(wanted.unit)
         if not self._data.startswith(frame):
             raise ReplyMismatch(f"{wanted}: what came back is not our request: does somebody else send on this line?")
@@ -287,7 +289,9 @@ class LineWire:
         while True:
             self._take_out_late(wanted.unit)
             if len(self._data) >= len(frame) and self._data.startswith(frame):
-                raise ReplyMismatch(f"{wanted}: the line gives back what is sent: set echo = true")
+                raise ReplyMismatch(
+                    f"{wanted}: the line gives back what is sent: set echo = true", remedy={"echo": True}
+                )
             self._pass_noise(wanted)
             try:
                 length = None if self._begins_with_noise(wanted) else rtu.reply_length(wanted, self._data)
@@ -495,8 +499,8 @@ class _Datagrams(asyncio.DatagramProtocol):
         self._number = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        if isinstance(transport, asyncio.DatagramTransport):
-            self._transport = transport
+        # asyncio's own of Python 3.11 is none by its class.
+        self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
         try:

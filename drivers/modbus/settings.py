@@ -12,13 +12,13 @@ from drivers.modbus.identity import PinnedMark, pinned_marks
 from drivers.modbus.plan import RequestLimits
 from drivers.settings import Reconnecting, check_settings, split_place
 
+
 def _functions(given: object) -> frozenset[int]:
     """The functions that write, of registers and of coils; the usual one where none is given."""
-    functions = frozenset(given if isinstance(given, list | tuple | frozenset) else (given,))
+    functions: frozenset[int] = frozenset(given if isinstance(given, list | tuple | frozenset) else (given,))
     if not functions <= {5, 6, 15, 16} or {6, 16} <= functions or {5, 15} <= functions:
         raise ValueError(f"is {given!r}; give 16 or 6 for registers, 15 or 5 for coils, or one of each in a list")
-    registers = functions & {6, 16} or {16}
-    return registers | (functions & {5, 15} or {15})
+    return (functions & {6, 16} or frozenset({16})) | (functions & {5, 15} or frozenset({15}))
 
 
 _NETWORK: dict[str, Any] = {"host": None, "port": 502, "connect_timeout": 0.3}
@@ -44,7 +44,9 @@ _LAST_UNIT = 247
 class ModbusSettings(Reconnecting):
     """How a Modbus device is reached and what it takes; seconds unless named otherwise. See `open_modbus`."""
 
-    transport: Literal["tcp", "tls", "rtu", "rtu-tcp", "ascii", "ascii-tcp", "udp"] = Field("tcp", description="the transport's name")
+    transport: Literal["tcp", "tls", "rtu", "rtu-tcp", "ascii", "ascii-tcp", "udp"] = Field(
+        "tcp", description="the transport's name"
+    )
     host: str = Field("", min_length=1, description="the device's address or name")
     port: int = Field(502, ge=1, le=65535, description="a TCP port from 1 to 65535")
     certificates: str = Field("", min_length=1, description="the folder of ca.pem, client.pem and client.key")

@@ -184,7 +184,7 @@ class SharedLink:
                     self._is_its_own(settings, health, started)
                     self._suspect = self._suspected(settings.unit, stalled=False)
                 self.give_up(wire, str(error))
-                raise
+                raise self._turned_away(error, wire) from None
             finally:
                 self._under_way -= 1
                 self._last_exchange = _now()
@@ -209,17 +209,29 @@ class SharedLink:
             except DeviceException as error:
                 line.counts["exceptions"] += 1
                 self.link.answered(wire)
+                self._answered_at = _now()
                 raise explained(error, wire) from None
             except (ReplyTimeout, ReplyMismatch) as error:
                 line.counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
                 raise
             except LinkDown as error:
                 self.give_up(wire, str(error))
-                raise
+                raise self._turned_away(error, wire) from None
             finally:
                 self._last_exchange = _now()
             self.link.answered(wire)
+            self._answered_at = _now()
             return reply
+
+    def _turned_away(self, error: LinkDown, wire: AnyWire) -> LinkDown:
+        """The end of a connection; what it may mean where nothing has been answered on any."""
+        if self._answered_at or wire.fault is not LinkFault.CLOSED:
+            return error
+        return LinkDown(
+            f"{error} before it answered anything: it may be busy with another client (some devices serve one at a "
+            "time), or it does not accept this machine's address",
+            fault=wire.fault,
+        )
 
     async def _ready_to_ask(self, settings: ModbusSettings) -> AnyWire:
         """The connection, as long after its making and after the last request as the device needs. Raises LinkDown."""

@@ -13,7 +13,7 @@ from pymodbus.pdu import ModbusPDU
 
 from drivers.connections import Connections
 from drivers.driver import Clock
-from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, LinkFault, ReplyTimeout
+from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, ReplyTimeout
 from drivers.modbus.address import Area, locate
 from drivers.modbus.driver import ModbusDriver, make_modbus
 from drivers.modbus.identity import MOST_PARTS, identification, object_request, server_id_request, text_of_server_id
@@ -55,8 +55,12 @@ class ModbusSurvey:
         self.seconds_to_first = 0.0
 
     async def open(self) -> None:
-        """Make the connection. Raises LinkDown with the reason."""
-        await self.driver.open()
+        """Make the connection. Raises LinkDown with the reason; why one has ended the first question tells."""
+        try:
+            await self.driver.open()
+        except LinkDown:
+            if not self.driver.statistics()["connects"]:
+                raise
 
     async def close(self) -> None:
         """Let the connection go."""
@@ -154,14 +158,6 @@ class ModbusSurvey:
         except DeviceException:
             self._answered = True
             raise
-        except LinkDown as error:
-            if self._answered or error.fault is not LinkFault.CLOSED:
-                raise
-            raise LinkDown(
-                f"{error} before it answered anything: it may be busy with another client (some devices serve one at a "
-                "time), or it does not accept this machine's address",
-                fault=error.fault,
-            ) from None
         self._answered, self._slowest = True, max(self._slowest, reply.received - reply.sent)
         if self._deadline > self._settings.timeout:
             self.driver.allow(self._deadline)

@@ -97,7 +97,8 @@ def check_reply(request: Asked, reply: bytes) -> None:
     if unit != request.unit:
         raise ReplyMismatch(
             f"{request}: the reply is from unit {unit} and unit {request.unit} was asked; if one device alone is "
-            f"behind the connection, give unit = {unit}, or answers_as = {unit}"
+            f"behind the connection, give unit = {unit}, or answers_as = {unit}",
+            remedy={"answers_as": unit},
         )
     # An exception reply has the request's function with its highest bit set (section 7).
     if function == request.function | 0x80:

@@ -45,6 +45,7 @@ FLOOD = 65536
 """More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line."""
 NOT_BEHIND_A_PART = "of a reply that nobody waits for {} bytes have come, and nothing is asked behind them"
 LATE = " (a reply came {:.2f} s after its request, too late: give a longer timeout)"
+ANY_ID = {"transaction_id": "any"}
 OTHER_ID = (
     ' ({} with another transaction id dropped; if all of the device\'s answers have, give transaction_id = "any")'
 )
@@ -214,10 +215,12 @@ class Wire:
 
         def too_late() -> None:
             others, part = self.foreign - foreign, self._stream.unfinished
-            why = LATE.format(self._late) if self._late else OTHER_ID.format(others) if others else ""
+            late = self._late
+            why = LATE.format(late) if late else OTHER_ID.format(others) if others else ""
+            remedy = ANY_ID if others and not late and not part else None
             why = f" ({len(part)} bytes of one came)" if part else why
             sentence = f"{self._request}: no reply within {deadline:.3g} s{why}"
-            self._fail(ReplyTimeout(sentence))
+            self._fail(ReplyTimeout(sentence, remedy=remedy))
             if part:
                 self._break_cut(sentence)  # bytes of the next reply would make it whole
 
