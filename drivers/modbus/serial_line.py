@@ -307,6 +307,8 @@ class LineWire:
                 raise ReplyTimeout(f"{wanted}: no reply in time{part}")
 
     def _begins_with_noise(self, wanted: Asked) -> bool:
+        if self._settings.transport in ("tcp", "udp"):
+            return False  # what came with a header is whole, and from whom it says it is
         return self._data[:1] in _TURN_ROUND and self._data[0] != wanted.unit and len(self._data) <= _MOST_NOISE + 256
 
     def _pass_noise(self, wanted: Asked) -> bool:
