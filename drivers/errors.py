@@ -118,6 +118,10 @@ class ReplyTimeout(DriverError, TimeoutError):
         self.remedy = dict(remedy or {})
 
 
+class NotAsked(ReplyTimeout):
+    """Nothing was asked within the deadline, as an answer to an earlier question may still come."""
+
+
 class ReplyMismatch(DriverError):
     """A reply arrived that does not answer the request; `remedy` are settings by which it may."""
 

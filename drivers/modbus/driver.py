@@ -18,12 +18,13 @@ from drivers.errors import (
     DeviceException,
     DriverError,
     LinkDown,
+    NotAsked,
     ReplyMismatch,
     ReplyTimeout,
     WriteForbidden,
     WriteUnverified,
 )
-from drivers.modbus.address import TagSpan, locate
+from drivers.modbus.address import Area, TagSpan, locate
 from drivers.modbus.identity import (
     MOST_PARTS,
     PinnedMark,
@@ -37,6 +38,7 @@ from drivers.modbus.identity import (
 from drivers.modbus.plan import (
     AddressBlock,
     Quarantine,
+    RefusedRange,
     bisect,
     by_block,
     describe,
@@ -73,17 +75,52 @@ _NOT_KNOWN = "it is not known whether this is the pinned device (identity)"
 _FIRST_PAUSE_S = 0.02
 _MAX_WRITE_BITS = 1968  # 0x07B0 (MODBUS Application Protocol V1.1b3, 6.11)
 _LAYOUTS_KEPT = 64
+_SEARCH_S = 30.0
+"""A search that has not gone on for so long begins anew."""
+_LINE_SILENCES = 2
 _ADDRESSES = 0x10000
 _NOTHING: tuple[tuple[int, ...], Reading] = ((), (None, Quality.NO_DATA, ""))
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why a block has no values: the quality that its tags get, the sentence, the device's exception code if any."""
+    """Why a block has no values: the quality that its tags get, the sentence, the device's exception code if any.
+
+    `asked`: the device was asked, and not merely waited for.
+    """
 
     quality: Quality
     reason: str
     code: int = 0
+    asked: bool = True
+
+
+class BlockSearch:
+    """The search for the refused addresses of a block, over several readings where it must be.
+
+    `part` is asked next, and before it `checks`, of which one must answer before silence is believed.
+    """
+
+    def __init__(self, block: AddressBlock, refusal: Failure) -> None:
+        self.block, self.refusal, self.latest = block, refusal, refusal
+        self.reasons = {(block.start, block.stop): refusal.reason}
+        self.checks: list[AddressBlock] = []
+        self.part: AddressBlock | None = None
+        self.refusals: tuple[RefusedRange, ...] = ()
+        self.answered = self.silent = False
+        self.silences = 0
+        self.forgotten_at = 0.0
+        self._steps = bisect(block)
+        self._begun = False
+
+    def advance(self, *, refused: bool) -> None:
+        """The part (at first the block itself) was refused or not: what is to be asked next."""
+        self.silences = 0
+        try:
+            self.part = self._steps.send(refused) if self._begun else next(self._steps)
+        except StopIteration as end:
+            self.part, self.refusals = None, end.value
+        self._begun = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +217,7 @@ class ModbusDriver:
             (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
         )
         words = max((_words(self._write_map[tag.name] for tag in block) for block in by_block(write_map)), default=0)
-        if words > settings.max_write_registers:
+        if words > settings.max_write_registers and not settings.singly[0]:
             # Neither WriteForbidden nor AddressError: a block that can never be sent is a mistake in any mode.
             raise DriverError(
                 f"the block has {words} words and the device takes {settings.max_write_registers} in one write "
@@ -196,6 +233,7 @@ class ModbusDriver:
         self._writes: dict[tuple[int, ...], _WriteLayout] = {}
         # A block that was answered: by it silence to another is told from absence.
         self._known_good: AddressBlock | None = None
+        self._searches: dict[tuple[Area, int, int], BlockSearch] = {}
         self._counts = dict.fromkeys(("retries", "busy", "writes", "late_read_backs", "bisections"), 0)
         self._line = shared.join(settings)
         self.supervisor = shared.supervisor
@@ -228,6 +266,11 @@ class ModbusDriver:
             return await self._scanned(tags)
         finally:
             self._line.rest()
+
+    @property
+    def searching(self) -> bool:
+        """Whether the next reading goes on looking for what the device refuses by silence."""
+        return bool(self._searches)
 
     async def _scanned(self, tags: Sequence[Tag]) -> list[Sample]:
         now = _now()
@@ -360,7 +403,7 @@ class ModbusDriver:
                 )
         block = AddressBlock(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
         largest = _MAX_WRITE_BITS if block.area.is_bits else self._settings.max_write_registers
-        if block.count > largest:
+        if block.count > largest and not self._settings.singly[block.area.is_bits]:
             raise AddressError(f"{block.count} words do not fit in one write request, which takes {largest}")
         if not self._writable_addresses.issuperset((block.area, number) for number in range(block.start, block.stop)):
             raise WriteForbidden(f"{block.area}:{block.start} count {block.count} reaches outside the write map")
@@ -403,80 +446,119 @@ class ModbusDriver:
 
     async def _settled(self, block: AddressBlock) -> dict[int, Sample]:
         """The block's samples; if the device refuses it, those of its parts."""
+        key = (block.area, block.start, block.count)
+        search = self._searches.pop(key, None)
+        if search is not None and _now() < search.forgotten_at:
+            return await self._searched(search)
         outcome = await self._ask(block)
         samples = self._samples(block, outcome)
         if isinstance(outcome, WireReply):
             self._refused.answered(block)
             self._known_good = block
             return samples
-        if not self._may_refuse(outcome) or not self._refused.may_bisect(block, _now()):
+        if not (outcome.asked and self._may_refuse(outcome) and self._refused.may_bisect(block, _now())):
             return samples
         silent = outcome.quality is Quality.TIMEOUT
         if silent and len(block.spans) < 2:
             return samples
-        if silent and not await self._answers_elsewhere(block):
-            self._refused.found(block, (), answered=False, reasons={}, now=_now())
-            return samples
-        return samples | await self._bisected(block, outcome)
+        self._counts["bisections"] += 1
+        search = BlockSearch(block, outcome)
+        if silent:
+            search.checks = self._places_to_check(block)
+            search.silent = True
+        else:
+            search.advance(refused=True)
+        return samples | await self._searched(search)
 
     def _may_refuse(self, failure: Failure) -> bool:
-        """Whether it may be about one address of several: a refusal, or silence, by which some devices refuse.
+        """Whether it may be about one address of several: a refusal, or silence, by which some devices refuse."""
+        return failure.code in _ABOUT_ADDRESSES or failure.quality is Quality.TIMEOUT
 
-        On a line an old answer is waited for after each silence, and meanwhile nothing of the device is read: there
-        silence is none.
-        """
-        return failure.code in _ABOUT_ADDRESSES or (failure.quality is Quality.TIMEOUT and not self._settings.on_line)
-
-    async def _answers_elsewhere(self, block: AddressBlock) -> bool:
-        """Whether a device that is silent to a block answers a single place: one that did, or the block's own ends."""
+    def _places_to_check(self, block: AddressBlock) -> list[AddressBlock]:
+        """Where a device that is silent to a block is asked whether it is there: a place that answered, or its ends."""
         ends = (block.spans[0], block.spans[-1]) if len(block.spans) > 1 else ()
         places = [AddressBlock(span.area, span.start, span.count, (span,)) for span in ends]
         if self._known_good is not None and self._known_good != block:
             places.insert(0, self._known_good)
-        for place in places[:2]:
-            if self._line.connection is None:
-                return False
-            outcome = await self._ask(place, patiently=False)
-            if isinstance(outcome, WireReply) or outcome.code:
-                self._known_good = place
-                return True
-        return False
+        return places[:2]
 
-    async def _bisected(self, block: AddressBlock, refusal: Failure) -> dict[int, Sample]:
-        """Find the refused addresses of a refused block; the samples of the parts that were asked on the way."""
-        self._counts["bisections"] += 1
-        samples: dict[int, Sample] = {}
-        reasons = {(block.start, block.stop): refusal.reason}
-        answered = False
-        search = bisect(block)
-        part = next(search, None)
-        while part is not None:
-            # One lost reply makes no refusal: a part that cannot be halved is asked as a block is.
-            outcome = await self._ask(part, patiently=len(part.spans) == 1)
-            if isinstance(outcome, Failure) and not self._may_refuse(outcome):
-                # The link or the device's mood has changed: what was not reached is unknown, and nothing is concluded.
-                return self._samples(block, outcome) | {key: s for key, s in samples.items() if s.value is not None}
-            samples |= self._samples(part, outcome)
-            if isinstance(outcome, Failure):
-                reasons[part.start, part.stop] = outcome.reason
-                if outcome.quality is Quality.TIMEOUT and not await self._answers_elsewhere(part):
-                    return self._samples(block, outcome) | {key: s for key, s in samples.items() if s.value is not None}
+    async def _searched(self, search: BlockSearch) -> dict[int, Sample]:
+        """Go on looking for the refused addresses of a block; the samples of the parts that were asked on the way.
+
+        Where silence is a refusal that takes a reading's time at most, and goes on with the next reading: nothing else
+        of the device is read meanwhile.
+        """
+        block, until = search.block, _now() + self._settings.longest_read
+        samples = self._samples(block, search.refusal)
+        while search.part is not None or search.checks:
+            if search.silent and _now() > until:
+                return self._kept(search) | _with_values(samples)
+            check = search.checks[0] if search.checks else None
+            part = check or search.part
+            if part is None:
+                return samples
+            # One lost reply makes no refusal: a part that cannot be halved is asked as a block is. On a line nothing is
+            # asked again before the time of its answer is over: such a part is asked twice.
+            alone = check is None and len(part.spans) == 1
+            outcome = await self._ask(part, patiently=alone and not self._settings.on_line)
+            search.latest = outcome if isinstance(outcome, Failure) else search.latest
+            if isinstance(outcome, Failure) and not outcome.asked:
+                return self._kept(search) | _with_values(samples)
+            if check is not None:
+                if isinstance(outcome, WireReply) or outcome.code:
+                    search.checks, self._known_good = [], check
+                    search.advance(refused=True)
+                else:
+                    search.checks = search.checks[1:]
+                    if not search.checks:  # it is not there at all, and nothing is concluded
+                        self._refused.found(block, (), answered=False, reasons={}, now=_now())
+                        return self._samples(block, outcome) | _with_values(samples)
             else:
-                answered, self._known_good = True, part
-            try:
-                part = search.send(isinstance(outcome, Failure))
-            except StopIteration as end:
-                self._refused.found(block, end.value, answered=answered, reasons=reasons, now=_now())
-                part = None
+                found = self._samples(part, outcome)
+                if isinstance(outcome, Failure) and not self._may_refuse(outcome):
+                    # The link or the device's mood has changed: what was not reached is unknown.
+                    return self._samples(block, outcome) | _with_values(samples)
+                samples |= found
+                if isinstance(outcome, WireReply):
+                    search.answered, self._known_good = True, part
+                    search.advance(refused=False)
+                    continue
+                search.reasons[part.start, part.stop] = outcome.reason
+                if outcome.quality is not Quality.TIMEOUT:
+                    search.advance(refused=True)
+                    continue
+                search.silent = True
+                search.silences += alone
+                if alone and self._settings.on_line and search.silences < _LINE_SILENCES:
+                    continue
+                search.checks = self._places_to_check(part)
+                if not search.checks:
+                    search.advance(refused=True)
+        self._refused.found(
+            block,
+            search.refusals,
+            answered=search.answered,
+            reasons=search.reasons,
+            now=_now(),
+            silent=search.silent,
+        )
         return samples
+
+    def _kept(self, search: BlockSearch) -> dict[int, Sample]:
+        """Keep a search for the next reading; what its block has no values for."""
+        if len(self._searches) >= _LAYOUTS_KEPT:
+            self._searches.clear()
+        search.forgotten_at = _now() + _SEARCH_S
+        self._searches[search.block.area, search.block.start, search.block.count] = search
+        return self._samples(search.block, search.latest)
 
     async def _tried(self, trial: AddressBlock) -> dict[int, Sample]:
         """Ask a quarantined place again, in a request of its own."""
         outcome = await self._ask(trial, patiently=False)
         if isinstance(outcome, WireReply):
             self._refused.rejoin(trial)
-        elif self._may_refuse(outcome):
-            self._refused.again(trial, outcome.reason, _now())
+        elif outcome.asked and self._may_refuse(outcome):
+            self._refused.again(trial, outcome.reason, _now(), silent=outcome.quality is Quality.TIMEOUT)
         return self._samples(trial, outcome)
 
     def _samples(self, block: AddressBlock, outcome: WireReply | Failure) -> dict[int, Sample]:
@@ -512,7 +594,7 @@ class ModbusDriver:
             except DeviceException as error:
                 return Failure(quality_of(error.code), str(error), error.code)
             except ReplyTimeout as error:
-                return Failure(Quality.TIMEOUT, str(error))
+                return Failure(Quality.TIMEOUT, str(error), asked=not isinstance(error, NotAsked))
             except ReplyMismatch as error:
                 return Failure(Quality.COMMUNICATION_ERROR, str(error))
             except LinkDown as error:
@@ -709,6 +791,10 @@ class PinnedDriver(ModbusDriver):
 
 def _now() -> float:
     return asyncio.get_running_loop().time()
+
+
+def _with_values(samples: Mapping[int, Sample]) -> dict[int, Sample]:
+    return {key: sample for key, sample in samples.items() if sample.value is not None}
 
 
 def _words(spans: Iterable[TagSpan]) -> int:

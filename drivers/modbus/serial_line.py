@@ -18,7 +18,7 @@ import serial
 from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import BeforeSending, Clock, anyhow
-from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
+from drivers.errors import DeviceException, LinkDown, LinkFault, NotAsked, ReplyMismatch, ReplyTimeout
 from drivers.modbus import rtu
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.settings import ModbusSettings
@@ -216,7 +216,7 @@ class LineWire:
                         continue
                 if not await self._more(min(until, _now() + left)) and _now() >= until:
                     why = self._quiet.failures.get(owed.question.unit, "")
-                    raise ReplyTimeout(
+                    raise NotAsked(
                         f"{wanted}: not asked, as {owed.question} may still be answered for {left:.2f} s"
                         + (f"; what went wrong: {why}" if why else "")
                     )
@@ -230,7 +230,7 @@ class LineWire:
                 continue
             if owed is None and self._is_repeated() and (silent_at := self._heard + TORN_S) > _now():
                 if not await self._more(min(until, silent_at)) and silent_at > until:
-                    raise ReplyTimeout(f"{wanted}: not asked, as the answer before it is being repeated")
+                    raise NotAsked(f"{wanted}: not asked, as the answer before it is being repeated")
                 continue
             break
         self.foreign += bool(self._data)

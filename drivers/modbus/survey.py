@@ -24,6 +24,8 @@ from drivers.tag import Quality, Tag
 
 FIRST_S = 3.0
 """Seconds for which the first question to a device is asked and waited for."""
+SEARCH_S = 20.0
+"""Seconds for which places are looked for that a device refuses by silence."""
 _SILENT = frozenset({Quality.TIMEOUT, Quality.NOT_CONNECTED})
 _REGULAR = 3
 """The first object of the regular category of an identification."""
@@ -122,6 +124,10 @@ class ModbusSurvey:
                 await self._exchange(read_request(span.area, span.start, span.count, self._unit(None)))
             if self._answered:
                 samples = await self.driver.read(tags)
+        until, searching = _now() + SEARCH_S, self.driver.searching
+        while searching and _now() < until:
+            searching = self.driver.searching
+            samples = await self.driver.read(tags)  # once more after its end, for all that is not refused
         self._tried = self._tried or any(sample.sent is not None for sample in samples)
         return [self.driver.raw(tag, sample) for tag, sample in zip(tags, samples, strict=True)]
 

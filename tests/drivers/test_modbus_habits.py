@@ -149,11 +149,30 @@ async def test_silence_at_one_register_costs_that_register(place: int) -> None:
         assert f"holding:{place}" in (await driver.read(TAGS))[place].reason
 
 
+async def test_silence_at_one_register_of_a_line_costs_that_register_too() -> None:
+    async with driven(Habit(serial=True, silent_at=5), longest_reply=0.2) as driver:
+        found = await values(driver, lambda found: found.count(None) == 1)
+        assert found[5] is None
+
+
+async def test_a_search_by_silence_takes_no_reading_longer_than_its_time() -> None:
+    loop = asyncio.get_running_loop()
+    async with driven(Habit(silent_at=5), timeout=0.3, attempts=1) as driver:
+        while True:
+            before, began = driver.statistics()["timeouts"], loop.time()
+            samples = await driver.read(TAGS)
+            # Two silent questions more than its time has room for: the one under way, and the one that found out.
+            assert driver.statistics()["timeouts"] - before <= 3, f"{loop.time() - began:.2f} s"
+            if sum(sample.quality.is_good for sample in samples) == 7:
+                break
+
+
 async def test_silence_is_found_by_hand_too() -> None:
     async with served(Habit(silent_at=5)) as settings, open_survey(settings, clock=lambda: 0.0) as survey:
         raws = await survey.tags(TAGS)
         assert [raw.sample.value for raw in raws] == [0, 1, 2, 3, 4, None, 6, 7]
-        assert raws[5].sample.quality is Quality.TIMEOUT
+        # As the gateway has it: the place waits in quarantine.
+        assert raws[5].sample.quality is Quality.CONFIGURATION_ERROR and "no reply" in raws[5].sample.reason
 
 
 async def test_a_late_read_back_is_waited_for_within_the_writes_time() -> None:
