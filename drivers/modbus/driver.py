@@ -370,6 +370,8 @@ class ModbusDriver:
         wire = self._line.connection
         try:
             await self._while_busy(lambda: self._line.ask(request, before_sending, urgent=True), _NOT_TAKEN)
+        except NotAsked:
+            raise
         except (ReplyTimeout, ReplyMismatch):
             if wire is not None:
                 self._line.give_up(wire, "a write was not answered: what is left of it must not arrive later")
@@ -491,7 +493,8 @@ class ModbusDriver:
         block, until = search.block, _now() + self._settings.longest_read
         samples = self._samples(block, search.refusal)
         while search.part is not None or search.checks:
-            if search.silent and _now() > until:
+            # Not before a check has been answered: behind two questions that are silent nothing else would be asked.
+            if search.silent and not search.checks and _now() > until:
                 return self._kept(search) | _with_values(samples)
             check = search.checks[0] if search.checks else None
             part = check or search.part
@@ -647,7 +650,6 @@ class ModbusDriver:
         request = read_request(block.area, start, stop - start, settings.unit)
         reply = await self._line.ask(request, again=again, urgent=urgent)
         return replace(reply, words=reply.words[block.start - start : block.stop - start])
-
 
     # ------------------------------------------------------------ by hand
 

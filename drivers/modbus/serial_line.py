@@ -22,7 +22,7 @@ from drivers.errors import DeviceException, LinkDown, LinkFault, NotAsked, Reply
 from drivers.modbus import rtu
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.verify import HEADER, Asked, check_reply, split_frames, words_of
+from drivers.modbus.verify import ECHOED, HEADER, Asked, check_reply, split_frames, words_of
 from drivers.modbus.wire import WireReply, socket_place
 from drivers.tap import Medium, current, moved
 
@@ -288,7 +288,8 @@ class LineWire:
         """The bytes of one reply. Raises ReplyTimeout, or ReplyMismatch for one that cannot be the answer."""
         while True:
             self._take_out_late(wanted.unit)
-            if len(self._data) >= len(frame) and self._data.startswith(frame):
+            echoed = wanted.function not in ECHOED and len(self._data) >= len(frame) and self._data.startswith(frame)
+            if echoed:
                 raise ReplyMismatch(
                     f"{wanted}: the line gives back what is sent: set echo = true", remedy={"echo": True}
                 )

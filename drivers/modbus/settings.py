@@ -148,7 +148,7 @@ class ModbusSettings(Reconnecting):
             raise ValueError(f"unit is {self.unit}, and on a serial line a device has one of 1 to 247 (0 is for all)")
         if self.by_shape and self.transport != "tcp":
             raise ValueError(f"transaction_id and answers_as mean nothing with transport {self.transport!r}")
-        if self.aligned > 1 and self.max_registers <= 2 * self.aligned:
+        if self.aligned > 1 and self.max_registers <= 2 * (self.aligned - 1):
             raise ValueError(f"max_registers is {self.max_registers}, too few for reads aligned to {self.aligned}")
         if self.on_line and self.outstanding > 1:
             line = "such a connection" if self.transport == "udp" else "a serial line"

@@ -394,12 +394,17 @@ class SharedLink:
         if proven and wire.fault is LinkFault.CLOSED and self._answers <= _FEW_ANSWERS:
             self._hang_ups += 1
         # A device that hangs up between two questions takes the next call, and so does one that has a habit of it.
-        hangs_up = wire.fault is LinkFault.CLOSED and (not self._under_way or self._hang_ups > 1)
+        hangs_up = wire.fault is LinkFault.CLOSED and (not self._under_way or self.hangs_up)
         self.renewing = proven and (len(self.health) > 1 or hangs_up)
         self._made.clear()
         if self._stall is not None and self._stall.others:
             self._suspect = self._suspected(self._stall.unit, stalled=True)
         self._stall = None
+
+    @property
+    def hangs_up(self) -> bool:
+        """True for a peer that has a habit of ending connections after a few answers."""
+        return self._hang_ups > 1
 
     def suspects(self, unit: int) -> bool:
         """True for the unit with whose question the last connection ended, until another one has been asked."""
@@ -493,7 +498,8 @@ class UnitLine:
             return await self._shared.exchange(self, request, before_sending, again=again, urgent=urgent)
         except LinkDown:
             written = request.function_code in WRITES
-            if written or not self._shared.renewing or self._shared.suspects(self.settings.unit):
+            next_call = self._shared.renewing or self._shared.hangs_up
+            if written or not next_call or self._shared.suspects(self.settings.unit):
                 raise
             # Another unit has ended the connection under a read, by a write or by what came, or the device has hung up:
             # it is asked again.

@@ -21,8 +21,10 @@ REPORT = 17
 SAYS_WHO = frozenset({REPORT, IDENTIFY})
 """Questions without an address; the words of their replies are the bytes of what the device says."""
 _TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 5: "coil", 6: "holding", 15: "coil", 16: "holding"}
-_BITS, _REGISTERS, _SINGLES = frozenset({1, 2}), frozenset({3, 4}), frozenset({5, 6})
-WRITES = _SINGLES | {15, 16}
+_BITS, _REGISTERS = frozenset({1, 2}), frozenset({3, 4})
+ECHOED = frozenset({5, 6})
+"""Functions that write one address; what confirms them is the request itself (V1.1b3, 6.5, 6.6)."""
+WRITES = ECHOED | {15, 16}
 
 # V1.1b3 section 7: what the device says, and what that makes of a reading.
 EXCEPTIONS: dict[int, tuple[str, Quality]] = {
@@ -56,7 +58,7 @@ class Asked:
     def __str__(self) -> str:
         if self.function in SAYS_WHO:
             return f"function {self.function} (who are you?)"
-        return f"{_TABLES[self.function]}:{self.address} count {1 if self.function in _SINGLES else self.count}"
+        return f"{_TABLES[self.function]}:{self.address} count {1 if self.function in ECHOED else self.count}"
 
 
 def asked(request: bytes) -> Asked:
