@@ -75,6 +75,8 @@ _NOT_KNOWN = "it is not known whether this is the pinned device (identity)"
 _FIRST_PAUSE_S = 0.02
 _MAX_WRITE_BITS = 1968  # 0x07B0 (MODBUS Application Protocol V1.1b3, 6.11)
 _LAYOUTS_KEPT = 64
+_PACE_SLACK = 0.05
+"""A tag is due so much of its period early: a scan that jitters shall not miss it."""
 _SEARCH_S = 30.0
 """A search that has not gone on for so long begins anew."""
 _LINE_SILENCES = 2
@@ -127,7 +129,8 @@ class BlockSearch:
 class _TagLayout:
     """The tags of one call, located or with the reason why not, and the block plan under one quarantine.
 
-    `tags` are held so that their identities, by which layouts are found again, stay theirs.
+    `tags` are held so that their identities, by which layouts are found again, stay theirs. `paced` are those that have
+    a period of their own.
     """
 
     tags: tuple[Tag, ...]
@@ -135,6 +138,16 @@ class _TagLayout:
     misplaced: tuple[tuple[Tag, str], ...]
     quarantine: Quarantine
     blocks: tuple[AddressBlock, ...]
+    paced: tuple[Tag, ...]
+
+
+@dataclass(slots=True)
+class PacedTag:
+    """A tag with a period of its own: what was read last, and when it is read again (the loop's time)."""
+
+    tag: Tag
+    sample: Sample
+    due: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,6 +247,8 @@ class ModbusDriver:
         # A block that was answered: by it silence to another is told from absence.
         self._known_good: AddressBlock | None = None
         self._searches: dict[tuple[Area, int, int], BlockSearch] = {}
+        # By a tag's identity, of those with a period of their own.
+        self._paced: dict[int, PacedTag] = {}
         self._counts = dict.fromkeys(("retries", "busy", "writes", "late_read_backs", "bisections"), 0)
         self._line = shared.join(settings)
         self.supervisor = shared.supervisor
@@ -259,6 +274,28 @@ class ModbusDriver:
 
     async def read(self, tags: Sequence[Tag]) -> list[Sample]:
         """Read all tags now; a failure is a Sample of bad quality with the reason. A block's tags share one reply."""
+        if paced := self._layout(tags).paced:
+            return await self._in_turn(tags, paced)
+        return await self._read_now(tags)
+
+    async def _in_turn(self, tags: Sequence[Tag], paced: Sequence[Tag]) -> list[Sample]:
+        """Those tags that are due now, and of the others what was read last."""
+        now = _now()
+        held = {
+            id(tag): one.sample
+            for tag in paced
+            if (one := self._paced.get(id(tag))) is not None and now < one.due - _PACE_SLACK * tag.period
+        }
+        asked = [tag for tag in tags if id(tag) not in held] if held else tags
+        read = {id(tag): sample for tag, sample in zip(asked, await self._read_now(asked), strict=True)}
+        for tag in paced:
+            if (sample := read.get(id(tag))) is not None:
+                # What was not read is asked for with the next scan.
+                due = now + tag.period if sample.sent is not None else now
+                self._paced[id(tag)] = PacedTag(tag, sample, due)
+        return [read[id(tag)] if id(tag) in read else held[id(tag)] for tag in tags]
+
+    async def _read_now(self, tags: Sequence[Tag]) -> list[Sample]:
         if not self._settings.close_between_scans:
             return await self._scanned(tags)
         await self._line.ready()
@@ -442,7 +479,8 @@ class ModbusDriver:
                     misplaced.append((tag, str(error)))
             quarantine = self._refused.quarantine
             blocks = plan_spans(spans, self._limits, quarantine)
-            layout = _TagLayout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks)
+            paced = tuple(tag for tag in tags if tag.period)
+            layout = _TagLayout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks, paced)
             self._layouts[key] = layout
         return layout
 
@@ -748,6 +786,7 @@ class PinnedDriver(ModbusDriver):
             # What came over a connection that was made meanwhile may be another device's, as what followed a silence.
             if (unknown := await self._unproven(urgent=False)) is None:
                 return samples
+        self._paced.clear()  # what was kept of this reading may be another device's
         return [self._no(tag, *unknown) for tag in tags]
 
     async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:

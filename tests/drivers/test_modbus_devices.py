@@ -278,6 +278,52 @@ async def test_reads_are_aligned_where_the_device_takes_no_others() -> None:
     assert all(not start % 2 and not number % 2 and number <= 10 for _, start, number in device.asked)
 
 
+async def test_a_tag_with_a_period_is_read_no_more_often_and_what_was_read_stands_meanwhile() -> None:
+    slow, late, fast = (
+        Tag("slow", "holding:1", period=3600.0),
+        Tag("late", "holding:2", period=0.05),
+        Tag("f", "holding:3"),
+    )
+    async with plugged(Device()) as (plug, driver):
+        first = await driver.read([slow, late, fast])
+        assert [sample.value for sample in first] == [1, 2, 3]
+        plug.device.registers |= {1: 10, 2: 20, 3: 30}
+        second = await driver.read([slow, late, fast])
+        assert second[0] == first[0] and second[2].value == 30, "it keeps its time"
+        async with asyncio.timeout(60):
+            while (await driver.read([slow, late, fast]))[1].value != 20:
+                await asyncio.sleep(0.01)
+        plug.device.silent_next = 100
+        lost = await driver.read([slow, late, fast])
+        assert lost[0] == first[0] and not lost[2].quality.is_good
+    assert sum(start <= 1 < start + number for _, start, number in plug.device.asked) == 1
+
+
+async def test_what_was_kept_of_another_device_is_forgotten() -> None:
+    slow = Tag("slow", "holding:1", period=3600.0)
+    async with plugged(Device(), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
+        other = Device(serial="SN-0002")
+        other.registers[1] = 666
+        keep = plug.device.answer
+
+        def swapped(pdu: bytes) -> bytes | None:
+            if pdu[0] == 3 and struct.unpack(">H", pdu[1:3])[0] == 1:
+                plug.swap(other)
+                return other.answer(pdu)
+            return keep(pdu)
+
+        plug.device.answer = swapped  # type: ignore[method-assign]
+        async with asyncio.timeout(60):
+            while not driver.complaints():
+                assert not (await driver.read([slow]))[0].quality.is_good
+                await asyncio.sleep(0.01)
+        plug.swap(Device())
+        async with asyncio.timeout(60):
+            while not (samples := await driver.read([slow]))[0].quality.is_good:
+                await asyncio.sleep(0.01)
+        assert samples[0].value == 1
+
+
 # ---------------------------------------------------------------- connections that end
 
 

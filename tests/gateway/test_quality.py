@@ -60,6 +60,17 @@ def test_a_good_sample_that_is_old_itself_ages_too() -> None:
     assert all(quality.is_bad for quality in qualities[10:])
 
 
+def test_a_tag_with_a_period_of_its_own_ages_by_that_and_never_faster_than_the_scan() -> None:
+    for tag, good_for in ((replace(T, period=5.0), 12), (replace(T, period=0.1), 2)):
+        age, qualities = DeviceAge(), []
+        for now in range(60):
+            age, samples = judge(age, [tag], [good("T", 20.0, 0.0)], float(now), PLAIN)
+            qualities.append(samples["T"].quality)
+        assert qualities[: good_for + 1] == [Quality.GOOD] * (good_for + 1)
+        assert not any(quality.is_good for quality in qualities[good_for + 1 :])
+        assert qualities[-1].is_bad
+
+
 def beats(values: list[int | None], period: float = 1.0, rules: QualityRules = LIVING) -> list[Sample]:
     """A good T beside a heartbeat that reads so (None: its read fails)."""
     age, judged = DeviceAge(), []
