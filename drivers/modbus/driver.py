@@ -274,9 +274,13 @@ class ModbusDriver:
 
     async def read(self, tags: Sequence[Tag]) -> list[Sample]:
         """Read all tags now; a failure is a Sample of bad quality with the reason. A block's tags share one reply."""
-        if paced := self._layout(tags).paced:
-            return await self._in_turn(tags, paced)
-        return await self._read_now(tags)
+        if self._settings.close_between_scans:
+            await self._line.ready()
+            try:
+                return await self._scanned(tags)
+            finally:
+                self._line.rest()
+        return await self._scanned(tags)
 
     async def _in_turn(self, tags: Sequence[Tag], paced: Sequence[Tag]) -> list[Sample]:
         """Those tags that are due now, and of the others what was read last."""
@@ -287,7 +291,7 @@ class ModbusDriver:
             if (one := self._paced.get(id(tag))) is not None and now < one.due - _PACE_SLACK * tag.period
         }
         asked = [tag for tag in tags if id(tag) not in held] if held else tags
-        read = {id(tag): sample for tag, sample in zip(asked, await self._read_now(asked), strict=True)}
+        read = {id(tag): sample for tag, sample in zip(asked, await self._scanned(asked, all_due=True), strict=True)}
         for tag in paced:
             if (sample := read.get(id(tag))) is not None:
                 # What was not read is asked for with the next scan.
@@ -295,24 +299,17 @@ class ModbusDriver:
                 self._paced[id(tag)] = PacedTag(tag, sample, due)
         return [read[id(tag)] if id(tag) in read else held[id(tag)] for tag in tags]
 
-    async def _read_now(self, tags: Sequence[Tag]) -> list[Sample]:
-        if not self._settings.close_between_scans:
-            return await self._scanned(tags)
-        await self._line.ready()
-        try:
-            return await self._scanned(tags)
-        finally:
-            self._line.rest()
-
     @property
     def searching(self) -> bool:
         """Whether the next reading goes on looking for what the device refuses by silence."""
         return bool(self._searches)
 
-    async def _scanned(self, tags: Sequence[Tag]) -> list[Sample]:
+    async def _scanned(self, tags: Sequence[Tag], *, all_due: bool = False) -> list[Sample]:
         now = _now()
         self._refused.renew(now, self._line.connects)
         layout = self._layout(tags)
+        if layout.paced and not all_due:
+            return await self._in_turn(tags, layout.paced)
         samples = {id(tag): self._no(tag, Quality.CONFIGURATION_ERROR, reason) for tag, reason in layout.misplaced}
         trial = self._refused.trial(layout.spans, now)
         for block in layout.blocks:
@@ -677,12 +674,16 @@ class ModbusDriver:
                 again = True
         return await self._asked(block, again=again, urgent=urgent)
 
-    async def _asked(self, block: AddressBlock, *, again: bool, urgent: bool = False) -> WireReply:
+    def _asked(self, block: AddressBlock, *, again: bool, urgent: bool = False) -> Awaitable[WireReply]:
         """Ask for a block once; where the device takes aligned reads alone, for what lies around it too."""
         settings = self._settings
-        if settings.aligned == 1 or block.area.is_bits:
-            request = read_request(block.area, block.start, block.count, settings.unit)
-            return await self._line.ask(request, again=again, urgent=urgent)
+        if settings.aligned > 1 and not block.area.is_bits:
+            return self._asked_aligned(block, again=again, urgent=urgent)
+        request = read_request(block.area, block.start, block.count, settings.unit)
+        return self._line.ask(request, again=again, urgent=urgent)
+
+    async def _asked_aligned(self, block: AddressBlock, *, again: bool, urgent: bool) -> WireReply:
+        settings = self._settings
         start = block.start // settings.aligned * settings.aligned
         stop = min(-(-block.stop // settings.aligned) * settings.aligned, _ADDRESSES)
         request = read_request(block.area, start, stop - start, settings.unit)

@@ -149,8 +149,11 @@ class SharedLink:
             if turn.waited:
                 # Another driver of the same unit may have asked it meanwhile.
                 self._raise_if_resting(settings, health, urgent=urgent)
-            wire = await self._ready_to_ask(settings)
-            started = _now()
+            wire, started = self.link.connection, _now()
+            # As a rule it is ready: what `_ready_to_ask` would come to.
+            if wire is None or wire is not self._greeted or settings.pause_ms or self._ask_from > started:
+                wire = await self._ready_to_ask(settings)
+                started = _now()
             if not again:
                 health.asked_at = started
             patience = self._patience(settings, health, urgent=urgent)
@@ -235,7 +238,7 @@ class SharedLink:
 
     async def _ready_to_ask(self, settings: ModbusSettings) -> AnyWire:
         """The connection, as long after its making and after the last request as the device needs. Raises LinkDown."""
-        if settings.limits.pause and (rest := self._last_exchange + settings.limits.pause - _now()) > 0.0:
+        if settings.pause_ms and (rest := self._last_exchange + settings.pause_ms / 1000 - _now()) > 0.0:
             await asyncio.sleep(rest)
         wire = self.link.connection or await self._wire()
         if wire is not self._greeted:
