@@ -14,7 +14,6 @@ import click
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters
-from gateway.commission.files import FileChange, carry_out, find_files, template
 from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import (
     CONNECT_S,
@@ -115,9 +114,9 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
             break
         # What comes in an unusual way may be read by another setting: it is tried, and kept if it brings an answer.
         habits |= remedy
-    answered = any(step.name == "modbus" and step.state == "ok" for step in tried)
-    steps += tried if answered or not habits else failures
-    if answered and habits:
+    # Of several tries that bring no answer the first one says what is wrong.
+    steps += tried if remedy is None else failures
+    if remedy is None and habits:
         facts["habits"] = {**facts.get("habits", {}), **habits}
         for key, value in habits.items():
             steps.append(warning("habit", f"{_HABITS[key]}: {_toml(key, value)} in [device] of the device file"))
@@ -125,8 +124,8 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
 
 async def _asked(
     site: Site, habits: Mapping[str, Any], steps: list[CheckStep], facts: dict[str, Any]
-) -> Mapping[str, Any]:
-    """Connection, first reply, then who it is; gives the settings by which what came may be read, empty for none."""
+) -> Mapping[str, Any] | None:
+    """Connection, first reply, who it is: None; else the settings by which what came may be read, empty for none."""
     settings = site.target.settings
     patience = settings.get("connect_timeout", CONNECT_S)
     async with AsyncExitStack() as stack:
@@ -144,7 +143,7 @@ async def _asked(
         found = await _speaks(site, survey, steps)
         if isinstance(found, Register):
             await _facts(site, survey, found, steps, facts)
-            return {}
+            return None
         return found
 
 
@@ -350,6 +349,9 @@ def probe(given: SharedOptions, write: bool, pin: bool) -> None:
 
 def _kept(given: SharedOptions, result: CommandResult, *, pin: bool) -> CommandResult:
     """What was found, in the device file. Raises ConfigError or OSError."""
+    # What changes files loads more than a probe needs.
+    from gateway.commission.files import FileChange, carry_out, find_files, template
+
     found = dict(result.data.get("habits", {}))
     if pin:
         found |= {"identity": identity} if (identity := result.data.get("proposed_identity")) else {}

@@ -216,6 +216,22 @@ def test_an_iec_address_lies_where_its_maker_says(
         assert "--plc" in str(row(tmp_path, "Address;Type", f"{cell};{kind}"))
 
 
+def test_a_tag_table_of_tia_portal_is_the_process_image_and_nothing_of_its_memory(tmp_path: Path) -> None:
+    header = "Name;Path;Data Type;Logical Address;Comment;Hmi Visible;Hmi Accessible;Hmi Writeable\n"
+    rows = [
+        ("Run", "Bool", "%I1.3"), ("Open", "Bool", "%Q0.7"), ("Level", "Int", "%IW64"), ("Flow", "Real", "%ID68"),
+        ("Speed", "Int", "%MW100"), ("Total", "Real", "%MD50"), ("Flag", "Bool", "%M10.2"), ("Out", "Word", "%QW4"),
+        ("Odd", "Int", "%IW65"), ("Block", "Real", "%DB1.DBD4"), ("Beside", "Bool", "%DB2.DBX0.1"),
+    ]  # fmt: skip
+    table = header + "".join(f"{name};Tags;{kind};{place};;True;True;True\n" for name, kind, place in rows)
+    found = read(tmp_path, table)
+    assert {tag.name: tag.keys["address"] for tag in found.tags} == {
+        "Run": "discrete:11", "Open": "coil:7", "Level": "input:32", "Flow": "input:34"
+    }  # fmt: skip
+    assert sum("MB_HOLD_REG" in problem for problem in found.problems) == 6 and len(found.problems) == 7
+    assert "middle of a register" in str(found.problems)
+
+
 def test_numbers_that_may_be_hexadecimal_are_asked_for(tmp_path: Path) -> None:
     text = "Name;Address;Type\nA;0064;INT\nB;00A6;INT\n"
     assert all("--numbers" in problem or "no address" in problem for problem in read(tmp_path, text).problems)

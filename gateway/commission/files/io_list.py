@@ -13,7 +13,7 @@ from typing import Any
 from drivers.codec import integer_range
 from drivers.tag import DType
 from gateway.commission.files.cells import ListError, ListRow, ListSheet, RowError, key_of, number_of, read_sheet
-from gateway.commission.files.io_places import AddressCell, ListedPlace, Numbering, place_of
+from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, place_of
 from gateway.commission.files.io_units import CountFactor, factor_of, range_of, unit_of
 from gateway.commission.files.io_words import (
     COLUMNS,
@@ -228,6 +228,8 @@ def _sentinel(line: ListRow) -> int | float | list[int | float] | None:
 def _of_the_layout(sheet: ListSheet, how: Reading) -> Reading:
     """What an export of a known program has by default."""
     headers = {key_of(text) for text in (*sheet.columns.values(), *sheet.ignored)}
+    if not how.plc and "logical address" in headers and any(header.startswith("hmi ") for header in headers):
+        return replace(how, plc=SIEMENS)  # a tag table of TIA Portal
     if not how.order and {"respect data type", "client access"} <= headers:
         return replace(how, order=LOW_WORD_FIRST)
     return how
