@@ -149,6 +149,10 @@ class SharedLink:
             if turn.waited:
                 # Another driver of the same unit may have asked it meanwhile.
                 self._raise_if_resting(settings, health, urgent=urgent)
+            if self.hangs_up and self._answers and request.function_code in WRITES and self.link.connection is not None:
+                # It may be hanging up at this moment, and nothing is sent twice: a write has a connection of its own.
+                self.give_up(self.link.connection, "the device ends its connections after a few answers")
+                await self.link.renewed()
             wire, started = self.link.connection, _now()
             # As a rule it is ready: what `_ready_to_ask` would come to.
             if wire is None or wire is not self._greeted or settings.pause_ms or self._ask_from > started:
