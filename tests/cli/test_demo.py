@@ -68,10 +68,10 @@ def sane(data: dict[str, Any]) -> None:
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> tuple[Path, dict[str, Any]]:
-    """A whole demonstration on the first quarter of cd17, eight seconds of replay: its folder and its object."""
+    """A whole demonstration on the first half of cd17, eight seconds of replay: its folder and its object."""
     home = tmp_path_factory.mktemp("demo")
     lines = (traces / "cd17.csv").read_text(encoding="utf-8").splitlines(keepends=True)
-    (home / "cd17.csv").write_text("".join(lines[: len(lines) // 4]), encoding="utf-8")
+    (home / "cd17.csv").write_text("".join(lines[: len(lines) // 2]), encoding="utf-8")
     return home / "out", performed(home / "out", "--trace", home / "cd17.csv", seconds=8)
 
 
