@@ -17,9 +17,9 @@ from sim.lab.discrepancy.rules import RULES
 from sim.lab.discrepancy.workflow import diagnose
 from sim.sha.automaton import SHA
 from sim.sha.trace import Array
-from tests.discrepancy.plants import model, plant
+from tests.discrepancy.plants import PERIOD, model, plant
 
-BEGIN, DAY, DAYS, PERIOD = 1.7e9, 86400.0, 5, 60.0
+BEGIN, DAY, DAYS = 1.7e9, 86400.0, 5
 """The plant's traces begin on 2023-11-14 at 22:13 UTC."""
 ROLES = {"current": "Assorbimento", "pump": "MarciaPmpFango", "ambient": "TAmbiente"}
 Plant = Callable[[Array, Array, Array], tuple[Array, Array]]
@@ -68,7 +68,7 @@ def failing(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
 def neighbour(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
     """A machine next door, on and off for some hours by a plan of its own, and warm a quarter of an hour later."""
     rng = np.random.default_rng(9)
-    plan = np.repeat(rng.random(time.size) < 0.5, rng.integers(60, 240, time.size))[: time.size]
+    plan = np.repeat(rng.random(time.size) < 0.5, rng.integers(120, 480, time.size))[: time.size]
     warm = np.zeros(time.size)
     for row in range(1, time.size):
         warm[row] = warm[row - 1] + (1.0 - np.exp(-PERIOD / 900.0)) * (plan[row] - warm[row - 1])
@@ -90,7 +90,7 @@ def neighbour(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
     ids=lambda value: value.__name__ if callable(value) else "",
 )
 def test_what_has_no_name_is_held_beside_the_names_and_described(more: Plant, words: str) -> None:
-    record = record_of(model(), [plant(2, days=DAYS, period=PERIOD, more=more)], tuple(ROLES.values()))
+    record = record_of(model(), [plant(2, days=DAYS, more=more)], tuple(ROLES.values()))
     base = fit(anchored(on(frame_of(record), record)))
     found = step(base, entries_besides(()), ROLES, rules=RULES)
     assert found.best is not None and found.best.entry.rival
@@ -101,7 +101,7 @@ def test_what_has_no_name_is_held_beside_the_names_and_described(more: Plant, wo
 
 @pytest.mark.parametrize("pump", [0.0, 8e-5])
 def test_an_unmeasured_neighbour_takes_no_place_of_what_is_there(pump: float) -> None:
-    record = record_of(model(), [plant(2, days=DAYS, period=PERIOD, pump=pump)], tuple(ROLES.values()))
+    record = record_of(model(), [plant(2, days=DAYS, pump=pump)], tuple(ROLES.values()))
     found = step(fit(anchored(on(frame_of(record), record))), entries_besides(()), ROLES, rules=RULES)
     assert "unmeasured-neighbour" not in [each.entry.name for each in found.evidence]
     assert found.best is not None and (found.best.entry.name == "pump-cooling") == (pump > 0)
@@ -109,19 +109,19 @@ def test_an_unmeasured_neighbour_takes_no_place_of_what_is_there(pump: float) ->
 
 def test_beside_an_unmeasured_neighbour_a_name_that_is_certain_stays() -> None:
     """The neighbour explains more than the pump does, and nothing of what the pump does."""
-    record = record_of(model(), [plant(2, days=DAYS, period=PERIOD, pump=8e-5, more=neighbour)], tuple(ROLES.values()))
+    record = record_of(model(), [plant(2, days=DAYS, pump=8e-5, more=neighbour)], tuple(ROLES.values()))
     found = step(fit(anchored(on(frame_of(record), record))), entries_besides(()), ROLES, rules=RULES)
     assert found.best is not None and found.best.entry.name == "pump-cooling"
 
 
 def test_a_diagnosis_says_that_something_is_not_measured_and_where_to_look() -> None:
-    found = diagnose(model(), [plant(2, days=DAYS, period=PERIOD, more=neighbour)], seed=0).diagnosis
+    found = diagnose(model(), [plant(2, days=DAYS, more=neighbour)], seed=0).diagnosis
     assert found.verdict == "unexplained" and "that is not measured" in found.sentence
     assert look_at(found)[0].startswith("what is beside the machine and not recorded")
 
 
 def test_the_sentence_says_what_has_no_name_and_the_advice_where_to_look() -> None:
-    found = diagnose(model(), [plant(3, days=DAYS, period=PERIOD, more=cooler)], seed=0).diagnosis
+    found = diagnose(model(), [plant(3, days=DAYS, more=cooler)], seed=0).diagnosis
     assert found.verdict == "unexplained" and not found.effects
     assert found.description.startswith("less cooling since 2023-11-17")
     assert found.description in found.sentence and any(found.description in reason for reason in found.reasons)
