@@ -30,7 +30,7 @@ def without(rooms: str, *words: object, folder: Path) -> "subprocess.CompletedPr
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a trace, a log of a vehicle, and a set of the public learner's files."""
     folder = tmp_path_factory.mktemp("home")
-    write_trace(restless_trace(60.0), folder / "trace.csv")
+    write_trace(restless_trace(200.0), folder / "trace.csv")
     (folder / "log.txt").write_text("(1.000000) can0 7E8#0341057B\n", encoding="utf-8")
     (folder / "foreign").mkdir()
     for name in ("set_source.txt", "set.txt"):
