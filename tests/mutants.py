@@ -33,7 +33,9 @@ from mutmut.mutation.file_mutation import create_mutations, deep_replace
 
 ROOT = Path(__file__).parent.parent
 FORK = get_context("fork")
-PYTEST = ["-p", "no:cacheprovider", "-p", "no:xdist", "--no-summary", "-qs", "--tb=short", "--hypothesis-seed=0", "--timeout=60"]
+PYTEST = ["-p", "no:cacheprovider", "-p", "no:xdist", "--no-summary", "-qs", "--tb=short", "--hypothesis-seed=0"]
+TEST_S = 120
+"""The longest (real time) that one test may take."""
 CPU_FACTOR, CPU_S = 10, 20
 """A mutant is stopped, and so found, after so many times what its tests take, and so many seconds of processor more."""
 WALL_S = 3600.0
@@ -46,7 +48,7 @@ LEAST_KILLED = 0.9
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """A bug in what runs `now`, as it would run `instead`; the `lines` of its statement, and what it `says` otherwise."""
+    """A bug in what runs `now`, as it would run `instead`; its statement's `lines`, and what it `says` otherwise."""
 
     now: CodeType
     instead: CodeType
@@ -104,22 +106,17 @@ def mutants_of(path: Path, seed: int) -> Iterator[Mutant | None]:
             yield None
             continue
         lines, says = differences(source.splitlines(), text.splitlines())
-        yield Mutant(*changed[0], frozenset(lines.union(*(each for each in statements(source) if lines & {*each}))), says)
+        whole = lines.union(*(each for each in statements(source) if lines & {*each}))
+        yield Mutant(*changed[0], frozenset(whole), says)
 
 
-def put_in(mutant: Mutant) -> None:
-    """Give the function of this process its other body, however it is called or wrapped."""
-    gc.unfreeze()
-    found = [
-        each
-        for each in gc.get_objects()
-        if isinstance(each, FunctionType)
-        and each.__code__.co_filename == mutant.now.co_filename
-        and each.__code__.co_firstlineno == mutant.now.co_firstlineno
-        and content(each.__code__) == content(mutant.now)
-    ]
-    for each in found:
-        each.__code__ = mutant.instead
+def as_loaded(code: CodeType) -> list[FunctionType]:
+    """The functions of this process that run it, however they are called or wrapped."""
+    gc.unfreeze()  # the tests' own conftest has frozen what it collected, and what is frozen is not found
+    where = code.co_filename, code.co_firstlineno
+    loaded = [each for each in gc.get_objects() if isinstance(each, FunctionType)]
+    near = [each for each in loaded if (each.__code__.co_filename, each.__code__.co_firstlineno) == where]
+    return [each for each in near if content(each.__code__) == content(code)]
 
 
 # ---------------------------------------------------------------- tests
@@ -204,7 +201,7 @@ def processor_s() -> float:
 
 
 def forked(work: Callable[[], Any], cpu_s: float | None = None) -> Any:
-    """What `work()` gives in a fork, silent where it has `cpu_s`; None where it was stopped or has ended the process."""
+    """What `work()` gives in a fork, silent where it has `cpu_s`; None where it was stopped or has ended itself."""
     ours, theirs = FORK.Pipe(duplex=False)
 
     def child() -> None:
@@ -234,7 +231,8 @@ def forked(work: Callable[[], Any], cpu_s: float | None = None) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How many mutants of a module there are, were drawn and tried, and were found, and what that took (s)."""
+    """How many mutants of a module there are, were drawn, changed something and were tried, and were found; and the
+    `seconds` of processor that it took."""
 
     module: str
     mutants: int = 0
@@ -245,8 +243,8 @@ class Score:
 
     def __str__(self) -> str:
         return (
-            f"{self.killed} of {self.tried} killed, {self.killed / max(self.tried, 1):.1%}; {self.drawn} of "
-            f"{self.mutants} drawn, {self.seconds / max(self.tried, 1):.2f} s of processor each: {self.module}"
+            f"{self.killed:4} of {self.tried:4} killed, {self.killed / max(self.tried, 1):6.1%} ({self.drawn:4} of "
+            f"{self.mutants:4} drawn), {self.seconds / max(self.tried, 1):5.2f} s of processor each: {self.module}"
         )
 
 
@@ -263,9 +261,7 @@ class Trials:
         """No time for the smallest example, and none is remembered."""
         hypothesis = import_module("hypothesis")  # here: its plug-in of pytest would be first
         usual, phase = hypothesis.settings.get_profile("patient"), hypothesis.Phase
-        hypothesis.settings.register_profile(
-            "mutants", usual, phases=(phase.explicit, phase.generate), database=None
-        )
+        hypothesis.settings.register_profile("mutants", usual, phases=(phase.explicit, phase.generate), database=None)
         hypothesis.settings.load_profile("mutants")
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
@@ -284,11 +280,12 @@ class Trials:
             if tried == self.sample > 0:
                 break
             drawn += 1
-            if mutant is not None:
+            functions = [] if mutant is None else as_loaded(mutant.now)
+            if mutant is not None and functions:
                 reached = set[pytest.Item]().union(*(by_line[line] for line in mutant.lines))
                 items = sorted(reached, key=lambda item: (coverage.seconds[item.nodeid], item.nodeid))
-                found = self.found(mutant, items, sum(coverage.seconds[item.nodeid] for item in items))
-                tried, killed = tried + 1, killed + found
+                usual_s = sum(coverage.seconds[item.nodeid] for item in items)
+                tried, killed = tried + 1, killed + self.found(mutant, functions, items, usual_s)
         mutants = len(create_mutations(str(path), path.read_text(encoding="utf-8"))[1])
         self.score = Score(self.module, mutants, drawn, tried, killed, processor_s())
         return True
@@ -299,13 +296,19 @@ class Trials:
         run_items(items, coverage)
         return Coverage(path, dict(coverage.lines), coverage.seconds, coverage.failures)
 
-    def found(self, mutant: Mutant, items: Sequence[pytest.Item], usual_s: float) -> bool:
+    def found(
+        self, mutant: Mutant, functions: Sequence[FunctionType], items: Sequence[pytest.Item], usual_s: float
+    ) -> bool:
+        """Whether one of the tests fails, or takes far too long; said where none does."""
+
         def failed() -> bool:
-            put_in(mutant)
+            for function in functions:
+                function.__code__ = mutant.instead
             failure = Failure()
             run_items(items, failure)
             return failure.seen
 
+        # None: it was stopped.
         if items and forked(failed, CPU_S + CPU_FACTOR * usual_s) is not False:
             return True
         print(
@@ -322,13 +325,13 @@ def tried(module: str, tests: Sequence[str], sample: int, seed: int) -> Score | 
     """The score of one module; None where its tests do not pass as they are."""
     trials = Trials(module, sample, seed)
     with tempfile.TemporaryDirectory() as folder:
-        pytest.main([*PYTEST, f"--basetemp={folder}/tests", *tests], plugins=[trials])
+        pytest.main([*PYTEST, f"--timeout={TEST_S}", f"--basetemp={folder}/tests", *tests], plugins=[trials])
     return trials.score
 
 
 def main() -> int:
     """Survivors as they are found, and the score of each module and of all; 1 where fewer than LEAST_KILLED."""
-    parser = argparse.ArgumentParser(prog="make mutants", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(prog="python -m tests.mutants")
     parser.add_argument("only", nargs="*", help="modules, or parts of their names")
     parser.add_argument("--sample", type=int, default=0, help="so many mutants of each module, drawn at random")
     parser.add_argument("--seed", type=int, default=0, help="of the drawing")
@@ -337,8 +340,8 @@ def main() -> int:
     modules = [module for module in table if not given.only or any(word in module for word in given.only)]
     scores = [forked(lambda at=module: tried(at, table[at], given.sample, given.seed)) for module in modules]
     known = [score for score in scores if score is not None]
-    sums = [sum(figures) for figures in zip(*((s.mutants, s.drawn, s.tried, s.killed, s.seconds) for s in known))]
-    every = Score("all", *sums)
+    figures = ("mutants", "drawn", "tried", "killed", "seconds")
+    every = Score("all", **{name: sum(getattr(score, name) for score in known) for name in figures})
     print(*known, every, sep="\n")
     return int(len(known) < len(modules) or every.killed < LEAST_KILLED * every.tried)
 

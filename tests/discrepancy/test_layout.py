@@ -97,8 +97,9 @@ def test_an_experiment_comes_behind_the_traces_and_is_seen_by_the_fit() -> None:
     usual, other = plant(3, days=1, period=120.0), plant(4, days=1, period=120.0)
     made = replace(plant(5, days=1, period=120.0), name="made")
     later = [replace(each, times=each.times + 1e6 * place) for place, each in enumerate((usual, other), 1)]
-    laid_out = lay_out(replace(model(), unit="K"), later[::-1], [made], ROLES, RULES)
-    assert laid_out.model.unit == usual.units.get("T", "K") and laid_out.model.temperature == "T"
+    later[1] = replace(later[1], units={"T": "degF", "Assorbimento": "A"})
+    laid_out = lay_out(model(), later[::-1], [made], ROLES, RULES)
+    assert laid_out.model.unit == "degF" and lay_out(model(), later[:1], [], ROLES, RULES).model.unit == model().unit
     assert [trace.name for trace in laid_out.traces][-1] == "made" and len(laid_out.traces) == 3
     assert laid_out.traces[0].times[0] < laid_out.traces[1].times[0], "in the order of their times"
     assert all(trace.events for trace in laid_out.traces)

@@ -36,7 +36,12 @@ def test_an_alarm_of_each_bearing_is_its_own(both: Config) -> None:
     conditions = make_conditions(both, (TEMPERATURE, "Assorbimento"))
     unit = both.map.by_name[OTHER].unit
     hot, other = (conditions[on_tag("over limit", tag)] for tag in (TEMPERATURE, OTHER))
-    assert (hot.tag, hot.limit, hot.temperature, hot.kind) == (TEMPERATURE, both.alarms.limit, TEMPERATURE, "over limit")
+    assert (hot.tag, hot.limit, hot.temperature, hot.kind) == (
+        TEMPERATURE,
+        both.alarms.limit,
+        TEMPERATURE,
+        "over limit",
+    )
     assert (other.tag, other.limit, other.temperature) == (OTHER, 61.5, OTHER)
     assert other.response == f"{OTHER} is above 61.5 {unit}: reduce the load and check the lubrication" and unit
     assert other.suppressed_by == ("MarciaDecanter", 0.0) and other.latches is False
@@ -65,7 +70,9 @@ def test_a_bearing_that_drifts_is_told_from_its_twin_once(both: Config) -> None:
         found = make_conditions(config, ()).values()
         return {condition.tag: condition.response for condition in found if condition.kind == "sensor drifting"}
 
-    said = "compare {} and {} with a hand-held thermometer, then look at sensor, cable and input of the one that is wrong"
+    said = (
+        "compare {} and {} with a hand-held thermometer, then look at sensor, cable and input of the one that is wrong"
+    )
     assert drifting(both) == {TEMPERATURE: said.format(TEMPERATURE, OTHER)}
     turned = both.alarms.model_copy(update={"twins": (OTHER, TEMPERATURE)})
     turned.model_fields_set.add("twins")

@@ -77,8 +77,11 @@ def test_the_words_of_a_start_in_every_state_of_the_log(tmp_path: Path) -> None:
     disarm_in_log(path, "Bea", "not today", EPOCH, config.stamp)
     assert (start().arming, start().sentence, start().by) == (None, "Bea disarmed it (not today)", "Bea")
     refused = start(config)
-    assert refused.arming is None and refused.by == "Bea" and refused.sentence == (
-        f"Bea disarmed it (not today) after {config.path} was saved; save it anew to arm again"
+    assert (
+        refused.arming is None
+        and refused.by == "Bea"
+        and refused.sentence
+        == (f"Bea disarmed it (not today) after {config.path} was saved; save it anew to arm again")
     )
     assert start(replace(config, stamp=config.stamp + 1.0)).arming is not None
     assert start(replace(config, stamp=config.stamp - 1.0)).arming is None
@@ -207,7 +210,9 @@ def opened(
     more = {"rng": Random(1), "clock": JumpClock(), **more}
     driver = open_driver("soft", {}, **SOFT) if driver is None else driver
     try:
-        writers = open_writers(config, config.map.writebacks, driver=driver, historian=told, audit=log, log=told, **more)  # type: ignore[arg-type]
+        writers = open_writers(
+            config, config.map.writebacks, driver=driver, historian=told, audit=log, log=told, **more
+        )  # type: ignore[arg-type]
     finally:
         log.close()
     return writers, told
@@ -475,6 +480,34 @@ def test_a_damaged_log_is_disarmed_all_the_same_and_says_what_is_damaged(
     assert said == ["whether it was armed is not known: row 3", "it was set aside"]
 
 
+def test_the_row_of_an_arming_says_by_which_way_it_was_given(tmp_path: Path) -> None:
+    config = config_in(tmp_path, FILE)
+    arm_in_log(config.audit, signed("Cai", "loop", 5, EPOCH), EPOCH, subject="two", armed_for="abc")
+    row, confirming = read(config.audit)
+    detail = dict(row.entry.detail)
+    assert detail.pop("uptime") <= uptime().seconds and detail.pop("boot") == uptime().boot
+    assert detail == {
+        "until": EPOCH + 300.0,
+        "via": "command",
+        "speed": 1.0,
+        "configuration": "abc",
+        "subject": "two",
+        **own_process(),
+    }
+    assert (row.entry.time, confirming.entry.time, confirming.entry.subject) == (EPOCH, EPOCH, "two")
+
+
+def test_what_the_machines_own_count_has_ended_is_not_in_force(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = config_in(tmp_path, FILE)
+    arm_in_log(config.audit, signed("Cai", "loop", 5, EPOCH), EPOCH)
+    real = uptime()
+    monkeypatch.setattr(room, "uptime", lambda: room.Uptime("a boot", real.seconds + 600.0))
+    assert end_by_mode(config, lambda: NoDisk(1), EPOCH) is not None, "another start of the machine: the clock decides"  # type: ignore[arg-type, return-value]
+    monkeypatch.setattr(room, "uptime", lambda: replace(real, seconds=real.seconds + 600.0))
+    assert end_by_mode(config, lambda: pytest.fail("it is over"), EPOCH) is None
+    assert disarm_in_log(config.audit, "Bea", "no", EPOCH) is None
+
+
 def test_the_row_of_a_disarming_says_which_program_and_which_file_it_is_against(tmp_path: Path) -> None:
     config = config_in(tmp_path, FILE)
     disarm_in_log(config.audit, "Bea", "no", EPOCH, subject="two")
@@ -485,9 +518,7 @@ def test_the_row_of_a_disarming_says_which_program_and_which_file_it_is_against(
     assert own_process() == {"uid": os.getuid(), "pid": os.getpid()}
 
 
-def test_a_machine_whose_mode_is_off_loses_its_arming_for_good(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_machine_whose_mode_is_off_loses_its_arming_for_good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = in_mode(config_in(tmp_path, FILE), "off")
     assert end_by_mode(config, lambda: pytest.fail("nothing is there"), EPOCH) is None
     arm_in_log(config.audit, signed("Cai", "loop", 5, EPOCH), EPOCH)
@@ -531,5 +562,5 @@ async def test_a_disarming_of_a_machine_in_mode_off_is_kept_against_its_file(tmp
 
 def test_at_most_200_characters_of_a_name_and_480_minutes() -> None:
     assert signed("A" * 200, "b" * 200, 480, 1.0) == Arming("A" * 200, "b" * 200, 28801.0)
-    with pytest.raises(ArmingError, match="^the reason must be one line of at most 200 characters$"):
+    with pytest.raises(ArmingError, match=r"^the reason must be one line of at most 200 characters$"):
         signed("A", "b" * 201, 480, 1.0)

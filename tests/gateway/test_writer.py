@@ -92,7 +92,10 @@ class Desk:
         now = self.clock.now()
         found = scan_of({"WritePermit": True, "Challenge": 77, **values}, now - ago)
         at = now - (ago if permit_ago is None else permit_ago)
-        samples = {**found.samples, "WritePermit": Sample("WritePermit", values.get("WritePermit", True), Quality.GOOD, at)}
+        samples = {
+            **found.samples,
+            "WritePermit": Sample("WritePermit", values.get("WritePermit", True), Quality.GOOD, at),
+        }
         return Scan(0, now - ago, samples, 0, duration)
 
     async def offer(self, scan: Scan | None = None, **values: float | None) -> tuple[str, str]:
@@ -127,9 +130,7 @@ async def test_a_permit_is_as_old_as_when_it_was_read(speed: float, ago: float, 
 
 
 @pytest.mark.parametrize("speed", [1.0, 8.0])
-@pytest.mark.parametrize(
-    ("wait", "reason"), [(0.25, ""), (0.5, "it waited 0.50 s to be sent, which may be 0.25 s")]
-)
+@pytest.mark.parametrize(("wait", "reason"), [(0.25, ""), (0.5, "it waited 0.50 s to be sent, which may be 0.25 s")])
 async def test_what_passes_on_the_way_to_the_wire_is_waiting(speed: float, wait: float, reason: str) -> None:
     for place in ("ledger", "line"):
         desk = Desk(speed=speed, max_age=9.0)

@@ -45,17 +45,19 @@ def by_hand(runs: FreeRuns) -> list[bool] | None:
     taught = {}
     for fold in range(5):
         for place in set(runs.place.tolist()):
-            taught[fold, place] = 10 <= sum(
+            taught[fold, place] = sum(
                 number % 5 != fold and there == place and not first and np.isfinite(reading)
                 for number, there, first, reading in zip(
                     order, runs.place.tolist(), runs.first.tolist(), runs.reading.tolist(), strict=True
                 )
-            )
+            ) >= 10
     judged: list[bool] = []
     for knot, number in enumerate(order):
         first = bool(runs.first[knot])
         judged.append(first or (judged[-1] and taught[number % 5, int(runs.place[knot])]))
-    read = [number for number, ok, reading in zip(order, judged, runs.reading, strict=True) if ok and reading == reading]
+    read = [
+        number for number, ok, reading in zip(order, judged, runs.reading, strict=True) if ok and reading == reading
+    ]
     return judged if len(read) >= 20 and len(set(read)) >= 2 else None
 
 
@@ -108,9 +110,7 @@ def test_twenty_readings_of_two_runs_can_be_judged() -> None:
 
 @pytest.mark.parametrize("fixed", [False, True])
 @pytest.mark.parametrize("count", [2, 4, 5, 6, 12])
-def test_no_fit_has_seen_the_run_that_it_is_judged_by(
-    fixed: bool, count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_fit_has_seen_the_run_that_it_is_judged_by(fixed: bool, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     begin, shape = np.array([0.5]), SimpleNamespace()
     rng = np.random.default_rng(count)
     readings = [np.where(rng.random(6) < 0.3, np.nan, rng.normal(20.0, 5.0, 6)) for _ in range(count)]

@@ -286,6 +286,8 @@ def test_a_trace_with_missing_readings_gives_rows_without_predictions() -> None:
     assert np.isnan(run.predicted).tolist() == [True, True, True, False]
     assert run.locations == ("cold", "hot", "hot", "hot")
     assert run.innovation[3] == pytest.approx(30.2 - run.predicted[3])
+    unread = filter_trace(two_states(gain=0.1), Trace("t", np.arange(2.0), {"T": readings[:2]}))
+    assert unread.belief.signals == {} and unread.x[1] == 30.0, "an input that no row has"
     with pytest.raises(ValueError, match="no signal 'T'"):
         filter_trace(model, Trace("t", np.arange(4.0), {}))
     with pytest.raises(ValueError, match="no row"):
@@ -363,7 +365,7 @@ def test_a_belief_begins_with_nothing_read_and_x_and_m_apart() -> None:
     drawn = single(relaxing(0.01, 0.02), normal(40.0, 3.0), entry="resample")
     assert (start(drawn, 0.0).x, start(drawn, 0.0).xx) == (40.0, 9.0)
     for time in (float("nan"), float("inf")):
-        with pytest.raises(ValueError, match="cannot start at (nan|inf) s"):
+        with pytest.raises(ValueError, match=r"cannot start at (nan|inf) s"):
             start(model, time)
 
 
