@@ -148,12 +148,13 @@ def test_what_stands_is_told_from_what_is_stale_also_when_it_began_before() -> N
         row(20.0, "over", "returned unacknowledged"),
         row(-DAY, "latched"),
         row(-0.5 * DAY, "latched", "latched unacknowledged"),
+        row(-3 * DAY, "from before the journal", "acknowledged"),
         row(5.0, "hidden"),
         row(6.0, "hidden", "shelved"),
     ]
     found = alarm_rates(rows, 0.0, DAY)
-    assert dict(found.standing) == {"old": 3 * DAY, "latched": 2 * DAY, "young": DAY}
-    assert set(found.stale) == {"old", "latched"}, "a day exactly is not more than a day"
+    assert dict(found.standing) == {"from before the journal": 4 * DAY, "old": 3 * DAY, "latched": 2 * DAY, "young": DAY}
+    assert set(found.stale) == {"from before the journal", "old", "latched"}, "a day exactly is not more than a day"
 
 
 def test_shares_by_priority_and_machines_together() -> None:

@@ -63,6 +63,7 @@ def test_what_the_file_says_of_a_kind_holds_for_all_and_of_a_tag_for_that_one(bo
     assert second.response == "call the shift" != first.response
     assert first.consequence == second.consequence == str(ALARM_KINDS["anomaly"].consequence)
     assert "disk" not in conditions and "link" in conditions
+    assert {condition.kind for condition in conditions.values() if condition.own_response} == {"anomaly", "drift"}
 
 
 def test_a_bearing_that_drifts_is_told_from_its_twin_once(both: Config) -> None:
@@ -114,6 +115,12 @@ def test_an_alarm_of_a_lone_temperature_is_in_every_block(tmp_path: Path) -> Non
     config = config_in(tmp_path, model=two_modes())
     assert {condition.temperature for condition in make_conditions(config, ()).values()} == {""}
     assert acknowledge_words(config) == {"AcknowledgeBits": frozenset({TEMPERATURE})}
+
+
+def test_without_a_block_alarms_are_acknowledged_by_the_usual_word(both: Config) -> None:
+    (link, *_) = both.links
+    unwritten = replace(both, links=(replace(link, map=replace(link.map, writebacks=())),))
+    assert acknowledge_words(unwritten) == {"AcknowledgeBits": frozenset({TEMPERATURE, OTHER})}
 
 
 def test_each_block_has_its_own_acknowledgements(both: Config) -> None:
