@@ -114,7 +114,7 @@ def as_loaded(code: CodeType) -> list[FunctionType]:
     """The functions of this process that run it, however they are called or wrapped."""
     gc.unfreeze()  # the tests' own conftest has frozen what it collected, and what is frozen is not found
     where = code.co_filename, code.co_firstlineno
-    loaded = [each for each in gc.get_objects() if isinstance(each, FunctionType)]
+    loaded = [each for each in gc.get_objects() if type(each) is FunctionType]
     near = [each for each in loaded if (each.__code__.co_filename, each.__code__.co_firstlineno) == where]
     return [each for each in near if content(each.__code__) == content(code)]
 
