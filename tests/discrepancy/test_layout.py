@@ -69,10 +69,11 @@ class Cut:
         return Cut(self.cycle, "cycles")
 
 
+@pytest.mark.parametrize("share", [0.3, 0.7])
 @pytest.mark.parametrize("experiments", [0, 2])
 @pytest.mark.parametrize("count", range(4, 15))
 def test_the_last_cycles_are_held_out_and_experiments_are_fitted(
-    count: int, experiments: int, monkeypatch: pytest.MonkeyPatch
+    count: int, experiments: int, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(layout, "frame_of", lambda record: record)
     monkeypatch.setattr(layout, "on", lambda frame, record: record)
@@ -83,8 +84,8 @@ def test_the_last_cycles_are_held_out_and_experiments_are_fitted(
     laid_out: Any = SimpleNamespace(
         record=record, cycles=np.array(numbers), first_made=float(count + 1) if experiments else float("inf")
     )
-    split = split_cycles(laid_out, RULES)
-    held = max(min(count - round(0.7 * count), count - 3), 0)
+    split = split_cycles(laid_out, replace(RULES, held_out_share=share))
+    held = min(count - round((1.0 - share) * count), count - 3)
     first = numbers[count - held]
     made = list(range(count + 1, count + 1 + experiments))
     assert split.first == first and isinstance(split.first, int)
@@ -98,12 +99,15 @@ def test_an_experiment_comes_behind_the_traces_and_is_seen_by_the_fit() -> None:
     made = replace(plant(5, days=1, period=120.0), name="made")
     later = [replace(each, times=each.times + 1e6 * place) for place, each in enumerate((usual, other), 1)]
     later[1] = replace(later[1], units={"T": "degF", "Assorbimento": "A"})
-    laid_out = lay_out(model(), later[::-1], [made], ROLES, RULES)
+    roles = ROLES | {"ambient": "Assorbimento", "feed": "MarciaPmpFango"}
+    laid_out = lay_out(model(), later[::-1], [made], roles, RULES)
     assert laid_out.model.unit == "degF" and lay_out(model(), later[:1], [], ROLES, RULES).model.unit == model().unit
+    kelvin = lay_out(replace(model(), unit="K"), [replace(usual, units={})], [], ROLES, RULES)
+    assert kelvin.model.unit == "K", "where no trace says it"
     assert [trace.name for trace in laid_out.traces][-1] == "made" and len(laid_out.traces) == 3
     assert laid_out.traces[0].times[0] < laid_out.traces[1].times[0], "in the order of their times"
     assert all(trace.events for trace in laid_out.traces)
-    assert laid_out.roles == ROLES == laid_out.present and laid_out.following == frozenset()
+    assert laid_out.roles == roles == laid_out.present and laid_out.following == frozenset()
     assert laid_out.cycles.size == 6 and laid_out.cycles.max() < laid_out.first_made < np.inf
     split = split_cycles(laid_out, RULES)
     assert split.first == laid_out.cycles[4]

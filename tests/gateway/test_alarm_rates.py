@@ -96,8 +96,9 @@ def test_each_finding_begins_one_beyond_what_a_person_can_deal_with() -> None:
         assert found.flooded == pytest.approx((5606.0 - 5010.0) / (0.75 * DAY) * bool(said))
     twice = [row(start + n, f"a{n}") for start in (5000.0, 9000.0) for n in range(11)]
     assert "2 floods of alarms" in alarm_rates(twice, 0.0, DAY).findings
-    cut = alarm_rates(twice, 0.0, 9100.0)
-    assert cut.flooded == pytest.approx((596.0 + 90.0) / 9100.0)
+    cut = alarm_rates(twice, 1.0, 9100.0)
+    assert (cut.start, cut.end, cut.announced) == (1.0, 9100.0, 22)
+    assert cut.flooded == pytest.approx((596.0 + 90.0) / 9099.0)
 
 
 def test_findings_name_the_alarms_they_are_about() -> None:
@@ -153,7 +154,12 @@ def test_what_stands_is_told_from_what_is_stale_also_when_it_began_before() -> N
         row(6.0, "hidden", "shelved"),
     ]
     found = alarm_rates(rows, 0.0, DAY)
-    assert dict(found.standing) == {"from before the journal": 4 * DAY, "old": 3 * DAY, "latched": 2 * DAY, "young": DAY}
+    assert dict(found.standing) == {
+        "from before the journal": 4 * DAY,
+        "old": 3 * DAY,
+        "latched": 2 * DAY,
+        "young": DAY,
+    }
     assert set(found.stale) == {"from before the journal", "old", "latched"}, "a day exactly is not more than a day"
 
 
