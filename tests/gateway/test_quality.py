@@ -322,8 +322,8 @@ def test_after_bytes_that_were_no_measurement_nothing_is_good_for_ten_periods(pe
 def test_a_reading_is_as_old_as_its_request_and_a_lost_one_as_its_last_good_value(period: float) -> None:
     rules = QualityRules(period)
 
-    def worth(sample: Sample, now: float, age: DeviceAge = DeviceAge()) -> Sample:
-        return judge(age, [T], [sample], now, rules)[1]["T"]
+    def worth(sample: Sample, now: float, age: DeviceAge | None = None) -> Sample:
+        return judge(age or DeviceAge(), [T], [sample], now, rules)[1]["T"]
 
     for periods, fresh in ((3.0, True), (3.1, False)):
         sample = Sample("T", 20.0, Quality.GOOD, periods * period, 0.0)
