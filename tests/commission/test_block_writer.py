@@ -9,12 +9,14 @@ from typing import Any
 
 import pytest
 
+from drivers.device_file import STATUS_TAGS
 from drivers.driver import BeforeSending, anyhow
-from drivers.errors import DriverError, LinkDown, WriteForbidden
+from drivers.errors import DriverError, LinkDown, WriteForbidden, WriteUnverified
 from drivers.tag import Quality, Sample, Tag
 from gateway.commission.writeback import block_writer as room
 from gateway.commission.writeback.block_writer import BlockWriter, arming_in_force, gateway_runs
 from gateway.commission.writeback.suite import Unable
+from gateway.console import CommandResult
 from gateway.machine.writing import Arming, Validity, arm_in_log, countersign, places_of, read_numbers, signed, uptime
 from gateway.settings import Config
 from gateway.settings.devices import load_device
@@ -225,7 +227,18 @@ async def test_a_number_that_does_not_read_well_is_waited_for_and_then_an_error(
 
 
 async def test_of_a_suites_step_what_cannot_be_sent_is_a_step_that_cannot_be_put(bench: Bench) -> None:
-    bench.armed = False
+    one = writer(bench)
+    for offset in (3, 4):
+        await one.write(offset, [9, 8])
+        assert bench.done[-1] == ("sent", [(FIRST.words[offset], 9), (FIRST.words[offset + 1], 8)])
+    assert one.written == 2
+
+    def unverified() -> None:
+        raise WriteUnverified("it reads back 7")
+
+    bench.meanwhile = unverified
+    await one.write(0, [1] * 26)
+    bench.meanwhile, bench.armed = anyhow, False
     with pytest.raises(Unable, match=OVER):
         await writer(bench).write(0, [1] * 26)
 
@@ -255,6 +268,43 @@ async def test_a_person_is_asked_only_for_another_permit(
     with pytest.raises(Unable, match="the permit has not changed"):
         await writer(bench, ask=done).permit(wanted)
     assert questions == [f"Please {word} the write permit at the PLC. Done?", "scans"]
+
+
+async def test_the_plcs_account_is_read_once_its_program_has_moved_on(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts, beat = iter([1, 1, 2, 3, 3, 4]), DEVICE.heartbeat
+    assert beat is not None
+
+    async def sleep(seconds: float) -> None:
+        bench.monotonic += 0.5
+        bench.said[beat] = (next(counts), Quality.GOOD)
+        bench.said["BlocksAccepted"] = (bench.said[beat][0] * 10, Quality.GOOD)
+
+    monkeypatch.setattr(room, "asyncio", SimpleNamespace(sleep=sleep))
+    for place, name in enumerate(STATUS_TAGS):
+        bench.said[name] = (place + 2, Quality.GOOD)
+    bench.said[beat] = (9, Quality.GOOD)
+    account = await writer(bench).account()
+    assert next(counts) == 3, "the count of before, and three others after it"
+    assert (account.accepted, account.refused, account.last_refusal, account.usable) == (30, 3, 4, True)
+    assert (account.challenge, account.session_writer, account.refused_writer) == (6, 7, 8)
+    assert STATUS_TAGS[:4] == ("BlocksAccepted", "BlocksRefused", "LastRefusal", "PredictionUsable")
+    counts = iter([5] * 9)
+    with pytest.raises(DriverError, match=f"^the PLC's heartbeat {beat} has not moved for 3 s; its program stands$"):
+        await writer(bench).wait_for_scans()
+
+
+def test_results_of_several_blocks_are_one() -> None:
+    first = CommandResult({"sent": 2, "ok": True, "title": "a", "rows": [{"ok": True}]}, "", 0)
+    second = CommandResult({"sent": 3, "ok": False, "title": "b", "rows": [{"ok": False}, {"skipped": 1}]}, "no", 1)
+    both = room.join_results([("T", first), ("U", second)])
+    rows = [{"ok": True, "block": "T"}, {"ok": False, "block": "U"}, {"skipped": 1, "block": "U"}]
+    assert both == CommandResult({"sent": 5, "ok": True, "title": "a", "rows": rows}, "U: no", 1)
+    shown = room.rows_of_test("Test", both.data, lambda row: {"step": len(row)})
+    assert (shown.title, list(shown.columns)) == ("Test", ["", "block", "step"])
+    assert [row[""] for row in shown.rows] == ["ok", "FAILED", "skipped"]
+    assert list(room.rows_of_test("Test", first.data, lambda _: {"step": 1}).rows[0]) == ["", "step"]
 
 
 # ---------------------------------------------------------------- by the audit log itself
