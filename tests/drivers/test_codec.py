@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.codec import decode, encode, encoder, reader, registers_needed
+from drivers.codec import decode, encode, encoder, judge, reader, registers_needed
 from drivers.errors import AddressError, EncodingError
 from drivers.tag import DType, Order, Quality, Tag, Value
 
@@ -474,3 +474,38 @@ def test_what_is_swapped_is_named_by_what_must_be_swapped_back() -> None:
         swapped = " and ".join([*["words"] * words, *["bytes"] * octets])
         reason = decode(tag, wire(payload, sent))[2]
         assert f"; the {swapped} look swapped: as {sent} it reads 40.8; " in reason if swapped else reason == ""
+
+
+@pytest.mark.parametrize("dtype", FORMATS)
+def test_a_reader_gives_no_value_of_another_number_of_registers(dtype: DType) -> None:
+    for tag in (Tag("t", "holding:0", dtype), Tag("t", "holding:0", dtype, sentinel=7)):
+        for words in ([], [1, 2], [1, 2, 3]):
+            value, quality, reason = reader(tag)(words)
+            assert (value, quality) == (None, Quality.DECODING_ERROR)
+            assert reason == f"{len(words)} registers for a {dtype}, which has 1"
+
+
+def test_a_small_limit_is_drawn_as_wide_as_it_is_small() -> None:
+    for limits in ({"high": 1e-6}, {"low": 0.0, "high": 1e-6}, {"low": -1e-6, "high": 0.0}, {"low": -1e-6}):
+        tag = Tag("t", "holding:0", DType.FLOAT64, unit="m", **limits)  # type: ignore[arg-type]
+        sign = 1.0 if limits.get("high") else -1.0
+        assert judge(tag, sign * 1e-6) == (Quality.GOOD, "")
+        assert judge(tag, sign * 1e-6 * (1 + 2**-24)) == (Quality.GOOD, "")
+        quality, reason = judge(tag, sign * 1.001e-6)
+        which = "above the highest" if sign > 0 else "below the lowest"
+        assert (
+            quality is Quality.OUT_OF_RANGE
+            and reason == f"{sign * 1.001e-6:.6g} m is {which} plausible value {sign * 1e-6:g}"
+        )
+    for value in (True, False, "text"):
+        assert judge(tag, value) == (Quality.GOOD, "")
+
+
+@pytest.mark.parametrize("text", ["X", "MIXX", "XX XX", " x", "a b"])
+def test_of_a_text_only_blanks_at_its_end_are_padding(text: str) -> None:
+    tag = Tag("t", "holding:0", DType.STRING, length=len(text))
+    assert registers_needed(tag) == (len(text) + 1) // 2
+    words = encode(tag, text)
+    assert decode(tag, words) == (text, Quality.GOOD, "")
+    if len(text) % 2 == 0:
+        assert decode(replace(tag, length=len(text) + 2), [*words, 0x2020]) == (text, Quality.GOOD, "")
