@@ -100,9 +100,11 @@ class Desk:
 
     async def offer(self, scan: Scan | None = None, **values: float | None) -> tuple[str, str]:
         """Verdict and reason of one block."""
-        attempt = await self.writer.offer(scan or self.scan(), values, USABLE)
+        scan = scan or self.scan()
+        attempt = await self.writer.offer(scan, values, USABLE)
         assert attempt is not None
         assert (attempt.verdict == "written") == bool(attempt.latency_ms is not None)
+        assert attempt.time == scan.time and len(attempt.block.words) == len(LAYOUT.words)
         return attempt.verdict, attempt.reason
 
     def kinds(self) -> list[str]:
@@ -181,7 +183,9 @@ async def test_only_an_end_behind_the_armings_own_row_ends_it(row: int, verdict:
     assert desk.writer.ended_elsewhere == ""
     desk.ledger.ended_elsewhere = {"": EndedElsewhere(9, "Bea", "enough")}
     assert desk.writer.ended_elsewhere == "", "another block's"
+    desk.writer.mode = "shadow"
     desk.writer.arm(desk.line, Arming("Ada", "test", END), 7)
+    assert desk.writer.armed
     desk.ledger.ended_elsewhere = {"two": EndedElsewhere(row, "Bea", "enough")}
     said = f"Bea took the arming back in the audit log (row {row}): enough" if verdict == "not permitted" else ""
     assert await desk.offer() == (verdict, said) and desk.writer.ended_elsewhere == said
