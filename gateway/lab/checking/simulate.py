@@ -1,14 +1,14 @@
 """`decanter model simulate`: a model let run along measured traces, and how far off it comes out; or along a word."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from gateway.console import emit, json_option, map_option, progress, seed_option, table
-from gateway.entry import fail, sentence, sentences
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
+from gateway.entry import Exit, sentence, sentences
 from gateway.lab.checking.word import replay_word
 from gateway.lab.traces.load import load
 from gateway.lab.traces.picture import picture_option
@@ -165,16 +165,15 @@ def simulate(
             chosen, traces, runs=runs, policy=policy, start=start, seed=seed, picture=picture, report=report
         )
     data = {"model": chosen.sha.name, "traces": rows, "picture": picture and str(picture)}
-    emit(data, lambda: _show_rows(rows, picture), as_json_line=as_json)
-    if any("error" in row for row in rows):
-        fail("; ".join(str(row["error"]) for row in rows if "error" in row))
+    complaint = "; ".join(str(row["error"]) for row in rows if "error" in row)
+    conclude(CommandResult(data, complaint, Exit.USAGE), lambda _: _show_rows(rows, picture), as_json=as_json)
 
 
-def _show_rows(rows: Sequence[Mapping[str, Any]], picture: Path | None) -> None:
+def _show_rows(rows: Sequence[Mapping[str, Any]], picture: Path | None) -> Iterator[Part]:
     columns = ("trace", "events", "rmse", "mae", "rmse at events", "final", "coverage 90 %", "clamps", "flags")
     done = [[row[name] for name in columns] for row in rows if "error" not in row]
     if done:
         units = " and ".join(dict.fromkeys(shown_unit(row["unit"]) for row in rows if "error" not in row))
-        table(f"open loop ({units})", columns, done)
+        yield Rows(f"open loop ({units})", columns, done)
     if picture is not None:
-        click.echo(f"picture: {picture}")
+        yield f"picture: {picture}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -14,7 +14,18 @@ import numpy as np
 
 from drivers.csv_rows import write_rows
 from drivers.named_files import writing
-from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.console import (
+    CommandResult,
+    Line,
+    Part,
+    Rows,
+    conclude,
+    json_option,
+    map_option,
+    progress,
+    seed_option,
+    shipped,
+)
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.fleet.places import place_words
 from gateway.lab.fleet.sources import TABLE, sources_in
@@ -117,27 +128,27 @@ def fleet(
         "machines": rows_of(found, words),
     }
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         rows = [{name: row[name] for name in row if name not in COSTS} for row in rows_of(found, words)[:MOST_NAMED]]
         title = f"{len(found.results)} machines: targets off the type's, held-out free-run errors, in {unit}"
-        table(title, list(rows[0]), [["" if value is None else value for value in row.values()] for row in rows])
+        yield Rows(title, list(rows[0]), [["" if value is None else value for value in row.values()] for row in rows])
         if len(found.results) > len(rows):
-            click.echo(f"the {len(found.results) - len(rows)} that lie nearest to the type are in {out / TABLE}")
+            yield f"the {len(found.results) - len(rows)} that lie nearest to the type are in {out / TABLE}"
         if len(found.spread.offsets) <= MOST_NAMED:
-            click.echo(spread_sentence(found.spread, unit))
+            yield spread_sentence(found.spread, unit)
         else:
             apart, ahead = f"{found.spread.between:.3g} {unit}", f"{found.spread.sigma:.3g} {unit}"
-            click.echo(f"machines: {apart} between them, {ahead} for the next one")
+            yield f"machines: {apart} between them, {ahead} for the next one"
         for name in found.outstanding:
-            click.secho(outstanding_sentence(found, name, words, unit), fg="yellow")
+            yield Line(outstanding_sentence(found, name, words, unit), "yellow")
         if not found.outstanding:
-            click.echo("no machine stands out")
+            yield "no machine stands out"
         for name, reasons in data["unread"].items():
             for each in reasons:
-                click.secho(f"{name}: without {each}", fg="yellow")
-        click.echo(f"model of the type, with each machine's own: {out / MODEL}\npicture: {out / PICTURE}")
+                yield Line(f"{name}: without {each}", "yellow")
+        yield f"model of the type, with each machine's own: {out / MODEL}\npicture: {out / PICTURE}"
 
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
 def outstanding_sentence(found: FleetFindings, name: str, words: Mapping[str, str], unit: str) -> str:

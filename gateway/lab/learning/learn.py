@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.console import emit, json_option, map_option, progress, seed_option, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
 from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
 from gateway.lab.models.show import show_model, spread_sentence, summary
@@ -110,22 +110,20 @@ def learn(
     cycles = 0 if familiar is None else familiar.reference.held_out.size
     data |= {"familiar_cycles": cycles, "machines": asdict(spread), "warnings": warnings}
 
-    def show() -> None:
-        show_model(model)
+    def show() -> Iterator[Part]:
+        yield from show_model(model)
         for title, rows in shown.items():
             if rows:
-                table(title, list(rows[0]), [list(row.values()) for row in rows])
-        click.echo(spread_sentence(spread, shown_unit(model.unit)))
-        click.echo(
-            f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
-        )
-        click.echo(f"model directory: {out}")
+                yield Rows(title, list(rows[0]), [list(row.values()) for row in rows])
+        yield spread_sentence(spread, shown_unit(model.unit))
+        yield f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
+        yield f"model directory: {out}"
         if acceptance is not None:
             counts = f"{acceptance.accepted} of {acceptance.traces} training traces"
-            click.echo(f"accepted: {counts}, by the observed edges alone")
-            click.echo(f"learning report: {out / (REPORT + '.md')}")
+            yield f"accepted: {counts}, by the observed edges alone"
+            yield f"learning report: {out / (REPORT + '.md')}"
 
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
 def learn_from(

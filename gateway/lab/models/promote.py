@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from gateway.console import emit, json_option
+from gateway.console import CommandResult, conclude, json_option
 from gateway.entry import sentences
 from sim.artefacts import FAMILIARITY_FILE, Force, forced, read_familiarity
 from sim.artefacts import promote as promote_version
@@ -43,4 +43,4 @@ def promote(
         force = forced(store)
     data = {"store": str(store), "current": chosen, "forced": force is not None}
     sentence = f"{store}: {chosen} is current" + (f", forced by {force.by}: {force.reason}" if force else "")
-    emit(data, lambda: click.echo(sentence), as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: [sentence], as_json=as_json)
