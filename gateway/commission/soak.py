@@ -17,7 +17,7 @@ from drivers.errors import DriverError, LinkDown
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.files import ScanRecorder
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions, link_options, period_option
 from gateway.commission.session import Site, device_of, mention_gateway, perform, period_of, words_of
 from gateway.console import CommandResult, Part, Progress, Rows, progress
 from gateway.repeated import without_measured
@@ -203,7 +203,7 @@ def recommend_period(seconds: Sequence[float], factor: float = 1.0) -> float:
 
 @click.command(short_help="Read for a longer time: cycle times, losses, the period to be recommended.")
 @click.option("--seconds", type=click.FloatRange(0.1), default=60.0, show_default=True, help="For how long.")
-@click.option("--period", type=click.FloatRange(0.01), help="Seconds between two scans.  [default: the plant file's]")
+@period_option
 @click.option("--record", type=click.Path(path_type=Path), help="Keep the readings in this CSV, one row a scan.")
 @link_options
 def soak(given: SharedOptions, seconds: float, period: float | None, record: Path | None) -> None:

@@ -10,7 +10,7 @@ import click
 
 from drivers.named_files import place_of
 from drivers.settings import ConfigError, read_toml
-from gateway.cli.plant.plant_file import config_option
+from gateway.cli.plant.plant_file import by_option, config_option
 from gateway.commission.session import login
 from gateway.console import CommandResult, Part, Rows, conclude, json_option, service_of
 from gateway.entry import Exit, fail, sentences
@@ -128,7 +128,7 @@ def diff(path: Path, folder: Path | None, old: int | None, new: int | None) -> N
 @click.command(short_help="Put the files of a former configuration back, never armed.")
 @click.argument("number", type=int)
 @click.option("--reason", required=True, help="Why, for the history.")
-@click.option("--by", default="", envvar="DECANTER_BY", help="Who does it.  [default: the login]")
+@by_option
 @config_option
 @_history_option
 @json_option

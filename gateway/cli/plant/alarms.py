@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from gateway.cli.plant.plant_file import config_option, control_socket, machine_option
+from gateway.cli.plant.plant_file import by_option, config_option, control_socket, machine_option
 from gateway.console import CommandResult, Part, Rows, conclude, json_option
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.alarms import (
@@ -30,7 +30,6 @@ from gateway.store import moment_of, newest_scan, reading
 PATIENCE_S = 15.0
 """What hides an alarm waits until it is on record."""
 
-_by_option = click.option("--by", default="", envvar="DECANTER_BY", help="Who does it.  [default: the login]")
 _reason_option = click.option("--reason", required=True, help="Why, for the audit log and the journal.")
 
 
@@ -175,7 +174,7 @@ def _names(required: bool = True) -> Callable[[Any], Any]:
 
 @click.command(short_help="Say that you know: of the named alarms, or of all that wait.")
 @_names(required=False)
-@_by_option
+@by_option
 @click.option("--reason", default="", help="A remark, for the audit log and the journal.")
 @config_option
 @machine_option
@@ -190,7 +189,7 @@ def acknowledge(names: tuple[str, ...], by: str, reason: str, path: Path, machin
 @click.option(
     "--minutes", type=click.FloatRange(0, min_open=True), required=True, help="For how long (alarms.longest_shelving)."
 )
-@_by_option
+@by_option
 @_reason_option
 @config_option
 @machine_option
@@ -206,7 +205,7 @@ def _signed_command(change: Change, name: str, short_help: str, long_help: str) 
     """The command of a change that takes names, a person and a reason."""
 
     @_names()
-    @_by_option
+    @by_option
     @_reason_option
     @config_option
     @machine_option

@@ -11,6 +11,7 @@ from click.core import ParameterSource
 from drivers.named_files import writing
 from gateway.console import CommandResult, Line, Part, Rows, conclude, finite, json_option, map_option, shipped
 from gateway.entry import sentences
+from gateway.lab.options import policy_option
 from gateway.lab.traces.load import load
 from sim.engine import Policy
 from sim.lab.formats import FoundModel, find_model
@@ -69,13 +70,7 @@ def _inputs(_: click.Context, __: click.Parameter, texts: Sequence[str]) -> dict
     "--inputs", multiple=True, callback=_inputs, metavar="SIGNAL=LOW..HIGH", help="Range of an input; may be repeated."
 )
 @click.option("--start", type=(float, float), metavar="LOW HIGH", help="Where runs begin (°C).")
-@click.option(
-    "--policy",
-    type=click.Choice(["reject", "ignore", "resync"]),
-    default="resync",
-    show_default=True,
-    help="An event without an edge.",
-)
+@policy_option
 @click.option("--known", is_flag=True, help="No gap ever: UNKNOWN, which leads to the initial location, never comes.")
 @click.option(
     "--wear",

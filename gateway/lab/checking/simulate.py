@@ -10,6 +10,7 @@ import numpy as np
 from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
 from gateway.entry import Exit, sentence, sentences
 from gateway.lab.checking.word import replay_word
+from gateway.lab.options import policy_option, start_option, trace_option
 from gateway.lab.traces.load import load
 from gateway.lab.traces.picture import picture_option
 from sim.engine import Policy, Start, errors, measured, open_loop, open_loop_schedule, start_law
@@ -112,22 +113,14 @@ def _simulate_one(
 
 @click.command(short_help="Let a model run along measured traces; say how far off it is.")
 @click.argument("directory")
-@click.option("--trace", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@trace_option
 @click.option("--word", help="Instead of traces: a timed word, as 'W_ON@0 A_2@30 @600', or a file with one.")
 @map_option
 @click.option(
     "--runs", type=click.IntRange(2, 1_000_000), default=1000, show_default=True, help="Stochastic runs a trace."
 )
-@click.option(
-    "--policy",
-    type=click.Choice(["reject", "ignore", "resync"]),
-    default="resync",
-    show_default=True,
-    help="An event without an edge.",
-)
-@click.option(
-    "--start", type=click.Choice(["measured", "law"]), default="measured", show_default=True, help="First temperature."
-)
+@policy_option
+@start_option
 @seed_option
 @picture_option
 @json_option

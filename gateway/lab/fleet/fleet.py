@@ -31,6 +31,7 @@ from gateway.lab.fleet.places import place_words
 from gateway.lab.fleet.sources import TABLE, sources_in
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.models.show import spread_sentence
+from gateway.lab.options import jobs_option, temperature_option
 from sim.forecast import Z90
 from sim.lab.judge import held
 from sim.lab.learning import MachineSpread, StandsOut, spread_of
@@ -54,14 +55,14 @@ PLAIN, STRIKING, BAND = "#1f6fb4", "#b3261e", "#e4e8ec"
 @click.argument("place")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="The folder to write.")
 @map_option
-@click.option("--temperature", metavar="SIGNAL", help="The signal that is predicted.  [default: the map's]")
+@temperature_option
 @click.option("--schema", default="decanter", show_default=True, help="Of a database: the schema of its samples.")
 @click.option(
     "--sample", type=click.IntRange(1), default=12, show_default=True, help="Machines that teach the type's model."
 )
 @click.option("--own", is_flag=True, help="Learn a model of each machine's own too.")
 @click.option("--diagnose", "diagnosis", is_flag=True, help="Diagnose each machine against its corrected type.")
-@click.option("--jobs", type=click.IntRange(1), help="Worker processes.  [default: one a core]")
+@jobs_option
 @click.option("--cluster", "address", help="Work on the Dask cluster whose scheduler is at this address (tcp://...).")
 @seed_option
 @json_option

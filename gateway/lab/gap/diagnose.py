@@ -25,6 +25,7 @@ from gateway.console import (
 from gateway.entry import sentences
 from gateway.lab.models.adopt import adopt
 from gateway.lab.models.propose import propose, recorded_drift, store_of
+from gateway.lab.options import optional_traces_option
 from gateway.lab.traces.load import load
 from gateway.store import reading, recent
 from sim.artefacts import model_hash, read_effect_lines
@@ -216,7 +217,7 @@ class DiagnoseCommand(click.Command):
 @click.command(cls=DiagnoseCommand, short_help="Find where model and traces disagree; name what is missing.")
 @click.argument("more", nargs=-1, metavar="[TRACES]...")
 @click.option("--model", "where", required=True, help="A model directory, a store, a model.json, or DIR/NAME.")
-@click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@optional_traces_option
 @click.option("--historian", type=click.Path(path_type=Path), help="A gateway's historian instead of --traces.")
 @click.option("--since", help="Of the historian: from this time (2026-03-01T06:00) or span (7d, 36h) on [14d].")
 @historian_machine_option

@@ -10,6 +10,7 @@ from gateway.console import CommandResult, Part, Rows, conclude, json_option, pr
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.judging.request import JudgingRequest, judging_options
 from gateway.lab.judging.skill import show_skill
+from gateway.lab.options import optional_traces_option
 from sim.lab.judge import (
     Facts,
     ForecastSkill,
@@ -112,7 +113,7 @@ Limits of fitness, judged on traces that were not in training where there are an
 
 @click.command(epilog=LIMITS, short_help="Compare models on the same traces; say which are fit for deployment.")
 @click.argument("models", nargs=-1, metavar="[MODEL...]")
-@click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@optional_traces_option
 @click.option(
     "--results",
     "folders",

@@ -9,6 +9,7 @@ import click
 from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option, shipped
 from gateway.entry import sentences
 from gateway.lab.judging.figures import lacking, other_methods, skill_rows
+from gateway.lab.options import traces_option
 from gateway.lab.traces.load import load
 from gateway.machine.model import machine_offset_along
 from gateway.settings import ForecastSection
@@ -30,7 +31,7 @@ def _horizons(_: click.Context, __: click.Parameter, text: str) -> tuple[float, 
 
 @click.command(short_help="Forecast along held-out traces as the running gateway does; score it beside rivals.")
 @click.argument("directory", metavar="MODEL")
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@traces_option
 @map_option
 @click.option("--member", "members", multiple=True, help="A model beside MODEL in an ensemble; may be given again.")
 @click.option("--rivals", is_flag=True, help="Statistical methods too, fitted to the traces of --training.")

@@ -13,6 +13,7 @@ import click
 from gateway.console import CommandResult, Part, Rows, conclude, json_option, progress
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.judging.request import JudgingRequest, judging_options
+from gateway.lab.options import policy_option, traces_option
 from gateway.lab.traces.load import warned_of
 from sim.lab.formats import write_model_directory
 from sim.lab.judge import (
@@ -180,7 +181,7 @@ MOST_REASONS = 5
 
 @click.command(short_help="Validate models along measured traces in nine stages; write a report for each.")
 @click.argument("models", nargs=-1, required=True, metavar="MODEL...")
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@traces_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder for reports and results.")
 @click.option("--overwrite", is_flag=True, help="Replace the results of an earlier campaign in --out.")
 @judging_options(
@@ -188,13 +189,7 @@ MOST_REASONS = 5
     training="Traces to learn `bins` or `lsha` from, to give the resampled semantics its entry laws, "
     "and to fit rivals to.",
 )
-@click.option(
-    "--policy",
-    type=click.Choice(["reject", "ignore", "resync"]),
-    default="resync",
-    show_default=True,
-    help="An event without an edge.",
-)
+@policy_option
 @click.option("--cluster", "address", help="Run on the Dask cluster whose scheduler is at this address (tcp://...).")
 @click.option("--pictures/--no-pictures", default=True, show_default=True, help="A PNG and a PDF a trace.")
 @json_option

@@ -10,6 +10,7 @@ import click
 
 from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress
 from gateway.entry import sentences
+from gateway.lab.options import traces_option
 from gateway.lab.traces.load import load
 from sim.artefacts import STORE_FILE, model_hash
 from sim.lab.formats import find_model, save, write_model_directory
@@ -26,7 +27,7 @@ from sim.sha import encoded, joint_hash, shown_unit, unit_of
 
 @click.command(short_help="Learn T' = k T + b from traces and write the corrected model.")
 @click.argument("name")
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@traces_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory or store to write to.")
 @click.option(

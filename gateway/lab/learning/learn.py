@@ -13,6 +13,7 @@ from gateway.console import CommandResult, Part, Rows, conclude, json_option, ma
 from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
 from gateway.lab.models.show import show_model, spread_sentence, summary
+from gateway.lab.options import method_option, temperature_option, traces_option
 from gateway.lab.traces.load import load, warned_of
 from sim.lab.formats import check_free, write_model_directory
 from sim.lab.learning import machine_corrections
@@ -29,12 +30,12 @@ REPORT = "learning_report"
 
 
 @click.command(short_help="Learn a model from traces and write its directory.")
-@click.option("--method", type=click.Choice(["bins", "lsha"]), default="bins", show_default=True)
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@method_option
+@traces_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory to write.")
 @click.option("--name", default="decanter", show_default=True, help="The model's name, and the artefacts' base name.")
-@click.option("--temperature", metavar="SIGNAL", help="The signal that is predicted.  [default: the map's]")
+@temperature_option
 @seed_option
 @click.option("--delta", type=click.FloatRange(0.0), help="lsha: merge tolerance, share of the parameters' spread.")
 @click.option("--default-flow", type=click.Choice(FLOW_KINDS), help="lsha: the flow of all locations to begin with.")

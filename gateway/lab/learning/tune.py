@@ -9,6 +9,7 @@ import click
 
 from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
 from gateway.entry import Exit, interruptible, sentences
+from gateway.lab.options import method_option, traces_option
 from gateway.lab.traces.load import load, warned_of
 from sim.lab.formats import write_model_directory
 from sim.lab.recordings import split_cycles
@@ -20,8 +21,8 @@ SHOWN = 10
 
 
 @click.command(short_help="Search a learning method's best settings by cross-validation over traces.")
-@click.option("--method", type=click.Choice(["bins", "lsha"]), default="bins", show_default=True)
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@method_option
+@traces_option
 @map_option
 @click.option("--cycles", is_flag=True, help="Cut each trace into cycles first, for one long recording.")
 @click.option(

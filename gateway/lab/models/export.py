@@ -11,6 +11,7 @@ import numpy as np
 
 from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
 from gateway.entry import Exit, sentence, sentences
+from gateway.lab.options import policy_option, start_option, trace_option
 from gateway.lab.traces.load import load
 from sim.engine import Policy, Start
 from sim.lab.formats import FoundModel, find_model
@@ -123,20 +124,12 @@ def _exported(model: Model, trace: Trace, order: ExportOptions, engine: Path | N
 @click.argument("model")
 @click.option("--uppaal", is_flag=True, help="Main and minimal model and queries of each trace.")
 @click.option("--artefacts", is_flag=True, help="The public learner's files: graph, report, flows.")
-@click.option("--trace", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@trace_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder to write to.")
 @click.option("--query", "queries", multiple=True, help="One more query (docs/checking.md); may be given again.")
-@click.option(
-    "--policy",
-    type=click.Choice(["reject", "ignore", "resync"]),
-    default="resync",
-    show_default=True,
-    help="An event without an edge.",
-)
-@click.option(
-    "--start", type=click.Choice(["measured", "law"]), default="measured", show_default=True, help="First temperature."
-)
+@policy_option
+@start_option
 @click.option(
     "--tick", type=click.IntRange(0, 3600), default=1, show_default=True, help="Seconds between draws of the noise."
 )

@@ -21,6 +21,7 @@ from gateway.console import (
 )
 from gateway.entry import interruptible, sentences
 from gateway.lab.models.propose import recorded_drift
+from gateway.lab.options import historian_option, library_option
 from gateway.lab.resource_usage import peak_megabytes
 from gateway.lab.retraining.cycle_library import opened_library
 from gateway.lab.retraining.report import Retraining
@@ -47,10 +48,10 @@ NICE = 19
 
 @click.command("retrain", short_help="Learn from the historian's new cycles; propose a version that is better.")
 @click.argument("store", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--historian", type=click.Path(path_type=Path), required=True, help="The gateway's historian.")
+@historian_option
 @historian_machine_option
 @click.option("--since", help="A new library begins here: a time (2026-03-01T06:00) or a span (30d)  [everything].")
-@click.option("--library", "folder", type=click.Path(path_type=Path), help="Its cycles  [cycles beside the historian].")
+@library_option
 @click.option("--standard", multiple=True, help="Traces that a new model must not be worse on; may be given again.")
 @click.option("--traces", "former", multiple=True, help="Traces of earlier training to learn from as well.")
 @map_option

@@ -25,6 +25,7 @@ from gateway.console import (
 )
 from gateway.entry import interruptible, sentences
 from gateway.lab.judging.figures import LONGEST_HORIZON, MOST_OF_CYCLE, scores_along
+from gateway.lab.options import historian_option, library_option
 from gateway.lab.retraining.cutting import CycleSource, Progress, and_after, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
 from gateway.lab.retraining.training_record import created_of, read_record
@@ -201,9 +202,9 @@ def ran_before(store: Path) -> str:
 @click.command("shadow", short_help="Compare two versions on live cycles; promote the better one by a stated policy.")
 @click.argument("store", type=click.Path(path_type=Path, file_okay=False))
 @click.argument("version", required=False)
-@click.option("--historian", type=click.Path(path_type=Path), required=True, help="The gateway's historian.")
+@historian_option
 @historian_machine_option
-@click.option("--library", "folder", type=click.Path(path_type=Path), help="Its cycles  [cycles beside the historian].")
+@library_option
 @click.option("--roll-back", is_flag=True, help="Promote VERSION again where the current one is worse than it.")
 @click.option("--promote", "promotes", is_flag=True, help="Promote the candidate VERSION where it is the better one.")
 @seed_option
