@@ -63,15 +63,10 @@ def tags_of(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
             except AddressTextError as error:
                 others = f", and no tag of the device file, which has {', '.join(known)}" if known else ""
                 raise ValueError(f"{error}{others}") from None
-            places = [first.moved(step * width_of(plain)) for step in range(max(count, how.count))]
+            places = [first.moved(step * registers_needed(plain)) for step in range(max(count, how.count))]
             kind = DType.BOOL if first.is_bit else dtype
             tags += [replace(plain, name=str(place), address=str(place), dtype=kind) for place in places]
     return tags
-
-
-def width_of(tag: Tag) -> int:
-    """How many registers the tag covers (a bit table's entry: 1)."""
-    return registers_needed(tag)
 
 
 async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResult:
