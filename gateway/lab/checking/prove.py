@@ -11,6 +11,7 @@ from click.core import ParameterSource
 from drivers.named_files import writing
 from gateway.console import CommandResult, Line, Part, Rows, conclude, finite, json_option, map_option, shipped
 from gateway.entry import sentences
+from gateway.lab.models.show import show_verdict
 from gateway.lab.options import policy_option
 from gateway.lab.traces.load import load
 from sim.engine import Policy
@@ -21,6 +22,7 @@ from sim.sha import encoded
 
 GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
 NEXT = "Read the evidence above; learn anew with more traces, or with another --method."
+UNJUDGED = "what it foresees was not judged where it was made: `decanter model validate` or `skill` say it"
 STAYS, CASES, WIDTH = 12, 4, 150
 """What the text shows of a counterexample and of a check's cases, and signs a case; --json has all of them."""
 
@@ -98,8 +100,9 @@ def prove(
 ) -> None:
     """Verify a model's structure, and what its temperature can do under any sequence of events.
 
-    Every check is proven, refuted with its evidence, or not decided. Leaves with 1 when the model is not deployable; a
-    range given by --bounds must be proven too. `decanter model simulate MODEL --word ...` replays a counterexample.
+    Every check is proven, refuted with its evidence, or not decided. Leaves with 1 when the model is not deployable or
+    was judged unfit where it was learned; a range given by --bounds must be proven too.
+    `decanter model simulate MODEL --word ...` replays a counterexample.
     """
     with sentences():
         traces, column_map = load(paths, map_name) if paths else ([], None)
@@ -139,7 +142,8 @@ def prove(
         if out is not None and worst is not None:
             with writing(out):
                 out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
-    proved = CommandResult(plain(result, found), ok=result.deployable)
+    unfit = found.verdict is not None and found.verdict.word == "unfit"
+    proved = CommandResult(plain(result, found), ok=result.deployable and not unfit)
     conclude(proved, lambda _: _show(result, found, model, out), as_json=as_json)
 
 
@@ -159,7 +163,9 @@ def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
     ]
     return {
         "model": found.name,
-        "fitness": "fit" if result.deployable else "unfit",
+        # What is proven may foresee nothing: that is the verdict's, where one was kept.
+        "fitness": "unfit" if not result.deployable else "not known" if found.verdict is None else found.verdict.word,
+        "verdict": None if found.verdict is None else found.verdict.plain() | {"sentence": found.verdict.sentence},
         "deployable": result.deployable,
         "reasons": list(result.reasons),
         "assumptions": list(result.assumptions),
@@ -199,8 +205,12 @@ def _show(result: Verification, found: FoundModel, model: str, out: Path | None)
             yield f"a counterexample to {name}, of {size}, was found; --word FILE writes it, for model simulate"
     against = [each.name for each in result.checks if each.blocking and each.verdict != "proven"]
     # What is not decided is not proven: promotion refuses both alike.
-    sentence = f"unfit: not proven: {', '.join(against)}" if against else "fit: every check that decides is proven"
+    sentence = f"unfit: not proven: {', '.join(against)}" if against else "proven: every check that decides"
     yield Line(sentence, "red" if against else "green", bold=True)
+    if found.verdict is not None:
+        yield from show_verdict(found.verdict)
+    elif not against:
+        yield UNJUDGED
     if "growth" in against and result.executable:
         yield f"next: {GROWS}"
     elif against:

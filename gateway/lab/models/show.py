@@ -11,7 +11,7 @@ import click
 
 from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
 from gateway.entry import sentences
-from sim.artefacts import model_hash
+from sim.artefacts import ModelVerdict, model_hash
 from sim.effects import effect_summary
 from sim.lab.formats import find_model
 from sim.sha import SHA, Model, Stay, distributions, shown_unit
@@ -48,7 +48,14 @@ def show(name: str, as_json: bool) -> None:
             conclude(CommandResult(data), lambda _: _show_artefacts(found_model), as_json=as_json)
             return
         shown = found_model.model
-        conclude(CommandResult(summary(shown)), lambda _: show_model(shown), as_json=as_json)
+        verdict = found_model.verdict
+
+        def show_both() -> Iterator[Part]:
+            yield from show_model(shown)
+            yield from show_verdict(verdict)
+
+        said = {"verdict": None if verdict is None else verdict.plain() | {"sentence": verdict.sentence}}
+        conclude(CommandResult(summary(shown) | said), lambda _: show_both(), as_json=as_json)
 
 
 def _show_artefacts(found_model: FoundModel) -> Iterator[Part]:
@@ -160,6 +167,15 @@ def show_model(shown: Model) -> Iterator[Part]:
         yield f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} {unit}"
     synthetic = ", SYNTHETIC: not learned from a plant" if origin.synthetic else ""
     yield f"{len(origin.traces)} traces, content {origin.data_hash[:12]}{synthetic}"
+
+
+def show_verdict(verdict: ModelVerdict | None) -> Iterator[Part]:
+    """Print the verdict that lies beside a model, in one line; nothing of a model that has none."""
+    if verdict is not None:
+        yield Line(verdict.sentence, _COLOURS[verdict.word])
+
+
+_COLOURS = {"fit": "green", "limited": "yellow", "not known": "yellow", "unfit": "red"}
 
 
 def spread_sentence(spread: MachineSpread, unit: str) -> str:
