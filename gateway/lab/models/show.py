@@ -159,8 +159,8 @@ def show_model(shown: Model) -> Iterator[Part]:
         yield f"plain member {member.name}: {f'odds against the model {odds}' if odds else 'no odds were learned'}"
     origin = shown.provenance
     lasts = f" (errors last {shown.sensor_memory:g} s)" if shown.sensor_memory else ""
-    sigma = f"{shown.sensor_sigma:.3g} {unit}{lasts}"
-    yield f"temperature {shown.temperature}, sensor sigma {sigma}, method {origin.method}"
+    sensor = f"{shown.sensor_sigma:.3g} {unit}{lasts}"
+    yield f"temperature {shown.temperature}, sensor sigma {sensor}, method {origin.method}"
     if shown.calibration:
         yield "calibration " + ", ".join(f"{h:g} s x {f:.2f}" for h, f in sorted(shown.calibration.items()))
     if not shown.correction.identity:

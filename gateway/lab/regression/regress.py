@@ -91,8 +91,8 @@ def regress(
         yield f"{', '.join(part for part, there in summary.items() if there)}; history: {file}"
 
     # What is accepted are models as they are: what could not be run or read says nothing of them.
-    worse = broken or traces.problems or ((said or gone) and reason is None)
-    conclude(CommandResult(data, ok=not worse), lambda _: show(), as_json=as_json)
+    refused = bool(broken or traces.problems or ((said or gone) and reason is None))
+    conclude(CommandResult(data, ok=not refused), lambda _: show(), as_json=as_json)
 
 
 def _models(places: Sequence[Path], folder: Path, traces: StandardSet) -> tuple[dict[str, Model | str], list[str]]:
