@@ -13,7 +13,7 @@ from gateway.commission.survey import reference_of
 from gateway.commission.writeback.block_writer import layouts_of
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
 from gateway.console import CommandResult, Line, Part, Rows
-from gateway.machine.writing import places_for, uptime
+from gateway.machine.writing import obstacle, places_for, uptime
 from gateway.settings import LEAST_BLOCKS, DeviceMap
 from gateway.store import standing
 
@@ -29,9 +29,10 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
     device, layouts = layouts_of(site)
     problems = list(problems_of(site, device))
     config = site.target.config
-    row = standing(
-        audit_path, time.time(), uptime(), key=places_for(audit_path, config).key, subject=site.target.subject
-    )
+    places = places_for(audit_path, config)
+    row = standing(audit_path, time.time(), uptime(), key=places.key, subject=site.target.subject)
+    if row is not None and (why := obstacle(places)[0]):
+        row, problems = None, [*problems, why]
     words = []
     for layout in layouts:
         for field, tag in zip(layout.fields, layout.words, strict=True):

@@ -180,9 +180,9 @@ def _standing(rows: Iterable[tuple[str, JournalRow]], end: float) -> dict[str, f
     for name, row in rows:
         if row.state not in ACTIVE:
             since.pop(name, None)
-        elif row.state == AlarmState.UNACKNOWLEDGED or name not in since:
+        else:
             # What is acknowledged has stood before; latched it stands on.
-            since[name] = since.get(name, row.time)
+            since.setdefault(name, row.time)
     return dict(sorted(((name, end - begun) for name, begun in since.items()), key=lambda row: -row[1]))
 
 
