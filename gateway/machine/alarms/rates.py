@@ -89,7 +89,7 @@ def alarm_rates(rows: Iterable[JournalRow], start: float, end: float) -> AlarmRa
         if row.time > start and row.state == AlarmState.UNACKNOWLEDGED
     ]
     times = [row.time for _, row in fresh]
-    peak, peak_at = peak_rate(times)
+    peak, peak_at = most_within(times, TEN_MINUTES)
     floods = alarm_floods(times, end)
     standing = _standing(zip(names, known, strict=True), end)
     by_name = defaultdict(list)
@@ -134,11 +134,6 @@ def alarm_rates(rows: Iterable[JournalRow], start: float, end: float) -> AlarmRa
         shares=shares,
         findings=findings,
     )
-
-
-def peak_rate(times: Sequence[float]) -> tuple[int, float | None]:
-    """The most announcements within any ten minutes, and when these were over; `times` (s) ascend."""
-    return most_within(times, TEN_MINUTES)
 
 
 def most_within(times: Sequence[float], seconds: float) -> tuple[int, float | None]:
