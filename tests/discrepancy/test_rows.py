@@ -176,7 +176,7 @@ def test_a_fit_begins_from_one_of_cycles_that_stand_on_the_steps_of_their_roundi
 
 def test_no_second_name_makes_up_for_starts_that_lie_between_two_rows() -> None:
     """With the times of the switches taken as known, a step of the sensor was named beside the pump, and did harm."""
-    found = diagnose(model(), [sparse(plant(4, period=10.0, pump=2e-4), 6)], seed=0).diagnosis
+    found = diagnose(model(), [sparse(plant(4, days=3, period=10.0, pump=2e-4), 6)], seed=0).diagnosis
     assert [effect.name for effect in found.effects] == ["pump-cooling"]
     assert found.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.3)
     assert found.held_out is not None and found.held_out.rmse_after < 0.3 * found.held_out.rmse_before
