@@ -45,12 +45,15 @@ def by_hand(runs: FreeRuns) -> list[bool] | None:
     taught = {}
     for fold in range(5):
         for place in set(runs.place.tolist()):
-            taught[fold, place] = sum(
-                number % 5 != fold and there == place and not first and np.isfinite(reading)
-                for number, there, first, reading in zip(
-                    order, runs.place.tolist(), runs.first.tolist(), runs.reading.tolist(), strict=True
+            taught[fold, place] = (
+                sum(
+                    number % 5 != fold and there == place and not first and np.isfinite(reading)
+                    for number, there, first, reading in zip(
+                        order, runs.place.tolist(), runs.first.tolist(), runs.reading.tolist(), strict=True
+                    )
                 )
-            ) >= 10
+                >= 10
+            )
     judged: list[bool] = []
     for knot, number in enumerate(order):
         first = bool(runs.first[knot])
