@@ -157,7 +157,7 @@ def _conclusions(found: _Found) -> list[str]:
     if found.stored.on_change:
         said.append(
             f"stored on change: {found.stored.why or 'as --stored says'}; values hold for up to "
-            f"{found.stored.silence:g} s"
+            f"{found.stored.own[found.parts.temperature.header]:g} s"
         )
     for column in found.columns:
         if column.bad:
@@ -271,7 +271,7 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
     if stored.on_change:
         lines += [
             'stored = "on change"    # a value holds until the next one',
-            f"silence = {stored.silence:g}    # s: the longest here that still means as before",
+            f"silence = {stored.silence:g}    # s: of the recorder and of each signal that names no other; longer is unknown",
             f"interval = {stored.interval:g}    # s: how often held values stand in a trace",
         ]
     if long is not None:
@@ -290,7 +290,7 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
     lines += ["", "[signals]"]
     for column in found.columns:
         if column.kind in ("number", "switch"):
-            lines.append(_signal(column, parts))
+            lines.append(_signal(column, parts, stored))
     unused = [column.header for column in found.columns if column.kind not in ("number", "switch")]
     if unused:
         lines.append(f"# neither numbers nor switches: {listed(map(_one_line, unused), _SHOWN)}")
@@ -298,7 +298,7 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
     lines += ["", "[effects]    # for `decanter diagnose`"]
     role = _role(parts.current)
     lines += [f"{role} = {quoted(parts.current.name)}"] if role and parts.current is not None else []
-    lines += _alphabet(parts, traces, gap, found.derived)
+    lines += _alphabet(found, traces, gap)
     return "\n".join(lines) + "\n"
 
 
@@ -312,7 +312,7 @@ def _role(load: FoundColumn | None) -> str:
     )
 
 
-def _signal(column: FoundColumn, parts: Parts) -> str:
+def _signal(column: FoundColumn, parts: Parts, stored: Stored) -> str:
     keys = [f"column = {_quoted(column.header)}"]
     if column.kind == "switch":
         keys.append("boolean = true")
@@ -325,6 +325,8 @@ def _signal(column: FoundColumn, parts: Parts) -> str:
         unit = column.unit or ("degC" if column is parts.temperature else "")
         keys += [f"unit = {_quoted(unit)}"] if unit else []
         keys += [f"bad = [{', '.join(map(_exact, column.bad))}]"] if column.bad else []
+    if stored.on_change and stored.own.get(column.header, stored.silence) != stored.silence:
+        keys.append(f"silence = {_exact(stored.own[column.header])}")
     comment = ""
     finite = column.values[np.isfinite(column.values)]
     if column.kind == "number" and finite.size:
@@ -364,12 +366,14 @@ def _derived(parts: Parts, name: str) -> list[str]:
     ]
 
 
-def _alphabet(parts: Parts, traces: Sequence[Trace], gap: float | None, derived: str) -> list[str]:
+def _alphabet(found: _Found, traces: Sequence[Trace], gap: float | None) -> list[str]:
+    parts, derived = found.parts, found.derived
     running, current = parts.running, parts.current
     lines = ["", "[alphabet]    # the events that a model learns from"]
     lines += [f"gap = {gap:g}", "channels = ["] if gap is not None else ["channels = ["]
     name = derived if running is None else running.name
-    polled = running is None or np.isfinite(running.values).mean() > 0.5
+    # Held values stand in each row, as polled ones do.
+    polled = found.stored.on_change or running is None or np.isfinite(running.values).mean() > 0.5
     change = ", on_change = false" if polled else ""
     why = parts.reasons.get("running", "derived")
     lines.append(
